@@ -1,0 +1,100 @@
+"""Errors that a user can act on: what, where, got, allowed, what to try."""
+
+from __future__ import annotations
+
+EXIT_DONE = 0
+EXIT_USER = 1
+EXIT_USAGE = 2
+EXIT_GATE = 3
+EXIT_DEVICE = 4
+EXIT_INTERRUPTED = 130
+
+
+class DtwinError(Exception):
+    """A problem that the user can understand and mend.
+
+    Parameters
+    ----------
+    message : str
+        What is wrong, in one line.
+    code : str
+        Stable dotted identifier, for example ``"b5r.truncated"``.
+    where : str, optional
+        File, line, column, run or setting that is wrong.
+    got : str, optional
+        The offending value.
+    allowed : str, optional
+        What would have been accepted.
+    hint : str, optional
+        What to try next; may be a command.
+    """
+
+    exit_code = EXIT_USER
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        code: str = "error",
+        where: str | None = None,
+        got: str | None = None,
+        allowed: str | None = None,
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.code = code
+        self.where = where
+        self.got = got
+        self.allowed = allowed
+        self.hint = hint
+
+    def as_dict(self) -> dict[str, str]:
+        """Return the set fields, for ``--json``."""
+        fields = {
+            "code": self.code,
+            "message": self.message,
+            "where": self.where,
+            "got": self.got,
+            "allowed": self.allowed,
+            "hint": self.hint,
+        }
+        return {name: value for name, value in fields.items() if value is not None}
+
+    def render(self) -> str:
+        """Return the message as indented lines for a terminal."""
+        lines = [f"error[{self.code}]: {self.message}"]
+        labels = {"where": "at", "got": "got", "allowed": "allowed", "hint": "try"}
+        fields = self.as_dict()
+        lines += [f"  {label}: {fields[name]}" for name, label in labels.items() if name in fields]
+        return "\n".join(lines)
+
+
+class InputError(DtwinError):
+    """A file, plan or option that cannot be used as given."""
+
+
+class StoreError(DtwinError):
+    """The lake or another part of ``DTWIN_HOME`` cannot be read or written."""
+
+
+class MissingPart(DtwinError):
+    """An optional package, driver or program is not installed."""
+
+
+class GateRefusal(DtwinError):
+    """A check of a model or of its evidence said no."""
+
+    exit_code = EXIT_GATE
+
+
+class DeviceError(DtwinError):
+    """A device is absent, silent or stopped for safety."""
+
+    exit_code = EXIT_DEVICE
+
+
+class Interrupted(DtwinError):
+    """Work was stopped and can be resumed; the hint holds the command."""
+
+    exit_code = EXIT_INTERRUPTED

@@ -1,0 +1,238 @@
+"""The records that every part of dtwin speaks."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.errors import InputError
+
+Floats = NDArray[np.float64]
+Kind = Literal["circular", "linear", "sinusoidal", "volumetric", "placement"]
+Direction = Literal["CCW", "CW"]
+Plane = Literal["XY", "YZ", "ZX"]
+
+KINDS: tuple[Kind, ...] = ("circular", "linear", "sinusoidal", "volumetric", "placement")
+PLANES: tuple[Plane, ...] = ("XY", "YZ", "ZX")
+_FLIPPED: dict[str, Plane] = {"YX": "XY", "ZY": "YZ", "XZ": "ZX"}
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
+
+
+def require_name(name: object, what: str) -> str:
+    """Return ``name`` when it is safe as an identifier and as a file name.
+
+    Parameters
+    ----------
+    name : object
+        The proposed campaign, run, machine or twin name.
+    what : str
+        What is being named, for the error message.
+
+    Raises
+    ------
+    InputError
+        When the name could leave its folder or be misread.
+    """
+    if isinstance(name, str) and _NAME.fullmatch(name) and ".." not in name:
+        return name
+    raise InputError(
+        f"{what} is not a usable name",
+        code="name.invalid",
+        got=repr(name)[:120],
+        allowed="1 to 100 letters, digits and . _ + -, starting with a letter or digit, without '..'",
+    )
+
+
+def standard_plane(plane: str, direction: Direction) -> tuple[Plane, Direction]:
+    """Return the plane as XY, YZ or ZX, flipping the direction when the axes are swapped.
+
+    Parameters
+    ----------
+    plane : str
+        Two axis letters in any order and case.
+    direction : {"CCW", "CW"}
+        Sense of motion seen from the positive side of the named plane.
+    """
+    wanted = plane.upper()
+    if wanted in PLANES:
+        return wanted, direction  # type: ignore[return-value]
+    if wanted in _FLIPPED:
+        return _FLIPPED[wanted], "CW" if direction == "CCW" else "CCW"
+    raise InputError(
+        "unknown plane",
+        code="run.plane",
+        got=plane[:40],
+        allowed="XY, YZ, ZX, and XZ, ZY, YX, which are converted",
+    )
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is noteworthy or wrong with the data of a run.
+
+    Attributes
+    ----------
+    code : str
+        Stable identifier, for example ``"arc.window_short"``.
+    severity : {"info", "warning", "error"}
+        ``error`` keeps the run out of training unless the user insists.
+    message : str
+        One sentence with the numbers in it.
+    numbers : dict of str to float
+        The figures behind the message, named with their units.
+    """
+
+    code: str
+    severity: Literal["info", "warning", "error"]
+    message: str
+    numbers: Mapping[str, float | list[float]] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {
+            "code": self.code,
+            "severity": self.severity,
+            "message": self.message,
+            "numbers": dict(self.numbers),
+        }
+
+
+@dataclass(frozen=True)
+class SignalGroup:
+    """High-rate signals of one device during a run, on that device's own clock.
+
+    Attributes
+    ----------
+    name : str
+        Device group, for example ``"accelerometers"`` or ``"controller"``.
+    rate_hz : float
+        Sample rate of the device.
+    columns : dict of str to ndarray, shape (n,)
+        Signals by column name; names carry the unit.
+    start_s : float
+        Time of the first sample on the device's own clock.
+    """
+
+    name: str
+    rate_hz: float
+    columns: Mapping[str, NDArray[Any]]
+    start_s: float = 0.0
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples per channel."""
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+    @property
+    def t_s(self) -> Floats:
+        """Sample times on the device's own clock, shape (n,)."""
+        return self.start_s + np.arange(self.n_samples) / self.rate_hz
+
+
+@dataclass(frozen=True)
+class RunMeta:
+    """What is known of a run besides its samples.
+
+    Attributes
+    ----------
+    run_id : str
+        Unique inside the campaign.
+    kind : str
+        Kind of campaign that the run belongs to.
+    plane, direction, radius_mm, feed_mm_min
+        Condition of a circular run; None for other kinds.
+    condition : dict
+        Conditions of the other kinds (axis, amplitude, frequency ...), names with units.
+    repeat : int
+        Counts repeats of the same condition from 1.
+    setup : str
+        One mounting of the instrument; centre and zero belong to it.
+    started : str
+        ISO 8601 time, empty when unknown.
+    sample_rate_hz : float
+        Rate of the reference instrument.
+    covariates : dict of str to float
+        Numbers logged once per run.
+    vendor : dict of str to float
+        Figures that the vendor's file itself states for this run, names with units.
+    """
+
+    run_id: str
+    kind: Kind = "circular"
+    plane: Plane | None = None
+    direction: Direction | None = None
+    radius_mm: float | None = None
+    feed_mm_min: float | None = None
+    condition: Mapping[str, float | str] = field(default_factory=dict)
+    repeat: int = 1
+    setup: str = "s1"
+    started: str = ""
+    sample_rate_hz: float = math.nan
+    covariates: Mapping[str, float] = field(default_factory=dict)
+    vendor: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Run:
+    """One pass of the machine under one condition, as measured.
+
+    Attributes
+    ----------
+    meta : RunMeta
+        Condition and provenance.
+    samples : dict of str to ndarray, shape (n,)
+        Samples of the reference instrument. A circular run has ``t_s``, ``angle_deg`` and
+        ``deviation_um``; optional ``cmd_x_mm`` ... ``act_z_mm`` and covariate columns.
+    window : tuple of (int, int), optional
+        First and one-past-last sample of the part that the vendor's file marks as the test.
+    signals : tuple of SignalGroup
+        High-rate signals, each group on its own clock.
+    source : str
+        File that the run was read from.
+    findings : tuple of Finding
+        What the reader noticed.
+    """
+
+    meta: RunMeta
+    samples: Mapping[str, NDArray[Any]]
+    window: tuple[int, int] | None = None
+    signals: tuple[SignalGroup, ...] = ()
+    source: str = ""
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples of the reference instrument."""
+        return len(next(iter(self.samples.values()))) if self.samples else 0
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A plan of runs over a grid of conditions, done on one machine.
+
+    Attributes
+    ----------
+    name, machine : str
+        Identifiers; both are safe as file names.
+    kind : str
+        One of ``KINDS``.
+    started : str
+        ISO 8601 time, empty when unknown.
+    machine_geometry : dict
+        What joint, lag and Abbe effects need: type, chain, centre_mm, tcp_mm, joint_branch.
+    instrument : dict
+        model, nominal_mm, calibrated_mm, sample_rate_hz, offset_mm.
+    """
+
+    name: str
+    machine: str
+    kind: Kind = "circular"
+    started: str = ""
+    machine_geometry: Mapping[str, Any] = field(default_factory=dict)
+    instrument: Mapping[str, Any] = field(default_factory=dict)

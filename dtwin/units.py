@@ -1,0 +1,87 @@
+"""Units are carried by column names; this is the table of what is understood."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from dtwin.errors import InputError
+
+# Longest first, so that ``feed_mm_min`` is not read as minutes.
+UNITS: dict[str, str] = {
+    "mm_min": "mm/min",
+    "mm_s2": "mm/s^2",
+    "mm_s": "mm/s",
+    "um_per_m": "um/m",
+    "deg_s": "deg/s",
+    "rad_s2": "rad/s^2",
+    "rad_s": "rad/s",
+    "hz": "Hz",
+    "mm": "mm",
+    "um": "um",
+    "deg": "deg",
+    "rad": "rad",
+    "us": "us",
+    "ms": "ms",
+    "s": "s",
+    "g2": "g^2",
+    "g": "g",
+    "c": "degC",
+    "pct": "%",
+    "v": "V",
+    "a": "A",
+    "n": "N",
+    "nm": "N*m",
+    "kg": "kg",
+    "1": "1",
+}
+
+UM_PER_MM = 1000.0
+G_MM_S2 = 9806.65
+
+
+def unit_of(column: str) -> str | None:
+    """Return the unit that a column name ends with.
+
+    Parameters
+    ----------
+    column : str
+        Column name, for example ``"deviation_um"``.
+
+    Returns
+    -------
+    str or None
+        The unit, for example ``"um"``; None when the name ends with no known unit.
+    """
+    for suffix, unit in UNITS.items():
+        if column.endswith("_" + suffix):
+            return unit
+    return None
+
+
+def require_units(columns: Iterable[str], where: str) -> dict[str, str]:
+    """Return the unit of each column, or refuse those without one.
+
+    Parameters
+    ----------
+    columns : iterable of str
+        Names of floating-point columns.
+    where : str
+        What the columns belong to, for the error message.
+
+    Raises
+    ------
+    InputError
+        When a name ends with no known unit.
+    """
+    units = {column: unit_of(column) for column in columns}
+    unknown = sorted(column for column, unit in units.items() if unit is None)
+    if unknown:
+        raise InputError(
+            "a measured column must end with its unit",
+            code="units.unknown",
+            where=where,
+            got=", ".join(unknown[:10]),
+            allowed=", ".join("_" + suffix for suffix in UNITS),
+            hint="rename the column, for example temperature -> temperature_c",
+        )
+    return {column: unit for column, unit in units.items() if unit is not None}
