@@ -1,0 +1,1 @@
+"""Links to real controllers, each supervised in a process of its own."""

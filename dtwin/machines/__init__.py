@@ -1,0 +1,1 @@
+"""Virtual machines: mechanism with known truth, speaking the real protocols."""
