@@ -1,0 +1,356 @@
+"""Renishaw Ballbar 20 result files (``.b5r``): one test, one or two runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from dtwin.acquire.readings import parse_readings
+from dtwin.acquire.xmlsafe import parse_vendor_xml, read_bounded
+from dtwin.errors import InputError
+from dtwin.schema import Direction, Floats, Run, RunMeta, standard_plane
+
+MAX_READINGS = 5_000_000
+_VENDOR_FIGURES = {
+    "AF_CENTRE_OFFSET_A": ("centre_a_um", 1000.0),
+    "AF_CENTRE_OFFSET_B": ("centre_b_um", 1000.0),
+    "AF_BEST_RADIUS": ("best_radius_mm", 1.0),
+    "AF_CIRCULARITY": ("circularity_um", 1000.0),
+    "AF_CALCULATED_FEEDRATE": ("feed_mm_min", 1.0),
+}
+
+
+@dataclass(frozen=True)
+class BallbarTest:
+    """Content of a ``.b5r`` file.
+
+    Attributes
+    ----------
+    name, machine, operator, started : str
+        As stated by the file; ``started`` is ISO 8601.
+    runs : tuple of Run
+        One per direction; ids are ``ccw`` and ``cw`` (with a counter when there are several).
+    instrument : dict
+        model, serial, nominal_mm, calibrated_mm, sample_rate_hz.
+    diagnostics : dict of str to float
+        The vendor's own diagnosis of the test, feature names as in the file.
+    """
+
+    name: str
+    machine: str
+    operator: str
+    started: str
+    runs: tuple[Run, ...]
+    instrument: dict[str, str | float] = field(default_factory=dict)
+    diagnostics: dict[str, float] = field(default_factory=dict)
+
+
+def read_b5r(path: Path) -> BallbarTest:
+    """Read a ball-bar result file.
+
+    Angles are assigned as the file's indices say: START to END is the marked arc, evenly
+    divided. Whether that is true is for the quality gates to judge, not for the reader.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.b5r`` file.
+
+    Raises
+    ------
+    InputError
+        When the file is hostile, truncated, or lacks what a test must have.
+    """
+    root = parse_vendor_xml(read_bounded(path), str(path))
+    if root.tag != "TEST_DOCUMENT":
+        raise InputError(
+            "not a ball-bar result", code="b5r.root", where=str(path), got=f"<{root.tag[:40]}>",
+            allowed="<TEST_DOCUMENT>",
+        )
+    bar = root.find("TEST_SPEC/INSTRUMENT/DYNAMIC_BALLBAR")
+    elements = root.findall("RUN_RESULTS/BALLBAR_RUN")
+    if bar is None or not elements:
+        raise InputError(
+            "the file holds no ball-bar run", code="b5r.no_runs", where=str(path),
+            hint="save the test after it was measured",
+        )
+    started = _started(_text(root, "DATE_STARTED"))
+    runs = [_read_run(element, bar, started, path) for element in elements]
+    machine = root.find("MACHINE_TESTED")
+    spec = root.find("TEST_SPEC")
+    return BallbarTest(
+        name=spec.get("NAME", "") if spec is not None else "",
+        machine=machine.get("NAME", "") if machine is not None else "",
+        operator=_text(root, "OPERATOR"),
+        started=started,
+        runs=_named_by_direction(runs),
+        instrument=_instrument(root, bar),
+        diagnostics=_features(root.find("ANALYSIS")),
+    )
+
+
+def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
+    stated = _text(element, "RUN_DIRECTION").upper()
+    where = f"{path} BALLBAR_RUN {stated or '?'}"
+    if stated not in ("CCW", "CW"):
+        raise InputError(
+            "the run does not say its direction", code="b5r.direction", where=where,
+            got=stated[:40] or "nothing", allowed="CCW or CW",
+        )
+    readings_mm = parse_readings(_text(element, "READINGS"), where)
+    if not 3 <= readings_mm.size <= MAX_READINGS:
+        raise InputError(
+            "unusable number of readings", code="b5r.readings", where=where,
+            got=str(readings_mm.size), allowed=f"3 to {MAX_READINGS}",
+        )
+    start = _whole(element, "START_INDEX", where) - 1
+    end = _whole(element, "END_INDEX", where)
+    if not 0 <= start < end <= readings_mm.size:
+        raise InputError(
+            "the marked arc lies outside the readings", code="b5r.window", where=where,
+            got=f"START {start + 1}, END {end} of {readings_mm.size} readings",
+            allowed="1 <= START < END <= number of readings", hint="the file may be cut short",
+        )
+    plane_element = bar.find("PLANE")
+    direction: Direction = "CCW" if stated == "CCW" else "CW"
+    plane, direction = standard_plane(
+        plane_element.get("TEST_PLANE", "XY") if plane_element is not None else "XY", direction
+    )
+    rate_hz = _number(element, "SAMPLE_RATE", where, low=0.1, high=1e6)
+    arc_start_deg = _number(bar, "START_ANGLE", where, low=-3600.0, high=3600.0)
+    arc_deg = _number(bar, "END_ANGLE", where, low=-3600.0, high=3600.0) - arc_start_deg
+    meta = RunMeta(
+        run_id=direction.lower(),
+        plane=plane,
+        direction=direction,
+        radius_mm=_number(bar, "TEST_RADIUS", where, low=1e-3, high=1e5),
+        feed_mm_min=_number(bar, "PROGRAMMED_FEEDRATE", where, low=1e-3, high=1e6),
+        started=started,
+        sample_rate_hz=rate_hz,
+        covariates=_temperature(element, where),
+        vendor=_vendor_figures(element),
+    )
+    angle_deg = marked_angle_deg(
+        readings_mm.size, (start, end), direction, arc_start_deg, abs(arc_deg) or 360.0
+    )
+    samples = {
+        "t_s": np.arange(readings_mm.size) / rate_hz,
+        "angle_deg": angle_deg,
+        "deviation_um": readings_mm * 1000.0,
+    }
+    return Run(meta=meta, samples=samples, window=(start, end), source=str(path))
+
+
+def marked_angle_deg(
+    n_samples: int,
+    window: tuple[int, int],
+    direction: Direction,
+    arc_start_deg: float = 0.0,
+    arc_deg: float = 360.0,
+) -> Floats:
+    """Return the angle of every sample when the marked window is taken as the arc.
+
+    Parameters
+    ----------
+    n_samples : int
+        Number of samples of the whole recording.
+    window : tuple of (int, int)
+        First and one-past-last sample of the marked arc.
+    direction : {"CCW", "CW"}
+        CCW angles rise, CW angles fall.
+    arc_start_deg, arc_deg : float
+        Start and length of the arc that the window stands for.
+
+    Returns
+    -------
+    ndarray, shape (n_samples,)
+        Unwrapped angle, outside the window continued at the same speed.
+    """
+    start, end = window
+    turned = (np.arange(n_samples) - start) * (arc_deg / (end - start))
+    return arc_start_deg + (turned if direction == "CCW" else -turned)
+
+
+def write_b5r(
+    path: Path, runs: Sequence[Run], *, name: str, machine: str, operator: str = "dtwin"
+) -> None:
+    """Write runs of one test as a ball-bar result file.
+
+    Readings have 10 nm resolution, as the vendor's have. The run's window becomes the marked
+    arc; its length is taken from the angles at its ends.
+
+    Parameters
+    ----------
+    path : Path
+        File to write; replaced in one step.
+    runs : sequence of Run
+        Runs that share plane, radius and feed.
+    name, machine, operator : str
+        Titles to state in the file.
+
+    Raises
+    ------
+    InputError
+        When a run has no window or the runs do not belong to one test.
+    """
+    first = runs[0].meta
+    if len({(r.meta.plane, r.meta.radius_mm, r.meta.feed_mm_min) for r in runs}) != 1:
+        raise InputError("runs of one .b5r must share plane, radius and feed", code="b5r.mixed")
+    lines = [
+        '<?xml version="1.0" encoding="utf-8" standalone="yes"?>',
+        "<TEST_DOCUMENT>",
+        f'<TEST_SPEC NAME="{_escaped(name)}" version="2.0">',
+        '<INSTRUMENT MANUFACTURER="dtwin" MODEL="virtual ballbar">',
+        '<DYNAMIC_BALLBAR CALIBRATION_REQUIRED="false">',
+        f"<NOMINAL_LENGTH>{first.radius_mm}</NOMINAL_LENGTH>",
+        f"<PROGRAMMED_FEEDRATE>{first.feed_mm_min}</PROGRAMMED_FEEDRATE>",
+        "<START_ANGLE>0</START_ANGLE>",
+        f"<END_ANGLE>{_arc_length_deg(runs[0]):.6f}</END_ANGLE>",
+        f"<TEST_RADIUS>{first.radius_mm}</TEST_RADIUS>",
+        f'<PLANE VIEW="+A+B" TEST_PLANE="{first.plane}"></PLANE>',
+        f"<SAMPLE_RATE>{first.sample_rate_hz}</SAMPLE_RATE>",
+        "</DYNAMIC_BALLBAR>",
+        "</INSTRUMENT>",
+        "</TEST_SPEC>",
+        f"<OPERATOR>{_escaped(operator)}</OPERATOR>",
+        f"<DATE_STARTED>{_vendor_date(first.started)}</DATE_STARTED>",
+        f'<MACHINE_TESTED NAME="{_escaped(machine)}" />',
+        "<RUN_RESULTS>",
+    ]
+    for run in runs:
+        lines += _run_lines(run)
+    lines += ["</RUN_RESULTS>", "</TEST_DOCUMENT>", ""]
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text("\n".join(lines), encoding="utf-8")
+    partial.replace(path)
+
+
+def _run_lines(run: Run) -> list[str]:
+    if run.window is None:
+        raise InputError("a run without a marked arc cannot be written", code="b5r.no_window")
+    readings = run.samples["deviation_um"] / 1000.0
+    return [
+        "<BALLBAR_RUN>",
+        f"<RUN_DIRECTION>{run.meta.direction}</RUN_DIRECTION>",
+        f"<RUN_TEMPERATURE>{run.meta.covariates.get('temperature_c', 20.0)}</RUN_TEMPERATURE>",
+        f"<START_INDEX>{run.window[0] + 1}</START_INDEX>",
+        f"<END_INDEX>{run.window[1]}</END_INDEX>",
+        f"<SAMPLE_RATE>{run.meta.sample_rate_hz}</SAMPLE_RATE>",
+        "<READINGS>" + " ".join(f"{value:+.5f}" for value in readings) + "</READINGS>",
+        "</BALLBAR_RUN>",
+    ]
+
+
+def _arc_length_deg(run: Run) -> float:
+    if run.window is None:
+        raise InputError("a run without a marked arc cannot be written", code="b5r.no_window")
+    start, end = run.window
+    angle = run.samples["angle_deg"]
+    step = abs(float(angle[end - 1] - angle[start])) / (end - 1 - start)
+    return step * (end - start)
+
+
+def _named_by_direction(runs: list[Run]) -> tuple[Run, ...]:
+    seen: dict[str, int] = {}
+    named = []
+    for run in runs:
+        base = run.meta.run_id
+        seen[base] = seen.get(base, 0) + 1
+        unique = base if seen[base] == 1 else f"{base}-{seen[base]}"
+        named.append(replace(run, meta=replace(run.meta, run_id=unique)))
+    return tuple(named)
+
+
+def _instrument(root: Element, bar: Element) -> dict[str, str | float]:
+    ballbar = root.find("EQUIPMENT/BALLBAR")
+    calibrator = root.find("EQUIPMENT/CALIBRATOR")
+    found: dict[str, str | float] = {}
+    if ballbar is not None:
+        found["model"] = _text(ballbar, "MODEL")
+        found["serial"] = _text(ballbar, "SERIAL_NUMBER")
+    for key, element, tag in (
+        ("nominal_mm", bar, "NOMINAL_LENGTH"),
+        ("calibrated_mm", calibrator, "CALIBRATED_LENGTH"),
+        ("sample_rate_hz", bar, "SAMPLE_RATE"),
+    ):
+        value = _maybe_float(_text(element, tag)) if element is not None else None
+        if value is not None:
+            found[key] = value
+    return found
+
+
+def _features(parent: Element | None) -> dict[str, float]:
+    if parent is None:
+        return {}
+    pairs = ((f.get("NAME", ""), _maybe_float(f.text or "")) for f in parent.findall("FEATURE"))
+    return {name: value for name, value in pairs if name and value is not None}
+
+
+def _vendor_figures(element: Element) -> dict[str, float]:
+    stated = _features(element)
+    return {
+        name: stated[feature] * factor
+        for feature, (name, factor) in _VENDOR_FIGURES.items()
+        if feature in stated
+    }
+
+
+def _temperature(element: Element, where: str) -> dict[str, float]:
+    value = _maybe_float(_text(element, "RUN_TEMPERATURE"))
+    return {} if value is None else {"temperature_c": value}
+
+
+def _text(element: Element, tag: str) -> str:
+    return (element.findtext(tag) or "").strip()
+
+
+def _maybe_float(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _number(element: Element, tag: str, where: str, *, low: float, high: float) -> float:
+    value = _maybe_float(_text(element, tag))
+    if value is None or not low <= value <= high:
+        raise InputError(
+            f"{tag} is missing or impossible", code="b5r.field", where=where,
+            got=_text(element, tag)[:40] or "nothing", allowed=f"{low:g} to {high:g}",
+        )
+    return value
+
+
+def _whole(element: Element, tag: str, where: str) -> int:
+    value = _number(element, tag, where, low=1, high=MAX_READINGS)
+    if value != int(value):
+        raise InputError(f"{tag} is not a whole number", code="b5r.field", where=where, got=str(value))
+    return int(value)
+
+
+def _started(text: str) -> str:
+    try:
+        stamp = datetime.strptime(text, "%Y%m%d-%H%M%S")  # noqa: DTZ007 - the file states local time without a zone
+    except ValueError:
+        return ""
+    return stamp.isoformat()
+
+
+def _vendor_date(started: str) -> str:
+    try:
+        return datetime.fromisoformat(started).strftime("%Y%m%d-%H%M%S")
+    except ValueError:
+        return ""
+
+
+def _escaped(text: str) -> str:
+    for char, entity in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
+        text = text.replace(char, entity)
+    return text

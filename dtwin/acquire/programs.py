@@ -1,0 +1,110 @@
+"""Motion programs of a planned test: ball-bar G-code and URScript."""
+
+from __future__ import annotations
+
+import math
+
+from dtwin.plan import PlannedTest, arc_deg
+from dtwin.schema import Direction
+
+FEED_IN_MM = 1.5
+_WORD = {"XY": ("G17", "X", "Y", "I", "J"), "YZ": ("G19", "Y", "Z", "J", "K"),
+         "ZX": ("G18", "Z", "X", "K", "I")}
+
+
+def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) -> str:
+    """Return the ball-bar program for a CNC, centre at the work zero.
+
+    Parameters
+    ----------
+    test : PlannedTest
+        Full turns in XY; in upright planes half a turn with 5 degrees at each end.
+    directions : tuple of str
+        Directions in the order they are run.
+    """
+    plane_code, a, b, i, j = _WORD[test.plane]
+    r, outside = test.radius_mm, test.radius_mm + FEED_IN_MM
+    lines = ["%", f"({test.test_id} {test.plane} R{r:g} F{test.feed_mm_min:g} {test.setup})",
+             f"G21 G90 G94 {plane_code}", f"G1 F{test.feed_mm_min:g}"]
+    for direction in directions:
+        code = "G3" if direction == "CCW" else "G2"
+        if test.plane == "XY":
+            turns = round(arc_deg(test.plane) / 360.0)
+            lines += [f"G1 {a}{outside:.4f} {b}0", "M0 (load the bar)", f"G1 {a}{r:.4f} {b}0"]
+            lines += [f"{code} {a}{r:.4f} {b}0 {i}{-r:.4f} {j}0"] * turns
+            lines += [f"G1 {a}{outside:.4f} {b}0"]
+        else:
+            lines += _half_turn(test, direction, code)
+    return "\n".join([*lines, "M30", "%", ""])
+
+
+def _half_turn(test: PlannedTest, direction: Direction, code: str) -> list[str]:
+    _, a, b, i, j = _WORD[test.plane]
+    begin, end = (-5.0, 185.0) if direction == "CCW" else (185.0, -5.0)
+
+    def point(angle_deg: float, radius: float) -> tuple[float, float]:
+        angle = math.radians(angle_deg)
+        return radius * math.cos(angle), radius * math.sin(angle)
+
+    outside, first = point(begin, test.radius_mm + FEED_IN_MM), point(begin, test.radius_mm)
+    last, away = point(end, test.radius_mm), point(end, test.radius_mm + FEED_IN_MM)
+    return [
+        f"G1 {a}{outside[0]:.4f} {b}{outside[1]:.4f}",
+        "M0 (load the bar)",
+        f"G1 {a}{first[0]:.4f} {b}{first[1]:.4f}",
+        f"{code} {a}{last[0]:.4f} {b}{last[1]:.4f} {i}{-first[0]:.4f} {j}{-first[1]:.4f}",
+        f"G1 {a}{away[0]:.4f} {b}{away[1]:.4f}",
+    ]
+
+
+def urscript(
+    test: PlannedTest,
+    directions: tuple[Direction, ...] = ("CCW", "CW"),
+    *,
+    centre_mm: tuple[float, float, float] = (-550.0, 0.0, 75.0),
+    tcp_mm: float = 158.3,
+) -> str:
+    """Return the ball-bar program for a UR robot, by three-point half circles.
+
+    Not yet run on a controller. The path data that a serving loop needs are written to output
+    registers before each half circle.
+
+    Parameters
+    ----------
+    test : PlannedTest
+        The test.
+    directions : tuple of str
+        Directions in the order they are run.
+    centre_mm : tuple of float
+        Ball-bar centre in the base frame.
+    tcp_mm : float
+        Length of the tool along the flange's z.
+    """
+    axes = {"XY": (0, 1), "YZ": (1, 2), "ZX": (2, 0)}[test.plane]
+    speed = test.feed_mm_min / 60_000.0
+
+    def pose(angle_deg: float, radius_mm: float) -> str:
+        point = [c / 1000.0 for c in centre_mm]
+        point[axes[0]] += radius_mm / 1000.0 * math.cos(math.radians(angle_deg))
+        point[axes[1]] += radius_mm / 1000.0 * math.sin(math.radians(angle_deg))
+        return f"p[{point[0]:.6f},{point[1]:.6f},{point[2]:.6f},3.141593,0,0]"
+
+    lines = [f"def {test.test_id}():", f"  set_tcp(p[0,0,{tcp_mm / 1000.0:.4f},0,0,0])"]
+    for direction in directions:
+        sign = 1 if direction == "CCW" else -1
+        begin = 0.0 if test.plane == "XY" else (-5.0 if sign > 0 else 185.0)
+        arcs = [180.0] * 4 if test.plane == "XY" else [190.0]
+        lines += [
+            f"  movel({pose(begin, test.radius_mm + FEED_IN_MM)},1.2,0.25)",
+            "  sleep(2.5)",
+            f"  movel({pose(begin, test.radius_mm)},1.2,{speed:.6f})",
+        ]
+        for number, arc in enumerate(arcs, start=1):
+            via, end = begin + sign * arc / 2.0, begin + sign * arc
+            lines += [
+                f"  write_output_integer_register(12,{number})",
+                f"  movec({pose(via, test.radius_mm)},{pose(end, test.radius_mm)},1.2,{speed:.6f},0)",
+            ]
+            begin = end
+        lines += [f"  movel({pose(begin, test.radius_mm + FEED_IN_MM)},1.2,0.25)"]
+    return "\n".join([*lines, "end", ""])

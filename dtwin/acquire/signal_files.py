@@ -1,0 +1,85 @@
+"""High-rate signal files: one Parquet file per device and run, on the device's own clock."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pyarrow as pa
+
+from dtwin.errors import InputError, StoreError
+from dtwin.parquet import columns_of, read_parquet, table_of, write_parquet
+from dtwin.schema import SignalGroup
+from dtwin.units import require_units
+
+_KEY = b"dtwin.signals"
+
+
+def write_signals(path: Path, group: SignalGroup) -> int:
+    """Write one device's signals and return the size in bytes.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.parquet`` file.
+    group : SignalGroup
+        Signals of one device during one run.
+    """
+    require_units(group.columns, str(path))
+    head = {"group": group.name, "rate_hz": group.rate_hz, "start_s": group.start_s}
+    table = table_of(group.columns)
+    kept = table.schema.metadata or {}
+    return write_parquet(path, table.replace_schema_metadata(kept | {_KEY: json.dumps(head)}))
+
+
+def read_signals(path: Path) -> list[SignalGroup]:
+    """Read a signal file.
+
+    A file without dtwin's own header needs a ``t_s`` column from which the rate is taken.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.parquet`` file.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, damaged, or does not say its rate.
+    """
+    try:
+        table = read_parquet(path)
+    except StoreError as error:
+        raise InputError(
+            "the signal file cannot be read", code="signals.unreadable", where=str(path),
+            got=error.got, hint=error.hint,
+        ) from error
+    header = (table.schema.metadata or {}).get(_KEY)
+    require_units([n for n in table.column_names if _is_float(table, n)], str(path))
+    columns = columns_of(table)
+    if header is not None:
+        return [_from_header(header, columns, path)]
+    if "t_s" not in columns or len(columns["t_s"]) < 2:
+        raise InputError(
+            "the signal file does not say its rate", code="signals.rate", where=str(path),
+            hint="add a column t_s",
+        )
+    t_s = columns.pop("t_s")
+    span = float(t_s[-1] - t_s[0])
+    if not span > 0:
+        raise InputError("the clock of the signals stands or runs back", code="clock", where=str(path))
+    return [SignalGroup(path.stem.split(".")[-1], (len(t_s) - 1) / span, columns, float(t_s[0]))]
+
+
+def _from_header(header: bytes, columns: dict, path: Path) -> SignalGroup:  # type: ignore[type-arg]
+    try:
+        head = json.loads(header)
+        return SignalGroup(
+            str(head["group"]), float(head["rate_hz"]), columns, float(head["start_s"])
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError("the signal header is damaged", code="signals.header", where=str(path)) from error
+
+
+def _is_float(table: pa.Table, name: str) -> bool:
+    return bool(pa.types.is_floating(table.schema.field(name).type))

@@ -1,0 +1,113 @@
+"""Measured columns from CSV and Parquet files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.errors import InputError
+from dtwin.schema import Kind
+from dtwin.units import require_units
+
+MAX_TABLE_BYTES = 2 * 1024**3
+REQUIRED: dict[Kind, tuple[str, ...]] = {
+    "circular": ("t_s", "angle_deg", "deviation_um"),
+    "linear": ("t_s", "position_mm", "direction", "error_um"),
+    "sinusoidal": ("t_s", "cmd_z_mm", "act_z_mm"),
+    "volumetric": ("t_s", "x_mm", "y_mm", "z_mm", "error_x_um", "error_y_um", "error_z_um"),
+    "placement": ("t_s", "error_x_um", "error_y_um"),
+}
+# Text that names a state rather than measuring something.
+_TEXT_COLUMNS = frozenset({"direction"})
+
+
+def read_columns(path: Path, kind: Kind) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
+    """Read the samples of one run.
+
+    Parameters
+    ----------
+    path : Path
+        ``.csv`` or ``.parquet``.
+    kind : str
+        Kind of campaign; decides which columns must be there.
+
+    Returns
+    -------
+    columns : dict of str to ndarray, shape (n,)
+        Columns without the rejected rows.
+    rejects : list of dict
+        Rows that hold no usable number, each with ``row`` (from 0), ``reason`` and ``values``.
+
+    Raises
+    ------
+    InputError
+        When columns are missing, lack a unit, or nothing usable remains.
+    """
+    table = _read_table(path)
+    columns = {name: _as_array(table, name, path) for name in table.column_names}
+    missing = [name for name in REQUIRED[kind] if name not in columns]
+    if missing:
+        raise InputError(
+            f"a {kind} run lacks columns", code="columns.missing", where=str(path),
+            got=", ".join(table.column_names)[:200], allowed=", ".join(REQUIRED[kind]),
+        )
+    floats = [name for name, values in columns.items() if values.dtype.kind == "f"]
+    require_units(floats, str(path))
+    return _drop_bad_rows(columns, floats, path)
+
+
+def _read_table(path: Path) -> pa.Table:
+    suffix = path.suffix.lower()
+    try:
+        if suffix == ".csv":
+            return pa_csv.read_csv(pa.BufferReader(read_bounded(path, MAX_TABLE_BYTES)))
+        if suffix == ".parquet":
+            if not path.is_file():
+                raise InputError("no such file", code="file.missing", where=str(path))
+            return pq.read_table(path, page_checksum_verification=True)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            "the table cannot be read", code="table.malformed", where=str(path),
+            got=str(error)[:200], hint="the file may be cut short or damaged",
+        ) from error
+    raise InputError(
+        "unknown kind of table", code="table.type", where=str(path), got=suffix or "no ending",
+        allowed=".csv, .parquet",
+    )
+
+
+def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
+    column = table.column(name)
+    if name in _TEXT_COLUMNS:
+        return np.array(column.cast(pa.string()).to_pylist(), dtype=object)
+    try:
+        return column.cast(pa.float64()).to_numpy()
+    except (pa.ArrowException, ValueError) as error:
+        raise InputError(
+            "a column is not numeric", code="columns.number", where=f"{path} {name[:60]}",
+            got=str(error)[:120],
+        ) from error
+
+
+def _drop_bad_rows(
+    columns: dict[str, NDArray[Any]], floats: list[str], path: Path
+) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
+    finite = np.all([np.isfinite(columns[name]) for name in floats], axis=0)
+    if not finite.any():
+        raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
+    rejects = [
+        {
+            "row": int(row),
+            "reason": "not finite: " + ", ".join(n for n in floats if not np.isfinite(columns[n][row])),
+            "values": {name: repr(columns[name][row].item()) for name in floats},
+        }
+        for row in np.flatnonzero(~finite)
+    ]
+    return {name: values[finite] for name, values in columns.items()}, rejects

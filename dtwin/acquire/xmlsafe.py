@@ -1,0 +1,134 @@
+"""Read vendor XML that is slightly broken, without trusting it."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from xml.etree.ElementTree import Element, ParseError
+
+from defusedxml import DefusedXmlException
+from defusedxml.ElementTree import fromstring
+
+from dtwin.errors import InputError
+
+MAX_BYTES = 32 * 1024 * 1024
+MAX_ELEMENTS = 20_000
+MAX_DEPTH = 40
+MAX_TAG_CHARS = 4_000
+
+# <AVERAGING_ENABLED="True" /> : a value without an attribute name.
+_NAMELESS_VALUE = re.compile(rb"<([A-Za-z_][\w.-]*)=(\"[^\"<>]*\")")
+_BARE_AMPERSAND = re.compile(rb"&(?!#?\w{1,10};)")
+_TAG = re.compile(rb"<(/?)[A-Za-z_][^<>]*?(/?)>")
+
+
+def read_bounded(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
+    """Return the bytes of a file, refusing what is empty, absent or absurdly large.
+
+    Parameters
+    ----------
+    path : Path
+        File to read.
+    max_bytes : int
+        Largest size that is still read.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, is empty, or exceeds ``max_bytes``.
+    """
+    try:
+        if not path.is_file():
+            raise InputError(
+                "no such file", code="file.missing", where=str(path), hint="check the path"
+            )
+        size = path.stat().st_size
+        if size > max_bytes:
+            raise InputError(
+                "the file is too large for its type",
+                code="file.too_large",
+                where=str(path),
+                got=f"{size / 1e6:.1f} MB",
+                allowed=f"up to {max_bytes / 1e6:.0f} MB",
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            "the file cannot be read", code="file.unreadable", where=str(path), got=str(error)
+        ) from error
+    if not data.strip():
+        raise InputError("the file is empty", code="file.empty", where=str(path))
+    return data
+
+
+def parse_vendor_xml(data: bytes, where: str) -> Element:
+    """Parse XML tolerantly of known vendor slips, and safely.
+
+    Entities and document types are refused, and so are absurd depth and element counts.
+    Two slips are mended: a value without an attribute name, and a bare ampersand.
+
+    Parameters
+    ----------
+    data : bytes
+        The file's content.
+    where : str
+        File name for error messages.
+
+    Raises
+    ------
+    InputError
+        When the content is hostile or still not well-formed.
+    """
+    if b"\x00" in data[:4096] and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError("not an XML file", code="xml.binary", where=where)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        data = _decode_utf16(data, where)
+    _refuse_absurd_structure(data, where)
+    mended = _BARE_AMPERSAND.sub(b"&amp;", _NAMELESS_VALUE.sub(rb"<\1 VALUE=\2", data))
+    try:
+        root: Element = fromstring(mended, forbid_dtd=True)
+    except DefusedXmlException as error:
+        raise InputError(
+            "the file declares a document type or entities, which no ball-bar file needs",
+            code="xml.hostile",
+            where=where,
+            got=type(error).__name__,
+            hint="do not open files of unknown origin; export the test again",
+        ) from error
+    except (ParseError, ValueError, LookupError) as error:
+        raise InputError(
+            "the XML is broken or cut short",
+            code="xml.malformed",
+            where=where,
+            got=str(error)[:200],
+            hint="export the test again from the vendor's software",
+        ) from error
+    return root
+
+
+def _decode_utf16(data: bytes, where: str) -> bytes:
+    try:
+        text = data.decode("utf-16")
+    except UnicodeDecodeError as error:
+        raise InputError("the text is not valid UTF-16", code="xml.encoding", where=where) from error
+    return re.sub(r"^<\?xml[^>]*\?>", "", text.lstrip("\ufeff")).encode("utf-8")
+
+
+def _refuse_absurd_structure(data: bytes, where: str) -> None:
+    """Count tags before any parser builds a tree of them."""
+    depth = deepest = count = 0
+    for tag in _TAG.finditer(data):
+        count += 1
+        if tag.group(1):
+            depth -= 1
+        elif not tag.group(2):
+            depth += 1
+            deepest = max(deepest, depth)
+        if count > MAX_ELEMENTS or deepest > MAX_DEPTH or tag.end() - tag.start() > MAX_TAG_CHARS:
+            raise InputError(
+                "the structure of the file is absurd for a ball-bar test",
+                code="xml.absurd",
+                where=where,
+                got=f"{count} tags, {deepest} levels, a tag of {tag.end() - tag.start()} characters",
+                allowed=f"{MAX_ELEMENTS} tags, {MAX_DEPTH} levels, {MAX_TAG_CHARS} characters a tag",
+            )

@@ -1,0 +1,90 @@
+"""Where things live and what they may do; environment variables override."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+# Set before the libraries are imported; a user who wants telemetry sets them otherwise.
+_TELEMETRY_OFF = {
+    "DO_NOT_TRACK": "true",
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
+}
+# One busy core must not slow a small fit a hundredfold.
+_THREADS = {"OMP_WAIT_POLICY": "passive"}
+
+
+@dataclass(frozen=True)
+class Home:
+    """The folder that holds all state of dtwin.
+
+    Attributes
+    ----------
+    root : Path
+        ``DTWIN_HOME``, by default ``.dtwin`` in the current folder; absolute.
+    """
+
+    root: Path
+
+    @property
+    def lake(self) -> Path:
+        """Delta tables."""
+        return self.root / "lake"
+
+    @property
+    def campaigns(self) -> Path:
+        """Campaign folders that dtwin itself recorded."""
+        return self.root / "campaigns"
+
+    @property
+    def bundles(self) -> Path:
+        """Promoted models, frozen for serving."""
+        return self.root / "bundles"
+
+    @property
+    def reports(self) -> Path:
+        """HTML reports."""
+        return self.root / "reports"
+
+    @property
+    def logs(self) -> Path:
+        """Logs of servers and child processes."""
+        return self.root / "logs"
+
+    @property
+    def prefect(self) -> Path:
+        """Prefect's own state."""
+        return self.root / "prefect"
+
+    @property
+    def mlflow_artifacts(self) -> Path:
+        """MLflow's artifacts when no server is configured."""
+        return self.root / "mlflow" / "artifacts"
+
+    @property
+    def mlflow_uri(self) -> str:
+        """Tracking store: ``MLFLOW_TRACKING_URI``, by default a local SQLite file."""
+        return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{self.root}/mlflow/mlflow.db"
+
+
+def home() -> Home:
+    """Return the state folder; nothing is created by asking."""
+    return Home(Path(os.environ.get("DTWIN_HOME") or ".dtwin").expanduser().absolute())
+
+
+def quiet_environment() -> None:
+    """Switch telemetry off and thread pools to polite, unless the user has set them."""
+    for name, value in (_TELEMETRY_OFF | _THREADS).items():
+        os.environ.setdefault(name, value)
+
+
+def sample_recording() -> Path:
+    """Return the real UR10e ball-bar recording that travels with the package."""
+    package = Path(__file__).parent
+    for folder in (package / "_data" / "samples", package.parent / "data" / "samples"):
+        candidate = folder / "ur10e_xy_r100_f5000.b5r"
+        if candidate.is_file():
+            return candidate
+    return package / "_data" / "samples" / "ur10e_xy_r100_f5000.b5r"

@@ -1,0 +1,261 @@
+"""Figures of a circular test, in the vocabulary of ISO 230-4 and ASME B5.54."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares, linprog
+
+from dtwin.errors import InputError
+from dtwin.schema import Floats
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Centre and radius fitted to a measured circle or arc.
+
+    Attributes
+    ----------
+    centre_a_um, centre_b_um : float
+        Centre along the first and second axis of the plane.
+    radius_change_um : float
+        Fitted radius minus the nominal one.
+    radius_mm : float
+        Fitted radius.
+    """
+
+    centre_a_um: float
+    centre_b_um: float
+    radius_change_um: float
+    radius_mm: float
+
+    @property
+    def eccentricity_um(self) -> float:
+        """Distance of the centre from the nominal one."""
+        return float(np.hypot(self.centre_a_um, self.centre_b_um))
+
+
+@dataclass(frozen=True)
+class CircularFigures:
+    """Figures of one run.
+
+    Attributes
+    ----------
+    circle : Circle
+        Least-squares circle.
+    circular_deviation_um : float
+        ISO 230-4 G: largest minus smallest radius about the least-squares centre.
+    circular_deviation_mz_um : float
+        The same about the minimum-zone centre.
+    radial_deviation_max_um, radial_deviation_min_um : float
+        ISO 230-4 F: extremes of radius minus nominal, centre removed, radius kept.
+    rms_um : float
+        RMS about the fitted circle.
+    mean_absolute_um : float
+        Mean absolute deviation about the fitted circle.
+    arc_deg : float
+        Length of the arc that was evaluated.
+    """
+
+    circle: Circle
+    circular_deviation_um: float
+    circular_deviation_mz_um: float
+    radial_deviation_max_um: float
+    radial_deviation_min_um: float
+    rms_um: float
+    mean_absolute_um: float
+    arc_deg: float
+
+
+@dataclass(frozen=True)
+class BidirectionalFigures:
+    """Figures of a counter-clockwise and a clockwise run of one set-up.
+
+    Attributes
+    ----------
+    circular_deviation_um : float
+        ISO 230-4 G(b): both directions about one common least-squares centre.
+    hysteresis_um, hysteresis_angle_deg : float
+        ISO 230-4 H, the largest difference between the directions, and where it is.
+    mean_bidirectional_radius_um : float
+        ISO 230-4 D: mean radius of both directions minus nominal.
+    """
+
+    circular_deviation_um: float
+    hysteresis_um: float
+    hysteresis_angle_deg: float
+    mean_bidirectional_radius_um: float
+
+
+def fit_circle(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> Circle:
+    """Fit the geometric least-squares circle.
+
+    Parameters
+    ----------
+    angle_deg : ndarray, shape (n,)
+        Angle in the plane.
+    deviation_um : ndarray, shape (n,)
+        Measured minus nominal radius.
+    radius_mm : float
+        Nominal radius.
+
+    Raises
+    ------
+    InputError
+        With fewer than three samples, or an arc below 30 degrees.
+    """
+    _require_arc(angle_deg, deviation_um)
+    theta = np.radians(angle_deg)
+    r_um = radius_mm * 1000.0 + deviation_um
+    a_um, b_um = r_um * np.cos(theta), r_um * np.sin(theta)
+    design = np.column_stack([np.cos(theta), np.sin(theta), np.ones_like(theta)])
+    start = np.linalg.lstsq(design, deviation_um, rcond=None)[0]
+
+    def residual(p: Floats) -> Floats:
+        return np.hypot(a_um - p[0], b_um - p[1]) - (radius_mm * 1000.0 + p[2])
+
+    solved = least_squares(residual, start, x_scale=10.0, method="lm").x
+    return Circle(
+        centre_a_um=float(solved[0]),
+        centre_b_um=float(solved[1]),
+        radius_change_um=float(solved[2]),
+        radius_mm=radius_mm + float(solved[2]) / 1000.0,
+    )
+
+
+def residual_um(
+    angle_deg: Floats, deviation_um: Floats, radius_mm: float, circle: Circle
+) -> Floats:
+    """Return the distance from the fitted circle, shape (n,)."""
+    return _centred_um(angle_deg, deviation_um, radius_mm, circle) - circle.radius_change_um
+
+
+def minimum_zone_um(angle_deg: Floats, deviation_um: Floats) -> tuple[float, float, float]:
+    """Return width and centre of the narrowest ring that holds every sample.
+
+    Solved as a linear programme, which is exact to second order of the eccentricity.
+
+    Parameters
+    ----------
+    angle_deg, deviation_um : ndarray, shape (n,)
+        Samples; centre them first when the eccentricity is large.
+
+    Returns
+    -------
+    width_um, centre_a_um, centre_b_um : float
+    """
+    theta = np.radians(angle_deg)
+    cos, sin, one = np.cos(theta), np.sin(theta), np.ones_like(theta)
+    upper = np.column_stack([-cos, -sin, -one, 0 * one])
+    lower = np.column_stack([cos, sin, 0 * one, one])
+    solved = linprog(
+        c=[0.0, 0.0, 1.0, -1.0],
+        A_ub=np.vstack([upper, lower]),
+        b_ub=np.concatenate([-deviation_um, deviation_um]),
+        bounds=[(None, None)] * 4,
+        method="highs",
+    )
+    if not solved.success:
+        raise InputError("the minimum-zone centre was not found", code="circular.minimum_zone")
+    return float(solved.fun), float(solved.x[0]), float(solved.x[1])
+
+
+def circular_figures(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> CircularFigures:
+    """Evaluate one run.
+
+    Parameters
+    ----------
+    angle_deg : ndarray, shape (n,)
+        Angle of each sample, unwrapped.
+    deviation_um : ndarray, shape (n,)
+        Measured minus nominal radius.
+    radius_mm : float
+        Nominal radius.
+    """
+    circle = fit_circle(angle_deg, deviation_um, radius_mm)
+    centred = _centred_um(angle_deg, deviation_um, radius_mm, circle)
+    rest = centred - circle.radius_change_um
+    return CircularFigures(
+        circle=circle,
+        circular_deviation_um=float(np.ptp(centred)),
+        circular_deviation_mz_um=minimum_zone_um(angle_deg, rest)[0],
+        radial_deviation_max_um=float(centred.max()),
+        radial_deviation_min_um=float(centred.min()),
+        rms_um=float(np.sqrt(np.mean(rest**2))),
+        mean_absolute_um=float(np.mean(np.abs(rest))),
+        arc_deg=_arc_deg(angle_deg),
+    )
+
+
+def bidirectional_figures(
+    ccw: tuple[Floats, Floats], cw: tuple[Floats, Floats], radius_mm: float
+) -> BidirectionalFigures:
+    """Evaluate both directions of one set-up together.
+
+    Parameters
+    ----------
+    ccw, cw : tuple of (angle_deg, deviation_um)
+        Samples of each direction, arrays of shape (n,) each.
+    radius_mm : float
+        Nominal radius.
+    """
+    angle = np.concatenate([ccw[0], cw[0]])
+    deviation = np.concatenate([ccw[1], cw[1]])
+    common = fit_circle(angle, deviation, radius_mm)
+    centred = _centred_um(angle, deviation, radius_mm, common)
+    split = len(ccw[0])
+    grid = np.arange(0.0, 360.0, 1.0)
+    up = _on_grid(ccw[0], centred[:split], grid)
+    down = _on_grid(cw[0], centred[split:], grid)
+    gap = np.abs(up - down)
+    where = int(np.nanargmax(gap))
+    return BidirectionalFigures(
+        circular_deviation_um=float(np.ptp(centred)),
+        hysteresis_um=float(gap[where]),
+        hysteresis_angle_deg=float(grid[where]),
+        mean_bidirectional_radius_um=float(np.nanmean((up + down) / 2.0)),
+    )
+
+
+def _centred_um(
+    angle_deg: Floats, deviation_um: Floats, radius_mm: float, circle: Circle
+) -> Floats:
+    theta = np.radians(angle_deg)
+    r_um = radius_mm * 1000.0 + deviation_um
+    distance = np.hypot(
+        r_um * np.cos(theta) - circle.centre_a_um, r_um * np.sin(theta) - circle.centre_b_um
+    )
+    return np.asarray(distance - radius_mm * 1000.0)
+
+
+def _on_grid(angle_deg: Floats, value: Floats, grid_deg: Floats) -> Floats:
+    """Average samples into one-degree bins; empty bins are NaN."""
+    nearest = np.round(angle_deg).astype(int) % 360
+    count = np.bincount(nearest, minlength=360)
+    total = np.bincount(nearest, weights=value, minlength=360)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = total / count
+    return np.asarray(mean[: len(grid_deg)])
+
+
+def _arc_deg(angle_deg: Floats) -> float:
+    n = len(angle_deg)
+    return float(abs(angle_deg[-1] - angle_deg[0]) * n / (n - 1))
+
+
+def _require_arc(angle_deg: Floats, deviation_um: Floats) -> None:
+    if len(angle_deg) != len(deviation_um) or len(angle_deg) < 3:
+        raise InputError(
+            "a circle needs three samples with their angles",
+            code="circular.samples",
+            got=f"{len(angle_deg)} angles, {len(deviation_um)} deviations",
+        )
+    arc = abs(float(np.max(angle_deg)) - float(np.min(angle_deg)))
+    if arc < 30.0:
+        raise InputError(
+            "the arc is too short to fit a centre",
+            code="circular.arc",
+            got=f"{arc:.1f} deg",
+            allowed="30 deg and more",
+        )

@@ -1,0 +1,305 @@
+"""A campaign as data, before anything moves: grid, order, limits, time."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.schema import Direction, Finding, Plane, require_name, standard_plane
+
+MAX_TESTS = 100_000
+# A ball-bar mount lets a bar swing through half a turn in a vertical plane.
+_FULL_TURNS_DEG = 720.0
+_HALF_TURN_DEG = 190.0
+_STOP_S = 0.25
+_TURNAROUND_S = 10.0
+
+
+@dataclass(frozen=True)
+class PlannedTest:
+    """One file's worth of motion: a condition, run once in each direction.
+
+    Attributes
+    ----------
+    test_id : str
+        ``t001`` ... in the order of measurement.
+    plane, radius_mm, feed_mm_min, repeat
+        The condition.
+    setup : str
+        Mounting of the instrument; changes with plane and radius.
+    """
+
+    test_id: str
+    plane: Plane
+    radius_mm: float
+    feed_mm_min: float
+    repeat: int
+    setup: str
+
+
+@dataclass(frozen=True)
+class Plan:
+    """An ordered list of tests on one machine.
+
+    Attributes
+    ----------
+    name, machine : str
+        Names of the campaign and of the machine.
+    tests : tuple of PlannedTest
+        In the order of measurement.
+    directions : tuple of str
+        Directions of every test, in order.
+    seed : int
+        Seed of the random order inside each set-up.
+    max_feed_mm_min, max_radius_mm : float
+        Limits of the machine.
+    """
+
+    name: str
+    machine: str
+    tests: tuple[PlannedTest, ...]
+    directions: tuple[Direction, ...]
+    seed: int
+    max_feed_mm_min: float
+    max_radius_mm: float
+    calibrated_length: bool = False
+
+    @property
+    def n_runs(self) -> int:
+        """Number of runs: tests times directions."""
+        return len(self.tests) * len(self.directions)
+
+
+def arc_deg(plane: Plane) -> float:
+    """Return the arc of one direction: two turns lying flat, half a turn upright."""
+    return _FULL_TURNS_DEG if plane == "XY" else _HALF_TURN_DEG
+
+
+def motion_s(test: PlannedTest, n_directions: int = 2) -> float:
+    """Estimate the time of pure motion of a test.
+
+    Parameters
+    ----------
+    test : PlannedTest
+        The test.
+    n_directions : int
+        Directions that are run.
+    """
+    length_mm = math.radians(arc_deg(test.plane)) * test.radius_mm
+    stops = arc_deg(test.plane) / 180.0
+    return n_directions * (length_mm / (test.feed_mm_min / 60.0) + stops * _STOP_S)
+
+
+def duration_s(plan: Plan) -> tuple[float, float]:
+    """Return the time of pure motion, and the time with turnarounds between directions."""
+    moving = sum(motion_s(test, len(plan.directions)) for test in plan.tests)
+    return moving, moving + plan.n_runs * _TURNAROUND_S
+
+
+def training_plan(
+    *,
+    radii_mm: Sequence[float] = (100.0, 150.0, 300.0),
+    feeds_mm_min: Sequence[float] = (2000.0, 4000.0, 6000.0),
+    planes: Sequence[str] = ("XY", "YZ", "ZX"),
+    repeats: int = 3,
+    name: str = "training",
+    machine: str = "virtual-cobot",
+    seed: int = 1,
+) -> Plan:
+    """Return the training campaign of the source thesis: 81 tests, 162 runs.
+
+    Parameters
+    ----------
+    radii_mm, feeds_mm_min, planes : sequence
+        The grid.
+    repeats : int
+        Repeats of every condition.
+    name, machine : str
+        Names of campaign and machine.
+    seed : int
+        Seed of the order.
+    """
+    document = {
+        "plan": {"name": name, "machine": machine, "seed": seed},
+        "grid": {
+            "radius_mm": list(radii_mm),
+            "feed_mm_min": list(feeds_mm_min),
+            "plane": list(planes),
+            "repeats": repeats,
+        },
+    }
+    return expand(document, "training plan")
+
+
+def read_plan(path: Path) -> Plan:
+    """Read a plan file.
+
+    Parameters
+    ----------
+    path : Path
+        TOML with the tables ``[plan]``, ``[grid]`` and, optional, ``[limits]``.
+
+    Raises
+    ------
+    InputError
+        With the place of the first thing that is wrong.
+    """
+    try:
+        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(
+            "the plan cannot be read", code="plan.file", where=str(path), got=str(error)
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(
+            "the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)
+        ) from error
+    return expand(document, str(path))
+
+
+def expand(document: Mapping[str, Any], where: str) -> Plan:
+    """Expand a grid into ordered tests.
+
+    Feeds and repeats are crossed inside a set-up and shuffled there; plane and radius change
+    only with the set-up.
+
+    Parameters
+    ----------
+    document : mapping
+        Content of a plan file.
+    where : str
+        Its name, for error messages.
+    """
+    head, grid = _table(document, "plan", where), _table(document, "grid", where)
+    limits = document.get("limits", {})
+    planes = [standard_plane(str(p), "CCW")[0] for p in _listed(grid, "plane", where)]
+    radii = _numbers(grid, "radius_mm", where)
+    feeds = _numbers(grid, "feed_mm_min", where)
+    repeats = grid.get("repeats", 1)
+    if not isinstance(repeats, int) or not 1 <= repeats <= 1000:
+        raise InputError(
+            "repeats must be a whole number", code="plan.repeats", where=f"{where} grid.repeats",
+            got=str(repeats)[:40], allowed="1 to 1000",
+        )
+    if len(planes) * len(radii) * len(feeds) * repeats > MAX_TESTS:
+        raise InputError(
+            "the grid is absurdly large", code="plan.size", where=where, allowed=f"{MAX_TESTS} tests"
+        )
+    seed = int(head.get("seed", 1))
+    tests = _ordered(planes, radii, feeds, repeats, seed)
+    plan = Plan(
+        name=require_name(head.get("name"), "plan.name"),
+        machine=require_name(head.get("machine"), "plan.machine"),
+        tests=tuple(tests),
+        directions=tuple(_directions(grid, where)),
+        seed=seed,
+        max_feed_mm_min=float(limits.get("max_feed_mm_min", 15_000.0)),
+        max_radius_mm=float(limits.get("max_radius_mm", 350.0)),
+        calibrated_length=bool(head.get("calibrated_length", False)),
+    )
+    _check_limits(plan, where)
+    return plan
+
+
+def advice(plan: Plan) -> list[Finding]:
+    """Say what the plan cannot tell, before anything is measured.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan to judge.
+    """
+    findings = []
+    if max(test.repeat for test in plan.tests) < 2:
+        findings.append(Finding(
+            "plan.no_repeats", "warning",
+            "no condition is repeated: the noise floor cannot be known, so no missing effect "
+            "can be told from noise",
+        ))
+    if len(plan.directions) < 2:
+        findings.append(Finding(
+            "plan.one_direction", "warning",
+            "one direction only: squareness and servo mismatch, and much else, look the same",
+        ))
+    if len({test.feed_mm_min for test in plan.tests}) < 2:
+        findings.append(Finding(
+            "plan.one_feed", "warning", "one feed only: no effect that grows with feed can be named",
+        ))
+    if not plan.calibrated_length and len({test.radius_mm for test in plan.tests}) > 1:
+        findings.append(Finding(
+            "plan.radius_law", "info",
+            "every radius is a set-up with its own zero: how the mean radius depends on the radius "
+            "stays unknown without a calibrated length (set plan.calibrated_length)",
+        ))
+    return findings
+
+
+def _ordered(
+    planes: Sequence[Plane], radii: Sequence[float], feeds: Sequence[float], repeats: int, seed: int
+) -> list[PlannedTest]:
+    rng = np.random.default_rng(seed)
+    tests: list[PlannedTest] = []
+    for plane, radius in product(planes, radii):
+        setup = f"{plane.lower()}-r{radius:g}"
+        inside = [(feed, repeat) for repeat in range(1, repeats + 1) for feed in feeds]
+        for k in rng.permutation(len(inside)):
+            feed, repeat = inside[int(k)]
+            tests.append(PlannedTest(f"t{len(tests) + 1:03d}", plane, radius, feed, repeat, setup))
+    return tests
+
+
+def _check_limits(plan: Plan, where: str) -> None:
+    for test in plan.tests:
+        for name, value, limit in (
+            ("radius_mm", test.radius_mm, plan.max_radius_mm),
+            ("feed_mm_min", test.feed_mm_min, plan.max_feed_mm_min),
+        ):
+            if not 0 < value <= limit:
+                raise InputError(
+                    f"{name} is outside the machine's limits", code="plan.limits",
+                    where=f"{where} grid.{name}", got=f"{value:g}", allowed=f"above 0, up to {limit:g}",
+                    hint="drop it from the grid, or correct [limits]",
+                )
+
+
+def _table(document: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
+    value = document.get(name)
+    if not isinstance(value, dict):
+        raise InputError(f"the plan needs a [{name}] table", code="plan.table", where=where)
+    return value
+
+
+def _listed(grid: Mapping[str, Any], name: str, where: str) -> list[Any]:
+    value = grid.get(name)
+    values = value if isinstance(value, list) else [value]
+    if not values or values == [None]:
+        raise InputError(f"the grid needs {name}", code="plan.grid", where=f"{where} grid.{name}")
+    return values
+
+
+def _numbers(grid: Mapping[str, Any], name: str, where: str) -> list[float]:
+    values = _listed(grid, name, where)
+    if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
+        raise InputError(
+            f"{name} must be numbers", code="plan.grid", where=f"{where} grid.{name}",
+            got=repr(values)[:80],
+        )
+    return [float(v) for v in values]
+
+
+def _directions(grid: Mapping[str, Any], where: str) -> list[Direction]:
+    stated = grid.get("directions", ["CCW", "CW"])
+    if not isinstance(stated, list) or not stated or set(stated) - {"CCW", "CW"}:
+        raise InputError(
+            "unknown direction", code="plan.grid", where=f"{where} grid.directions",
+            got=repr(stated)[:60], allowed='["CCW", "CW"]',
+        )
+    return stated

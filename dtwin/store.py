@@ -1,0 +1,415 @@
+"""The lake: what was measured, kept for good, visible run by run or not at all."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from dtwin.delta import DeltaFiles
+from dtwin.errors import InputError, StoreError
+from dtwin.parquet import columns_of, table_of
+from dtwin.schema import Campaign, Finding, Run, RunMeta, SignalGroup, require_name
+
+TABLES = ("runs", "samples", "signals", "features", "rejects")
+_RUN_SCHEMA = pa.schema(
+    [
+        *((name, pa.string()) for name in (
+            "campaign", "machine", "kind", "run_id", "plane", "direction", "setup", "started",
+            "status", "source", "content_sha256", "samples_file", "signals_json",
+            "condition_json", "covariates_json", "vendor_json", "findings_json",
+            "geometry_json", "instrument_json", "ingested",
+        )),
+        *((name, pa.float64()) for name in ("radius_mm", "feed_mm_min", "sample_rate_hz")),
+        *((name, pa.int64()) for name in (
+            "repeat", "n_samples", "window_start", "window_end", "n_errors",
+        )),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class RejectedRows:
+    """Rows of a source file that hold no usable value.
+
+    Attributes
+    ----------
+    run_id, source : str
+        Where they come from.
+    rows : sequence of dict
+        Each with ``row``, ``reason`` and ``values``.
+    """
+
+    run_id: str
+    source: str
+    rows: Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True)
+class CommitReport:
+    """What a commit did.
+
+    Attributes
+    ----------
+    added, unchanged : tuple of str
+        Run ids that are new, and those that were there with the same content.
+    versions : dict of str to int
+        Table versions after the commit.
+    """
+
+    added: tuple[str, ...]
+    unchanged: tuple[str, ...]
+    versions: Mapping[str, int]
+
+
+class Lake:
+    """Delta tables ``runs``, ``samples``, ``signals``, ``features`` and ``rejects``.
+
+    Parameters
+    ----------
+    root : Path
+        Folder of the lake; created with the first commit.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.tables = {name: DeltaFiles(root / name) for name in TABLES}
+
+    def versions(self) -> dict[str, int]:
+        """Return the version of every table, -1 for one that does not exist."""
+        return {name: table.version() for name, table in self.tables.items()}
+
+    def commit(
+        self,
+        campaign: Campaign,
+        runs: Sequence[Run],
+        rejected: Sequence[RejectedRows] = (),
+        status: str = "complete",
+    ) -> CommitReport:
+        """Add runs; a run that is there with the same content is left alone.
+
+        Data files are written and committed first, ``runs`` last and under a lock, so that a
+        kill at any moment leaves a run whole or invisible.
+
+        Parameters
+        ----------
+        campaign : Campaign
+            What the runs belong to.
+        runs : sequence of Run
+            Runs to add.
+        rejected : sequence of RejectedRows
+            Rows that were left out of their samples.
+        status : {"complete", "incomplete"}
+            ``incomplete`` marks a recovered recording.
+
+        Raises
+        ------
+        InputError
+            When a run id is there with other content.
+        StoreError
+            When the lake cannot be written.
+        """
+        require_name(campaign.name, "the campaign name")
+        for run in runs:
+            require_name(run.meta.run_id, "the run id")
+        hashes = {run.meta.run_id: content_sha256(run) for run in runs}
+        if len(hashes) != len(runs):
+            raise InputError(
+                "a run id occurs twice", code="ingest.duplicate_run", where=campaign.name,
+                hint="give every run of the campaign its own id",
+            )
+        fresh = self._fresh(campaign, runs, hashes)
+        if not fresh:
+            return CommitReport((), tuple(hashes), self.versions())
+        rows = self._commit_data(campaign, fresh, hashes, rejected, status)
+        with self._lock():
+            still = {r.meta.run_id for r in self._fresh(campaign, fresh, hashes)}
+            rows = [row for row in rows if row["run_id"] in still]
+            if rows:
+                table = pa.Table.from_pylist(rows, schema=_RUN_SCHEMA)
+                digest = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()[:16]
+                name = f"{campaign.name}-{digest}.parquet"
+                self.tables["runs"].commit([self.tables["runs"].write(name, table)], _RUN_SCHEMA)
+        return CommitReport(
+            added=tuple(row["run_id"] for row in rows),
+            unchanged=tuple(sorted(set(hashes) - {row["run_id"] for row in rows})),
+            versions=self.versions(),
+        )
+
+    def runs(self, campaign: str | None = None) -> list[dict[str, Any]]:
+        """Return the visible runs in the order they were planned or read.
+
+        Parameters
+        ----------
+        campaign : str, optional
+            Only this campaign.
+        """
+        rows: list[dict[str, Any]] = self.tables["runs"].read().to_pylist()
+        chosen = rows if campaign is None else [r for r in rows if r["campaign"] == campaign]
+        return sorted(chosen, key=lambda r: (r["campaign"], r["started"] or "", r["run_id"]))
+
+    def load(self, row: Mapping[str, Any], *, signals: bool = True) -> Run:
+        """Return a run with its samples, and its signals when asked.
+
+        Parameters
+        ----------
+        row : mapping
+            A row from :meth:`runs`.
+        signals : bool
+            Whether to read the high-rate signals as well.
+        """
+        samples = self.tables["samples"].read([row["samples_file"]])
+        groups = json.loads(row["signals_json"]) if signals else []
+        window = None if row["window_start"] is None else (row["window_start"], row["window_end"])
+        return Run(
+            meta=_meta_of(row),
+            samples=_measured(samples),
+            window=window,
+            signals=tuple(self._load_group(group) for group in groups),
+            source=row["source"],
+            findings=tuple(Finding(**f) for f in json.loads(row["findings_json"])),
+        )
+
+    def iterate(self, campaign: str, *, signals: bool = True) -> Iterator[Run]:
+        """Yield the runs of a campaign one by one, never all in memory."""
+        for row in self.runs(campaign):
+            yield self.load(row, signals=signals)
+
+    def campaigns(self) -> list[str]:
+        """Return the names of all campaigns that have visible runs."""
+        return sorted({row["campaign"] for row in self.runs()})
+
+    def campaign(self, name: str) -> Campaign:
+        """Return what is known of a campaign.
+
+        Raises
+        ------
+        InputError
+            When no visible run belongs to it.
+        """
+        rows = self.runs(name)
+        if not rows:
+            raise InputError(
+                "no such campaign in the lake", code="campaign.unknown", got=name,
+                allowed=", ".join(self.campaigns()) or "none yet", hint="dtwin ingest PATH",
+            )
+        first = rows[0]
+        return Campaign(
+            name=name, machine=first["machine"], kind=first["kind"], started=first["started"],
+            machine_geometry=json.loads(first["geometry_json"]),
+            instrument=json.loads(first["instrument_json"]),
+        )
+
+    def write_table(self, table_name: str, key: str, table: pa.Table) -> int:
+        """Add one file of derived rows, for example features of a campaign.
+
+        Parameters
+        ----------
+        table_name : str
+            One of ``TABLES``.
+        key : str
+            What the rows are derived from; the same key is written once.
+        table : pyarrow.Table
+            The rows.
+
+        Returns
+        -------
+        int
+            Version of the table.
+        """
+        files = self.tables[table_name]
+        digest = hashlib.sha256(key.encode()).hexdigest()[:24]
+        return files.commit([files.write(f"{digest}.parquet", table)], table.schema)
+
+    def repair(self) -> dict[str, int]:
+        """Drop what a killed ingest left behind, and return how many files per table."""
+        with self._lock():
+            rows = self.runs()
+            wanted = {
+                "samples": {row["samples_file"] for row in rows},
+                "signals": {g["file"] for row in rows for g in json.loads(row["signals_json"])},
+            }
+            dropped = {}
+            for name, keep in wanted.items():
+                table = self.tables[name]
+                orphans = [file for file in table.files() if file not in keep]
+                if orphans:
+                    table.remove(orphans)
+                partial = [p for p in table.folder.rglob("*.partial")] if table.exists() else []
+                for path in partial:
+                    path.unlink(missing_ok=True)
+                dropped[name] = len(orphans) + len(partial)
+            return dropped
+
+    def _fresh(
+        self, campaign: Campaign, runs: Sequence[Run], hashes: Mapping[str, str]
+    ) -> list[Run]:
+        known = {r["run_id"]: r["content_sha256"] for r in self.runs(campaign.name)}
+        clash = [i for i, sha in hashes.items() if i in known and known[i] != sha]
+        if clash:
+            raise InputError(
+                f"{len(clash)} run(s) are in the lake with other content",
+                code="ingest.duplicate_run", where=f"campaign {campaign.name}",
+                got=", ".join(clash[:10]), allowed="new run ids; raw values are never changed",
+                hint="use another campaign name or other run ids",
+            )
+        return [run for run in runs if run.meta.run_id not in known]
+
+    def _commit_data(
+        self,
+        campaign: Campaign,
+        runs: Sequence[Run],
+        hashes: Mapping[str, str],
+        rejected: Sequence[RejectedRows],
+        status: str,
+    ) -> list[dict[str, Any]]:
+        samples, signals = _Batch(self.tables["samples"]), _Batch(self.tables["signals"])
+        rows = []
+        for run in runs:
+            sha = hashes[run.meta.run_id]
+            keys = {"campaign": campaign.name, "run_id": run.meta.run_id, "content_sha256": sha}
+            stem = f"{campaign.name}/{run.meta.run_id}-{sha[:16]}"
+            sample_file = samples.write(f"{stem}.parquet", keys, run.samples)
+            groups = [
+                {
+                    "group": group.name,
+                    "file": signals.write(f"{stem}-{group.name}.parquet", keys, group.columns),
+                    "rate_hz": group.rate_hz,
+                    "start_s": group.start_s,
+                }
+                for group in run.signals
+            ]
+            rows.append(_run_row(campaign, run, sha, sample_file, groups, status))
+        samples.commit()
+        signals.commit()
+        self._commit_rejects(campaign, rejected)
+        return rows
+
+    def _commit_rejects(self, campaign: Campaign, rejected: Sequence[RejectedRows]) -> None:
+        flat = [
+            {
+                "campaign": campaign.name, "run_id": part.run_id, "source": part.source,
+                "row": int(row["row"]), "reason": str(row["reason"]),
+                "values_json": json.dumps(row["values"]),
+            }
+            for part in rejected
+            for row in part.rows
+        ]
+        if flat:
+            table = table_of({name: [row[name] for row in flat] for name in flat[0]})
+            self.write_table("rejects", json.dumps(flat), table)
+
+    def _load_group(self, group: Mapping[str, Any]) -> SignalGroup:
+        table = self.tables["signals"].read([group["file"]])
+        return SignalGroup(group["group"], group["rate_hz"], _measured(table), group["start_s"])
+
+    @contextmanager
+    def _lock(self) -> Iterator[None]:
+        try:
+            self.root.mkdir(parents=True, exist_ok=True)
+            handle = (self.root / ".lock").open("w")
+        except OSError as error:
+            raise StoreError(
+                "the lake cannot be written", code="store.write", where=str(self.root),
+                got=str(error), hint="check free space and permissions; nothing was committed",
+            ) from error
+        with handle:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+
+
+class _Batch:
+    """Files of one table that are written one by one and committed together."""
+
+    def __init__(self, table: DeltaFiles) -> None:
+        self.table = table
+        self.written: list[tuple[str, int, int]] = []
+        self.schemas: list[pa.Schema] = []
+
+    def write(
+        self, name: str, keys: Mapping[str, str], columns: Mapping[str, NDArray[Any]]
+    ) -> str:
+        n = len(next(iter(columns.values())))
+        table = table_of(
+            {key: pa.repeat(value, n) for key, value in keys.items()} | dict(columns)
+        )
+        self.written.append(self.table.write(name, table))
+        self.schemas.append(table.schema)
+        return name
+
+    def commit(self) -> None:
+        if self.written:
+            self.table.commit(self.written, pa.unify_schemas(self.schemas))
+
+
+def content_sha256(run: Run) -> str:
+    """Return a hash of everything that was measured and under which condition."""
+    digest = hashlib.sha256()
+    meta = {k: v for k, v in asdict(run.meta).items() if k != "vendor"}
+    digest.update(json.dumps(meta, sort_keys=True, default=str).encode())
+    groups = [("samples", run.samples), *((g.name, g.columns) for g in run.signals)]
+    for group, columns in groups:
+        for name in sorted(columns):
+            values = columns[name]
+            digest.update(f"{group}/{name}".encode())
+            data = json.dumps(values.tolist()).encode() if values.dtype == object else (
+                np.ascontiguousarray(values).tobytes()
+            )
+            digest.update(data)
+    return digest.hexdigest()
+
+
+def _run_row(
+    campaign: Campaign, run: Run, sha: str, sample_file: str,
+    groups: Sequence[Mapping[str, Any]], status: str,
+) -> dict[str, Any]:
+    meta = run.meta
+    return {
+        "campaign": campaign.name, "machine": campaign.machine, "kind": campaign.kind,
+        "run_id": meta.run_id, "plane": meta.plane, "direction": meta.direction,
+        "setup": meta.setup, "started": meta.started or campaign.started, "status": status,
+        "source": run.source, "content_sha256": sha, "samples_file": sample_file,
+        "signals_json": json.dumps(list(groups)),
+        "condition_json": json.dumps(dict(meta.condition)),
+        "covariates_json": json.dumps(dict(meta.covariates)),
+        "vendor_json": json.dumps(dict(meta.vendor)),
+        "findings_json": json.dumps([finding.as_dict() for finding in run.findings]),
+        "geometry_json": json.dumps(dict(campaign.machine_geometry), default=str),
+        "instrument_json": json.dumps(dict(campaign.instrument), default=str),
+        "ingested": datetime.now(UTC).isoformat(timespec="seconds"),
+        "radius_mm": meta.radius_mm, "feed_mm_min": meta.feed_mm_min,
+        "sample_rate_hz": meta.sample_rate_hz, "repeat": meta.repeat,
+        "n_samples": run.n_samples,
+        "window_start": None if run.window is None else run.window[0],
+        "window_end": None if run.window is None else run.window[1],
+        "n_errors": sum(finding.severity == "error" for finding in run.findings),
+    }
+
+
+def _meta_of(row: Mapping[str, Any]) -> RunMeta:
+    meta = RunMeta(
+        run_id=row["run_id"], kind=row["kind"], plane=row["plane"], direction=row["direction"],
+        radius_mm=row["radius_mm"], feed_mm_min=row["feed_mm_min"], repeat=row["repeat"],
+        setup=row["setup"], started=row["started"], sample_rate_hz=row["sample_rate_hz"],
+    )
+    return replace(
+        meta,
+        condition=json.loads(row["condition_json"]),
+        covariates=json.loads(row["covariates_json"]),
+        vendor=json.loads(row["vendor_json"]),
+    )
+
+
+def _measured(table: pa.Table) -> dict[str, NDArray[Any]]:
+    keep = [c for c in table.column_names if c not in ("campaign", "run_id", "content_sha256")]
+    return columns_of(table.select(keep))
