@@ -79,9 +79,7 @@ class DeltaFiles:
         """
         return name, write_parquet(self.folder / name, table), table.num_rows
 
-    def commit(
-        self, written: Sequence[tuple[str, int, int]], schema: pa.Schema
-    ) -> int:
+    def commit(self, written: Sequence[tuple[str, int, int]], schema: pa.Schema) -> int:
         """Add files to the table in one atomic step.
 
         Files that are live already are left alone, so a repeated commit changes nothing.
@@ -119,7 +117,9 @@ class DeltaFiles:
                 raise self._refused(error) from error
             return self.version()
         raise StoreError(
-            "another writer kept the table busy", code="store.busy", where=str(self.folder),
+            "another writer kept the table busy",
+            code="store.busy",
+            where=str(self.folder),
             hint="wait for the other ingest to finish and run this again",
         )
 
@@ -157,9 +157,11 @@ class DeltaFiles:
         parts = []
         for name in chosen:
             part = read_parquet(self.folder / name)
-            parts.append(part if columns is None else part.select(
-                [c for c in columns if c in part.column_names]
-            ))
+            parts.append(
+                part
+                if columns is None
+                else part.select([c for c in columns if c in part.column_names])
+            )
         if not parts:
             return pa.table({})
         return pa.concat_tables(parts, promote_options="default")
@@ -169,7 +171,9 @@ class DeltaFiles:
             return DeltaTable(self.folder, version=version)
         except (TableNotFoundError, DeltaError, OSError) as error:
             raise StoreError(
-                "the table cannot be opened", code="store.open", where=str(self.folder),
+                "the table cannot be opened",
+                code="store.open",
+                where=str(self.folder),
                 got=str(error)[:200],
             ) from error
 
@@ -187,18 +191,25 @@ class DeltaFiles:
             kind = PrimitiveType(_delta_type(field.type, name, self.folder))
             if name in present and present[name] != kind:
                 raise StoreError(
-                    "a column changed its type", code="store.schema",
-                    where=f"{self.folder} {name}", got=str(field.type),
+                    "a column changed its type",
+                    code="store.schema",
+                    where=f"{self.folder} {name}",
+                    got=str(field.type),
                     allowed=str(present[name]),
                 )
         fresh = [name for name in wanted if name not in present]
         if fresh:
-            table.alter.add_columns([_delta_field(name, wanted[name], self.folder) for name in fresh])
+            table.alter.add_columns(
+                [_delta_field(name, wanted[name], self.folder) for name in fresh]
+            )
 
     def _refused(self, error: Exception) -> StoreError:
         return StoreError(
-            "the lake cannot be written", code="store.write", where=str(self.folder),
-            got=str(error)[:200], hint="check free space and permissions; nothing was committed",
+            "the lake cannot be written",
+            code="store.write",
+            where=str(self.folder),
+            got=str(error)[:200],
+            hint="check free space and permissions; nothing was committed",
         )
 
 
@@ -211,8 +222,11 @@ def metadata_of(name: str) -> Mapping[str, Any]:
 def _delta_type(kind: pa.DataType, name: str, folder: Path) -> str:
     if kind not in _TYPES:
         raise StoreError(
-            "a column has a type that the lake does not keep", code="store.schema",
-            where=f"{folder} {name}", got=str(kind), allowed=", ".join(map(str, _TYPES)),
+            "a column has a type that the lake does not keep",
+            code="store.schema",
+            where=f"{folder} {name}",
+            got=str(kind),
+            allowed=", ".join(map(str, _TYPES)),
         )
     return _TYPES[kind]
 

@@ -186,12 +186,18 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
     repeats = grid.get("repeats", 1)
     if not isinstance(repeats, int) or not 1 <= repeats <= 1000:
         raise InputError(
-            "repeats must be a whole number", code="plan.repeats", where=f"{where} grid.repeats",
-            got=str(repeats)[:40], allowed="1 to 1000",
+            "repeats must be a whole number",
+            code="plan.repeats",
+            where=f"{where} grid.repeats",
+            got=str(repeats)[:40],
+            allowed="1 to 1000",
         )
     if len(planes) * len(radii) * len(feeds) * repeats > MAX_TESTS:
         raise InputError(
-            "the grid is absurdly large", code="plan.size", where=where, allowed=f"{MAX_TESTS} tests"
+            "the grid is absurdly large",
+            code="plan.size",
+            where=where,
+            allowed=f"{MAX_TESTS} tests",
         )
     seed = int(head.get("seed", 1))
     tests = _ordered(planes, radii, feeds, repeats, seed)
@@ -219,26 +225,39 @@ def advice(plan: Plan) -> list[Finding]:
     """
     findings = []
     if max(test.repeat for test in plan.tests) < 2:
-        findings.append(Finding(
-            "plan.no_repeats", "warning",
-            "no condition is repeated: the noise floor cannot be known, so no missing effect "
-            "can be told from noise",
-        ))
+        findings.append(
+            Finding(
+                "plan.no_repeats",
+                "warning",
+                "no condition is repeated: the noise floor cannot be known, so no missing effect "
+                "can be told from noise",
+            )
+        )
     if len(plan.directions) < 2:
-        findings.append(Finding(
-            "plan.one_direction", "warning",
-            "one direction only: squareness and servo mismatch, and much else, look the same",
-        ))
+        findings.append(
+            Finding(
+                "plan.one_direction",
+                "warning",
+                "one direction only: squareness and servo mismatch, and much else, look the same",
+            )
+        )
     if len({test.feed_mm_min for test in plan.tests}) < 2:
-        findings.append(Finding(
-            "plan.one_feed", "warning", "one feed only: no effect that grows with feed can be named",
-        ))
+        findings.append(
+            Finding(
+                "plan.one_feed",
+                "warning",
+                "one feed only: no effect that grows with feed can be named",
+            )
+        )
     if not plan.calibrated_length and len({test.radius_mm for test in plan.tests}) > 1:
-        findings.append(Finding(
-            "plan.radius_law", "info",
-            "every radius is a set-up with its own zero: how the mean radius depends on the radius "
-            "stays unknown without a calibrated length (set plan.calibrated_length)",
-        ))
+        findings.append(
+            Finding(
+                "plan.radius_law",
+                "info",
+                "every radius is a set-up with its own zero: how the mean radius depends on the radius "
+                "stays unknown without a calibrated length (set plan.calibrated_length)",
+            )
+        )
     return findings
 
 
@@ -264,8 +283,11 @@ def _check_limits(plan: Plan, where: str) -> None:
         ):
             if not 0 < value <= limit:
                 raise InputError(
-                    f"{name} is outside the machine's limits", code="plan.limits",
-                    where=f"{where} grid.{name}", got=f"{value:g}", allowed=f"above 0, up to {limit:g}",
+                    f"{name} is outside the machine's limits",
+                    code="plan.limits",
+                    where=f"{where} grid.{name}",
+                    got=f"{value:g}",
+                    allowed=f"above 0, up to {limit:g}",
                     hint="drop it from the grid, or correct [limits]",
                 )
 
@@ -289,7 +311,9 @@ def _numbers(grid: Mapping[str, Any], name: str, where: str) -> list[float]:
     values = _listed(grid, name, where)
     if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
         raise InputError(
-            f"{name} must be numbers", code="plan.grid", where=f"{where} grid.{name}",
+            f"{name} must be numbers",
+            code="plan.grid",
+            where=f"{where} grid.{name}",
             got=repr(values)[:80],
         )
     return [float(v) for v in values]
@@ -299,7 +323,10 @@ def _directions(grid: Mapping[str, Any], where: str) -> list[Direction]:
     stated = grid.get("directions", ["CCW", "CW"])
     if not isinstance(stated, list) or not stated or set(stated) - {"CCW", "CW"}:
         raise InputError(
-            "unknown direction", code="plan.grid", where=f"{where} grid.directions",
-            got=repr(stated)[:60], allowed='["CCW", "CW"]',
+            "unknown direction",
+            code="plan.grid",
+            where=f"{where} grid.directions",
+            got=repr(stated)[:60],
+            allowed='["CCW", "CW"]',
         )
     return stated

@@ -24,16 +24,42 @@ from dtwin.schema import Campaign, Finding, Run, RunMeta, SignalGroup, require_n
 TABLES = ("runs", "samples", "signals", "features", "rejects")
 _RUN_SCHEMA = pa.schema(
     [
-        *((name, pa.string()) for name in (
-            "campaign", "machine", "kind", "run_id", "plane", "direction", "setup", "started",
-            "status", "source", "content_sha256", "samples_file", "signals_json",
-            "condition_json", "covariates_json", "vendor_json", "findings_json",
-            "geometry_json", "instrument_json", "ingested",
-        )),
+        *(
+            (name, pa.string())
+            for name in (
+                "campaign",
+                "machine",
+                "kind",
+                "run_id",
+                "plane",
+                "direction",
+                "setup",
+                "started",
+                "status",
+                "source",
+                "content_sha256",
+                "samples_file",
+                "signals_json",
+                "condition_json",
+                "covariates_json",
+                "vendor_json",
+                "findings_json",
+                "geometry_json",
+                "instrument_json",
+                "ingested",
+            )
+        ),
         *((name, pa.float64()) for name in ("radius_mm", "feed_mm_min", "sample_rate_hz")),
-        *((name, pa.int64()) for name in (
-            "repeat", "n_samples", "window_start", "window_end", "n_errors",
-        )),
+        *(
+            (name, pa.int64())
+            for name in (
+                "repeat",
+                "n_samples",
+                "window_start",
+                "window_end",
+                "n_errors",
+            )
+        ),
     ]
 )
 
@@ -125,7 +151,9 @@ class Lake:
         hashes = {run.meta.run_id: content_sha256(run) for run in runs}
         if len(hashes) != len(runs):
             raise InputError(
-                "a run id occurs twice", code="ingest.duplicate_run", where=campaign.name,
+                "a run id occurs twice",
+                code="ingest.duplicate_run",
+                where=campaign.name,
                 hint="give every run of the campaign its own id",
             )
         fresh = self._fresh(campaign, runs, hashes)
@@ -200,12 +228,18 @@ class Lake:
         rows = self.runs(name)
         if not rows:
             raise InputError(
-                "no such campaign in the lake", code="campaign.unknown", got=name,
-                allowed=", ".join(self.campaigns()) or "none yet", hint="dtwin ingest PATH",
+                "no such campaign in the lake",
+                code="campaign.unknown",
+                got=name,
+                allowed=", ".join(self.campaigns()) or "none yet",
+                hint="dtwin ingest PATH",
             )
         first = rows[0]
         return Campaign(
-            name=name, machine=first["machine"], kind=first["kind"], started=first["started"],
+            name=name,
+            machine=first["machine"],
+            kind=first["kind"],
+            started=first["started"],
             machine_geometry=json.loads(first["geometry_json"]),
             instrument=json.loads(first["instrument_json"]),
         )
@@ -259,8 +293,10 @@ class Lake:
         if clash:
             raise InputError(
                 f"{len(clash)} run(s) are in the lake with other content",
-                code="ingest.duplicate_run", where=f"campaign {campaign.name}",
-                got=", ".join(clash[:10]), allowed="new run ids; raw values are never changed",
+                code="ingest.duplicate_run",
+                where=f"campaign {campaign.name}",
+                got=", ".join(clash[:10]),
+                allowed="new run ids; raw values are never changed",
                 hint="use another campaign name or other run ids",
             )
         return [run for run in runs if run.meta.run_id not in known]
@@ -298,8 +334,11 @@ class Lake:
     def _commit_rejects(self, campaign: Campaign, rejected: Sequence[RejectedRows]) -> None:
         flat = [
             {
-                "campaign": campaign.name, "run_id": part.run_id, "source": part.source,
-                "row": int(row["row"]), "reason": str(row["reason"]),
+                "campaign": campaign.name,
+                "run_id": part.run_id,
+                "source": part.source,
+                "row": int(row["row"]),
+                "reason": str(row["reason"]),
                 "values_json": json.dumps(row["values"]),
             }
             for part in rejected
@@ -320,8 +359,11 @@ class Lake:
             handle = (self.root / ".lock").open("w")
         except OSError as error:
             raise StoreError(
-                "the lake cannot be written", code="store.write", where=str(self.root),
-                got=str(error), hint="check free space and permissions; nothing was committed",
+                "the lake cannot be written",
+                code="store.write",
+                where=str(self.root),
+                got=str(error),
+                hint="check free space and permissions; nothing was committed",
             ) from error
         with handle:
             fcntl.flock(handle, fcntl.LOCK_EX)
@@ -336,13 +378,9 @@ class _Batch:
         self.written: list[tuple[str, int, int]] = []
         self.schemas: list[pa.Schema] = []
 
-    def write(
-        self, name: str, keys: Mapping[str, str], columns: Mapping[str, NDArray[Any]]
-    ) -> str:
+    def write(self, name: str, keys: Mapping[str, str], columns: Mapping[str, NDArray[Any]]) -> str:
         n = len(next(iter(columns.values())))
-        table = table_of(
-            {key: pa.repeat(value, n) for key, value in keys.items()} | dict(columns)
-        )
+        table = table_of({key: pa.repeat(value, n) for key, value in keys.items()} | dict(columns))
         self.written.append(self.table.write(name, table))
         self.schemas.append(table.schema)
         return name
@@ -362,23 +400,37 @@ def content_sha256(run: Run) -> str:
         for name in sorted(columns):
             values = columns[name]
             digest.update(f"{group}/{name}".encode())
-            data = json.dumps(values.tolist()).encode() if values.dtype == object else (
-                np.ascontiguousarray(values).tobytes()
+            data = (
+                json.dumps(values.tolist()).encode()
+                if values.dtype == object
+                else (np.ascontiguousarray(values).tobytes())
             )
             digest.update(data)
     return digest.hexdigest()
 
 
 def _run_row(
-    campaign: Campaign, run: Run, sha: str, sample_file: str,
-    groups: Sequence[Mapping[str, Any]], status: str,
+    campaign: Campaign,
+    run: Run,
+    sha: str,
+    sample_file: str,
+    groups: Sequence[Mapping[str, Any]],
+    status: str,
 ) -> dict[str, Any]:
     meta = run.meta
     return {
-        "campaign": campaign.name, "machine": campaign.machine, "kind": campaign.kind,
-        "run_id": meta.run_id, "plane": meta.plane, "direction": meta.direction,
-        "setup": meta.setup, "started": meta.started or campaign.started, "status": status,
-        "source": run.source, "content_sha256": sha, "samples_file": sample_file,
+        "campaign": campaign.name,
+        "machine": campaign.machine,
+        "kind": campaign.kind,
+        "run_id": meta.run_id,
+        "plane": meta.plane,
+        "direction": meta.direction,
+        "setup": meta.setup,
+        "started": meta.started or campaign.started,
+        "status": status,
+        "source": run.source,
+        "content_sha256": sha,
+        "samples_file": sample_file,
         "signals_json": json.dumps(list(groups)),
         "condition_json": json.dumps(dict(meta.condition)),
         "covariates_json": json.dumps(dict(meta.covariates)),
@@ -387,8 +439,10 @@ def _run_row(
         "geometry_json": json.dumps(dict(campaign.machine_geometry), default=str),
         "instrument_json": json.dumps(dict(campaign.instrument), default=str),
         "ingested": datetime.now(UTC).isoformat(timespec="seconds"),
-        "radius_mm": meta.radius_mm, "feed_mm_min": meta.feed_mm_min,
-        "sample_rate_hz": meta.sample_rate_hz, "repeat": meta.repeat,
+        "radius_mm": meta.radius_mm,
+        "feed_mm_min": meta.feed_mm_min,
+        "sample_rate_hz": meta.sample_rate_hz,
+        "repeat": meta.repeat,
         "n_samples": run.n_samples,
         "window_start": None if run.window is None else run.window[0],
         "window_end": None if run.window is None else run.window[1],
@@ -398,9 +452,16 @@ def _run_row(
 
 def _meta_of(row: Mapping[str, Any]) -> RunMeta:
     meta = RunMeta(
-        run_id=row["run_id"], kind=row["kind"], plane=row["plane"], direction=row["direction"],
-        radius_mm=row["radius_mm"], feed_mm_min=row["feed_mm_min"], repeat=row["repeat"],
-        setup=row["setup"], started=row["started"], sample_rate_hz=row["sample_rate_hz"],
+        run_id=row["run_id"],
+        kind=row["kind"],
+        plane=row["plane"],
+        direction=row["direction"],
+        radius_mm=row["radius_mm"],
+        feed_mm_min=row["feed_mm_min"],
+        repeat=row["repeat"],
+        setup=row["setup"],
+        started=row["started"],
+        sample_rate_hz=row["sample_rate_hz"],
     )
     return replace(
         meta,

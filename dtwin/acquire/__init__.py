@@ -1,0 +1,1 @@
+"""Instruments, machines and files as sources of runs."""

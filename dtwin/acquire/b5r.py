@@ -70,14 +70,19 @@ def read_b5r(path: Path) -> BallbarTest:
     root = parse_vendor_xml(read_bounded(path), str(path))
     if root.tag != "TEST_DOCUMENT":
         raise InputError(
-            "not a ball-bar result", code="b5r.root", where=str(path), got=f"<{root.tag[:40]}>",
+            "not a ball-bar result",
+            code="b5r.root",
+            where=str(path),
+            got=f"<{root.tag[:40]}>",
             allowed="<TEST_DOCUMENT>",
         )
     bar = root.find("TEST_SPEC/INSTRUMENT/DYNAMIC_BALLBAR")
     elements = root.findall("RUN_RESULTS/BALLBAR_RUN")
     if bar is None or not elements:
         raise InputError(
-            "the file holds no ball-bar run", code="b5r.no_runs", where=str(path),
+            "the file holds no ball-bar run",
+            code="b5r.no_runs",
+            where=str(path),
             hint="save the test after it was measured",
         )
     started = _started(_text(root, "DATE_STARTED"))
@@ -100,22 +105,31 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
     where = f"{path} BALLBAR_RUN {stated or '?'}"
     if stated not in ("CCW", "CW"):
         raise InputError(
-            "the run does not say its direction", code="b5r.direction", where=where,
-            got=stated[:40] or "nothing", allowed="CCW or CW",
+            "the run does not say its direction",
+            code="b5r.direction",
+            where=where,
+            got=stated[:40] or "nothing",
+            allowed="CCW or CW",
         )
     readings_mm = parse_readings(_text(element, "READINGS"), where)
     if not 3 <= readings_mm.size <= MAX_READINGS:
         raise InputError(
-            "unusable number of readings", code="b5r.readings", where=where,
-            got=str(readings_mm.size), allowed=f"3 to {MAX_READINGS}",
+            "unusable number of readings",
+            code="b5r.readings",
+            where=where,
+            got=str(readings_mm.size),
+            allowed=f"3 to {MAX_READINGS}",
         )
     start = _whole(element, "START_INDEX", where) - 1
     end = _whole(element, "END_INDEX", where)
     if not 0 <= start < end <= readings_mm.size:
         raise InputError(
-            "the marked arc lies outside the readings", code="b5r.window", where=where,
+            "the marked arc lies outside the readings",
+            code="b5r.window",
+            where=where,
             got=f"START {start + 1}, END {end} of {readings_mm.size} readings",
-            allowed="1 <= START < END <= number of readings", hint="the file may be cut short",
+            allowed="1 <= START < END <= number of readings",
+            hint="the file may be cut short",
         )
     plane_element = bar.find("PLANE")
     direction: Direction = "CCW" if stated == "CCW" else "CW"
@@ -174,7 +188,7 @@ def marked_angle_deg(
     """
     start, end = window
     turned = (np.arange(n_samples) - start) * (arc_deg / (end - start))
-    return arc_start_deg + (turned if direction == "CCW" else -turned)
+    return np.asarray(arc_start_deg + (turned if direction == "CCW" else -turned), dtype=float)
 
 
 def write_b5r(
@@ -322,8 +336,11 @@ def _number(element: Element, tag: str, where: str, *, low: float, high: float) 
     value = _maybe_float(_text(element, tag))
     if value is None or not low <= value <= high:
         raise InputError(
-            f"{tag} is missing or impossible", code="b5r.field", where=where,
-            got=_text(element, tag)[:40] or "nothing", allowed=f"{low:g} to {high:g}",
+            f"{tag} is missing or impossible",
+            code="b5r.field",
+            where=where,
+            got=_text(element, tag)[:40] or "nothing",
+            allowed=f"{low:g} to {high:g}",
         )
     return value
 
@@ -331,13 +348,15 @@ def _number(element: Element, tag: str, where: str, *, low: float, high: float) 
 def _whole(element: Element, tag: str, where: str) -> int:
     value = _number(element, tag, where, low=1, high=MAX_READINGS)
     if value != int(value):
-        raise InputError(f"{tag} is not a whole number", code="b5r.field", where=where, got=str(value))
+        raise InputError(
+            f"{tag} is not a whole number", code="b5r.field", where=where, got=str(value)
+        )
     return int(value)
 
 
 def _started(text: str) -> str:
     try:
-        stamp = datetime.strptime(text, "%Y%m%d-%H%M%S")  # noqa: DTZ007 - the file states local time without a zone
+        stamp = datetime.strptime(text, "%Y%m%d-%H%M%S")  # local, the file names no zone
     except ValueError:
         return ""
     return stamp.isoformat()

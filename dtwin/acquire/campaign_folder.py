@@ -32,8 +32,19 @@ from dtwin.store import RejectedRows
 MAX_TOML_BYTES = 16 * 1024 * 1024
 _RUN_KEYS = frozenset(
     {
-        "id", "file", "plane", "radius_mm", "feed_mm_min", "direction", "repeat", "setup",
-        "started", "signals", "covariates", "sample_rate_hz", "condition",
+        "id",
+        "file",
+        "plane",
+        "radius_mm",
+        "feed_mm_min",
+        "direction",
+        "repeat",
+        "setup",
+        "started",
+        "signals",
+        "covariates",
+        "sample_rate_hz",
+        "condition",
     }
 )
 
@@ -89,11 +100,7 @@ class CampaignFolder:
             Usually one run, two for a bidirectional file; and rows that were left out.
         """
         runs, rejected = _read_entry(entry, self.campaign)
-        groups = tuple(
-            group
-            for path in entry.signals
-            for group in read_signals(path)
-        )
+        groups = tuple(group for path in entry.signals for group in read_signals(path))
         by_direction = {
             run.meta.run_id: tuple(
                 replace(g, name=g.name.rsplit("@", 1)[0])
@@ -133,7 +140,8 @@ def open_campaign(folder: Path) -> CampaignFolder:
     if not isinstance(head, dict) or not isinstance(stated_runs, list) or not stated_runs:
         raise InputError(
             "campaign.toml needs a [campaign] table and at least one [[run]]",
-            code="campaign.toml", where=str(path),
+            code="campaign.toml",
+            where=str(path),
         )
     campaign = _campaign(head, path)
     entries = [_entry(e, n, path) for n, e in enumerate(stated_runs, start=1)]
@@ -141,7 +149,9 @@ def open_campaign(folder: Path) -> CampaignFolder:
     twice = sorted({i for i in ids if ids.count(i) > 1}) if len(set(ids)) < len(ids) else []
     if twice:
         raise InputError(
-            "a run id occurs twice", code="ingest.duplicate_run", where=str(path),
+            "a run id occurs twice",
+            code="ingest.duplicate_run",
+            where=str(path),
             got=", ".join(twice[:10]),
         )
     return CampaignFolder(campaign, tuple(entries))
@@ -151,8 +161,11 @@ def _campaign(head: Mapping[str, Any], path: Path) -> Campaign:
     kind = head.get("kind", "circular")
     if kind not in KINDS:
         raise InputError(
-            "unknown kind of campaign", code="campaign.kind", where=str(path),
-            got=str(kind)[:60], allowed=", ".join(KINDS),
+            "unknown kind of campaign",
+            code="campaign.kind",
+            where=str(path),
+            got=str(kind)[:60],
+            allowed=", ".join(KINDS),
         )
     return Campaign(
         name=require_name(head.get("name"), "campaign.name"),
@@ -171,8 +184,11 @@ def _entry(stated: Any, number: int, path: Path) -> FolderEntry:
     unknown = sorted(set(stated) - _RUN_KEYS)
     if unknown:
         raise InputError(
-            "unknown setting of a run", code="campaign.run", where=where,
-            got=", ".join(unknown[:5]), allowed=", ".join(sorted(_RUN_KEYS)),
+            "unknown setting of a run",
+            code="campaign.run",
+            where=where,
+            got=", ".join(unknown[:5]),
+            allowed=", ".join(sorted(_RUN_KEYS)),
         )
     signals = stated.get("signals", [])
     names = [signals] if isinstance(signals, str) else signals
@@ -212,7 +228,8 @@ def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     typical = float(np.median(gaps)) if gaps.size else 0.0
     bare = Run(
         meta=RunMeta(
-            run_id=entry.run_id, kind=campaign.kind,
+            run_id=entry.run_id,
+            kind=campaign.kind,
             sample_rate_hz=1.0 / typical if typical > 0 else float("nan"),
         ),
         samples=columns,
@@ -236,7 +253,8 @@ def _completed(run: Run, entry: FolderEntry, run_id: str) -> Run:
         if told is not None and read is not None and abs(told - read) > 1e-6 * read:
             findings.append(
                 Finding(
-                    "campaign.contradiction", "warning",
+                    "campaign.contradiction",
+                    "warning",
                     f"campaign.toml states {name} {told:g}, the file {read:g}; the file is used",
                     {f"told_{name}": told, f"read_{name}": read},
                 )
@@ -251,16 +269,17 @@ def _completed(run: Run, entry: FolderEntry, run_id: str) -> Run:
     return replace(run, meta=replace(meta, **changes), findings=tuple(findings))
 
 
-def _direction(
-    stated: Mapping[str, Any], meta: RunMeta, entry: FolderEntry
-) -> Direction | None:
+def _direction(stated: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> Direction | None:
     told = stated.get("direction", meta.direction)
     if told is None and meta.kind != "circular":
         return None
     if told not in ("CCW", "CW"):
         raise InputError(
-            "the run does not say its direction", code="run.direction", where=str(entry.file),
-            got=str(told)[:40], allowed="CCW or CW",
+            "the run does not say its direction",
+            code="run.direction",
+            where=str(entry.file),
+            got=str(told)[:40],
+            allowed="CCW or CW",
             hint='add direction = "CCW" to the run in campaign.toml',
         )
     if meta.direction is not None and entry.file.suffix.lower() == ".b5r":
@@ -283,13 +302,15 @@ def _with_programmed_angles(run: Run) -> Run:
     meta = run.meta
     if not meta.radius_mm or not meta.feed_mm_min:
         raise InputError(
-            "a trace needs radius_mm and feed_mm_min in campaign.toml", code="trace.condition",
+            "a trace needs radius_mm and feed_mm_min in campaign.toml",
+            code="trace.condition",
             where=run.source,
         )
     speed_deg_s = np.degrees(meta.feed_mm_min / 60.0 / meta.radius_mm)
     sign = 1.0 if meta.direction == "CCW" else -1.0
     finding = Finding(
-        "angle.programmed", "warning",
+        "angle.programmed",
+        "warning",
         "the file has no angles; they are computed from the programmed feed",
     )
     samples = dict(run.samples) | {"angle_deg": sign * speed_deg_s * run.samples["t_s"]}
@@ -302,8 +323,11 @@ def _inside(folder: Path, name: object, where: str) -> Path:
     path = (folder / name).resolve()
     if not path.is_relative_to(folder.resolve()):
         raise InputError(
-            "a file lies outside the campaign folder", code="campaign.escape", where=where,
-            got=name[:120], allowed="paths inside the folder",
+            "a file lies outside the campaign folder",
+            code="campaign.escape",
+            where=where,
+            got=name[:120],
+            allowed="paths inside the folder",
         )
     return path
 
@@ -314,7 +338,9 @@ def _positive(stated: Mapping[str, Any], name: str, entry: FolderEntry) -> float
         return None
     if not isinstance(value, int | float) or not 0 < value < 1e7:
         raise InputError(
-            f"{name} must be a positive number", code="campaign.run", where=str(entry.file),
+            f"{name} must be a positive number",
+            code="campaign.run",
+            where=str(entry.file),
             got=repr(value)[:40],
         )
     return float(value)
@@ -334,7 +360,9 @@ def _numbers(covariates: Any, entry: FolderEntry) -> dict[str, float]:
 def _table(head: Mapping[str, Any], name: str, path: Path) -> dict[str, Any]:
     value = head.get(name, {})
     if not isinstance(value, dict):
-        raise InputError(f"[campaign.{name}] must be a table", code="campaign.toml", where=str(path))
+        raise InputError(
+            f"[campaign.{name}] must be a table", code="campaign.toml", where=str(path)
+        )
     return value
 
 

@@ -8,8 +8,11 @@ from dtwin.plan import PlannedTest, arc_deg
 from dtwin.schema import Direction
 
 FEED_IN_MM = 1.5
-_WORD = {"XY": ("G17", "X", "Y", "I", "J"), "YZ": ("G19", "Y", "Z", "J", "K"),
-         "ZX": ("G18", "Z", "X", "K", "I")}
+_WORD = {
+    "XY": ("G17", "X", "Y", "I", "J"),
+    "YZ": ("G19", "Y", "Z", "J", "K"),
+    "ZX": ("G18", "Z", "X", "K", "I"),
+}
 
 
 def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) -> str:
@@ -24,8 +27,12 @@ def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) 
     """
     plane_code, a, b, i, j = _WORD[test.plane]
     r, outside = test.radius_mm, test.radius_mm + FEED_IN_MM
-    lines = ["%", f"({test.test_id} {test.plane} R{r:g} F{test.feed_mm_min:g} {test.setup})",
-             f"G21 G90 G94 {plane_code}", f"G1 F{test.feed_mm_min:g}"]
+    lines = [
+        "%",
+        f"({test.test_id} {test.plane} R{r:g} F{test.feed_mm_min:g} {test.setup})",
+        f"G21 G90 G94 {plane_code}",
+        f"G1 F{test.feed_mm_min:g}",
+    ]
     for direction in directions:
         code = "G3" if direction == "CCW" else "G2"
         if test.plane == "XY":

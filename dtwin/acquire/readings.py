@@ -13,10 +13,10 @@ _SIGNED = re.compile(r"[+-]\d+(?:\.\d+)?(?:[eE][+-]?\d+)?")
 
 
 def parse_readings(text: str, where: str) -> Floats:
-    """Return the numbers of a readings block.
+    r"""Return the numbers of a readings block.
 
     When every number carries a sign, white space carries no meaning and torn numbers
-    (``"-\\n0.06045"``, ``"+0.1\\n2345"``) are joined again; otherwise white space separates.
+    (``"-\n0.06045"``, ``"+0.1\n2345"``) are joined again; otherwise white space separates.
 
     Parameters
     ----------

@@ -51,8 +51,11 @@ def read_signals(path: Path) -> list[SignalGroup]:
         table = read_parquet(path)
     except StoreError as error:
         raise InputError(
-            "the signal file cannot be read", code="signals.unreadable", where=str(path),
-            got=error.got, hint=error.hint,
+            "the signal file cannot be read",
+            code="signals.unreadable",
+            where=str(path),
+            got=error.got,
+            hint=error.hint,
         ) from error
     header = (table.schema.metadata or {}).get(_KEY)
     require_units([n for n in table.column_names if _is_float(table, n)], str(path))
@@ -61,13 +64,17 @@ def read_signals(path: Path) -> list[SignalGroup]:
         return [_from_header(header, columns, path)]
     if "t_s" not in columns or len(columns["t_s"]) < 2:
         raise InputError(
-            "the signal file does not say its rate", code="signals.rate", where=str(path),
+            "the signal file does not say its rate",
+            code="signals.rate",
+            where=str(path),
             hint="add a column t_s",
         )
     t_s = columns.pop("t_s")
     span = float(t_s[-1] - t_s[0])
     if not span > 0:
-        raise InputError("the clock of the signals stands or runs back", code="clock", where=str(path))
+        raise InputError(
+            "the clock of the signals stands or runs back", code="clock", where=str(path)
+        )
     return [SignalGroup(path.stem.split(".")[-1], (len(t_s) - 1) / span, columns, float(t_s[0]))]
 
 
@@ -78,7 +85,9 @@ def _from_header(header: bytes, columns: dict, path: Path) -> SignalGroup:  # ty
             str(head["group"]), float(head["rate_hz"]), columns, float(head["start_s"])
         )
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError("the signal header is damaged", code="signals.header", where=str(path)) from error
+        raise InputError(
+            "the signal header is damaged", code="signals.header", where=str(path)
+        ) from error
 
 
 def _is_float(table: pa.Table, name: str) -> bool:

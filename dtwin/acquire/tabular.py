@@ -55,8 +55,11 @@ def read_columns(path: Path, kind: Kind) -> tuple[dict[str, NDArray[Any]], list[
     missing = [name for name in REQUIRED[kind] if name not in columns]
     if missing:
         raise InputError(
-            f"a {kind} run lacks columns", code="columns.missing", where=str(path),
-            got=", ".join(table.column_names)[:200], allowed=", ".join(REQUIRED[kind]),
+            f"a {kind} run lacks columns",
+            code="columns.missing",
+            where=str(path),
+            got=", ".join(table.column_names)[:200],
+            allowed=", ".join(REQUIRED[kind]),
         )
     floats = [name for name, values in columns.items() if values.dtype.kind == "f"]
     require_units(floats, str(path))
@@ -74,11 +77,17 @@ def _read_table(path: Path) -> pa.Table:
             return pq.read_table(path, page_checksum_verification=True)
     except (pa.ArrowException, OSError) as error:
         raise InputError(
-            "the table cannot be read", code="table.malformed", where=str(path),
-            got=str(error)[:200], hint="the file may be cut short or damaged",
+            "the table cannot be read",
+            code="table.malformed",
+            where=str(path),
+            got=str(error)[:200],
+            hint="the file may be cut short or damaged",
         ) from error
     raise InputError(
-        "unknown kind of table", code="table.type", where=str(path), got=suffix or "no ending",
+        "unknown kind of table",
+        code="table.type",
+        where=str(path),
+        got=suffix or "no ending",
         allowed=".csv, .parquet",
     )
 
@@ -91,7 +100,9 @@ def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
         return column.cast(pa.float64()).to_numpy()
     except (pa.ArrowException, ValueError) as error:
         raise InputError(
-            "a column is not numeric", code="columns.number", where=f"{path} {name[:60]}",
+            "a column is not numeric",
+            code="columns.number",
+            where=f"{path} {name[:60]}",
             got=str(error)[:120],
         ) from error
 
@@ -105,7 +116,8 @@ def _drop_bad_rows(
     rejects = [
         {
             "row": int(row),
-            "reason": "not finite: " + ", ".join(n for n in floats if not np.isfinite(columns[n][row])),
+            "reason": "not finite: "
+            + ", ".join(n for n in floats if not np.isfinite(columns[n][row])),
             "values": {name: repr(columns[name][row].item()) for name in floats},
         }
         for row in np.flatnonzero(~finite)

@@ -39,8 +39,11 @@ def read_trace_json(path: Path, *, sample_rate_hz: float | None = None) -> tuple
     unit = str(document.get("ErrorUnits", "")).lower()
     if unit not in _FACTOR_TO_UM:
         raise InputError(
-            "the file does not state a known unit", code="trace.unit", where=where,
-            got=unit[:40] or "nothing", allowed=", ".join(_FACTOR_TO_UM),
+            "the file does not state a known unit",
+            code="trace.unit",
+            where=where,
+            got=unit[:40] or "nothing",
+            allowed=", ".join(_FACTOR_TO_UM),
         )
     stated = document.get("Runs")
     if not isinstance(stated, list) or not stated:
@@ -56,7 +59,10 @@ def _parse(data: bytes, where: str) -> dict[str, Any]:
         document = json.loads(data.decode("utf-8-sig"))
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise InputError(
-            "not a readable JSON file", code="trace.malformed", where=where, got=str(error)[:160],
+            "not a readable JSON file",
+            code="trace.malformed",
+            where=where,
+            got=str(error)[:160],
             hint="the export may be cut short: export it again",
         ) from error
     if not isinstance(document, dict):
@@ -64,9 +70,7 @@ def _parse(data: bytes, where: str) -> dict[str, Any]:
     return document
 
 
-def _read_run(
-    entry: Any, number: int, to_um: float, rate_hz: float | None, where: str
-) -> Run:
+def _read_run(entry: Any, number: int, to_um: float, rate_hz: float | None, where: str) -> Run:
     place = f"{where} run {number}"
     readings = entry.get("Readings") if isinstance(entry, dict) else None
     if not isinstance(readings, list) or len(readings) < 3:
@@ -76,14 +80,18 @@ def _read_run(
     direction = _DIRECTIONS.get(entry.get("Direction", -1))
     if direction is None:
         raise InputError(
-            "the run does not say its direction", code="trace.direction", where=place,
-            got=repr(entry.get("Direction"))[:40], allowed="0 (CCW) or 1 (CW)",
+            "the run does not say its direction",
+            code="trace.direction",
+            where=place,
+            got=repr(entry.get("Direction"))[:40],
+            allowed="0 (CCW) or 1 (CW)",
         )
     findings: tuple[Finding, ...] = ()
     if rate_hz is None:
         findings = (
             Finding(
-                "clock.no_rate", "warning",
+                "clock.no_rate",
+                "warning",
                 "the file states no sample rate: times are sample numbers, feed is unknown",
             ),
         )

@@ -110,15 +110,16 @@ def _decode_utf16(data: bytes, where: str) -> bytes:
     try:
         text = data.decode("utf-16")
     except UnicodeDecodeError as error:
-        raise InputError("the text is not valid UTF-16", code="xml.encoding", where=where) from error
+        raise InputError(
+            "the text is not valid UTF-16", code="xml.encoding", where=where
+        ) from error
     return re.sub(r"^<\?xml[^>]*\?>", "", text.lstrip("\ufeff")).encode("utf-8")
 
 
 def _refuse_absurd_structure(data: bytes, where: str) -> None:
     """Count tags before any parser builds a tree of them."""
-    depth = deepest = count = 0
-    for tag in _TAG.finditer(data):
-        count += 1
+    depth = deepest = 0
+    for count, tag in enumerate(_TAG.finditer(data), start=1):
         if tag.group(1):
             depth -= 1
         elif not tag.group(2):

@@ -1,0 +1,1 @@
+"""Figures of tests, effects and twins."""

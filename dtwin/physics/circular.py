@@ -156,7 +156,7 @@ def minimum_zone_um(angle_deg: Floats, deviation_um: Floats) -> tuple[float, flo
         bounds=[(None, None)] * 4,
         method="highs",
     )
-    if not solved.success:
+    if not solved.success or solved.fun is None or solved.x is None:
         raise InputError("the minimum-zone centre was not found", code="circular.minimum_zone")
     return float(solved.fun), float(solved.x[0]), float(solved.x[1])
 

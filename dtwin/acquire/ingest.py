@@ -1,0 +1,153 @@
+"""From files to the lake, in batches that are whole or absent."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from dtwin.acquire.b5r import read_b5r
+from dtwin.acquire.campaign_folder import open_campaign
+from dtwin.acquire.quality import judge_campaign, judge_run
+from dtwin.errors import InputError
+from dtwin.schema import Campaign, Finding, Run
+from dtwin.store import Lake, RejectedRows
+
+BATCH_RUNS = 24
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class IngestReport:
+    """What an ingest brought into the lake.
+
+    Attributes
+    ----------
+    campaign : str
+        Name of the campaign.
+    added, unchanged : tuple of str
+        Run ids.
+    findings : tuple of (str, Finding)
+        Data-quality findings with the run they belong to; ``""`` for the whole campaign.
+    rejected_rows : int
+        Rows kept in ``rejects`` instead of ``samples``.
+    versions : dict of str to int
+        Table versions afterwards.
+    """
+
+    campaign: str
+    added: tuple[str, ...]
+    unchanged: tuple[str, ...]
+    findings: tuple[tuple[str, Finding], ...]
+    rejected_rows: int
+    versions: dict[str, int]
+
+
+def ingest(path: Path, lake: Lake, progress: Progress | None = None) -> IngestReport:
+    """Bring a campaign folder or a bare ``.b5r`` into the lake.
+
+    Safe to repeat: runs that are there with the same content are left alone, so an
+    interrupted ingest continues where it stopped.
+
+    Parameters
+    ----------
+    path : Path
+        A campaign folder, its ``campaign.toml``, or a ``.b5r`` file.
+    lake : Lake
+        Where to.
+    progress : callable, optional
+        Called with (done, total, what) after every source file.
+
+    Raises
+    ------
+    InputError
+        When a file cannot be used; batches committed before stay.
+    """
+    campaign, sources, total = open_source(path)
+    added: list[str] = []
+    unchanged: list[str] = []
+    findings: list[tuple[str, Finding]] = []
+    judged: list[Run] = []
+    n_rejected = 0
+    versions = lake.versions()
+    for batch, rejected, done in _batches(sources):
+        runs = [_judged(run) for run in batch]
+        report = lake.commit(campaign, runs, rejected)
+        versions = dict(report.versions)
+        added += report.added
+        unchanged += report.unchanged
+        findings += [(run.meta.run_id, finding) for run in runs for finding in run.findings]
+        n_rejected += sum(len(part.rows) for part in rejected)
+        judged += [replace(run, samples={}, signals=()) for run in runs]
+        if progress is not None:
+            progress(done, total, batch[-1].meta.run_id if batch else "")
+    findings += [("", finding) for finding in judge_campaign(judged)]
+    return IngestReport(
+        campaign.name, tuple(added), tuple(unchanged), tuple(findings), n_rejected, versions
+    )
+
+
+def open_source(
+    path: Path,
+) -> tuple[Campaign, Iterable[tuple[list[Run], list[RejectedRows]]], int]:
+    """Return the campaign of a path, its runs file by file, and the number of files.
+
+    Parameters
+    ----------
+    path : Path
+        A campaign folder, its ``campaign.toml``, or a ``.b5r`` file.
+    """
+    if path.is_dir() or path.suffix.lower() == ".toml":
+        folder = open_campaign(path)
+        return folder.campaign, folder, len(folder.entries)
+    if path.suffix.lower() == ".b5r":
+        test = read_b5r(path)
+        campaign = Campaign(
+            name=_safe(path.stem),
+            machine=_safe(test.machine or "unknown"),
+            started=test.started,
+            instrument=test.instrument,
+        )
+        return campaign, [(list(test.runs), [])], 1
+    if not path.exists():
+        raise InputError("no such file or folder", code="file.missing", where=str(path))
+    raise InputError(
+        "cannot be ingested by itself",
+        code="ingest.type",
+        where=str(path),
+        got=path.suffix or "no ending",
+        allowed="a campaign folder, campaign.toml or .b5r",
+        hint="name the file in a campaign.toml: it says plane, radius, feed and direction",
+    )
+
+
+def _batches(
+    sources: Iterable[tuple[list[Run], list[RejectedRows]]],
+) -> Iterator[tuple[list[Run], list[RejectedRows], int]]:
+    runs: list[Run] = []
+    rejected: list[RejectedRows] = []
+    done = 0
+    for done, (more, rows) in enumerate(sources, start=1):
+        runs += more
+        rejected += rows
+        if len(runs) >= BATCH_RUNS:
+            yield runs, rejected, done
+            runs, rejected = [], []
+    if runs:
+        yield runs, rejected, done
+
+
+def _judged(run: Run) -> Run:
+    return replace(run, findings=(*run.findings, *judge_run(run)))
+
+
+def _safe(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._")[:80].lower() or "unnamed"
+
+
+def worst(findings: Sequence[tuple[str, Finding]]) -> str:
+    """Return the worst severity among findings, ``"none"`` when there are none."""
+    order = ("error", "warning", "info")
+    present = {finding.severity for _, finding in findings}
+    return next((severity for severity in order if severity in present), "none")

@@ -1,0 +1,252 @@
+"""What the motion really was, against what the file's marks and programme say."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.features.alignment import find_stops, true_period
+from dtwin.schema import Finding, Floats, Run
+
+_WINDOW_TOLERANCE = 0.03
+_FEED_TOLERANCE = 0.02
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The motion that a ball-bar record shows by itself.
+
+    Attributes
+    ----------
+    stops : ndarray of int
+        Samples at which the machine stopped between half turns.
+    period_samples : float
+        Samples of one revolution by correlation; NaN when the record holds less than one
+        and a half.
+    half_turns_samples : tuple of int
+        Samples from stop to stop.
+    """
+
+    stops: Indices
+    period_samples: float
+    half_turns_samples: tuple[int, ...]
+
+    @property
+    def revolution_samples(self) -> float:
+        """Samples of one revolution: by the stops when there are three, else by correlation."""
+        if len(self.half_turns_samples) >= 2:
+            return float(2.0 * np.mean(self.half_turns_samples))
+        return self.period_samples
+
+
+def motion_of(run: Run) -> Motion:
+    """Find stops and period of a circular run from its deviation alone.
+
+    Parameters
+    ----------
+    run : Run
+        A circular run with more than one revolution.
+    """
+    deviation, rate = run.samples["deviation_um"], run.meta.sample_rate_hz
+    stops = np.asarray(find_stops(deviation, rate), dtype=np.int64)
+    expected = _programmed_revolution(run)
+    inner = _half_turn_chain(stops, expected / 2.0)
+    lead_in = int(inner[0]) if inner.size else 0
+    period = true_period(deviation, rate, lead_in=lead_in, expected=expected)
+    return Motion(inner, period, tuple(int(n) for n in np.diff(inner)))
+
+
+def aligned_angle_deg(run: Run, motion: Motion) -> Floats | None:
+    """Return angles that put every stop on a half turn; None with fewer than two stops.
+
+    The stop that is nearest to the marked start gets the file's own start angle.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    motion : Motion
+        Its stops.
+    """
+    if len(motion.stops) < 2 or run.window is None:
+        return None
+    sign = 1.0 if run.meta.direction == "CCW" else -1.0
+    first = int(np.argmin(np.abs(motion.stops - run.window[0])))
+    start_deg = float(run.samples["angle_deg"][run.window[0]])
+    at_stops = start_deg + sign * 180.0 * (np.arange(len(motion.stops)) - first)
+    index = np.arange(run.n_samples)
+    angle = np.interp(index, motion.stops, at_stops)
+    mean_step = 360.0 / motion.revolution_samples * sign
+    before, after = index < motion.stops[0], index > motion.stops[-1]
+    angle[before] = at_stops[0] + (index[before] - motion.stops[0]) * mean_step
+    angle[after] = at_stops[-1] + (index[after] - motion.stops[-1]) * mean_step
+    return angle
+
+
+def judge_motion(run: Run) -> list[Finding]:
+    """Return findings about window, stops, angles and feed of a circular run.
+
+    Parameters
+    ----------
+    run : Run
+        A run with a marked window; without one there is nothing to hold against the motion.
+    """
+    if run.window is None or not run.meta.radius_mm or not run.meta.feed_mm_min:
+        return []
+    if run.n_samples < 1.3 * _programmed_revolution(run):
+        return []
+    motion = motion_of(run)
+    findings = [*_stops(motion), *_window(run, motion), *_feed(run, motion)]
+    return [*findings, *_misregistered(run, motion), *_repeats(run, motion)]
+
+
+def non_repeatable_um(run: Run, motion: Motion) -> tuple[float, float, float] | None:
+    """Compare consecutive revolutions half turn by half turn.
+
+    Parameters
+    ----------
+    run : Run
+        The run.
+    motion : Motion
+        Its stops; four are needed for one half turn that is seen twice.
+
+    Returns
+    -------
+    correlation, repeatable_um, non_repeatable_um : tuple of float or None
+        RMS values; the non-repeatable part is that of one revolution.
+    """
+    deviation = run.samples["deviation_um"]
+    edges = [int(s) for s in motion.stops]
+    last = edges[-1] + int(np.median(motion.half_turns_samples)) if len(edges) > 1 else 0
+    edges += [last] if last <= run.n_samples else []
+    first, second = [], []
+    for (a0, a1), (b0, b1) in zip(
+        itertools.pairwise(edges), itertools.pairwise(edges[2:]), strict=False
+    ):
+        n = min(a1 - a0, b1 - b0)
+        first.append(deviation[a0 : a0 + n])
+        second.append(deviation[b0 : b0 + n])
+    if not first:
+        return None
+    one, two = np.concatenate(first), np.concatenate(second)
+    correlation = float(np.corrcoef(one, two)[0, 1])
+    mean = (one + two) / 2.0
+    return correlation, float(np.std(mean)), float(np.std(one - two) / np.sqrt(2.0))
+
+
+def _programmed_revolution(run: Run) -> float:
+    radius, feed = run.meta.radius_mm, run.meta.feed_mm_min
+    if radius is None or feed is None:
+        return np.nan
+    return 2.0 * np.pi * radius / (feed / 60.0) * run.meta.sample_rate_hz
+
+
+def _half_turn_chain(stops: Indices, half: float) -> Indices:
+    """Keep the longest chain of stops that follow each other about half a turn apart."""
+    best: list[int] = []
+    for start in range(len(stops)):
+        chain = [int(stops[start])]
+        for stop in stops[start + 1 :]:
+            if 0.85 * half <= stop - chain[-1] <= 1.25 * half:
+                chain.append(int(stop))
+        best = chain if len(chain) > len(best) else best
+    return np.asarray(best if len(best) > 1 else [], dtype=np.int64)
+
+
+def _stops(motion: Motion) -> list[Finding]:
+    if len(motion.stops) < 2:
+        return []
+    listed = ", ".join(map(str, motion.stops))
+    return [
+        Finding(
+            "motion.stops",
+            "info",
+            f"the machine stops every half turn: bursts above 20 Hz near samples {listed}",
+            {"samples_1": [float(s) for s in motion.stops]},
+        )
+    ]
+
+
+def _window(run: Run, motion: Motion) -> list[Finding]:
+    assert run.window is not None
+    marked = run.window[1] - run.window[0]
+    angle = run.samples["angle_deg"]
+    stated_deg = abs(float(angle[run.window[1] - 1] - angle[run.window[0]])) * marked / (marked - 1)
+    period = motion.period_samples
+    if not np.isfinite(period) or abs(stated_deg - 360.0) > 1.0:
+        return []
+    true_deg = 360.0 * marked / period
+    if abs(true_deg - 360.0) <= 360.0 * _WINDOW_TOLERANCE:
+        return []
+    short = true_deg < 360.0
+    return [
+        Finding(
+            "arc.window_short" if short else "arc.window_long",
+            "error" if short else "warning",
+            f"the window marked as a full circle is about {true_deg:.0f} deg: {marked} samples are "
+            f"marked, the true period is {period:.0f}",
+            {
+                "marked_samples_1": float(marked),
+                "period_samples_1": float(period),
+                "true_deg": true_deg,
+            },
+        )
+    ]
+
+
+def _feed(run: Run, motion: Motion) -> list[Finding]:
+    revolution = motion.revolution_samples
+    radius, told = run.meta.radius_mm, run.meta.feed_mm_min
+    if not np.isfinite(revolution) or radius is None or told is None:
+        return []
+    real = 2.0 * np.pi * radius / (revolution / run.meta.sample_rate_hz) * 60.0
+    if abs(real - told) <= _FEED_TOLERANCE * told:
+        return []
+    return [
+        Finding(
+            "feed.differs",
+            "warning",
+            f"the mean feed is {real:.0f} mm/min, {100 * (real / told - 1):+.1f} % of the programmed "
+            f"{told:.0f}",
+            {"real_mm_min": real, "programmed_mm_min": told},
+        )
+    ]
+
+
+def _misregistered(run: Run, motion: Motion) -> list[Finding]:
+    aligned = aligned_angle_deg(run, motion)
+    if aligned is None or run.window is None:
+        return []
+    inside = slice(*run.window)
+    apart = np.abs(run.samples["angle_deg"][inside] - aligned[inside])
+    worst = float(apart.max())
+    if worst < 5.0:
+        return []
+    return [
+        Finding(
+            "angle.misregistered",
+            "error" if worst > 20.0 else "warning",
+            f"the file's angles are misregistered by up to {worst:.0f} deg against the stops",
+            {"worst_deg": worst},
+        )
+    ]
+
+
+def _repeats(run: Run, motion: Motion) -> list[Finding]:
+    found = non_repeatable_um(run, motion)
+    if found is None:
+        return []
+    correlation, repeatable, rest = found
+    return [
+        Finding(
+            "repeat.revolutions",
+            "info",
+            f"consecutive revolutions, lead-in left out: {repeatable:.1f} um RMS repeats "
+            f"(correlation {correlation:.2f}), {rest:.1f} um does not",
+            {"correlation_1": correlation, "repeatable_um": repeatable, "non_repeatable_um": rest},
+        )
+    ]

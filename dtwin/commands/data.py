@@ -1,0 +1,194 @@
+"""Commands about measurements: check, ingest, runs, plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import ProgressLine, emit
+from dtwin.report.text import table
+
+if TYPE_CHECKING:
+    from dtwin.acquire.ingest import IngestReport
+    from dtwin.plan import Plan
+    from dtwin.schema import Finding
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(check)
+    app.command()(ingest)
+    app.command()(runs)
+    app.command()(plan)
+    app.command()(repair)
+
+
+def check(
+    source: Annotated[Path, typer.Argument(help="A .b5r file or a campaign folder.")],
+    as_json: Json = False,
+) -> None:
+    """Say what the data are, and what is wrong with them. Changes nothing."""
+    from dtwin.report.checking import check_source, render_check
+
+    result = check_source(source, ProgressLine("check", quiet=as_json))
+    emit(result, lambda: render_check(result), as_json=as_json)
+
+
+def ingest(
+    sources: Annotated[list[Path], typer.Argument(help="Campaign folders or .b5r files.")],
+    as_json: Json = False,
+) -> None:
+    """Bring measurements into the lake. Safe to repeat."""
+    from dtwin.acquire.ingest import ingest as ingest_one
+    from dtwin.config import home
+    from dtwin.store import Lake
+
+    lake = Lake(home().lake)
+    reports = [
+        ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json))
+        for path in sources
+    ]
+    payload = {"campaigns": [_report_dict(report) for report in reports]}
+    emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
+
+
+def runs(
+    campaign: Annotated[str | None, typer.Argument(help="Only this campaign.")] = None,
+    as_json: Json = False,
+) -> None:
+    """List the runs in the lake."""
+    from dtwin.config import home
+    from dtwin.store import Lake
+
+    rows = Lake(home().lake).runs(campaign)
+    shown = (
+        "campaign",
+        "run_id",
+        "machine",
+        "plane",
+        "radius_mm",
+        "feed_mm_min",
+        "direction",
+        "repeat",
+        "setup",
+        "n_samples",
+        "n_errors",
+        "status",
+    )
+    payload = {"runs": [{name: row[name] for name in shown} for row in rows]}
+
+    def text() -> str:
+        if not rows:
+            return "no runs yet; bring some in with: dtwin ingest PATH"
+        return table(shown, [[row[name] for name in shown] for row in rows])
+
+    emit(payload, text, as_json=as_json)
+
+
+def plan(
+    file: Annotated[
+        Path | None, typer.Argument(help="Plan file (TOML); without it the 81-test plan.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write G-code and URScript of every test here.")
+    ] = None,
+    check_only: Annotated[
+        bool, typer.Option("--check", help="Say what the plan could not tell.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Expand a campaign before anything moves: order, limits, time, programs."""
+    from dtwin.plan import advice, duration_s, read_plan, training_plan
+
+    planned = training_plan() if file is None else read_plan(file)
+    moving_s, total_s = duration_s(planned)
+    findings = advice(planned)
+    payload: dict[str, Any] = {
+        "name": planned.name,
+        "machine": planned.machine,
+        "tests": len(planned.tests),
+        "runs": planned.n_runs,
+        "motion_s": moving_s,
+        "total_s": total_s,
+        "findings": [finding.as_dict() for finding in findings],
+    }
+    if not check_only:
+        payload["order"] = [vars(test) for test in planned.tests]
+    if out is not None:
+        payload["programs"] = _write_programs(planned, out)
+    emit(payload, lambda: _plan_text(planned, payload, findings, check_only), as_json=as_json)
+
+
+def repair(as_json: Json = False) -> None:
+    """Drop what a killed ingest left behind in the lake."""
+    from dtwin.config import home
+    from dtwin.store import Lake
+
+    dropped = Lake(home().lake).repair()
+    emit({"dropped": dropped}, lambda: f"dropped orphans: {dropped}", as_json=as_json)
+
+
+def _write_programs(planned: Plan, out: Path) -> list[str]:
+    from dtwin.acquire.programs import gcode, urscript
+
+    out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for test in planned.tests:
+        for suffix, text in (
+            (".nc", gcode(test, planned.directions)),
+            (".script", urscript(test, planned.directions)),
+        ):
+            path = out / f"{test.test_id}{suffix}"
+            path.write_text(text, encoding="utf-8")
+            written.append(str(path))
+    return written
+
+
+def _plan_text(
+    planned: Plan, payload: dict[str, Any], findings: Sequence[Finding], check_only: bool
+) -> str:
+    head = (
+        f"{planned.name} on {planned.machine}: {len(planned.tests)} tests, {planned.n_runs} runs, "
+        f"{payload['motion_s'] / 60:.0f} min of motion, about {payload['total_s'] / 60:.0f} min in all"
+    )
+    lines = [head, *(f"  {f.severity}: {f.message}" for f in findings)]
+    if "programs" in payload:
+        lines.append(f"  {len(payload['programs'])} programs written")
+    if not check_only:
+        rows = [
+            [t.test_id, t.setup, t.plane, t.radius_mm, t.feed_mm_min, t.repeat]
+            for t in planned.tests
+        ]
+        lines.append(table(("test", "setup", "plane", "radius_mm", "feed_mm_min", "repeat"), rows))
+    return "\n".join(lines)
+
+
+def _report_dict(report: IngestReport) -> dict[str, Any]:
+    return {
+        "campaign": report.campaign,
+        "added": list(report.added),
+        "unchanged": list(report.unchanged),
+        "rejected_rows": report.rejected_rows,
+        "versions": report.versions,
+        "findings": [{"run": run, **finding.as_dict()} for run, finding in report.findings],
+    }
+
+
+def _report_text(report: IngestReport) -> str:
+    lines = [
+        f"{report.campaign}: {len(report.added)} runs added, {len(report.unchanged)} unchanged, "
+        f"{report.rejected_rows} rows rejected"
+    ]
+    by_code: dict[str, list[tuple[str, Finding]]] = {}
+    for run, finding in report.findings:
+        by_code.setdefault(finding.code, []).append((run, finding))
+    for found in by_code.values():
+        run, first = found[0]
+        more = f" (and {len(found) - 1} more runs)" if len(found) > 1 else ""
+        lines.append(f"  {first.severity}: {run or 'campaign'}: {first.message}{more}")
+    return "\n".join(lines)

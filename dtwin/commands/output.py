@@ -1,0 +1,74 @@
+"""What commands print: text for people, or nothing but JSON on stdout."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+
+def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:
+    """Print a result.
+
+    Parameters
+    ----------
+    payload : mapping
+        Machine-readable form.
+    text : callable
+        Makes the readable form; called only when it is wanted.
+    as_json : bool
+        Which of the two.
+    """
+    if as_json:
+        print(json.dumps(clean(payload), indent=2, default=str))
+    else:
+        print(text())
+
+
+def clean(value: Any) -> Any:
+    """Return the value with NaN and infinities as null, which JSON knows."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {str(k): clean(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [clean(v) for v in value]
+    if hasattr(value, "item") and getattr(value, "ndim", 1) == 0:
+        return clean(value.item())
+    return value
+
+
+class ProgressLine:
+    """One line on stderr that counts; silent when short, when piped, and with ``--json``.
+
+    Parameters
+    ----------
+    title : str
+        What is being done.
+    quiet : bool
+        Never print.
+    """
+
+    def __init__(self, title: str, *, quiet: bool = False) -> None:
+        self.title = title
+        self.quiet = quiet or not sys.stderr.isatty()
+        self.begun = time.monotonic()
+        self.drawn = 0.0
+
+    def __call__(self, done: int, total: int, what: str = "") -> None:
+        """Show that ``done`` of ``total`` is finished."""
+        now = time.monotonic()
+        if self.quiet or now - self.begun < 0.2 or (done < total and now - self.drawn < 0.1):
+            return
+        self.drawn = now
+        left = (now - self.begun) / max(done, 1) * (total - done)
+        end = "\n" if done >= total else ""
+        print(
+            f"\r{self.title}: {done}/{total} {what:<24.24} {left:4.0f} s left\x1b[K",
+            end=end,
+            file=sys.stderr,
+            flush=True,
+        )

@@ -1,0 +1,251 @@
+"""``dtwin check``: what a recording says, and what is wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.ingest import open_source
+from dtwin.acquire.motion_quality import Motion, aligned_angle_deg, motion_of
+from dtwin.acquire.quality import judge_campaign, judge_run
+from dtwin.physics.circular import (
+    CircularFigures,
+    bidirectional_figures,
+    circular_figures,
+    fit_circle,
+    residual_um,
+)
+from dtwin.physics.spectrum import strongest_lines
+from dtwin.report.text import table
+from dtwin.schema import Floats, Run
+
+MAX_DETAILED = 12
+
+
+def check_source(
+    path: Path, progress: Callable[[int, int, str], None] | None = None
+) -> dict[str, Any]:
+    """Evaluate every run of a file or campaign without storing anything.
+
+    Parameters
+    ----------
+    path : Path
+        A ``.b5r`` file or a campaign folder.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Returns
+    -------
+    dict
+        ``campaign``, ``runs`` (figures by the file's indices and aligned by the stops, vendor's
+        figures, spectrum, findings), ``bidirectional`` and ``findings`` of the whole.
+    """
+    campaign, sources, total = open_source(path)
+    results: list[dict[str, Any]] = []
+    pairs: list[dict[str, Any]] = []
+    light: list[Run] = []
+    for done, (runs, rejected) in enumerate(sources, start=1):
+        results += [run_result(run) for run in runs]
+        pairs += _bidirectional(runs)
+        light += [replace(run, samples={}, signals=()) for run in runs]
+        if rejected:
+            results[-1]["rejected_rows"] = sum(len(part.rows) for part in rejected)
+        if progress is not None:
+            progress(done, total, runs[0].meta.run_id if runs else "")
+    return {
+        "source": str(path),
+        "campaign": campaign.name,
+        "machine": campaign.machine,
+        "kind": campaign.kind,
+        "runs": results,
+        "bidirectional": pairs,
+        "findings": [finding.as_dict() for finding in judge_campaign(light)],
+    }
+
+
+def run_result(run: Run) -> dict[str, Any]:
+    """Return figures, spectrum and findings of one run as a JSON-ready mapping.
+
+    Parameters
+    ----------
+    run : Run
+        Any run; circular ones get circular-test figures.
+    """
+    findings = [*run.findings, *judge_run(run)]
+    result: dict[str, Any] = {
+        "run": run.meta.run_id,
+        "condition": {
+            "plane": run.meta.plane,
+            "radius_mm": run.meta.radius_mm,
+            "feed_mm_min": run.meta.feed_mm_min,
+            "direction": run.meta.direction,
+            "setup": run.meta.setup,
+            "repeat": run.meta.repeat,
+        },
+        "samples": run.n_samples,
+        "sample_rate_hz": run.meta.sample_rate_hz,
+        "vendor": dict(run.meta.vendor),
+        "findings": [finding.as_dict() for finding in findings],
+    }
+    broken = any(
+        f.severity == "error" and f.code.startswith(("clock", "angle.j")) for f in findings
+    )
+    if run.meta.kind == "circular" and run.meta.radius_mm and not broken:
+        result |= _circular(run)
+    return result
+
+
+def _circular(run: Run) -> dict[str, Any]:
+    window = slice(*run.window) if run.window is not None else slice(None)
+    by_file = _figures(run, run.samples["angle_deg"], window)
+    out: dict[str, Any] = {"by_file_indices": by_file}
+    long_enough = run.window is not None and run.meta.feed_mm_min is not None
+    motion = motion_of(run) if long_enough else None
+    aligned = None if motion is None else aligned_angle_deg(run, motion)
+    if motion is not None and aligned is not None:
+        out["stops"] = [int(s) for s in motion.stops]
+        out["period_samples"] = motion.period_samples
+        full = _whole_turn(run, motion)
+        if full is not None:
+            out["aligned_by_stops"] = _figures(run, aligned, full) | {
+                "first_sample": full.start,
+                "last_sample": full.stop - 1,
+            }
+    out["spectrum"] = _spectrum(run, window)
+    return out
+
+
+def _figures(run: Run, angle_deg: Floats, window: slice) -> dict[str, Any]:
+    assert run.meta.radius_mm is not None
+    figures: CircularFigures = circular_figures(
+        angle_deg[window], run.samples["deviation_um"][window], run.meta.radius_mm
+    )
+    flat = asdict(figures)
+    circle = flat.pop("circle")
+    n = window.stop - window.start if window.stop is not None else run.n_samples
+    arc = np.radians(figures.arc_deg)
+    flat["feed_mm_min"] = arc * run.meta.radius_mm / (n / run.meta.sample_rate_hz) * 60.0
+    return circle | flat
+
+
+def _whole_turn(run: Run, motion: Motion) -> slice | None:
+    """Return the two consecutive half turns that lie nearest to the marked window."""
+    if len(motion.stops) < 3 or run.window is None:
+        return None
+    starts = motion.stops[:-2]
+    k = int(np.argmin(np.abs(starts - run.window[0])))
+    return slice(int(motion.stops[k]), int(motion.stops[k + 2]))
+
+
+def _spectrum(run: Run, window: slice) -> dict[str, Any]:
+    assert run.meta.radius_mm is not None
+    angle, deviation = run.samples["angle_deg"][window], run.samples["deviation_um"][window]
+    rest = residual_um(
+        angle, deviation, run.meta.radius_mm, fit_circle(angle, deviation, run.meta.radius_mm)
+    )
+    lines, bands = strongest_lines(rest, run.meta.sample_rate_hz)
+    return {
+        "lines": [{"frequency_hz": f, "amplitude_um": a} for f, a in lines],
+        "bands_um": [{"from_hz": lo, "to_hz": hi, "rms_um": rms} for lo, hi, rms in bands],
+    }
+
+
+def _bidirectional(runs: Sequence[Run]) -> list[dict[str, Any]]:
+    by_direction = {run.meta.direction: run for run in runs if run.window is not None}
+    if set(by_direction) != {"CCW", "CW"} or not runs[0].meta.radius_mm:
+        return []
+    ccw, cw = by_direction["CCW"], by_direction["CW"]
+
+    def samples(run: Run) -> tuple[Floats, Floats]:
+        window = slice(*run.window)  # type: ignore[misc]
+        return run.samples["angle_deg"][window], run.samples["deviation_um"][window]
+
+    figures = bidirectional_figures(samples(ccw), samples(cw), runs[0].meta.radius_mm)
+    return [{"runs": [ccw.meta.run_id, cw.meta.run_id], **asdict(figures)}]
+
+
+def render_check(result: dict[str, Any]) -> str:
+    """Return the result of :func:`check_source` as text for a terminal.
+
+    Parameters
+    ----------
+    result : dict
+        What :func:`check_source` returned.
+    """
+    runs = result["runs"]
+    lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
+    for run in runs[:MAX_DETAILED]:
+        lines += ["", *_render_run(run)]
+    if len(runs) > MAX_DETAILED:
+        lines += ["", *_render_rest(runs[MAX_DETAILED:])]
+    for pair in result["bidirectional"][:MAX_DETAILED]:
+        lines.append(
+            f"\n{' and '.join(pair['runs'])}: bidirectional circular deviation "
+            f"{pair['circular_deviation_um']:.1f} um, hysteresis {pair['hysteresis_um']:.1f} um "
+            f"at {pair['hysteresis_angle_deg']:.0f} deg, as the file's indices say"
+        )
+    lines += [f"{f['severity']}: {f['message']}" for f in result["findings"]]
+    return "\n".join(lines)
+
+
+_ROWS = (
+    ("centre along first axis, um", "centre_a_um", "centre_a_um"),
+    ("centre along second axis, um", "centre_b_um", "centre_b_um"),
+    ("least-squares radius, mm", "radius_mm", "best_radius_mm"),
+    ("circular deviation, um", "circular_deviation_um", "circularity_um"),
+    ("the same, minimum zone, um", "circular_deviation_mz_um", ""),
+    ("RMS about the circle, um", "rms_um", ""),
+    ("mean feed, mm/min", "feed_mm_min", "feed_mm_min"),
+)
+
+
+def _render_run(run: dict[str, Any]) -> list[str]:
+    condition = run["condition"]
+    lines = [
+        f"{run['run']}: {condition['plane']} R{condition['radius_mm']} F{condition['feed_mm_min']} "
+        f"{condition['direction']}, {run['samples']} samples at {run['sample_rate_hz']:g} Hz"
+    ]
+    by_file, aligned = run.get("by_file_indices"), run.get("aligned_by_stops")
+    if by_file is not None:
+        rows = [
+            [
+                title,
+                _fixed(by_file.get(key)),
+                _fixed(run["vendor"].get(vendor)),
+                _fixed(None if aligned is None else aligned.get(key)),
+            ]
+            for title, key, vendor in _ROWS
+        ]
+        head = ("", "by the file's indices", "vendor's file says", "aligned by the stops")
+        lines += ["  " + line for line in table(head, rows).splitlines()]
+        strongest = ", ".join(
+            f"{line['frequency_hz']:.2f} Hz {line['amplitude_um']:.1f} um"
+            for line in run["spectrum"]["lines"]
+        )
+        bands = ", ".join(
+            f"{b['from_hz']:g}-{b['to_hz']:g} Hz {b['rms_um']:.1f}"
+            for b in run["spectrum"]["bands_um"]
+        )
+        lines += [f"  strongest lines: {strongest}", f"  bands, um RMS: {bands}"]
+    return lines + [f"  {f['severity']}: {f['message']}" for f in run["findings"]]
+
+
+def _render_rest(runs: Sequence[dict[str, Any]]) -> list[str]:
+    rows = [
+        [
+            run["run"],
+            run.get("by_file_indices", {}).get("circular_deviation_um"),
+            run.get("by_file_indices", {}).get("rms_um"),
+            ", ".join(f["code"] for f in run["findings"] if f["severity"] != "info") or "-",
+        ]
+        for run in runs
+    ]
+    return table(("run", "circular_deviation_um", "rms_um", "findings"), rows).splitlines()
+
+
+def _fixed(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}" if 10 < abs(value) < 1000 else f"{value:.2f}"

@@ -1,0 +1,1 @@
+"""Candidates, validation, gates and the model registry."""
