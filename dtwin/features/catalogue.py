@@ -1,0 +1,128 @@
+"""The signal features: each defined once, with unit, formula and reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dtwin.errors import InputError
+from dtwin.units import UNITS, unit_of
+
+_MACHINE_CONDITION = "ISO 13373-2:2016; Randall, Vibration-based Condition Monitoring (2011)"
+_MOMENTS = "Joanes and Gill, The Statistician 47 (1998), the population moment ratios"
+_SPECTRUM = "Welch, IEEE Trans. Audio Electroacoust. 15 (1967), one segment, no taper"
+
+
+@dataclass(frozen=True)
+class Feature:
+    """Definition of one feature of one channel over one window x[0..n-1].
+
+    Attributes
+    ----------
+    name : str
+        Stable identifier.
+    unit : {"channel", "channel^2", "1", "Hz"}
+        Unit in terms of the channel's unit.
+    formula : str
+        Definition; mu is the mean, P[k] the one-sided power of bin k >= 1 in channel^2.
+    reference : str
+        Where the definition comes from.
+    spectral : bool
+        Whether a Fourier transform is needed.
+    """
+
+    name: str
+    unit: str
+    formula: str
+    reference: str
+    spectral: bool = False
+
+    def unit_for(self, channel_unit: str) -> str:
+        """Return the unit of this feature for a channel in ``channel_unit``."""
+        if self.unit == "channel":
+            return channel_unit
+        return f"{channel_unit}^2" if self.unit == "channel^2" else self.unit
+
+
+FEATURES: tuple[Feature, ...] = (
+    Feature("mean_absolute_value", "channel", "sum |x| / n", _MACHINE_CONDITION),
+    Feature("variance", "channel^2", "m2 = sum (x - mu)^2 / n", _MOMENTS),
+    Feature("rms", "channel", "sqrt(sum x^2 / n)", _MACHINE_CONDITION),
+    Feature("peak_amplitude", "channel", "max |x|", _MACHINE_CONDITION),
+    Feature("shape_factor", "1", "rms / mean_absolute_value", _MACHINE_CONDITION),
+    Feature("impulse_factor", "1", "max |x| / mean_absolute_value", _MACHINE_CONDITION),
+    Feature("crest_factor", "1", "max |x| / rms", _MACHINE_CONDITION),
+    Feature("kurtosis", "1", "(sum (x - mu)^4 / n) / m2^2; 3 for Gaussian noise", _MOMENTS),
+    Feature("skewness", "1", "(sum (x - mu)^3 / n) / m2^1.5", _MOMENTS),
+    Feature("dominant_frequency", "Hz", "frequency of the largest P[k]", _SPECTRUM, True),
+    Feature("mean_frequency", "Hz", "sum f[k] P[k] / sum P[k]", _SPECTRUM, True),
+    Feature("band_power", "channel^2", "sum P[k] over low <= f[k] < high", _SPECTRUM, True),
+    Feature("total_power", "channel^2", "sum x^2 / n, the mean included", _SPECTRUM),
+)
+FEATURE_NAMES: tuple[str, ...] = tuple(feature.name for feature in FEATURES)
+_BY_NAME = {feature.name: feature for feature in FEATURES}
+
+
+def feature(name: str) -> Feature:
+    """Return the definition of a feature.
+
+    Raises
+    ------
+    InputError
+        When there is no such feature.
+    """
+    if name not in _BY_NAME:
+        raise InputError(
+            "unknown feature",
+            code="features.unknown",
+            got=name[:80],
+            allowed=", ".join(FEATURE_NAMES),
+        )
+    return _BY_NAME[name]
+
+
+def positions(names: Sequence[str]) -> list[int]:
+    """Return the positions of features in ``FEATURES``.
+
+    Raises
+    ------
+    InputError
+        When a name is unknown or given twice.
+    """
+    found = [FEATURE_NAMES.index(feature(name).name) for name in names]
+    if len(set(found)) != len(found):
+        raise InputError(
+            "a feature is selected twice", code="features.repeated", got=", ".join(names)
+        )
+    return found
+
+
+def feature_column(channel: str, name: str) -> str:
+    """Return the column name of a feature, its unit at the end.
+
+    Parameters
+    ----------
+    channel : str
+        Channel column, for example ``"wrist_x_g"``.
+    name : str
+        Feature, for example ``"rms"``.
+
+    Returns
+    -------
+    str
+        For example ``"wrist_x_rms_g"`` or ``"wrist_x_variance_g2"``.
+
+    Raises
+    ------
+    InputError
+        When the channel's name ends with no known unit, or the feature is unknown.
+    """
+    channel_unit = unit_of(channel)
+    suffix = next((s for s in UNITS if channel.endswith("_" + s)), None)
+    if channel_unit is None or suffix is None:
+        raise InputError(
+            "a channel's name must end with its unit", code="features.channel", got=channel[:80]
+        )
+    kind = feature(name).unit
+    ending = {"channel": suffix, "channel^2": suffix + "2", "1": "1", "Hz": "hz"}[kind]
+    return f"{channel[: -len(suffix) - 1]}_{name}_{ending}"
