@@ -64,18 +64,21 @@ def band_rms_um(
     rate_hz : float
         Sample rate.
     bands_hz : tuple of (float, float)
-        Lower bound included, upper excluded; the mean is left out.
+        Lower bound included, upper excluded except at half the sample rate; the mean is left out.
     """
     n = signal_um.size
     power = np.abs(np.fft.rfft(signal_um - signal_um.mean())) ** 2 * 2.0 / n**2
     if n % 2 == 0:
         power[-1] /= 2.0
     frequency = np.fft.rfftfreq(n, 1.0 / rate_hz)
-    return [
-        (low, high, float(np.sqrt(power[(frequency >= low) & (frequency < high)].sum())))
-        for low, high in bands_hz
-        if low < rate_hz / 2.0
-    ]
+    nyquist_hz = rate_hz / 2.0
+    found = []
+    for low, high in bands_hz:
+        top = min(high, nyquist_hz)
+        below = frequency <= top if top == nyquist_hz else frequency < top
+        if low < nyquist_hz:
+            found.append((low, top, float(np.sqrt(power[(frequency >= low) & below].sum()))))
+    return found
 
 
 def _refined(amplitude: Floats, k: int, step_hz: float) -> tuple[float, float]:

@@ -1,0 +1,187 @@
+from __future__ import annotations
+
+import time
+import tracemalloc
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.b5r import read_b5r, write_b5r
+from dtwin.acquire.readings import parse_readings
+from dtwin.errors import InputError
+
+
+def test_real_file_is_read_as_it_states(real_recording: Path) -> None:
+    test = read_b5r(real_recording)
+    assert [run.meta.direction for run in test.runs] == ["CCW", "CW"]
+    assert [run.n_samples for run in test.runs] == [3182, 2976]
+    assert [run.window for run in test.runs] == [(795, 2385), (766, 2208)]
+    ccw = test.runs[0]
+    assert ccw.samples["deviation_um"][0] == pytest.approx(-248.42)
+    assert ccw.meta.vendor == pytest.approx(
+        {
+            "centre_a_um": -78.0,
+            "centre_b_um": 1.6,
+            "best_radius_mm": 99.9954,
+            "circularity_um": 393.3,
+            "feed_mm_min": 4742.0,
+        }
+    )
+    assert test.instrument["calibrated_mm"] == 100.0015
+    assert test.diagnostics["AF_BACKLASH_B_GLOBAL"] == -66.1
+
+
+def test_angles_follow_the_indices_and_the_direction(real_recording: Path) -> None:
+    for run in read_b5r(real_recording).runs:
+        assert run.window is not None
+        start, end = run.window
+        angle = run.samples["angle_deg"]
+        turned = angle[end - 1] - angle[start]
+        expected = 360.0 * (end - start - 1) / (end - start)
+        assert angle[start] == 0.0
+        assert turned == pytest.approx(expected if run.meta.direction == "CCW" else -expected)
+
+
+def test_written_file_is_read_back_the_same(real_recording: Path, tmp_path: Path) -> None:
+    runs = read_b5r(real_recording).runs
+    copy = tmp_path / "copy.b5r"
+    write_b5r(copy, runs, name='<a & "b">', machine="m & n")
+    again = read_b5r(copy)
+    assert again.machine == "m & n"
+    for before, after in zip(runs, again.runs, strict=True):
+        assert after.window == before.window
+        assert after.meta.direction == before.meta.direction
+        np.testing.assert_array_equal(
+            after.samples["deviation_um"], before.samples["deviation_um"]
+        )
+        np.testing.assert_allclose(after.samples["angle_deg"], before.samples["angle_deg"])
+
+
+def test_runs_of_different_tests_are_not_written_together(
+    real_recording: Path, tmp_path: Path
+) -> None:
+    one, two = read_b5r(real_recording).runs
+    other = replace(two, meta=replace(two.meta, feed_mm_min=1.0))
+    with pytest.raises(InputError, match="share plane, radius and feed"):
+        write_b5r(tmp_path / "x.b5r", [one, other], name="x", machine="m")
+    assert not (tmp_path / "x.b5r").exists()
+
+
+@pytest.mark.parametrize("torn", ["+0.1\n2345 -0.00001", "+0.12345 -\n0.00001", "+0.12345-0.00001"])
+def test_torn_numbers_are_joined(torn: str) -> None:
+    np.testing.assert_array_equal(parse_readings(torn, "x"), [0.12345, -0.00001])
+
+
+def test_unsigned_numbers_are_separated_by_space() -> None:
+    np.testing.assert_array_equal(parse_readings("0.1 0.25\n3", "x"), [0.1, 0.25, 3.0])
+
+
+@pytest.mark.parametrize("bad", ["nan 1.0", "+1.0 inf", "0.1 abc"])
+def test_what_is_no_finite_number_is_refused(bad: str) -> None:
+    with pytest.raises(InputError):
+        parse_readings(bad, "x")
+
+
+def _with(path: Path, real: Path, old: bytes, new: bytes) -> Path:
+    data = real.read_bytes()
+    assert old in data
+    path.write_bytes(data.replace(old, new, 1))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "code"),
+    [
+        (b"<START_INDEX>796<", b"<START_INDEX>99999<", "b5r.window"),
+        (b"<START_INDEX>796<", b"<START_INDEX>-4<", "b5r.field"),
+        (b"<END_INDEX>2385<", b"<END_INDEX>1e9<", "b5r.field"),
+        (b"<SAMPLE_RATE>200.000<", b"<SAMPLE_RATE>0<", "b5r.field"),
+        (b"<SAMPLE_RATE>200.000<", b"<SAMPLE_RATE>nan<", "b5r.field"),
+        (b"<TEST_RADIUS>100<", b"<TEST_RADIUS><", "b5r.field"),
+        (b"-0.29488", b"-0.2x488", "readings.number"),
+        (b"<TEST_DOCUMENT>", b"<OTHER_DOCUMENT>", "xml.malformed"),
+        (b'TEST_PLANE="XY"', b'TEST_PLANE="QQ"', "run.plane"),
+    ],
+)
+def test_impossible_fields_are_named(
+    real_recording: Path, tmp_path: Path, old: bytes, new: bytes, code: str
+) -> None:
+    broken = _with(tmp_path / "x.b5r", real_recording, old, new)
+    with pytest.raises(InputError) as caught:
+        read_b5r(broken)
+    assert caught.value.code == code
+    assert str(broken) in (caught.value.where or "") or code == "run.plane"
+
+
+def test_missing_direction_is_named(real_recording: Path, tmp_path: Path) -> None:
+    data = real_recording.read_bytes()
+    run = data.index(b"<BALLBAR_RUN>")
+    cut = data[:run] + data[run:].replace(b"<RUN_DIRECTION>CCW</RUN_DIRECTION>", b"", 1)
+    path = tmp_path / "x.b5r"
+    path.write_bytes(cut)
+    with pytest.raises(InputError, match="does not say its direction"):
+        read_b5r(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.9999])
+def test_truncation_is_noticed_wherever_it_is(
+    real_recording: Path, tmp_path: Path, share: float
+) -> None:
+    data = real_recording.read_bytes()
+    path = tmp_path / "cut.b5r"
+    path.write_bytes(data[: int(len(data) * share)])
+    with pytest.raises(InputError):
+        read_b5r(path)
+
+
+BOMB = b"""<?xml version="1.0"?><!DOCTYPE z [<!ENTITY a "aaaaaaaaaa">
+<!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]>
+<TEST_DOCUMENT>&c;</TEST_DOCUMENT>"""
+OUTSIDE = b"""<?xml version="1.0"?><!DOCTYPE z [<!ENTITY x SYSTEM "file:///etc/passwd">]>
+<TEST_DOCUMENT>&x;</TEST_DOCUMENT>"""
+
+
+@pytest.mark.parametrize(
+    ("data", "code"),
+    [
+        (BOMB, "xml.hostile"),
+        (OUTSIDE, "xml.hostile"),
+        (b"<a>" * 200_000, "xml.absurd"),
+        (b"<TEST_DOCUMENT>" + b"<a/>" * 300_000 + b"</TEST_DOCUMENT>", "xml.absurd"),
+        (b"<TEST_DOCUMENT " + b'a="1" ' * 100_000 + b"/>", "xml.absurd"),
+        (b"PK\x03\x04\x00\x00", "xml.binary"),
+        (b"", "file.empty"),
+        (b"   \n", "file.empty"),
+        (b"<TEST_DOCUMENT></TEST_DOCUMENT>", "b5r.no_runs"),
+        (b"<html><body>404</body></html>", "b5r.root"),
+    ],
+)
+def test_hostile_and_foreign_files_are_refused_cheaply(
+    tmp_path: Path, data: bytes, code: str
+) -> None:
+    path = tmp_path / "hostile.b5r"
+    path.write_bytes(data)
+    tracemalloc.start()
+    begun = time.perf_counter()
+    with pytest.raises(InputError) as caught:
+        read_b5r(path)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert caught.value.code == code
+    assert peak < 200e6
+    assert time.perf_counter() - begun < 60
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "huge.b5r"
+    with path.open("wb") as handle:
+        handle.truncate(10 * 1024**3)
+    with pytest.raises(InputError, match="too large"):
+        read_b5r(path)
+
+
+def test_an_absent_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such file"):
+        read_b5r(tmp_path / "nothing.b5r")

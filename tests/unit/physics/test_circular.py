@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dtwin.acquire.b5r import read_b5r
+from dtwin.errors import InputError
+from dtwin.physics.circular import (
+    bidirectional_figures,
+    circular_figures,
+    fit_circle,
+    minimum_zone_um,
+)
+from dtwin.physics.spectrum import band_rms_um, strongest_lines
+
+ANGLE = np.arange(0.0, 360.0, 0.25)
+THETA = np.radians(ANGLE)
+
+
+def _eccentric(a_um: float, b_um: float, dr_um: float, radius_mm: float) -> np.ndarray:
+    """Exact distance from the origin to a circle that is off centre (law of cosines)."""
+    r = radius_mm * 1000 + dr_um
+    along = a_um * np.cos(THETA) + b_um * np.sin(THETA)
+    across = a_um * np.sin(THETA) - b_um * np.cos(THETA)
+    return along + np.sqrt(r**2 - across**2) - radius_mm * 1000
+
+
+@given(
+    a=st.floats(-500, 500),
+    b=st.floats(-500, 500),
+    dr=st.floats(-200, 200),
+    radius=st.sampled_from([50.0, 100.0, 300.0]),
+)
+def test_an_exact_circle_is_found_exactly(a: float, b: float, dr: float, radius: float) -> None:
+    circle = fit_circle(ANGLE, _eccentric(a, b, dr, radius), radius)
+    assert circle.centre_a_um == pytest.approx(a, abs=1e-5)
+    assert circle.centre_b_um == pytest.approx(b, abs=1e-5)
+    assert circle.radius_change_um == pytest.approx(dr, abs=1e-5)
+    figures = circular_figures(ANGLE, _eccentric(a, b, dr, radius), radius)
+    assert figures.circular_deviation_um < 1e-4
+
+
+@given(amplitude=st.floats(0.1, 100), order=st.integers(2, 12), phase=st.floats(0, 6.28))
+def test_a_lobed_circle_has_twice_its_amplitude(amplitude: float, order: int, phase: float) -> None:
+    deviation = amplitude * np.cos(order * THETA + phase)
+    figures = circular_figures(ANGLE, deviation, 100.0)
+    assert figures.circular_deviation_um == pytest.approx(2 * amplitude, rel=2e-3)
+    assert figures.rms_um == pytest.approx(amplitude / np.sqrt(2), rel=1e-3)
+    assert figures.mean_absolute_um == pytest.approx(2 * amplitude / np.pi, rel=2e-3)
+    assert figures.circular_deviation_mz_um <= figures.circular_deviation_um + 1e-6
+
+
+def test_minimum_zone_of_a_bump_is_narrower_than_least_squares() -> None:
+    bump = np.where((ANGLE > 80) & (ANGLE < 100), 10.0, 0.0)
+    width, a_um, b_um = minimum_zone_um(ANGLE, bump)
+    figures = circular_figures(ANGLE, bump, 100.0)
+    rest = bump - a_um * np.cos(THETA) - b_um * np.sin(THETA)
+    assert width == pytest.approx(np.ptp(rest), abs=1e-6)
+    assert width < figures.circular_deviation_um
+
+
+def test_a_partial_arc_still_finds_its_centre() -> None:
+    half = ANGLE <= 190
+    circle = fit_circle(ANGLE[half], _eccentric(60, -40, 5, 150.0)[half], 150.0)
+    assert circle.eccentricity_um == pytest.approx(np.hypot(60, 40), abs=1e-4)
+
+
+def test_too_short_an_arc_is_refused() -> None:
+    with pytest.raises(InputError, match="arc is too short"):
+        fit_circle(ANGLE[:100], np.zeros(100), 100.0)
+
+
+def test_hysteresis_is_the_difference_of_the_directions() -> None:
+    step = 8.0 * np.sign(np.sin(THETA)) * np.cos(THETA)
+    figures = bidirectional_figures((ANGLE, step), (-ANGLE, -step[::-1] * 0), 100.0)
+    assert figures.hysteresis_um == pytest.approx(8.0, rel=0.35)
+    both = bidirectional_figures((ANGLE, np.full_like(ANGLE, 3.0)), (-ANGLE, np.ones_like(ANGLE)), 100.0)
+    assert both.mean_bidirectional_radius_um == pytest.approx(2.0, abs=1e-6)
+    assert both.hysteresis_um == pytest.approx(2.0, abs=1e-6)
+
+
+def test_real_file_agrees_with_the_vendor_within_0_3_um(real_recording: Path) -> None:
+    for run in read_b5r(real_recording).runs:
+        window = slice(*run.window)
+        figures = circular_figures(
+            run.samples["angle_deg"][window], run.samples["deviation_um"][window], 100.0
+        )
+        stated = run.meta.vendor
+        assert figures.circle.centre_a_um == pytest.approx(stated["centre_a_um"], abs=0.3)
+        assert figures.circle.centre_b_um == pytest.approx(stated["centre_b_um"], abs=0.3)
+        assert figures.circle.radius_mm == pytest.approx(stated["best_radius_mm"], abs=0.3e-3)
+        assert figures.circular_deviation_um == pytest.approx(stated["circularity_um"], abs=0.3)
+
+
+def test_bands_add_up_and_a_line_is_found() -> None:
+    t = np.arange(0, 8, 1 / 200)
+    rng = np.random.default_rng(3)
+    signal = 15.0 * np.cos(2 * np.pi * 9.43 * t + 1.0) + rng.normal(0, 2, t.size)
+    lines, bands = strongest_lines(signal, 200.0)
+    assert lines[0][0] == pytest.approx(9.43, abs=0.02)
+    assert lines[0][1] == pytest.approx(15.0, rel=0.05)
+    assert sum(rms**2 for *_, rms in bands) == pytest.approx(np.var(signal), rel=1e-6)
+    inside = {(low, high): rms for low, high, rms in band_rms_um(signal, 200.0)}
+    assert inside[(8.0, 12.0)] == pytest.approx(15 / np.sqrt(2), rel=0.05)

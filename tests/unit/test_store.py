@@ -1,0 +1,240 @@
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from dtwin.acquire.b5r import read_b5r
+from dtwin.errors import InputError, StoreError
+from dtwin.parquet import read_parquet, table_of, write_parquet
+from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
+from dtwin.store import Lake, RejectedRows
+
+CAMPAIGN = Campaign("c", "mill-a", machine_geometry={"type": "ur10e"}, instrument={"nominal_mm": 100.0})
+
+
+def make_run(run_id: str, seed: int = 0, n: int = 400) -> Run:
+    rng = np.random.default_rng(seed)
+    samples = {
+        "t_s": np.arange(n) / 200.0,
+        "angle_deg": np.linspace(0, 360, n),
+        "deviation_um": rng.normal(size=n),
+    }
+    signals = SignalGroup("accelerometers", 1651.6, {"wrist_x_g": rng.normal(size=3 * n).astype("f4")}, 0.2)
+    meta = RunMeta(
+        run_id, plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2000.0,
+        sample_rate_hz=200.0, covariates={"temperature_c": 20.5}, vendor={"centre_a_um": 1.0},
+    )
+    return Run(meta, samples, (10, 380), (signals,), "somewhere.b5r")
+
+
+def test_a_run_comes_back_as_it_went_in(tmp_path: Path) -> None:
+    lake, run = Lake(tmp_path / "lake"), make_run("r1")
+    report = lake.commit(CAMPAIGN, [run])
+    assert report.added == ("r1",)
+    back = lake.load(lake.runs("c")[0])
+    assert back.meta == run.meta
+    assert back.window == run.window
+    for name, values in run.samples.items():
+        np.testing.assert_array_equal(back.samples[name], values)
+    np.testing.assert_array_equal(
+        back.signals[0].columns["wrist_x_g"], run.signals[0].columns["wrist_x_g"]
+    )
+    assert back.signals[0].columns["wrist_x_g"].dtype == np.float32
+    assert back.signals[0].start_s == 0.2
+    assert lake.campaign("c").machine_geometry == {"type": "ur10e"}
+
+
+def test_a_repeated_commit_changes_nothing_and_a_changed_run_is_refused(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    first = lake.commit(CAMPAIGN, [make_run("r1"), make_run("r2", 1)])
+    again = lake.commit(CAMPAIGN, [make_run("r1"), make_run("r2", 1)])
+    assert again.added == ()
+    assert again.versions == first.versions
+    with pytest.raises(InputError, match="other content") as caught:
+        lake.commit(CAMPAIGN, [make_run("r1", seed=9), make_run("r3", 2)])
+    assert "r1" in (caught.value.got or "")
+    assert [row["run_id"] for row in lake.runs("c")] == ["r1", "r2"]
+
+
+def test_the_same_id_twice_in_one_commit_is_refused(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    with pytest.raises(InputError, match="occurs twice"):
+        lake.commit(CAMPAIGN, [make_run("r1"), make_run("r1", 1)])
+    assert lake.runs() == []
+
+
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".hidden", "a\x00b", "x" * 300, "..", "%2e%2e", "a b"])
+def test_names_cannot_leave_the_lake(tmp_path: Path, name: str) -> None:
+    lake = Lake(tmp_path / "lake")
+    with pytest.raises(InputError):
+        lake.commit(replace(CAMPAIGN, name=name), [make_run("r1")])
+    with pytest.raises(InputError):
+        lake.commit(CAMPAIGN, [make_run(name)])
+    assert not (tmp_path / "lake").exists() or lake.runs() == []
+
+
+def test_columns_may_grow_but_not_change_their_type(tmp_path: Path) -> None:
+    lake, plain = Lake(tmp_path / "lake"), make_run("r1")
+    lake.commit(CAMPAIGN, [plain])
+    warm = make_run("r2", 1)
+    warm = replace(warm, samples=dict(warm.samples) | {"spindle_c": np.full(400, 21.0)})
+    lake.commit(CAMPAIGN, [warm])
+    assert "spindle_c" in lake.load(lake.runs("c")[1]).samples
+    other = make_run("r3", 2)
+    other = replace(other, samples=dict(other.samples) | {"spindle_c": np.full(400, "warm", dtype=object)})
+    with pytest.raises(StoreError, match="changed its type"):
+        lake.commit(CAMPAIGN, [other])
+    assert len(lake.runs("c")) == 2
+
+
+def test_rejected_rows_are_kept_with_the_reason(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    rows = [{"row": 3, "reason": "not finite: deviation_um", "values": {"deviation_um": "nan"}}]
+    lake.commit(CAMPAIGN, [make_run("r1")], [RejectedRows("r1", "a.csv", rows)])
+    kept = lake.tables["rejects"].read().to_pylist()
+    assert [(r["run_id"], r["row"], r["reason"]) for r in kept] == [("r1", 3, "not finite: deviation_um")]
+
+
+def test_every_flipped_bit_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "x.parquet"
+    rng = np.random.default_rng(5)
+    columns = {"a_mm": rng.normal(size=5000), "b_g": rng.normal(size=5000).astype("f4")}
+    write_parquet(path, table_of(columns))
+    clean = path.read_bytes()
+    whole = read_parquet(path)
+    silent = 0
+    for _ in range(60):
+        damaged = bytearray(clean)
+        damaged[int(rng.integers(8, len(clean) - 2000))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            silent += not read_parquet(path).equals(whole)
+        except StoreError:
+            continue
+    assert silent == 0
+
+
+def test_units_travel_in_the_file(tmp_path: Path) -> None:
+    write_parquet(tmp_path / "x.parquet", table_of({"a_mm": np.zeros(3)}))
+    field = read_parquet(tmp_path / "x.parquet").schema.field("a_mm")
+    assert field.metadata[b"unit"] == b"mm"
+
+
+def test_a_failed_write_leaves_nothing(tmp_path: Path) -> None:
+    target = tmp_path / "folder" / "x.parquet"
+    target.parent.mkdir()
+    target.mkdir()
+    with pytest.raises(StoreError):
+        write_parquet(target, table_of({"a_mm": np.zeros(3)}))
+    assert [p.name for p in target.parent.iterdir()] == ["x.parquet"]
+
+
+def test_a_read_only_lake_is_named(tmp_path: Path) -> None:
+    blocked = tmp_path / "lake"
+    blocked.write_text("a file where the lake should be")
+    with pytest.raises(StoreError):
+        Lake(blocked).commit(CAMPAIGN, [make_run("r1")])
+    assert blocked.read_text() == "a file where the lake should be"
+
+
+def test_a_full_disk_leaves_the_lake_as_it_was(tmp_path: Path) -> None:
+    if os.geteuid() != 0 or shutil.which("mount") is None:
+        pytest.skip("mounting a small file system needs root")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "none", str(disk)], check=False)
+    if mounted.returncode:
+        pytest.skip("this sandbox does not mount file systems")
+    try:
+        lake = Lake(disk / "lake")
+        lake.commit(CAMPAIGN, [make_run("r1")])
+        with pytest.raises(StoreError):
+            lake.commit(CAMPAIGN, [make_run(f"big{i}", i, 60_000) for i in range(4)])
+        assert [row["run_id"] for row in lake.runs()] == ["r1"]
+        assert list((disk / "lake").rglob("*.partial")) == []
+        np.testing.assert_array_equal(
+            lake.load(lake.runs()[0]).samples["deviation_um"], make_run("r1").samples["deviation_um"]
+        )
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+
+
+def test_a_read_notices_a_missing_file(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [make_run("r1")])
+    row = lake.runs()[0]
+    (tmp_path / "lake" / "samples" / row["samples_file"]).unlink()
+    with pytest.raises(StoreError, match="missing or damaged"):
+        lake.load(row)
+
+
+def test_two_writers_at_once_lose_nothing_and_double_nothing(tmp_path: Path) -> None:
+    def write(numbers: list[int]) -> None:
+        lake = Lake(tmp_path / "lake")
+        for number in numbers:
+            lake.commit(CAMPAIGN, [make_run(f"r{number}", number)])
+
+    with ThreadPoolExecutor(3) as pool:
+        jobs = [pool.submit(write, n) for n in ([1, 2, 3], [3, 2, 1], [4, 5, 1])]
+        for job in jobs:
+            job.result()
+    assert sorted(row["run_id"] for row in Lake(tmp_path / "lake").runs()) == ["r1", "r2", "r3", "r4", "r5"]
+
+
+_INGEST = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from test_store import CAMPAIGN, make_run
+from dtwin.store import Lake
+lake = Lake(Path({root!r}))
+print("ready", flush=True)
+for i in range(40):
+    lake.commit(CAMPAIGN, [make_run(f"r{{i}}", i, 4000)])
+"""
+
+
+@pytest.mark.parametrize("delay_s", [0.02, 0.11, 0.23, 0.4])
+def test_a_kill_at_any_moment_leaves_whole_runs_only(tmp_path: Path, delay_s: float) -> None:
+    root = tmp_path / "lake"
+    code = _INGEST.format(tests=str(Path(__file__).parent), root=str(root))
+    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert child.stdout is not None
+    child.stdout.readline()
+    try:
+        child.wait(delay_s)
+    except subprocess.TimeoutExpired:
+        child.send_signal(signal.SIGKILL)
+    child.wait()
+    child.stdout.close()
+    lake = Lake(root)
+    for row in lake.runs():
+        number = int(row["run_id"][1:])
+        np.testing.assert_array_equal(
+            lake.load(row).samples["deviation_um"],
+            make_run(row["run_id"], number, 4000).samples["deviation_um"],
+        )
+    lake.repair()
+    live = {row["samples_file"] for row in lake.runs()}
+    assert set(lake.tables["samples"].files()) == live
+    lake.commit(CAMPAIGN, [make_run(f"r{i}", i, 4000) for i in range(40)])
+    assert len(lake.runs()) == 40
+
+
+def test_a_model_can_be_rebuilt_from_its_table_version(tmp_path: Path, real_recording: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    versions = lake.commit(CAMPAIGN, read_b5r(real_recording).runs).versions
+    before = lake.tables["samples"].files()
+    lake.commit(replace(CAMPAIGN, name="later"), [make_run("r1")])
+    assert lake.tables["samples"].files(versions["samples"]) == before
+    assert pa.types.is_float64(lake.tables["samples"].read(before).schema.field("deviation_um").type)
