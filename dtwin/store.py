@@ -159,8 +159,11 @@ class Lake:
         fresh = self._fresh(campaign, runs, hashes)
         if not fresh:
             return CommitReport((), tuple(hashes), self.versions())
-        rows = self._commit_data(campaign, fresh, hashes, rejected, status)
+        rows, batches = self._write_data(campaign, fresh, hashes, status)
         with self._lock():
+            for batch in batches:
+                batch.commit()
+            self._commit_rejects(campaign, rejected)
             still = {r.meta.run_id for r in self._fresh(campaign, fresh, hashes)}
             rows = [row for row in rows if row["run_id"] in still]
             if rows:
@@ -261,6 +264,10 @@ class Lake:
         int
             Version of the table.
         """
+        with self._lock():
+            return self._add(table_name, key, table)
+
+    def _add(self, table_name: str, key: str, table: pa.Table) -> int:
         files = self.tables[table_name]
         digest = hashlib.sha256(key.encode()).hexdigest()[:24]
         return files.commit([files.write(f"{digest}.parquet", table)], table.schema)
@@ -301,14 +308,13 @@ class Lake:
             )
         return [run for run in runs if run.meta.run_id not in known]
 
-    def _commit_data(
+    def _write_data(
         self,
         campaign: Campaign,
         runs: Sequence[Run],
         hashes: Mapping[str, str],
-        rejected: Sequence[RejectedRows],
         status: str,
-    ) -> list[dict[str, Any]]:
+    ) -> tuple[list[dict[str, Any]], tuple[_Batch, _Batch]]:
         samples, signals = _Batch(self.tables["samples"]), _Batch(self.tables["signals"])
         rows = []
         for run in runs:
@@ -326,10 +332,7 @@ class Lake:
                 for group in run.signals
             ]
             rows.append(_run_row(campaign, run, sha, sample_file, groups, status))
-        samples.commit()
-        signals.commit()
-        self._commit_rejects(campaign, rejected)
-        return rows
+        return rows, (samples, signals)
 
     def _commit_rejects(self, campaign: Campaign, rejected: Sequence[RejectedRows]) -> None:
         flat = [
@@ -346,7 +349,7 @@ class Lake:
         ]
         if flat:
             table = table_of({name: [row[name] for row in flat] for name in flat[0]})
-            self.write_table("rejects", json.dumps(flat), table)
+            self._add("rejects", json.dumps(flat), table)
 
     def _load_group(self, group: Mapping[str, Any]) -> SignalGroup:
         table = self.tables["signals"].read([group["file"]])
