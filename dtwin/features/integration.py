@@ -1,0 +1,228 @@
+"""Displacement from acceleration by double integration, and what that cannot see.
+
+This is the chain of the source thesis, kept for comparison: a spectrum threshold, whose
+cut-off a particle swarm chooses, then two integrations that restart in every window.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.schema import Floats
+from dtwin.units import G_MM_S2
+
+
+def power_threshold_filter(signal: Floats, cutoff_power: float) -> Floats:
+    """Keep the spectral lines whose power |X[k]|^2 / n exceeds a threshold.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (..., n)
+        Records, for example in g.
+    cutoff_power : float
+        Threshold in the square of the signal's unit; it depends on n.
+    """
+    n = signal.shape[-1]
+    spectrum = np.fft.rfft(signal, axis=-1)
+    power = np.abs(spectrum) ** 2 / n
+    return np.fft.irfft(np.where(power > cutoff_power, spectrum, 0), n, axis=-1)
+
+
+@dataclass(frozen=True)
+class SwarmResult:
+    """Best point that a swarm found.
+
+    Attributes
+    ----------
+    position : float
+        The argument.
+    value : float
+        The objective there.
+    iterations, evaluations : int
+        Effort spent.
+    """
+
+    position: float
+    value: float
+    iterations: int
+    evaluations: int
+
+
+def swarm_minimum(
+    objective: Callable[[float], float], low: float, high: float, *, particles: int = 24,
+    iterations: int = 60, patience: int = 15, seed: int = 0,
+) -> SwarmResult:  # fmt: skip
+    """Minimise a function of one positive number by particle swarm, on a log scale.
+
+    Constriction coefficients of Clerc and Kennedy, IEEE Trans. Evol. Comput. 6 (2002).
+
+    Parameters
+    ----------
+    objective : callable
+        Function of the argument; values that are not finite count as worst.
+    low, high : float
+        Positive bounds.
+    patience : int
+        Iterations without improvement after which the search ends.
+    seed : int
+        Fixes the result.
+
+    Raises
+    ------
+    InputError
+        When the bounds are not positive and ordered.
+    """
+    if not 0 < low < high < np.inf:
+        raise InputError("bounds must be positive and ordered", code="swarm.bounds",
+                         got=f"{low} to {high}")  # fmt: skip
+
+    def worth(log_position: float) -> float:
+        value = float(objective(float(np.exp(log_position))))
+        return value if np.isfinite(value) else np.inf
+
+    inertia, pull = 0.7298, 1.4962
+    bounds = np.log(low), np.log(high)
+    rng = np.random.default_rng(seed)
+    at = rng.uniform(*bounds, particles)
+    speed = np.zeros(particles)
+    best_at, best = at.copy(), np.array([worth(x) for x in at])
+    leader, idle, done = int(np.argmin(best)), 0, 0
+    while done < iterations and idle < patience:
+        done += 1
+        own, shared = rng.random(particles), rng.random(particles)
+        speed = inertia * speed + pull * own * (best_at - at)
+        speed += pull * shared * (best_at[leader] - at)
+        at = np.clip(at + speed, *bounds)
+        value = np.array([worth(x) for x in at])
+        better = value < best
+        best_at[better], best[better] = at[better], value[better]
+        previous, leader = best[leader], int(np.argmin(best))
+        idle = 0 if best[leader] < previous else idle + 1
+    return SwarmResult(
+        float(np.exp(best_at[leader])), float(best[leader]), done, particles * (done + 1)
+    )
+
+
+def integrate(signal: Floats, rate_hz: float) -> Floats:
+    """Return the running trapezoidal integral along the last axis, zero at the start."""
+    steps = 0.5 * (signal[..., 1:] + signal[..., :-1]) / rate_hz
+    total = np.zeros_like(signal)
+    np.cumsum(steps, axis=-1, out=total[..., 1:])
+    return total
+
+
+def displacement_mm(acceleration_g: Floats, rate_hz: float, cutoff_power: float = 0.0) -> Floats:
+    """Return displacement by the threshold filter and two integrations from rest.
+
+    Parameters
+    ----------
+    acceleration_g : ndarray, shape (..., n)
+        One window per row; every window restarts at zero speed and position.
+    rate_hz : float
+        Sample rate.
+    cutoff_power : float
+        Threshold of ``power_threshold_filter`` in g^2; 0 keeps every line.
+    """
+    kept = power_threshold_filter(acceleration_g, cutoff_power)
+    return integrate(integrate(kept * G_MM_S2, rate_hz), rate_hz)
+
+
+def coupled(signal: Floats, rate_hz: float, corner_hz: float = 0.5) -> Floats:
+    """Return what a first-order AC coupling lets through (bilinear, from rest).
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+        Record.
+    rate_hz, corner_hz : float
+        Sample rate and -3 dB frequency.
+    """
+    k = np.tan(np.pi * corner_hz / rate_hz)
+    gain, feedback = 1 / (1 + k), (1 - k) / (1 + k)
+    out = np.empty_like(signal, dtype=np.float64)
+    state, before = 0.0, float(signal[0])
+    for i, x in enumerate(signal.tolist()):
+        state = gain * (x - before) + feedback * state
+        out[i], before = state, x
+    return out
+
+
+@dataclass(frozen=True)
+class Visibility:
+    """How much of a known displacement comes back.
+
+    Attributes
+    ----------
+    lost_fraction : float
+        Energy of (true - found) over energy of true; 0 is perfect, 1 no better than
+        answering zero, above 1 worse than that.
+    correlation : float
+        Between true and found displacement; 0 when one of them is constant.
+    found_rms_mm, true_rms_mm : float
+        Sizes of the two, without their means.
+    """
+
+    lost_fraction: float
+    correlation: float
+    found_rms_mm: float
+    true_rms_mm: float
+
+
+def displacement_visibility(
+    motion_mm: Floats, rate_hz: float, window: int, *, corner_hz: float = 0.5,
+    cutoff_power: float = 0.0, per_window_mean: bool = False,
+) -> Visibility:  # fmt: skip
+    """Send a known motion through sensor coupling and window restarts and compare.
+
+    Parameters
+    ----------
+    motion_mm : ndarray, shape (n,)
+        True displacement; its second difference is the true acceleration.
+    rate_hz : float
+        Sample rate.
+    window : int
+        Samples after which the integration restarts.
+    corner_hz : float
+        Corner of the AC coupling; 0 for a sensor that measures down to rest.
+    cutoff_power : float
+        Threshold of the spectrum filter in g^2.
+    per_window_mean : bool
+        Compare means over windows, the one number per window that the thesis used.
+
+    Raises
+    ------
+    InputError
+        When there are fewer than two windows, or the motion is constant.
+    """
+    acceleration_g = np.zeros(len(motion_mm))
+    acceleration_g[1:-1] = np.diff(motion_mm, 2) * rate_hz**2 / G_MM_S2
+    acceleration_g[0], acceleration_g[-1] = acceleration_g[1], acceleration_g[-2]
+    if corner_hz > 0:
+        acceleration_g = coupled(acceleration_g, rate_hz, corner_hz)
+    count = len(motion_mm) // window
+    if count < 2:
+        raise InputError("the motion is shorter than two windows", code="integration.short",
+                         got=f"{len(motion_mm)} samples", allowed=f">= {2 * window}")  # fmt: skip
+    rows = acceleration_g[: count * window].reshape(count, window)
+    found = displacement_mm(rows, rate_hz, cutoff_power)
+    true = motion_mm[: count * window].reshape(count, window)
+    if per_window_mean:
+        found, true = found.mean(axis=1), true.mean(axis=1)
+    return _compared(true.reshape(-1), found.reshape(-1))
+
+
+def _compared(true: Floats, found: Floats) -> Visibility:
+    true, found = true - true.mean(), found - found.mean()
+    energy, size = float(true @ true), float(found @ found)
+    if energy <= 0:
+        raise InputError("the known motion is constant", code="integration.constant")
+    lost = float((true - found) @ (true - found)) / energy
+    correlation = float(true @ found) / np.sqrt(energy * size) if size > 0 else 0.0
+    return Visibility(
+        lost, float(correlation), float(np.sqrt(size / len(true))),
+        float(np.sqrt(energy / len(true))),
+    )  # fmt: skip

@@ -1,0 +1,196 @@
+"""Landmarks of a circular record: stops between arcs, the true period, the lead-in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.features.spectrum import above, moving_rms
+from dtwin.schema import Floats
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A burst of fast vibration where the machine stopped and started again.
+
+    Attributes
+    ----------
+    sample : float
+        Centre of the burst's energy, counted from 0.
+    first, last : int
+        Extent.
+    strength : float
+        Peak of the envelope over its median.
+    """
+
+    sample: float
+    first: int
+    last: int
+    strength: float
+
+
+def stop_envelope(signal: Floats, rate_hz: float, cutoff_hz: float = 20.0) -> Floats:
+    """Return the moving RMS (0.1 s) of the part of a record above ``cutoff_hz``."""
+    return moving_rms(above(signal, rate_hz, cutoff_hz), max(3, round(0.1 * rate_hz)))
+
+
+def find_stops(
+    signal: Floats, rate_hz: float, *, cutoff_hz: float = 20.0, min_strength: float = 6.0,
+    min_separation_s: float = 1.0, edge_s: float = 0.3,
+) -> tuple[Stop, ...]:  # fmt: skip
+    """Find the stops of a circular record by their bursts above ``cutoff_hz``.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+        Deviation or acceleration; any unit.
+    rate_hz : float
+        Sample rate.
+    min_strength : float
+        Envelope over its median that makes a burst.
+    min_separation_s : float
+        Bursts nearer than this are one stop.
+    edge_s : float
+        A burst that begins this near the start is the instrument being triggered.
+
+    Returns
+    -------
+    tuple of Stop
+        In order of time; empty when there is no burst.
+
+    Raises
+    ------
+    InputError
+        When the record holds a value that is not finite.
+    """
+    if not np.isfinite(signal).all():
+        raise InputError("the record holds values that are not finite", code="align.finite")
+    envelope = stop_envelope(signal, rate_hz, cutoff_hz)
+    quiet = float(np.median(envelope))
+    loud = np.flatnonzero(envelope > min_strength * quiet)
+    if quiet <= 0 or not len(loud):
+        return ()
+    parts = np.split(loud, np.flatnonzero(np.diff(loud) > min_separation_s * rate_hz) + 1)
+    found = []
+    for part in parts:
+        energy = envelope[part] ** 2
+        if part[0] < edge_s * rate_hz:
+            continue
+        centre = float(part @ energy / energy.sum())
+        strength = float(envelope[part].max() / quiet)
+        found.append(Stop(centre, int(part[0]), int(part[-1]), strength))
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class Period:
+    """Time of one revolution, found by comparing a record with itself.
+
+    Attributes
+    ----------
+    samples : float
+        One revolution, with sub-sample resolution.
+    correlation : float
+        Between one revolution and the next.
+    difference_rms : float
+        What does not repeat, in the signal's unit: RMS of the difference over sqrt(2).
+    overlap_samples : int
+        How many samples were compared.
+    """
+
+    samples: float
+    correlation: float
+    difference_rms: float
+    overlap_samples: int
+
+
+def true_period(
+    signal: Floats, rate_hz: float, nominal_s: float, *, skip_samples: int = 0,
+    tolerance: float = 0.12, min_overlap_s: float = 1.0,
+) -> Period:  # fmt: skip
+    """Find the time of one revolution by correlation of the record with itself.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+        Record that is longer than one revolution.
+    rate_hz : float
+        Sample rate.
+    nominal_s : float
+        Expected time, from the programmed feed.
+    skip_samples : int
+        Lead-in to leave out.
+    tolerance : float
+        Search range as a share of the nominal time.
+    min_overlap_s : float
+        Shortest stretch that may be compared.
+
+    Raises
+    ------
+    InputError
+        When the record is too short to hold a revolution and something to compare.
+    """
+    part = signal[skip_samples:]
+    low = max(2, int(nominal_s * rate_hz * (1 - tolerance)))
+    longest = len(part) - max(3, int(min_overlap_s * rate_hz))
+    high = min(int(nominal_s * rate_hz * (1 + tolerance)) + 1, longest)
+    if high - low < 2:
+        raise InputError(
+            "the record is too short to compare one revolution with the next",
+            code="align.period",
+            got=f"{len(part) / rate_hz:.2f} s after the lead-in",
+            allowed=f"at least {nominal_s * (1 + tolerance) + min_overlap_s:.2f} s",
+        )
+    lags = np.arange(low, high + 1)
+    values = np.array([_correlation(part[:-lag], part[lag:]) for lag in lags])
+    best = int(np.argmax(values))
+    lag = int(lags[best])
+    difference = part[:-lag] - part[lag:]
+    return Period(
+        lag + parabola_peak(values, best),
+        float(values[best]),
+        float(np.std(difference) / np.sqrt(2)),
+        len(part) - lag,
+    )
+
+
+def lead_in_samples(
+    signal: Floats, rate_hz: float, period_samples: float, threshold: float = 3.0
+) -> int:
+    """Return how many samples pass before the record repeats one revolution later.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (n,)
+        Record.
+    period_samples : float
+        One revolution.
+    threshold : float
+        Local difference over its median that still counts as lead-in, until a quarter of a
+        second stays below it.
+    """
+    lag = round(period_samples)
+    if len(signal) <= lag + 2:
+        return 0
+    local = moving_rms(signal[lag:] - signal[:-lag], max(3, round(0.1 * rate_hz)))
+    repeats = local <= threshold * np.median(local)
+    settle = max(1, round(0.25 * rate_hz))
+    steady = np.convolve(repeats, np.ones(settle), "valid") >= settle - 0.5
+    return int(np.argmax(steady)) if steady.any() else len(local)
+
+
+def parabola_peak(values: Floats, best: int) -> float:
+    """Return the offset of the peak of a parabola through a maximum and its neighbours."""
+    if not 0 < best < len(values) - 1:
+        return 0.0
+    left, middle, right = values[best - 1 : best + 2].tolist()
+    bend = left - 2 * middle + right
+    return 0.5 * (left - right) / bend if bend < 0 else 0.0
+
+
+def _correlation(first: Floats, second: Floats) -> float:
+    a, b = first - first.mean(), second - second.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size > 0 else 0.0
