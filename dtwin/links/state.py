@@ -1,0 +1,106 @@
+"""Layout of one robot state and of one correction, as every link and machine exchanges them.
+
+A state is a flat array of float64 in the order of ``NAMES``, so that it fits shared memory,
+a ring buffer and a compiled kernel alike. Positions are in the robot's base frame.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+RobotState: TypeAlias = Floats
+"""Array of shape (N,), float64, in the order of ``NAMES``."""
+
+
+def _joints(prefix: str, suffix: str) -> tuple[str, ...]:
+    return tuple(f"{prefix}_{joint}_{suffix}" for joint in range(1, 7))
+
+
+def _axes(prefix: str, suffix: str) -> tuple[str, ...]:
+    return tuple(f"{prefix}_{axis}_{suffix}" for axis in "xyz")
+
+
+NAMES: tuple[str, ...] = (
+    "timestamp_s",
+    *_joints("target_q", "rad"),
+    *_joints("target_qd", "rad_s"),
+    *_joints("actual_q", "rad"),
+    *_joints("actual_qd", "rad_s"),
+    *_axes("target_tcp", "mm"),
+    *_axes("actual_tcp", "mm"),
+    *_axes("target_speed", "mm_s"),
+    "speed_scaling",
+    "runtime_running",
+    "safety_ok",
+    "segment_id",
+    "segment_time_s",
+    "plane_id",
+    *_axes("centre", "mm"),
+    "radius_mm",
+    "direction_sign",
+    "feed_mm_min",
+    "applied_sequence",
+    *_axes("applied", "um"),
+)
+N = len(NAMES)
+INDEX: dict[str, int] = {name: place for place, name in enumerate(NAMES)}
+
+TIMESTAMP = 0
+TARGET_Q = 1
+TARGET_QD = 7
+ACTUAL_Q = 13
+ACTUAL_QD = 19
+TARGET_TCP = 25
+ACTUAL_TCP = 28
+TARGET_SPEED = 31
+SPEED_SCALING = 34
+RUNTIME_RUNNING = 35
+SAFETY_OK = 36
+SEGMENT_ID = 37
+SEGMENT_TIME = 38
+PLANE_ID = 39
+CENTRE = 40
+RADIUS = 43
+DIRECTION_SIGN = 44
+FEED = 45
+APPLIED_SEQUENCE = 46
+APPLIED = 47
+
+PLANE_OF_ID: tuple[str, ...] = ("XY", "YZ", "ZX")
+"""``plane_id`` counts through this tuple."""
+
+SEQUENCE_LIMIT = 2**31 - 1
+"""Sequence numbers travel as a signed 32-bit register and start again at 1 after this."""
+
+# Correction registers: sequence, then offset in um along base x, y, z.
+REGISTERS_N = 4
+REGISTER_SEQUENCE = 0
+REGISTER_OFFSET = 1
+
+
+def empty_state() -> RobotState:
+    """Return a state of zeros, shape (N,)."""
+    return np.zeros(N)
+
+
+def correction_registers(
+    sequence: int = 0, offset_um: Floats | tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Floats:
+    """Return correction registers, shape (4,): sequence number, then offset in um.
+
+    Parameters
+    ----------
+    sequence : int
+        Changes with every new offset; 0 means that none was ever sent.
+    offset_um : ndarray or tuple, shape (3,)
+        Offset along base x, y and z.
+    """
+    registers = np.empty(REGISTERS_N)
+    registers[REGISTER_SEQUENCE] = sequence
+    registers[REGISTER_OFFSET:] = offset_um
+    return registers

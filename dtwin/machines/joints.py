@@ -1,0 +1,104 @@
+"""Joint errors: what the link does when the encoder side is asked for an angle.
+
+Each joint has lost motion (a play operator), a strain-wave gear whose transmission error
+depends on the tooth flank that carries the load, friction that disturbs the position loop
+at reversals, and a gear spring that winds up under the weight of the links.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.kinematics import kernel
+from dtwin.machines.parameters import JointParameters
+from dtwin.schema import Floats
+
+PLAY_WIDTH, FRICTION, FRICTION_WIDTH, FRICTION_RECOVERY, COMPLIANCE = range(5)
+AMPLITUDE, PHASE_FORWARD, PHASE_REVERSE = range(3)
+_GRAVITY_M_S2 = 9.80665
+_URAD = 1e-6
+
+
+def joint_table(parameters: JointParameters) -> Floats:
+    """Return the constants of the six joints, shape (6, 5), in rad, s and rad/(N*m)."""
+    table = np.empty((6, 5))
+    table[:, PLAY_WIDTH] = np.array(parameters.play_width_urad) * _URAD
+    table[:, FRICTION] = np.array(parameters.friction_urad) * _URAD
+    table[:, FRICTION_WIDTH] = parameters.friction_width_urad * _URAD
+    table[:, FRICTION_RECOVERY] = parameters.friction_recovery_s
+    table[:, COMPLIANCE] = np.array(parameters.compliance_urad_nm) * _URAD
+    return table
+
+
+def transmission_table(parameters: JointParameters, rng: np.random.Generator) -> Floats:
+    """Return amplitude and the phases on both flanks, shape (6, orders, 3), in rad.
+
+    Orders of bearing and encoder eccentricity have one phase, whatever flank is loaded;
+    the orders of the gear have a phase per flank.
+    """
+    orders = np.array(parameters.orders_per_turn)
+    table = np.empty((6, len(orders), 3))
+    table[:, :, AMPLITUDE] = np.array(parameters.order_amplitude_urad) * _URAD
+    table[:, :, PHASE_FORWARD:] = rng.uniform(0.0, 2.0 * np.pi, (6, len(orders), 2))
+    shared = orders < parameters.flank_orders_from
+    table[:, shared, PHASE_REVERSE] = table[:, shared, PHASE_FORWARD]
+    return table
+
+
+@kernel
+def gravity_torque_kernel(q_rad: Floats, dh: Floats, mass_kg: Floats, torque_nm: Floats) -> None:
+    """Write the weight's torque on shoulder and elbow, by static balance of point masses.
+
+    Parameters
+    ----------
+    q_rad : ndarray, shape (6,)
+        Joint angles.
+    dh : ndarray, shape (6, 4)
+        Denavit-Hartenberg rows; the two arm lengths are used.
+    mass_kg : ndarray, shape (3,)
+        Upper arm, forearm, and everything beyond the wrist.
+    torque_nm : ndarray, shape (6,)
+        Receives the torques; only entries 1 and 2 change.
+    """
+    upper_m = 1e-3 * dh[1, 0] * np.cos(q_rad[1])
+    fore_m = 1e-3 * dh[2, 0] * np.cos(q_rad[1] + q_rad[2])
+    elbow = _GRAVITY_M_S2 * fore_m * (0.5 * mass_kg[1] + mass_kg[2])
+    beyond = mass_kg[1] + mass_kg[2]
+    torque_nm[2] = elbow
+    torque_nm[1] = elbow + _GRAVITY_M_S2 * upper_m * (0.5 * mass_kg[0] + beyond)
+
+
+@kernel
+def transmission_kernel(
+    angle_rad: float, flank: float, orders: Floats, joint_orders: Floats
+) -> float:
+    """Return the transmission error of one gear in rad.
+
+    Parameters
+    ----------
+    angle_rad : float
+        Angle on the motor side, referred to the output.
+    flank : float
+        -1 when the reverse flank carries the load, +1 when the forward one does.
+    orders : ndarray, shape (m,)
+        Periods per turn of the output.
+    joint_orders : ndarray, shape (m, 3)
+        Rows of ``transmission_table``.
+    """
+    forward = 0.5 + 0.5 * flank
+    error = 0.0
+    for m in range(orders.shape[0]):
+        amplitude = joint_orders[m, AMPLITUDE]
+        if amplitude != 0.0:
+            turn = orders[m] * angle_rad
+            ahead = np.sin(turn + joint_orders[m, PHASE_FORWARD])
+            behind = np.sin(turn + joint_orders[m, PHASE_REVERSE])
+            error += amplitude * (forward * ahead + (1.0 - forward) * behind)
+    return error
+
+
+@kernel
+def play_kernel(angle_rad: float, link_rad: float, width_rad: float) -> float:
+    """Return the link's angle behind a play of finite width (Prandtl's play operator)."""
+    half = 0.5 * width_rad
+    return min(max(link_rad, angle_rad - half), angle_rad + half)

@@ -1,0 +1,281 @@
+"""One tick of the virtual cobot: from path time to where the tool really is."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dtwin.kinematics import UR10E, forward_kernel, inverse_kernel, kernel
+from dtwin.links import state as layout
+from dtwin.machines import joints as j_
+from dtwin.machines.joints import gravity_torque_kernel, play_kernel, transmission_kernel
+from dtwin.machines.motion import START_S, jolt_kernel, path_kernel
+from dtwin.machines.parameters import CobotParameters
+from dtwin.machines.structure import mode_table, modes_kernel
+from dtwin.schema import Floats
+
+# The kernel's own names, so that numba sees plain integers.
+_TARGET_Q, _TARGET_QD = layout.TARGET_Q, layout.TARGET_QD
+_ACTUAL_Q, _ACTUAL_QD = layout.ACTUAL_Q, layout.ACTUAL_QD
+_TARGET_TCP, _ACTUAL_TCP = layout.TARGET_TCP, layout.ACTUAL_TCP
+_TARGET_SPEED, _SCALING = layout.TARGET_SPEED, layout.SPEED_SCALING
+_RUNNING, _SAFE = layout.RUNTIME_RUNNING, layout.SAFETY_OK
+_SEGMENT_ID, _SEGMENT_TIME = layout.SEGMENT_ID, layout.SEGMENT_TIME
+_APPLIED_SEQUENCE, _APPLIED = layout.APPLIED_SEQUENCE, layout.APPLIED
+_PLAY_WIDTH, _FRICTION, _FRICTION_WIDTH = j_.PLAY_WIDTH, j_.FRICTION, j_.FRICTION_WIDTH
+_FRICTION_RECOVERY, _COMPLIANCE = j_.FRICTION_RECOVERY, j_.COMPLIANCE
+
+# Truth row: nominal path, tool, flange, rigid tool, rotation.
+PATH, TCP, FLANGE, RIGID, ROTATION, TRUTH_N = 0, 3, 6, 9, 12, 21
+
+# Memory of the mechanism.
+_PATH_TIME, _SPEED_FACTOR, _STARTED, _Q, _PLAY, _PRESS, _RELAXED = 0, 1, 2, 3, 9, 15, 21
+_QA, _LAST_TARGET, _RIGID1, _RIGID2, _MODES = 27, 33, 36, 39, 42
+_LATCHED, _SLEWED, _LAGGED, _SEQUENCE, _AGE, _QUEUE = 50, 53, 56, 59, 60, 61
+_QUEUE_MAX = 32
+MEMORY_N = _QUEUE + 3 * _QUEUE_MAX
+
+# Constants of the controller.
+_TICK_S, _LIMIT, _STEP, _DELAY_TICKS, _LAG, _WATCH_TICKS, _JOLTS = range(7)
+
+
+class Mechanism(NamedTuple):
+    """Constants of one machine under one condition, as the kernel takes them.
+
+    Attributes
+    ----------
+    dh : ndarray, shape (2, 6, 4)
+        Nominal and true kinematic parameters.
+    joints : ndarray, shape (6, 5)
+        From ``joint_table``.
+    orders, transmission : ndarray, shapes (m,) and (6, m, 3)
+        Orders per turn, and ``transmission_table``.
+    masses_kg : ndarray, shape (3,)
+        Moving masses.
+    modes : ndarray, shape (modes, 12)
+        From ``mode_table``.
+    control : ndarray, shape (9,)
+        Tick, offset limit in mm, offset step per tick in mm, delay in ticks, lag factor,
+        watchdog in ticks, jolt constants (3).
+    geometry : ndarray, shape (5, 3)
+        Tool centre point, set-up zero, and tool rotation, in mm.
+    """
+
+    dh: Floats
+    joints: Floats
+    orders: Floats
+    transmission: Floats
+    masses_kg: Floats
+    modes: Floats
+    control: Floats
+    geometry: Floats
+
+
+def build_mechanism(
+    parameters: CobotParameters,
+    transmission: Floats,
+    true_dh: Floats,
+    rotation: Floats,
+) -> Mechanism:
+    """Return the constants of a machine, its set-up zero still at nought."""
+    controller, structure = parameters.controller, parameters.structure
+    tick_s = 1.0 / controller.rate_hz
+    control = np.array(
+        [
+            tick_s,
+            1e-3 * controller.offset_limit_um,
+            1e-3 * controller.offset_rate_um_s * tick_s,
+            min(round(controller.actuator_delay_s / tick_s), _QUEUE_MAX - 1),
+            1.0 - np.exp(-tick_s / max(controller.actuator_lag_s, 1e-9)),
+            round(controller.watchdog_s / tick_s),
+            structure.jolt_speed_share,
+            structure.restart_share,
+            structure.jolt_s,
+        ]
+    )
+    geometry = np.zeros((5, 3))
+    geometry[0, 2] = parameters.motion.tcp_z_mm
+    geometry[2:] = rotation
+    return Mechanism(
+        np.stack([UR10E.dh, true_dh]),
+        j_.joint_table(parameters.joints),
+        np.array(parameters.joints.orders_per_turn),
+        transmission,
+        np.array(parameters.joints.mass_kg),
+        mode_table(parameters.structure, tick_s),
+        control,
+        geometry,
+    )
+
+
+def start_memory(q_rad: Floats) -> Floats:
+    """Return the memory of a machine at rest at joint angles ``q_rad``."""
+    memory = np.zeros(MEMORY_N)
+    memory[_SPEED_FACTOR] = 1.0
+    for place in (_Q, _PLAY, _QA):
+        memory[place : place + 6] = q_rad
+    return memory
+
+
+def set_speed_factor(memory: Floats, factor: float) -> None:
+    """Scale the speed along the path from now on; 0 stops it."""
+    memory[_SPEED_FACTOR] = factor
+
+
+def path_time_s(memory: Floats) -> float:
+    """Return how far the program has run."""
+    return float(memory[_PATH_TIME])
+
+
+@kernel
+def _apply_registers(registers: Floats, control: Floats, memory: Floats) -> None:
+    """Latch, limit, delay and lag the offset; the sequence number is the heartbeat."""
+    if registers[0] != memory[_SEQUENCE]:
+        memory[_SEQUENCE] = registers[0]
+        memory[_AGE] = 0.0
+        for i in range(3):
+            wanted = 1e-3 * registers[1 + i]
+            if not np.isfinite(wanted):
+                wanted = 0.0
+            memory[_LATCHED + i] = min(max(wanted, -control[_LIMIT]), control[_LIMIT])
+    else:
+        memory[_AGE] += 1.0
+        if memory[_AGE] >= control[_WATCH_TICKS]:
+            for i in range(3):
+                memory[_LATCHED + i] = 0.0
+    delay = int(control[_DELAY_TICKS])
+    for i in range(3):
+        change = memory[_LATCHED + i] - memory[_SLEWED + i]
+        memory[_SLEWED + i] += min(max(change, -control[_STEP]), control[_STEP])
+        queue = _QUEUE + i * _QUEUE_MAX
+        for n in range(delay, 0, -1):
+            memory[queue + n] = memory[queue + n - 1]
+        memory[queue] = memory[_SLEWED + i]
+        memory[_LAGGED + i] += control[_LAG] * (memory[queue + delay] - memory[_LAGGED + i])
+
+
+@kernel
+def _link_angles(
+    q_rad: Floats, machine: Mechanism, memory: Floats, actual_rad: Floats, link_rad: Floats
+) -> None:
+    torque = np.zeros(6)
+    gravity_torque_kernel(q_rad, machine.dh[0], machine.masses_kg, torque)
+    tick_s = machine.control[_TICK_S]
+    for j in range(6):
+        table = machine.joints[j]
+        moved = q_rad[j] - memory[_Q + j]
+        press = memory[_PRESS + j] + 2.0 * moved / table[_FRICTION_WIDTH]
+        press = min(max(press, -1.0), 1.0)
+        memory[_PRESS + j] = press
+        relaxed = memory[_RELAXED + j]
+        relaxed += (press - relaxed) * tick_s / table[_FRICTION_RECOVERY]
+        memory[_RELAXED + j] = relaxed
+        angle = q_rad[j] - table[_FRICTION] * (press - relaxed)
+        actual_rad[j] = angle
+        behind = play_kernel(angle, memory[_PLAY + j], table[_PLAY_WIDTH])
+        memory[_PLAY + j] = behind
+        half = 0.5 * table[_PLAY_WIDTH]
+        flank = (angle - behind) / half if half > 0.0 else 0.0
+        ripple = transmission_kernel(angle, flank, machine.orders, machine.transmission[j])
+        link_rad[j] = behind + ripple + table[_COMPLIANCE] * torque[j]
+
+
+@kernel
+def tick_kernel(
+    machine: Mechanism,
+    segments: Floats,
+    frame: Floats,
+    registers: Floats,
+    memory: Floats,
+    state: Floats,
+    truth: Floats,
+) -> None:
+    """Advance the machine by one controller period.
+
+    Parameters
+    ----------
+    machine : Mechanism
+        Constants.
+    segments, frame : ndarray
+        As in ``MotionPlan``.
+    registers : ndarray, shape (4,)
+        Correction as received: sequence number and offset in um.
+    memory : ndarray, shape (MEMORY_N,)
+        State of the mechanism; updated.
+    state : ndarray, shape (layout.N,)
+        Receives what the controller reports.
+    truth : ndarray, shape (TRUTH_N,)
+        Receives what really happens.
+    """
+    tick_s, tcp = machine.control[_TICK_S], machine.geometry[0]
+    _apply_registers(registers, machine.control, memory)
+    target = np.empty(3)
+    segment = path_kernel(memory[_PATH_TIME], segments, frame, target)
+    for i in range(3):
+        truth[PATH + i] = target[i]
+        target[i] += memory[_LAGGED + i]
+    q, _ = inverse_kernel(target, machine.geometry[2:], machine.dh[0], tcp, memory[_Q : _Q + 6])
+    actual, link = np.empty(6), np.empty(6)
+    _link_angles(q, machine, memory, actual, link)
+    rigid, rotation = forward_kernel(link, machine.dh[1], tcp)
+    seen, _ = forward_kernel(actual, machine.dh[0], tcp)
+    if memory[_STARTED] == 0.0:
+        memory[_STARTED] = 1.0
+        for i in range(3):
+            memory[_RIGID1 + i] = rigid[i]
+            memory[_RIGID2 + i] = rigid[i]
+            memory[_LAST_TARGET + i] = target[i]
+    shaken, flange, true, jolt = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    jolts = machine.control[_JOLTS : _JOLTS + 3]
+    jolt_kernel(memory[_PATH_TIME], segments[segment], frame, jolts, jolt)
+    for i in range(3):
+        bend = rigid[i] - 2.0 * memory[_RIGID1 + i] + memory[_RIGID2 + i]
+        shaken[i] = bend / tick_s**2
+        rigid_here = rigid[i] - machine.geometry[1, i]
+        truth[RIGID + i] = rigid_here
+        true[i] = rigid_here
+        flange[i] = rigid_here
+        for k in range(3):
+            flange[i] -= rotation[i, k] * tcp[k]
+            truth[ROTATION + 3 * i + k] = rotation[i, k]
+        memory[_RIGID2 + i] = memory[_RIGID1 + i]
+        memory[_RIGID1 + i] = rigid[i]
+    modes_kernel(machine.modes, q[0], shaken, jolt, memory[_MODES : _MODES + 8], true, flange)
+    for i in range(3):
+        truth[TCP + i] = true[i]
+        truth[FLANGE + i] = flange[i]
+        state[_TARGET_TCP + i] = target[i]
+        state[_ACTUAL_TCP + i] = seen[i]
+        state[_TARGET_SPEED + i] = (target[i] - memory[_LAST_TARGET + i]) / tick_s
+        state[_APPLIED + i] = 1e3 * memory[_LAGGED + i]
+        memory[_LAST_TARGET + i] = target[i]
+    for j in range(6):
+        state[_TARGET_Q + j] = q[j]
+        state[_TARGET_QD + j] = (q[j] - memory[_Q + j]) / tick_s
+        state[_ACTUAL_Q + j] = actual[j]
+        state[_ACTUAL_QD + j] = (actual[j] - memory[_QA + j]) / tick_s
+        memory[_Q + j] = q[j]
+        memory[_QA + j] = actual[j]
+    began_s = memory[_PATH_TIME] - segments[segment, START_S]
+    state[_SEGMENT_ID] = segment
+    state[_SEGMENT_TIME] = max(began_s, 0.0)
+    state[_SCALING] = memory[_SPEED_FACTOR]
+    state[_APPLIED_SEQUENCE] = memory[_SEQUENCE]
+    memory[_PATH_TIME] += tick_s * memory[_SPEED_FACTOR]
+
+
+@kernel
+def run_kernel(
+    machine: Mechanism,
+    segments: Floats,
+    frame: Floats,
+    memory: Floats,
+    states: Floats,
+    truths: Floats,
+) -> None:
+    """Run a whole program without correction; rows of ``states`` and ``truths`` are ticks."""
+    registers = np.zeros(4)
+    for n in range(states.shape[0]):
+        tick_kernel(machine, segments, frame, registers, memory, states[n], truths[n])
+        states[n, 0] = n * machine.control[_TICK_S]
