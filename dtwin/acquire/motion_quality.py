@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.features.alignment import find_stops, true_period
+from dtwin.errors import InputError
+from dtwin.features.stops import find_stops, lead_in_samples, true_period
 from dtwin.schema import Finding, Floats, Run
 
 _WINDOW_TOLERANCE = 0.03
 _FEED_TOLERANCE = 0.02
+_STOP_S = 0.15
+_LEAD_IN = 3.0
 Indices = NDArray[np.int64]
 
 
@@ -27,12 +30,15 @@ class Motion:
     period_samples : float
         Samples of one revolution by correlation; NaN when the record holds less than one
         and a half.
+    lead_in_samples : int
+        Samples before the record begins to repeat one revolution later.
     half_turns_samples : tuple of int
         Samples from stop to stop.
     """
 
     stops: Indices
     period_samples: float
+    lead_in_samples: int
     half_turns_samples: tuple[int, ...]
 
     @property
@@ -52,12 +58,14 @@ def motion_of(run: Run) -> Motion:
         A circular run with more than one revolution.
     """
     deviation, rate = run.samples["deviation_um"], run.meta.sample_rate_hz
-    stops = np.asarray(find_stops(deviation, rate), dtype=np.int64)
+    stops = np.array([round(stop.sample) for stop in find_stops(deviation, rate)], dtype=np.int64)
     expected = _programmed_revolution(run)
     inner = _half_turn_chain(stops, expected / 2.0)
-    lead_in = int(inner[0]) if inner.size else 0
-    period = true_period(deviation, rate, lead_in=lead_in, expected=expected)
-    return Motion(inner, period, tuple(int(n) for n in np.diff(inner)))
+    halves = tuple(int(n) for n in np.diff(inner))
+    period = _period(deviation, rate, expected)
+    first_turn = float(sum(halves[:2])) if len(halves) > 1 else period
+    lead_in = lead_in_samples(deviation, rate, first_turn, _LEAD_IN) if np.isfinite(first_turn) else 0
+    return Motion(inner, period, lead_in, halves)
 
 
 def aligned_angle_deg(run: Run, motion: Motion) -> Floats | None:
@@ -105,37 +113,68 @@ def judge_motion(run: Run) -> list[Finding]:
 
 
 def non_repeatable_um(run: Run, motion: Motion) -> tuple[float, float, float] | None:
-    """Compare consecutive revolutions half turn by half turn.
+    """Compare every half turn with the same one a revolution later.
+
+    A machine that stops does not run on a clock: the lag is found anew for each half turn.
+    The lead-in is left out, and so is the burst of each stop.
 
     Parameters
     ----------
     run : Run
         The run.
     motion : Motion
-        Its stops; four are needed for one half turn that is seen twice.
+        Its stops.
 
     Returns
     -------
     correlation, repeatable_um, non_repeatable_um : tuple of float or None
-        RMS values; the non-repeatable part is that of one revolution.
+        RMS values; the non-repeatable part is that of one revolution. None when no half turn
+        is seen twice.
     """
-    deviation = run.samples["deviation_um"]
-    edges = [int(s) for s in motion.stops]
-    last = edges[-1] + int(np.median(motion.half_turns_samples)) if len(edges) > 1 else 0
-    edges += [last] if last <= run.n_samples else []
+    deviation, margin = run.samples["deviation_um"], round(_STOP_S * run.meta.sample_rate_hz)
     first, second = [], []
-    for (a0, a1), (b0, b1) in zip(
-        itertools.pairwise(edges), itertools.pairwise(edges[2:]), strict=False
-    ):
-        n = min(a1 - a0, b1 - b0)
-        first.append(deviation[a0 : a0 + n])
-        second.append(deviation[b0 : b0 + n])
+    stops = [int(stop) for stop in motion.stops]
+    last = stops[-1] - margin if stops else 0
+    start = motion.lead_in_samples - margin
+    bounds = [start, *(stop for stop in stops if stop > start + margin)]
+    for begin, end in itertools.pairwise(bounds):
+        stretch = slice(begin + margin, end - margin)
+        lag = _best_lag(deviation[:last], stretch, motion.revolution_samples)
+        if lag is not None:
+            first.append(deviation[stretch])
+            second.append(deviation[stretch.start + lag : stretch.stop + lag])
     if not first:
         return None
     one, two = np.concatenate(first), np.concatenate(second)
     correlation = float(np.corrcoef(one, two)[0, 1])
-    mean = (one + two) / 2.0
-    return correlation, float(np.std(mean)), float(np.std(one - two) / np.sqrt(2.0))
+    repeatable = float(np.std((one + two) / 2.0))
+    return correlation, repeatable, float(np.std(one - two) / np.sqrt(2.0))
+
+
+def _best_lag(deviation: Floats, stretch: slice, revolution: float) -> int | None:
+    """Return the lag near one revolution at which a stretch agrees best with a later one."""
+    length = stretch.stop - stretch.start
+    if not np.isfinite(revolution) or length < 0.15 * revolution:
+        return None
+    longest = min(int(1.04 * revolution), deviation.size - stretch.stop)
+    lags = range(int(0.96 * revolution), longest + 1)
+    apart = [
+        float(np.std(deviation[stretch] - deviation[stretch.start + lag : stretch.stop + lag]))
+        for lag in lags
+    ]
+    return lags[int(np.argmin(apart))] if apart else None
+
+
+def _period(deviation: Floats, rate_hz: float, expected: float) -> float:
+    """Return the period; the lead-in is left out and the period found again."""
+    skip, samples = 0, np.nan
+    for _ in range(2):
+        try:
+            samples = true_period(deviation, rate_hz, expected / rate_hz, skip_samples=skip).samples
+        except InputError:
+            break
+        skip = lead_in_samples(deviation, rate_hz, samples)
+    return samples
 
 
 def _programmed_revolution(run: Run) -> float:
@@ -245,7 +284,7 @@ def _repeats(run: Run, motion: Motion) -> list[Finding]:
         Finding(
             "repeat.revolutions",
             "info",
-            f"consecutive revolutions, lead-in left out: {repeatable:.1f} um RMS repeats "
+            f"consecutive revolutions, lead-in of {motion.lead_in_samples} samples left out: {repeatable:.1f} um RMS repeats "
             f"(correlation {correlation:.2f}), {rest:.1f} um does not",
             {"correlation_1": correlation, "repeatable_um": repeatable, "non_repeatable_um": rest},
         )

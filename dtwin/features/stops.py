@@ -78,7 +78,9 @@ def find_stops(
         energy = envelope[part] ** 2
         if part[0] < edge_s * rate_hz:
             continue
-        centre = float(part @ energy / energy.sum())
+        # The densest fifth of a second: the tails are ringing, longer on one side.
+        width = max(1, round(0.2 * rate_hz))
+        centre = float(part[int(np.argmax(np.convolve(energy, np.ones(width), "same")))])
         strength = float(envelope[part].max() / quiet)
         found.append(Stop(centre, int(part[0]), int(part[-1]), strength))
     return tuple(found)
@@ -157,7 +159,7 @@ def true_period(
 
 
 def lead_in_samples(
-    signal: Floats, rate_hz: float, period_samples: float, threshold: float = 3.0
+    signal: Floats, rate_hz: float, period_samples: float, threshold: float = 4.5
 ) -> int:
     """Return how many samples pass before the record repeats one revolution later.
 
@@ -168,14 +170,14 @@ def lead_in_samples(
     period_samples : float
         One revolution.
     threshold : float
-        Local difference over its median that still counts as lead-in, until a quarter of a
-        second stays below it.
+        Local difference over its lowest fifth that still counts as lead-in, until a quarter
+        of a second stays below it.
     """
     lag = round(period_samples)
     if len(signal) <= lag + 2:
         return 0
     local = moving_rms(signal[lag:] - signal[:-lag], max(3, round(0.1 * rate_hz)))
-    repeats = local <= threshold * np.median(local)
+    repeats = local <= threshold * np.quantile(local, 0.2)
     settle = max(1, round(0.25 * rate_hz))
     steady = np.convolve(repeats, np.ones(settle), "valid") >= settle - 0.5
     return int(np.argmax(steady)) if steady.any() else len(local)

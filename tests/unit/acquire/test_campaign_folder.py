@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.campaign_folder import open_campaign
+from dtwin.acquire.ingest import ingest
+from dtwin.acquire.signal_files import write_signals
+from dtwin.errors import InputError
+from dtwin.parquet import table_of, write_parquet
+from dtwin.schema import SignalGroup
+from dtwin.store import Lake
+
+HEAD = '[campaign]\nname = "c"\nmachine = "m"\nkind = "circular"\n'
+
+
+def csv_rows(n: int = 200) -> str:
+    angle = np.linspace(0, 360, n)
+    rows = [f"{i / 100},{a},{np.sin(i / 9)}" for i, a in enumerate(angle)]
+    return "t_s,angle_deg,deviation_um\n" + "\n".join(rows) + "\n"
+
+
+def folder(tmp_path: Path, run: str, files: dict[str, str] | None = None) -> Path:
+    for name, content in (files or {"r1.csv": csv_rows()}).items():
+        (tmp_path / name).write_text(content)
+    (tmp_path / "campaign.toml").write_text(HEAD + run)
+    return tmp_path
+
+
+RUN = '[[run]]\nid = "r1"\nfile = "r1.csv"\nplane = "XY"\nradius_mm = 100.0\nfeed_mm_min = 2000.0\ndirection = "CCW"\n'
+
+
+def test_csv_json_parquet_and_b5r_go_the_same_way(tmp_path: Path, real_recording: Path) -> None:
+    shutil.copy(real_recording, tmp_path / "real.b5r")
+    trace = {"ErrorUnits": "millimetres", "Runs": [{"Direction": 0, "Readings": [0.001 * i for i in range(300)]}]}
+    (tmp_path / "t.json").write_text(json.dumps(trace))
+    n = 50
+    write_parquet(
+        tmp_path / "p.parquet",
+        table_of({"t_s": np.arange(n) / 10, "angle_deg": -np.linspace(0, 360, n), "deviation_um": np.sin(np.arange(n))}),
+    )
+    write_signals(tmp_path / "s.parquet", SignalGroup("accelerometers", 1651.6, {"wrist_x_g": np.ones(9)}))
+    more = (
+        '[[run]]\nid = "real"\nfile = "real.b5r"\n'
+        '[[run]]\nid = "t"\nfile = "t.json"\nplane = "XY"\nradius_mm = 150.0\nfeed_mm_min = 3000.0\ndirection = "CCW"\nsample_rate_hz = 100.0\n'
+        '[[run]]\nid = "p"\nfile = "p.parquet"\nplane = "XZ"\nradius_mm = 100.0\nfeed_mm_min = 2000.0\ndirection = "CCW"\nsignals = "s.parquet"\n'
+        "[run.covariates]\ntemperature_c = 21.5\n"
+    )
+    lake = Lake(tmp_path / "lake")
+    report = ingest(folder(tmp_path, RUN + more), lake)
+    assert sorted(report.added) == ["p", "r1", "real-ccw", "real-cw", "t"]
+    rows = {row["run_id"]: row for row in lake.runs("c")}
+    assert rows["real-cw"]["direction"] == "CW"
+    assert rows["real-cw"]["n_errors"] == 2
+    # XZ is ZX seen from the other side.
+    assert (rows["p"]["plane"], rows["p"]["direction"]) == ("ZX", "CW")
+    p = lake.load(rows["p"])
+    assert p.meta.covariates == {"temperature_c": 21.5}
+    assert p.signals[0].name == "accelerometers"
+    assert lake.load(rows["t"]).samples["deviation_um"][1] == pytest.approx(1.0)
+    assert ingest(tmp_path, lake).added == ()
+
+
+def test_bad_rows_are_rejected_and_kept(tmp_path: Path) -> None:
+    lines = csv_rows().splitlines()
+    lines[5] = "0.04,5.0,nan"
+    lines[9] = "0.08,inf,1.0"
+    lake = Lake(tmp_path / "lake")
+    report = ingest(folder(tmp_path, RUN, {"r1.csv": "\n".join(lines)}), lake)
+    assert report.rejected_rows == 2
+    reasons = [row["reason"] for row in lake.tables["rejects"].read().to_pylist()]
+    assert reasons == ["not finite: deviation_um", "not finite: angle_deg"]
+    assert lake.load(lake.runs()[0]).n_samples == 198
+
+
+@pytest.mark.parametrize(
+    ("run", "files", "code"),
+    [
+        ('[[run]]\nid = "../r"\nfile = "r1.csv"\n', None, "name.invalid"),
+        ('[[run]]\nid = "r1"\nfile = "../../etc/passwd"\n', None, "campaign.escape"),
+        ('[[run]]\nid = "r1"\nfile = "/etc/passwd"\n', None, "campaign.escape"),
+        ('[[run]]\nid = "r1"\nfile = "nothing.csv"\nplane="XY"\ndirection="CW"\n', None, "file.missing"),
+        (RUN + RUN, None, "ingest.duplicate_run"),
+        (RUN.replace('direction = "CCW"\n', ""), None, "run.direction"),
+        (RUN.replace('plane = "XY"\n', ""), None, "run.plane"),
+        (RUN.replace('"XY"', '"XX"'), None, "run.plane"),
+        (RUN.replace("100.0", "-5.0"), None, "campaign.run"),
+        (RUN + 'feeed = 3\n', None, "campaign.run"),
+        (RUN, {"r1.csv": "t_s,angle_deg,deviation\n0,0,0\n"}, "columns.missing"),
+        (RUN, {"r1.csv": csv_rows().replace("t_s,", "t_s,").replace("deviation_um", "deviation_um,warmth", 1)}, "table.malformed"),
+        (RUN, {"r1.csv": "t_s,angle_deg,deviation_um,warmth\n0,0,0,1.5\n1,1,1,1.5\n"}, "units.unknown"),
+        (RUN, {"r1.csv": "t_s,angle_deg,deviation_um\nnan,nan,nan\n"}, "table.no_rows"),
+        (RUN, {"r1.csv": ""}, "file.empty"),
+        ("run = 3", None, "campaign.toml"),
+        ("", None, "campaign.toml"),
+        ("[[run", None, "campaign.toml"),
+    ],
+)
+def test_what_is_wrong_is_named_and_nothing_is_stored(
+    tmp_path: Path, run: str, files: dict[str, str] | None, code: str
+) -> None:
+    lake = Lake(tmp_path / "lake")
+    with pytest.raises(InputError) as caught:
+        ingest(folder(tmp_path, run, files), lake)
+    assert caught.value.code == code
+    assert lake.runs() == []
+
+
+def test_a_contradiction_between_toml_and_file_is_a_finding(tmp_path: Path, real_recording: Path) -> None:
+    shutil.copy(real_recording, tmp_path / "real.b5r")
+    run = '[[run]]\nid = "real"\nfile = "real.b5r"\nfeed_mm_min = 3000.0\n'
+    opened = open_campaign(folder(tmp_path, run, {}))
+    runs, _ = opened.read(opened.entries[0])
+    assert [f.code for f in runs[0].findings] == ["campaign.contradiction"]
+    assert runs[0].meta.feed_mm_min == 5000.0

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.b5r import read_b5r
+from dtwin.acquire.motion_quality import aligned_angle_deg, motion_of, non_repeatable_um
+from dtwin.acquire.quality import judge_campaign, judge_run
+from dtwin.schema import Finding, Run, RunMeta, SignalGroup
+
+
+def found(findings: list[Finding], code: str) -> Finding:
+    return next(f for f in findings if f.code == code)
+
+
+@pytest.fixture(scope="module")
+def real(real_recording: Path) -> dict[str, Run]:
+    return {run.meta.run_id: run for run in read_b5r(real_recording).runs}
+
+
+def test_the_short_clockwise_window_is_found(real: dict[str, Run]) -> None:
+    finding = found(judge_run(real["cw"]), "arc.window_short")
+    assert finding.severity == "error"
+    assert finding.numbers["true_deg"] == pytest.approx(326, abs=1.5)
+    assert 1590 <= finding.numbers["period_samples_1"] <= 1592
+    assert not any(f.code.startswith("arc.") for f in judge_run(real["ccw"]))
+
+
+@pytest.mark.parametrize(
+    ("direction", "expected"), [("ccw", (810, 1609, 2387)), ("cw", (551, 1351, 2140))]
+)
+def test_the_stops_every_half_turn_are_found(
+    real: dict[str, Run], direction: str, expected: tuple[int, ...]
+) -> None:
+    stops = found(judge_run(real[direction]), "motion.stops").numbers["samples_1"]
+    assert isinstance(stops, list)
+    for wanted in expected:
+        assert min(abs(wanted - stop) for stop in stops) <= 10
+
+
+def test_the_clockwise_angles_are_misregistered(real: dict[str, Run]) -> None:
+    finding = found(judge_run(real["cw"]), "angle.misregistered")
+    assert finding.numbers["worst_deg"] == pytest.approx(52, abs=4)
+    aligned = aligned_angle_deg(real["cw"], motion_of(real["cw"]))
+    assert aligned is not None
+    assert np.all(np.diff(aligned) < 0)
+    assert not any(f.code == "angle.misregistered" for f in judge_run(real["ccw"]))
+
+
+@pytest.mark.parametrize("direction", ["ccw", "cw"])
+def test_what_repeats_between_revolutions(real: dict[str, Run], direction: str) -> None:
+    result = non_repeatable_um(real[direction], motion_of(real[direction]))
+    assert result is not None
+    correlation, repeatable, rest = result
+    assert correlation > 0.96
+    assert repeatable > 50
+    assert rest < 11
+    assert found(judge_run(real[direction]), "feed.differs").numbers["real_mm_min"] < 4850
+
+
+def made(**columns: np.ndarray) -> Run:
+    n = 400
+    samples = {
+        "t_s": np.arange(n) / 200.0,
+        "angle_deg": np.linspace(0, 360, n),
+        "deviation_um": 5 * np.sin(np.arange(n) / 7.0),
+    } | columns
+    meta = RunMeta("r", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2000.0, sample_rate_hz=200.0)
+    return Run(meta, samples)
+
+
+def codes(run: Run) -> set[str]:
+    return {f.code for f in judge_run(run)}
+
+
+def test_a_clean_run_has_no_findings() -> None:
+    assert codes(made()) == set()
+
+
+def _changed(values: np.ndarray, at: slice, to: float) -> np.ndarray:
+    copy = values.copy()
+    copy[at] = to
+    return copy
+
+
+@pytest.mark.parametrize(
+    ("columns", "code"),
+    [
+        ({"t_s": _changed(np.arange(400) / 200, slice(200, 201), 0.0)}, "clock.backwards"),
+        ({"t_s": np.arange(400) / 200 + (np.arange(400) > 200) * 0.5}, "clock.dropout"),
+        ({"deviation_um": 1e4 * np.sin(np.arange(400) / 7.0)}, "reading.out_of_range"),
+        ({"deviation_um": _changed(5 * np.sin(np.arange(400) / 7.0), slice(100, 150), 1.0)}, "reading.stuck"),
+        ({"deviation_um": np.minimum(5 * np.sin(np.arange(400) / 30.0), 3.0)}, "reading.clipped"),
+        ({"angle_deg": -np.linspace(0, 360, 400)}, "angle.direction"),
+        ({"angle_deg": np.linspace(0, 360, 400) + (np.arange(400) > 200) * 90.0}, "angle.jump"),
+    ],
+)
+def test_each_fault_of_a_run_is_named(columns: dict[str, np.ndarray], code: str) -> None:
+    assert code in codes(made(**columns))
+
+
+def test_faults_of_signals_are_named() -> None:
+    rng = np.random.default_rng(1)
+    good = rng.normal(size=5000)
+    for values, code in (
+        (np.where(np.arange(5000) == 7, np.nan, good), "signal.not_finite"),
+        (np.clip(good, -1, 1), "signal.clipped"),
+        (np.zeros(5000), "signal.dead"),
+    ):
+        run = replace(made(), signals=(SignalGroup("accelerometers", 1651.6, {"wrist_x_g": values}),))
+        assert code in codes(run)
+
+
+def test_a_campaign_without_repeats_or_directions_says_so() -> None:
+    one = made()
+    found_codes = {f.code for f in judge_campaign([one])}
+    assert found_codes == {"campaign.one_direction", "campaign.no_repeat"}
+    runs = [
+        replace(one, meta=replace(one.meta, run_id=f"{d}{r}", direction=d, repeat=r))
+        for d in ("CCW", "CW")
+        for r in (1, 2)
+    ]
+    assert judge_campaign(runs) == []
