@@ -71,7 +71,7 @@ def motion_of(run: Run) -> Motion:
 def aligned_angle_deg(run: Run, motion: Motion) -> Floats | None:
     """Return angles that put every stop on a half turn; None with fewer than two stops.
 
-    The stop that is nearest to the marked start gets the file's own start angle.
+    Which half turn a stop belongs to is taken from the file's own angles, rounded.
 
     Parameters
     ----------
@@ -83,9 +83,10 @@ def aligned_angle_deg(run: Run, motion: Motion) -> Floats | None:
     if len(motion.stops) < 2 or run.window is None:
         return None
     sign = 1.0 if run.meta.direction == "CCW" else -1.0
-    first = int(np.argmin(np.abs(motion.stops - run.window[0])))
     start_deg = float(run.samples["angle_deg"][run.window[0]])
-    at_stops = start_deg + sign * 180.0 * (np.arange(len(motion.stops)) - first)
+    counted = sign * 180.0 * np.arange(len(motion.stops))
+    off = np.median(run.samples["angle_deg"][motion.stops] - start_deg - counted)
+    at_stops = start_deg + counted + 180.0 * np.round(off / 180.0)
     index = np.arange(run.n_samples)
     angle = np.interp(index, motion.stops, at_stops)
     mean_step = 360.0 / motion.revolution_samples * sign

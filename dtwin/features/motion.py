@@ -35,6 +35,8 @@ PATH_INPUTS: tuple[str, ...] = (
     "tangential_acceleration_mm_s2",
     "radial_acceleration_mm_s2",
     "segment_time_s",
+    *(f"radial_{axis}_1" for axis in "xyz"),
+    *(f"acceleration_{axis}_mm_s2" for axis in "xyz"),
 )
 """Names of the path inputs, in the order in which the kernel writes them."""
 
@@ -48,6 +50,8 @@ PATH_INPUT_UNITS: dict[str, str] = {
     "tangential_acceleration_mm_s2": "mm/s^2",
     "radial_acceleration_mm_s2": "mm/s^2",
     "segment_time_s": "s",
+    **{f"radial_{axis}_1": "1" for axis in "xyz"},
+    **{f"acceleration_{axis}_mm_s2": "mm/s^2" for axis in "xyz"},
 }
 
 CARRY_SIZE = 11
@@ -62,7 +66,8 @@ def path_inputs_kernel(
 
     The lever of joint j is the radial component of the tool's motion per radian of that
     joint: the outward unit vector at the path angle times column j of the position Jacobian.
-    The commanded acceleration is the difference of two successive target velocities.
+    The commanded acceleration is the difference of two successive target velocities. The
+    outward unit vector and that acceleration are given in the base frame as well.
 
     Parameters
     ----------
@@ -74,7 +79,7 @@ def path_inputs_kernel(
         Chain and tool centre point, as in ``dtwin.kinematics``.
     carry : ndarray, shape (11,)
         What is remembered from the sample before; zeros at the start of a run. Overwritten.
-    out : ndarray, shape (24,)
+    out : ndarray, shape (30,)
         Receives the inputs in the order of ``PATH_INPUTS``.
     """
     now_s = state[index[0]]
@@ -110,9 +115,14 @@ def path_inputs_kernel(
         square += state[index[16 + i]] ** 2
     out[20] = np.sqrt(square)
     elapsed_s = now_s - carry[7]
+    for i in range(3):
+        out[24 + i] = 0.0
+    out[24 + first], out[24 + second] = cosine, sine
     if not started:
-        out[21], out[22] = 0.0, 0.0
+        out[21], out[22], out[27], out[28], out[29] = 0.0, 0.0, 0.0, 0.0, 0.0
     elif elapsed_s > 0.0:
+        for i in range(3):
+            out[27 + i] = (state[index[16 + i]] - carry[8 + i]) / elapsed_s
         a = (state[index[16 + first]] - carry[8 + first]) / elapsed_s
         b = (state[index[16 + second]] - carry[8 + second]) / elapsed_s
         out[21] = state[index[23]] * (cosine * b - sine * a)
@@ -134,6 +144,7 @@ def _path_inputs_many(
     for n in range(states.shape[0]):
         if n:
             out[n, 21], out[n, 22] = out[n - 1, 21], out[n - 1, 22]
+            out[n, 27:] = out[n - 1, 27:]
         path_inputs_kernel(states[n], index, dh, tcp_mm, carry, out[n])
 
 
@@ -175,7 +186,7 @@ class PathInputs:
         self.values[:] = 0.0
 
     def update(self, state: Floats) -> Floats:
-        """Return the inputs (24,) of the newest state; the array is reused by the next call.
+        """Return the inputs (30,) of the newest state; the array is reused by the next call.
 
         Parameters
         ----------
@@ -186,7 +197,7 @@ class PathInputs:
         return self.values
 
     def batch(self, states: Floats) -> Floats:
-        """Return the inputs of a run from its first sample, shape (n, 24).
+        """Return the inputs of a run from its first sample, shape (n, 30).
 
         Parameters
         ----------

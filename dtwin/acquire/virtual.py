@@ -1,0 +1,107 @@
+"""The virtual cobot as a bench: same files, same readers, known truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime, timedelta
+from typing import Any
+
+import numpy as np
+
+from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
+from dtwin.plan import PlannedTest
+from dtwin.schema import Direction, Plane, Run, RunMeta, SignalGroup
+
+EPOCH = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
+
+
+class VirtualCobotBench:
+    """A UR10e that exists only as equations of motion, with ball bar and accelerometers.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of the machine, its set-ups and its noise.
+    """
+
+    name = "virtual-cobot"
+
+    def __init__(self, seed: int = 0) -> None:
+        self.cobot = VirtualCobot(seed=seed)
+        self.clock = EPOCH
+
+    def describe(self) -> Mapping[str, Mapping[str, Any]]:
+        """Return geometry and instrument for the campaign file."""
+        motion = self.cobot.parameters.motion
+        return {
+            "machine_geometry": {
+                "type": "ur10e",
+                "tcp_mm": [0.0, 0.0, motion.tcp_z_mm],
+                "centre_small_mm": [
+                    motion.centre_x_small_mm, motion.centre_y_mm, motion.centre_z_mm,
+                ],
+                "centre_large_mm": [
+                    motion.centre_x_large_mm, motion.centre_y_mm, motion.centre_z_mm,
+                ],
+                "large_radius_from_mm": motion.large_radius_from_mm,
+                "virtual": True,
+            },
+            "instrument": {"model": "virtual ballbar", "sample_rate_hz": 200.0},
+        }
+
+    def warm_up(self) -> None:
+        """Do nothing: the virtual robot has no thermal state."""
+
+    def measure(self, test: PlannedTest, direction: Direction) -> Run:
+        """Run one direction of a test on the machine clock."""
+        condition = CircleCondition(test.plane, test.radius_mm, test.feed_mm_min, direction)
+        recording = self.cobot.measure(condition, setup=test.setup, repeat=test.repeat)
+        run = run_of(recording, f"{test.test_id}-{direction.lower()}", test.plane, self.clock)
+        self.clock += timedelta(seconds=round(recording.duration_s) + 10)
+        return run
+
+    def close(self) -> None:
+        """Do nothing: there is nothing to release."""
+
+
+def run_of(recording: CobotRecording, run_id: str, plane: Plane, started: datetime) -> Run:
+    """Return a recording of the virtual cobot as a run.
+
+    Parameters
+    ----------
+    recording : CobotRecording
+        What the virtual instruments recorded.
+    run_id : str
+        Identifier of the run.
+    plane : str
+        Standard plane.
+    started : datetime
+        Time to state.
+    """
+    condition = recording.condition
+    direction: Direction = "CCW" if condition.direction == "CCW" else "CW"
+    start, end = recording.window
+    arc_deg = 360.0 if plane == "XY" else 180.0
+    turned = (np.arange(len(recording.deviation_mm)) - start) * (arc_deg / (end - start))
+    samples = {
+        "t_s": np.arange(len(recording.deviation_mm)) / recording.sample_rate_hz,
+        "angle_deg": turned if direction == "CCW" else -turned,
+        "deviation_um": recording.deviation_mm * 1000.0,
+    }
+    meta = RunMeta(
+        run_id=run_id, plane=plane, direction=direction, radius_mm=condition.radius_mm,
+        feed_mm_min=condition.feed_mm_min, repeat=recording.repeat, setup=recording.setup,
+        started=started.isoformat(), sample_rate_hz=recording.sample_rate_hz,
+        covariates={"temperature_c": 20.0},
+    )
+    groups = tuple(_compact(group) for group in recording.groups)
+    return Run(meta, samples, recording.window, groups, "virtual cobot")
+
+
+def _compact(group: SignalGroup) -> SignalGroup:
+    """Keep accelerations in single precision: 24 bits are what the converter has."""
+    columns = {
+        name: values.astype(np.float32) if name.endswith("_g") else values
+        for name, values in group.columns.items()
+    }
+    return SignalGroup(group.name, group.rate_hz, columns, group.start_s)
