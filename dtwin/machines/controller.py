@@ -80,6 +80,10 @@ class CobotController:
         self._registers[:] = registers
         self._advance()
 
+    def adopt_sequence(self, sequence: int) -> None:
+        """Take a sequence number as already seen, so that only the next change counts."""
+        m_.adopt_sequence(self._memory, sequence)
+
     def set_speed_scaling(self, factor: float) -> None:
         """Scale the speed along the path, as the robot's speed slider does; 0 to 1."""
         set_speed_factor(self._memory, min(max(factor, 0.0), 1.0))

@@ -123,6 +123,11 @@ def set_speed_factor(memory: Floats, factor: float) -> None:
     memory[_SPEED_FACTOR] = factor
 
 
+def adopt_sequence(memory: Floats, sequence: int) -> None:
+    """Take a sequence number as already seen."""
+    memory[_SEQUENCE] = sequence
+
+
 def path_time_s(memory: Floats) -> float:
     """Return how far the program has run."""
     return float(memory[_PATH_TIME])
