@@ -1,0 +1,1 @@
+"""Serving: bundle, tape, safety, loop. Numpy, numba and the standard library only."""

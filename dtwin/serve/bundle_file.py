@@ -1,0 +1,189 @@
+"""Bundles on disk: written whole or not at all, proved before they are used."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NoReturn
+
+from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.features.windows import WindowContract
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.graph import Graph
+from dtwin.serve.interface import (
+    Input,
+    Output,
+    Provenance,
+    SafetyLimits,
+    State,
+    TestVectors,
+)
+from dtwin.serve.proof import prove, with_vectors
+from dtwin.serve.runtime import CompiledBundle
+
+MAX_BYTES = 8_000_000
+
+
+def create_bundle(
+    *, name: str, machine: str, model_version: int, inputs: Sequence[Input],
+    outputs: Sequence[Output], tick_graph: Graph, states: Sequence[State] = (),
+    window: WindowContract | None = None, window_graph: Graph | None = None,
+    safety: SafetyLimits | None = None, provenance: Provenance | None = None, seed: int = 1,
+) -> Bundle:  # fmt: skip
+    """Return a bundle with its test vectors, proved on this host.
+
+    Raises
+    ------
+    InputError
+        When the parts do not fit together, or the model is not finite in its validity box.
+    GateRefusal
+        When the tape and the slow evaluation disagree.
+    """
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    bundle = Bundle(
+        name, machine, model_version, created, tuple(inputs), tuple(outputs), tuple(states),
+        window, window_graph, tick_graph, safety or SafetyLimits(), provenance or Provenance(),
+        TestVectors((), (), ()),
+    )  # fmt: skip
+    proved = with_vectors(bundle, seed)
+    prove(proved)
+    return proved
+
+
+def save_bundle(bundle: Bundle, path: Path) -> Path:
+    """Write a bundle atomically and return its path.
+
+    Raises
+    ------
+    StoreError
+        When the file cannot be written.
+    """
+    write_json(path, bundle.to_dict())
+    return path
+
+
+def load_bundle(
+    path: Path, machine: str | None = None, contract: WindowContract | None = None
+) -> CompiledBundle:
+    """Read, check and prove a bundle, and compile it.
+
+    Parameters
+    ----------
+    path : Path
+        A bundle's file.
+    machine : str, optional
+        Machine that will be served; a bundle of another one is refused.
+    contract : WindowContract, optional
+        What the sensors deliver; another contract is refused.
+
+    Raises
+    ------
+    InputError
+        When the file is missing, malformed, too large or was changed.
+    GateRefusal
+        When it belongs to another machine or contract, or its test vectors do not hold here.
+    """
+    bundle = Bundle.from_dict(read_json(path, MAX_BYTES))
+    if machine is not None and bundle.machine != machine:
+        raise GateRefusal(
+            "the bundle was made for another machine",
+            code="bundle.machine",
+            where=str(path),
+            got=bundle.machine,
+            allowed=machine,
+        )
+    if contract is not None and bundle.window is not None and bundle.window != contract:
+        differs = [k for k, v in bundle.window.to_dict().items() if contract.to_dict()[k] != v]
+        raise GateRefusal(
+            "the sensors do not deliver what the model was trained on",
+            code="bundle.contract",
+            where=str(path),
+            got=", ".join(f"{k} = {contract.to_dict()[k]}" for k in differs)[:300],
+            allowed=", ".join(f"{k} = {bundle.window.to_dict()[k]}" for k in differs)[:300],
+        )
+    prove(bundle)
+    return CompiledBundle(bundle)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON so that a reader sees the old file or the new one, never a part.
+
+    Raises
+    ------
+    StoreError
+        When the folder cannot be written.
+    """
+    plain = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, draft = tempfile.mkstemp(prefix=f".{path.name[:40]}.", dir=path.parent)
+        try:
+            with os.fdopen(handle, "w") as file:
+                file.write(plain)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(draft).replace(path)
+        except BaseException:
+            Path(draft).unlink(missing_ok=True)
+            raise
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise StoreError(
+            "the file cannot be written",
+            code="bundle.write",
+            where=str(path),
+            got=error.strerror or str(error),
+        ) from error
+
+
+def read_json(path: Path, max_bytes: int) -> Any:
+    """Read a JSON file of bounded size, refusing NaN, infinity and repeated names.
+
+    Raises
+    ------
+    InputError
+        When it is missing, too large, or not such JSON.
+    """
+    try:
+        with path.open("rb") as file:
+            raw = file.read(max_bytes + 1)
+    except OSError as error:
+        raise InputError(
+            "the file cannot be read",
+            code="bundle.missing",
+            where=str(path),
+            got=error.strerror or str(error),
+            hint="dtwin promote writes it",
+        ) from error
+    if len(raw) > max_bytes:
+        raise InputError(
+            "the file is too large", code="bundle.size", where=str(path),
+            allowed=f"{max_bytes} bytes",
+        )  # fmt: skip
+    try:
+        return json.loads(raw, parse_constant=_refuse_constant, object_pairs_hook=_unrepeated)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            "the file is not usable JSON",
+            code="bundle.json",
+            where=str(path),
+            got=str(error)[:120],
+        ) from error
+
+
+def _refuse_constant(word: str) -> NoReturn:
+    raise ValueError(f"{word} is not a number that a bundle may hold")
+
+
+def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len({name for name, _ in pairs}) != len(pairs):
+        raise ValueError("a name is given twice")
+    return dict(pairs)

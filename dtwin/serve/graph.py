@@ -1,0 +1,286 @@
+"""Expression graphs: numbered nodes over a closed operator list, each using earlier ones."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from dtwin.errors import InputError
+from dtwin.serve.fields import number, only_fields, text, whole
+from dtwin.serve.operators import LEAVES, MAX_POWER, OPERATORS, lookup, power
+
+MAX_NODES = 4096
+MAX_DEPTH = 256
+MAX_TABLE_VALUES = 65536
+
+
+@dataclass(frozen=True)
+class Table:
+    """Values at uniform arguments.
+
+    Attributes
+    ----------
+    start, spacing : float
+        Argument of the first value, and from one value to the next.
+    values : tuple of float
+        At least two.
+    periodic : bool
+        Whether the last value is followed by the first; else the ends are held.
+    """
+
+    start: float
+    spacing: float
+    values: tuple[float, ...]
+    periodic: bool
+
+
+@dataclass(frozen=True)
+class Node:
+    """One operation.
+
+    Attributes
+    ----------
+    op : str
+        ``const``, ``input``, ``state`` or a name of ``OPERATORS``.
+    args : tuple of int
+        Numbers of earlier nodes.
+    value : float
+        Of a ``const``.
+    name : str
+        Of an ``input`` or ``state``.
+    n : int
+        Exponent of a ``pow_int``; table number of a ``lookup``.
+    """
+
+    op: str
+    args: tuple[int, ...] = ()
+    value: float = 0.0
+    name: str = ""
+    n: int = 0
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Nodes in an order in which they can be evaluated.
+
+    Attributes
+    ----------
+    nodes : tuple of Node
+        Each refers to earlier nodes only.
+    outputs : dict of str to int
+        Node of each output.
+    updates : dict of str to int
+        Node of each state's next value; a state that is not named keeps its value.
+    tables : tuple of Table
+        For ``lookup``.
+    """
+
+    nodes: tuple[Node, ...]
+    outputs: Mapping[str, int]
+    updates: Mapping[str, int] = field(default_factory=dict)
+    tables: tuple[Table, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse a graph that cannot be evaluated safely."""
+        check_graph(self)
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs that are used, in order of first use."""
+        return tuple(dict.fromkeys(n.name for n in self.nodes if n.op == "input"))
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states that are read or updated."""
+        read = [n.name for n in self.nodes if n.op == "state"]
+        return tuple(dict.fromkeys([*read, *self.updates]))
+
+    def evaluate(
+        self, inputs: Mapping[str, float], state: Mapping[str, float]
+    ) -> tuple[dict[str, float], dict[str, float]]:
+        """Return outputs and next state, slowly, as the reference for the tape.
+
+        Parameters
+        ----------
+        inputs, state : mapping of str to float
+            Values by name.
+        """
+        values: list[float] = []
+        for node in self.nodes:
+            values.append(self._value(node, values, inputs, state))
+        after = dict(state) | {name: values[i] for name, i in self.updates.items()}
+        return {name: values[i] for name, i in self.outputs.items()}, after
+
+    def _value(
+        self, node: Node, values: Sequence[float], inputs: Mapping[str, float],
+        state: Mapping[str, float],
+    ) -> float:  # fmt: skip
+        if node.op == "const":
+            return node.value
+        if node.op == "input":
+            return float(inputs[node.name])
+        if node.op == "state":
+            return float(state[node.name])
+        args = [values[i] for i in node.args]
+        if node.op == "pow_int":
+            return power(args[0], node.n)
+        if node.op == "lookup":
+            table = self.tables[node.n]
+            return lookup(args[0], table.start, table.spacing, list(table.values), table.periodic)
+        return float(OPERATORS[node.op].evaluate(*args))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {
+            "nodes": [_node_to_dict(node) for node in self.nodes],
+            "outputs": dict(self.outputs),
+            "updates": dict(self.updates),
+            "tables": [
+                {
+                    "start": t.start,
+                    "spacing": t.spacing,
+                    "values": list(t.values),
+                    "periodic": t.periodic,
+                }
+                for t in self.tables
+            ],
+        }
+
+    @classmethod
+    def from_dict(cls, data: object, where: str) -> Graph:
+        """Return the graph that ``to_dict`` described.
+
+        Raises
+        ------
+        InputError
+            When a field is missing, unknown, of the wrong type or out of range.
+        """
+        fields = only_fields(data, ("nodes", "outputs", "updates", "tables"), where)
+        nodes = _listed(fields["nodes"], f"{where}.nodes", MAX_NODES)
+        tables = _listed(fields["tables"], f"{where}.tables", MAX_NODES)
+        return cls(
+            nodes=tuple(_node_from_dict(n, f"{where}.nodes[{i}]") for i, n in enumerate(nodes)),
+            outputs=_indices(fields["outputs"], f"{where}.outputs"),
+            updates=_indices(fields["updates"], f"{where}.updates"),
+            tables=tuple(_table_from_dict(t, f"{where}.tables[{i}]") for i, t in enumerate(tables)),
+        )
+
+
+def check_graph(graph: Graph) -> None:
+    """Refuse a graph with unknown operators, wrong references or non-finite constants.
+
+    Raises
+    ------
+    InputError
+        With the number of the offending node.
+    """
+    if not 1 <= len(graph.nodes) <= MAX_NODES:
+        raise _wrong(
+            "the count of nodes is out of range", f"{len(graph.nodes)}", f"1 to {MAX_NODES}"
+        )
+    if sum(len(table.values) for table in graph.tables) > MAX_TABLE_VALUES:
+        raise _wrong("the tables are too large", "", f"{MAX_TABLE_VALUES} values")
+    for i, table in enumerate(graph.tables):
+        _check_table(table, i)
+    depths: list[int] = []
+    for i, node in enumerate(graph.nodes):
+        _check_node(graph, node, i)
+        depths.append(1 + max((depths[a] for a in node.args), default=0))
+    if max(depths) > MAX_DEPTH:
+        raise _wrong("the graph is too deep", str(max(depths)), f"{MAX_DEPTH}")
+    targets = [*graph.outputs.values(), *graph.updates.values()]
+    if not graph.outputs or not all(0 <= i < len(graph.nodes) for i in targets):
+        raise _wrong("an output or update names no node", str(targets)[:80], "a node's number")
+
+
+def _check_node(graph: Graph, node: Node, i: int) -> None:
+    if node.op not in OPERATORS and node.op not in LEAVES:
+        allowed = ", ".join([*LEAVES, *OPERATORS])
+        raise _wrong(f"node {i} has an unknown operator", node.op[:40], allowed)
+    arity = OPERATORS[node.op].arity if node.op in OPERATORS else 0
+    if len(node.args) != arity or not all(0 <= a < i for a in node.args):
+        raise _wrong(
+            f"node {i} ({node.op}) has wrong arguments", str(node.args)[:80],
+            f"{arity} numbers of earlier nodes",
+        )  # fmt: skip
+    if node.op == "const" and not math.isfinite(node.value):
+        raise _wrong(f"node {i} is a constant that is not finite", str(node.value), "a number")
+    if node.op in ("input", "state") and not node.name:
+        raise _wrong(f"node {i} ({node.op}) has no name", "", "a name")
+    if node.op == "pow_int" and not (1 <= abs(node.n) <= MAX_POWER):
+        raise _wrong(f"node {i} has an unusable exponent", str(node.n), f"+-1 to +-{MAX_POWER}")
+    if node.op == "lookup" and not 0 <= node.n < len(graph.tables):
+        raise _wrong(f"node {i} names no table", str(node.n), f"0 to {len(graph.tables) - 1}")
+
+
+def _check_table(table: Table, i: int) -> None:
+    finite = all(math.isfinite(v) for v in (table.start, table.spacing, *table.values))
+    if not finite or table.spacing <= 0 or len(table.values) < 2:
+        raise _wrong(
+            f"table {i} is unusable", "", "two or more finite values at a positive spacing"
+        )
+
+
+def _node_to_dict(node: Node) -> dict[str, Any]:
+    plain: dict[str, Any] = {"op": node.op}
+    if node.op == "const":
+        plain["value"] = node.value
+    elif node.op in LEAVES:
+        plain["name"] = node.name
+    else:
+        plain["args"] = list(node.args)
+    if node.op == "pow_int":
+        plain["n"] = node.n
+    if node.op == "lookup":
+        plain["table"] = node.n
+    return plain
+
+
+def _node_from_dict(data: object, where: str) -> Node:
+    op = text(data.get("op"), f"{where}.op") if isinstance(data, dict) else ""
+    extra: tuple[str, ...] = {"const": ("value",), "input": ("name",), "state": ("name",)}.get(
+        op, ("args",)
+    )
+    extra += {"pow_int": ("n",), "lookup": ("table",)}.get(op, ())
+    fields = only_fields(data, ("op", *extra), where)
+    args = _listed(fields.get("args", []), f"{where}.args", 2)
+    place = fields.get("n", fields.get("table", 0))
+    return Node(
+        op=op,
+        args=tuple(whole(a, f"{where}.args") for a in args),
+        value=number(fields.get("value", 0.0), f"{where}.value"),
+        name=text(fields["name"], f"{where}.name") if "name" in fields else "",
+        n=whole(place, where),
+    )
+
+
+def _table_from_dict(data: object, where: str) -> Table:
+    fields = only_fields(data, ("start", "spacing", "values", "periodic"), where)
+    if not isinstance(fields["periodic"], bool):
+        raise _wrong(f"{where}.periodic is not true or false", "", "true, false")
+    values = _listed(fields["values"], f"{where}.values", MAX_TABLE_VALUES)
+    return Table(
+        number(fields["start"], where),
+        number(fields["spacing"], where),
+        tuple(number(v, f"{where}.values") for v in values),
+        fields["periodic"],
+    )
+
+
+def _indices(data: object, where: str) -> dict[str, int]:
+    if not isinstance(data, dict):
+        raise _wrong(f"{where} is not a mapping", type(data).__name__, "name: node number")
+    return {text(k, where): whole(v, f"{where}.{k}"[:80]) for k, v in data.items()}
+
+
+def _listed(data: object, where: str, longest: int) -> list[Any]:
+    if not isinstance(data, list) or len(data) > longest:
+        got = f"{len(data)} items" if isinstance(data, list) else type(data).__name__
+        raise _wrong(f"{where} is not a usable list", got, f"a list of at most {longest}")
+    return data
+
+
+def _wrong(message: str, got: str, allowed: str) -> InputError:
+    return InputError(message, code="bundle.graph", got=got or None, allowed=allowed)

@@ -1,0 +1,263 @@
+"""Records of a bundle's interface, and their strict reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+from dtwin.errors import InputError
+from dtwin.serve.fields import number, one_of, only_fields, text, whole
+
+SOURCES = ("path", "controller", "covariate", "feature")
+INPUT_FRAMES = ("none", "path", "joint", "base", "sensor")
+OUTPUT_FRAMES = (
+    "path_radial", "path_tangential", "path_normal", "base_x", "base_y", "base_z",
+)  # fmt: skip
+ROLES = ("error", "correction")
+EVIDENCE = ("none", "virtual", "real")
+MAX_LISTED = 512
+
+
+@dataclass(frozen=True)
+class Input:
+    """One named input.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name and unit; the unit is part of the contract.
+    frame : str
+        One of ``INPUT_FRAMES``.
+    rate_hz : float
+        Rate at which it is renewed.
+    source : str
+        ``feature`` inputs come from the window graph's sensors, the others every tick.
+    low, high : float
+        Validity box: what was seen in training.
+    """
+
+    name: str
+    unit: str
+    frame: str
+    rate_hz: float
+    source: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Output:
+    """One named output, in um.
+
+    Attributes
+    ----------
+    name : str
+        Identifier.
+    frame : str
+        One of ``OUTPUT_FRAMES``.
+    role : {"error", "correction"}
+        A predicted error is applied with its sign changed, a correction as it is.
+    unit : str
+        Always ``um``.
+    """
+
+    name: str
+    frame: str
+    role: str = "error"
+    unit: str = "um"
+
+
+@dataclass(frozen=True)
+class State:
+    """One number that is remembered from tick to tick."""
+
+    name: str
+    unit: str
+    initial: float
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """What the correction may do whatever the equation says.
+
+    Attributes
+    ----------
+    clamp_um : float
+        Largest length of the correction vector.
+    slew_um_s : float
+        Largest rate of change of the correction vector.
+    stale_s, window_stale_s : float
+        Age of the controller's state, and of the newest window, beyond which it is released.
+    outside : {"zero", "shrink"}
+        Answer outside the validity box: none, or less the further outside.
+    shrink_span : float
+        Share of the box's width beyond which ``shrink`` has reached zero.
+    trips_to_latch : int
+        Faults (NaN, stale, outside counts not) after which the output stays at zero until
+        it is armed again by an edge.
+    """
+
+    clamp_um: float = 100.0
+    slew_um_s: float = 2000.0
+    stale_s: float = 0.010
+    window_stale_s: float = 0.2
+    outside: Literal["zero", "shrink"] = "zero"
+    shrink_span: float = 0.1
+    trips_to_latch: int = 3
+
+    def __post_init__(self) -> None:
+        """Refuse limits that would switch a guard off."""
+        positive = (
+            self.clamp_um, self.slew_um_s, self.stale_s, self.window_stale_s,
+            self.shrink_span, float(self.trips_to_latch),
+        )  # fmt: skip
+        if not all(0 < value < 1e9 for value in positive):
+            raise InputError(
+                "every safety limit must be positive and finite",
+                code="bundle.safety",
+                got=str(asdict(self))[:200],
+            )
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a model comes from and what was shown of it.
+
+    Attributes
+    ----------
+    code_version, mlflow_version : str
+        Of this package, and of the registered model.
+    table_versions : dict of str to int
+        Versions of the lake's tables that it was trained on.
+    evidence : {"none", "virtual", "real"}
+        Closed-loop evidence.
+    gates : dict of str to bool
+        Verdict of each gate.
+    """
+
+    code_version: str = ""
+    mlflow_version: str = ""
+    table_versions: Mapping[str, int] = field(default_factory=dict)
+    evidence: str = "none"
+    gates: Mapping[str, bool] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TestVectors:
+    """Inputs over several ticks with the outputs that a slow evaluation gives.
+
+    Attributes
+    ----------
+    inputs : tuple of tuple of float
+        Tick inputs, one row per tick, in the order of ``Bundle.tick_inputs``.
+    features : tuple of tuple of float
+        Feature inputs, one row per tick, in the order of ``Bundle.feature_inputs``.
+    outputs : tuple of tuple of float
+        Outputs, one row per tick.
+    window_seed : int
+        Seed of the made-up window whose features must come out bit for bit.
+    window_features : tuple of float
+        Those features, channel by channel; empty without a window contract.
+    """
+
+    __test__ = False
+
+    inputs: tuple[tuple[float, ...], ...]
+    features: tuple[tuple[float, ...], ...]
+    outputs: tuple[tuple[float, ...], ...]
+    window_seed: int = 1
+    window_features: tuple[float, ...] = ()
+
+
+def read_input(data: object) -> Input:
+    """Return one declared input."""
+    f = only_fields(data, tuple(Input.__dataclass_fields__), "input")
+    name = text(f["name"], "input.name")
+    return Input(
+        name, text(f["unit"], name), one_of(f["frame"], INPUT_FRAMES, f"{name}.frame"),
+        number(f["rate_hz"], f"{name}.rate_hz"), one_of(f["source"], SOURCES, f"{name}.source"),
+        number(f["low"], f"{name}.low"), number(f["high"], f"{name}.high"),
+    )  # fmt: skip
+
+
+def read_output(data: object) -> Output:
+    """Return one declared output."""
+    f = only_fields(data, tuple(Output.__dataclass_fields__), "output")
+    name = text(f["name"], "output.name")
+    return Output(
+        name, one_of(f["frame"], OUTPUT_FRAMES, f"{name}.frame"),
+        one_of(f["role"], ROLES, f"{name}.role"), one_of(f["unit"], ("um",), f"{name}.unit"),
+    )  # fmt: skip
+
+
+def read_state(data: object) -> State:
+    """Return one declared state."""
+    f = only_fields(data, tuple(State.__dataclass_fields__), "state")
+    return State(text(f["name"], "state.name"), text(f["unit"], "state.unit"),
+                 number(f["initial"], "state.initial"))  # fmt: skip
+
+
+def read_safety(data: object) -> SafetyLimits:
+    """Return the safety limits."""
+    f = only_fields(data, tuple(SafetyLimits.__dataclass_fields__), "safety")
+    outside = one_of(f["outside"], ("zero", "shrink"), "safety.outside")
+    return SafetyLimits(
+        number(f["clamp_um"], "safety.clamp_um"), number(f["slew_um_s"], "safety.slew_um_s"),
+        number(f["stale_s"], "safety.stale_s"),
+        number(f["window_stale_s"], "safety.window_stale_s"),
+        "zero" if outside == "zero" else "shrink",
+        number(f["shrink_span"], "safety.shrink_span"),
+        whole(f["trips_to_latch"], "safety.trips_to_latch"),
+    )  # fmt: skip
+
+
+def read_provenance(data: object) -> Provenance:
+    """Return origin and evidence."""
+    f = only_fields(data, tuple(Provenance.__dataclass_fields__), "provenance")
+    gates = mapping(f["gates"], "provenance.gates")
+    if not all(isinstance(v, bool) for v in gates.values()):
+        raise wrong("a gate's verdict is neither true nor false", str(gates)[:200])
+    tables = mapping(f["table_versions"], "provenance.table_versions")
+    return Provenance(
+        text(f["code_version"], "code_version"), text(f["mlflow_version"], "mlflow_version"),
+        {k: whole(v, f"table_versions.{k}") for k, v in tables.items()},
+        one_of(f["evidence"], EVIDENCE, "provenance.evidence"), dict(gates),
+    )  # fmt: skip
+
+
+def read_vectors(data: object) -> TestVectors:
+    """Return the test vectors."""
+    f = only_fields(data, tuple(TestVectors.__dataclass_fields__), "vectors")
+    rows = {
+        name: tuple(
+            tuple(number(v, f"vectors.{name}") for v in sequence(row, f"vectors.{name}"))
+            for row in sequence(f[name], f"vectors.{name}")
+        )
+        for name in ("inputs", "features", "outputs")
+    }
+    features = sequence(f["window_features"], "vectors.window_features", 1_000_000)
+    return TestVectors(
+        rows["inputs"], rows["features"], rows["outputs"],
+        whole(f["window_seed"], "vectors.window_seed"),
+        tuple(number(v, "vectors.window_features") for v in features),
+    )  # fmt: skip
+
+
+def sequence(data: object, where: str, longest: int = MAX_LISTED) -> Sequence[Any]:
+    """Return a list of bounded length."""
+    if not isinstance(data, list) or len(data) > longest:
+        raise wrong(f"{where} is not a list of at most {longest}", type(data).__name__)
+    return data
+
+
+def mapping(data: object, where: str) -> dict[str, Any]:
+    """Return a mapping of bounded size."""
+    if not isinstance(data, dict) or len(data) > MAX_LISTED:
+        raise wrong(f"{where} is not a mapping of at most {MAX_LISTED}", type(data).__name__)
+    return data
+
+
+def wrong(message: str, got: str) -> InputError:
+    """Return the error of an interface that does not fit together."""
+    return InputError(message, code="bundle.interface", got=got or None)

@@ -1,0 +1,158 @@
+"""Test vectors of a bundle: made when it is created, proved when it is loaded."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from dtwin.errors import GateRefusal, InputError
+from dtwin.features.windows import WindowContract, batch_features
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.interface import TestVectors
+from dtwin.serve.runtime import CompiledBundle
+
+TOLERANCE = 1e-12
+_TICKS = 24
+
+
+def test_window(contract: WindowContract, seed: int) -> Floats:
+    """Return a made-up window, shape (channels, n), from whole-number arithmetic alone.
+
+    No library's random generator or sine is used, so that every host gets the same samples.
+
+    Parameters
+    ----------
+    contract : WindowContract
+        Shape.
+    seed : int
+        Start of the sequence (SplitMix64; Steele, Lea and Flood, OOPSLA 2014).
+    """
+    count = len(contract.channels) * contract.n_samples
+    with np.errstate(over="ignore"):
+        z = np.uint64(seed) + np.arange(1, count + 1, dtype=np.uint64) * np.uint64(
+            0x9E3779B97F4A7C15
+        )
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        z ^= z >> np.uint64(31)
+    noise = (z >> np.uint64(40)).astype(np.float64) / 2**23 - 1.0
+    ramp = np.arange(contract.n_samples) % 37 / 37.0 - 0.5
+    return noise.reshape(len(contract.channels), -1) * 0.25 + ramp
+
+
+test_window.__test__ = False  # type: ignore[attr-defined]
+
+
+def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
+    """Return the bundle with test vectors drawn from its validity box.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Any vectors that it has are replaced.
+    seed : int
+        Fixes the draw.
+
+    Raises
+    ------
+    InputError
+        When the model gives a value that is not finite inside its own validity box.
+    """
+    rng = np.random.default_rng(seed)
+    low = np.array([i.low for i in bundle.inputs])
+    high = np.array([i.high for i in bundle.inputs])
+    drawn = low + (high - low) * rng.random((_TICKS, len(low)))
+    drawn[0], drawn[1], drawn[2] = low, high, 0.5 * (low + high)
+    named = {item.name: drawn[:, k] for k, item in enumerate(bundle.inputs)}
+    inputs = _rows(named, bundle.tick_inputs)
+    features = _rows(named, bundle.feature_inputs)
+    outputs = reference_outputs(bundle, inputs, features)
+    if not np.isfinite(np.array(outputs)).all():
+        raise InputError(
+            "the model is not finite everywhere inside its validity box",
+            code="bundle.not_finite",
+            hint="narrow the box, or guard the division or logarithm that leaves it",
+        )
+    window_values: tuple[float, ...] = ()
+    if bundle.window is not None:
+        found = batch_features(test_window(bundle.window, seed), bundle.window)
+        window_values = tuple(found.values[0].reshape(-1).tolist())
+    vectors = TestVectors(inputs, features, outputs, seed, window_values)
+    return dataclasses.replace(bundle, vectors=vectors)
+
+
+def reference_outputs(
+    bundle: Bundle,
+    inputs: tuple[tuple[float, ...], ...],
+    features: tuple[tuple[float, ...], ...],
+) -> tuple[tuple[float, ...], ...]:
+    """Return the outputs of successive ticks by the slow evaluation of the graphs.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Model.
+    inputs, features : tuple of tuple of float
+        One row per tick, in the order of ``tick_inputs`` and ``feature_inputs``.
+    """
+    state = bundle.initial_state
+    rows = []
+    for given, windowed in zip(inputs, features, strict=True):
+        values = dict(zip(bundle.tick_inputs, given, strict=True))
+        values |= dict(zip(bundle.feature_inputs, windowed, strict=True))
+        if bundle.window_graph is not None:
+            values |= bundle.window_graph.evaluate(values, {})[0]
+        out, state = bundle.tick_graph.evaluate(values, state)
+        rows.append(tuple(out[o.name] for o in bundle.outputs))
+    return tuple(rows)
+
+
+def prove(bundle: Bundle) -> None:
+    """Check the compiled bundle against its test vectors on this host.
+
+    Raises
+    ------
+    GateRefusal
+        When the equation differs by more than 1e-12, or a feature by a single bit.
+    """
+    vectors = bundle.vectors
+    compiled = CompiledBundle(bundle)
+    found = []
+    for given, windowed in zip(vectors.inputs, vectors.features, strict=True):
+        if len(given) != len(bundle.tick_inputs) or len(windowed) != len(bundle.feature_inputs):
+            raise _unproved("a test vector has the wrong length", f"{len(given)}, {len(windowed)}")
+        compiled.window(np.array(windowed))
+        found.append(compiled.tick(np.array(given)).tolist())
+    expected, actual = np.array(vectors.outputs), np.array(found)
+    if not len(found) or actual.shape != expected.shape:
+        raise _unproved("the test vectors are missing or of the wrong shape", str(actual.shape))
+    error = np.abs(actual - expected) / np.maximum(1.0, np.abs(expected))
+    if not (error <= TOLERANCE).all():
+        raise _unproved("the equation gives other values here", f"difference {error.max():.3g}")
+    if bundle.window is not None:
+        _prove_features(bundle.window, vectors)
+
+
+def _prove_features(contract: WindowContract, vectors: TestVectors) -> None:
+    values = batch_features(test_window(contract, vectors.window_seed), contract).values
+    expected = np.array(vectors.window_features)
+    if values.size != expected.size or values.tobytes() != expected.tobytes():
+        difference = "another count"
+        if values.size == expected.size:
+            difference = f"difference {np.abs(values.reshape(-1) - expected).max():.3g}"
+        raise _unproved("the features differ from those of training", difference)
+
+
+def _rows(named: dict[str, Floats], order: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(float(named[name][k]) for name in order) for k in range(_TICKS))
+
+
+def _unproved(message: str, got: str) -> GateRefusal:
+    return GateRefusal(
+        f"the bundle is not proved on this host: {message}",
+        code="bundle.unproved",
+        got=got,
+        hint="train and promote with the versions of numpy and numba that serve",
+    )

@@ -1,0 +1,84 @@
+"""A bundle compiled onto its two tapes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.tape import Tape
+
+
+class CompiledBundle:
+    """Evaluates a bundle tick by tick; allocates nothing after construction.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        What to evaluate.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        self.bundle = bundle
+        ticks, held = len(bundle.tick_inputs), bundle.feature_inputs + bundle.intermediates
+        outputs = tuple(o.name for o in bundle.outputs)
+        self._tape = Tape(
+            bundle.tick_graph, bundle.tick_inputs + held, bundle.initial_state, outputs
+        )
+        self._window_tape = (
+            Tape(bundle.window_graph, bundle.feature_inputs, {}, bundle.intermediates)
+            if bundle.window_graph is not None
+            else None
+        )
+        self._inputs = np.zeros(ticks + len(held))
+        self._tick = self._inputs[:ticks]
+        self._features = self._inputs[ticks : ticks + len(bundle.feature_inputs)]
+        self._held = self._inputs[ticks + len(bundle.feature_inputs) :]
+
+    def reset(self) -> None:
+        """Return to the state before the first tick and forget the newest window."""
+        self._tape.reset()
+        self._inputs[:] = 0.0
+
+    def window(self, features: Floats) -> None:
+        """Take the features of a new window; they are held until the next.
+
+        Parameters
+        ----------
+        features : ndarray, shape (n_feature_inputs,)
+            In the order of ``Bundle.feature_inputs``.
+        """
+        self._features[:] = features
+        if self._window_tape is not None:
+            self._held[:] = self._window_tape.run(self._features)
+
+    def tick(self, inputs: Floats) -> Floats:
+        """Evaluate one tick; return the outputs, a view that the next tick overwrites.
+
+        Parameters
+        ----------
+        inputs : ndarray, shape (n_tick_inputs,)
+            In the order of ``Bundle.tick_inputs``.
+        """
+        self._tick[:] = inputs
+        return self._tape.run(self._inputs)
+
+    def run(self, inputs: Floats, features: Floats | None = None) -> Floats:
+        """Evaluate successive ticks through the state; return outputs, shape (n, n_outputs).
+
+        Parameters
+        ----------
+        inputs : ndarray, shape (n, n_tick_inputs)
+            One row per tick.
+        features : ndarray, shape (n, n_feature_inputs), optional
+            Features in force at each tick; those of the newest window by default.
+        """
+        rows = np.empty((len(inputs), len(self._inputs)))
+        rows[:] = self._inputs
+        rows[:, : len(self._tick)] = inputs
+        if features is not None:
+            first = len(self._tick)
+            rows[:, first : first + len(self._features)] = features
+            if self._window_tape is not None:
+                rows[:, first + len(self._features) :] = self._window_tape.run_many(features)
+        return self._tape.run_many(rows)
