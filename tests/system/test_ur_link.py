@@ -1,0 +1,268 @@
+"""The supervised link, with the real ur-rtde client, against the virtual robot."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from virtual_robot import VirtualRobot, free_address, virtual_robot
+
+from dtwin.errors import EXIT_DEVICE, DeviceError, InputError
+from dtwin.links import state as layout
+from dtwin.links.ur import UrLink
+from dtwin.links.ur_memory import SharedMemory
+
+pytestmark = pytest.mark.system
+
+PUSH_UM = np.array([120.0, -40.0, 15.0])
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[VirtualRobot]:
+    with virtual_robot("--feed-mm-min=3000") as running:
+        yield running
+
+
+@pytest.fixture
+def own_robot() -> Iterator[VirtualRobot]:
+    with virtual_robot("--feed-mm-min=3000") as running:
+        yield running
+
+
+@pytest.fixture
+def link(robot: VirtualRobot) -> Iterator[UrLink]:
+    with UrLink(robot.host, realtime=False) as connected:
+        yield connected
+
+
+def next_state(link: UrLink) -> np.ndarray:
+    state = link.wait_state(5.0)
+    assert state is not None
+    return state
+
+
+def until(link: UrLink, holds: Callable[[np.ndarray], bool], tries: int = 5000) -> np.ndarray:
+    for _ in range(tries):
+        state = next_state(link)
+        if holds(state):
+            return state
+    raise AssertionError("never came true")
+
+
+def push(link: UrLink, ticks: int, first_sequence: int = 1) -> np.ndarray:
+    state = next_state(link)
+    for sequence in range(first_sequence, first_sequence + ticks):
+        link.send(PUSH_UM, sequence)
+        state = next_state(link)
+    return state.copy()
+
+
+def applied_um(robot: VirtualRobot) -> float:
+    return float(np.abs(robot.do("status")["applied_um"]).max())
+
+
+def wait_for_release(robot: VirtualRobot) -> None:
+    while applied_um(robot) > 0.5:
+        time.sleep(0.01)
+
+
+def fault_of(link: UrLink) -> DeviceError:
+    def wait_on() -> None:
+        while True:
+            link.wait_state(10.0)
+
+    with pytest.raises(DeviceError) as caught:
+        wait_on()
+    assert not link.alive
+    with pytest.raises(DeviceError):
+        link.send(PUSH_UM, 7)
+    assert caught.value.exit_code == EXIT_DEVICE
+    assert caught.value.hint
+    return caught.value
+
+
+def test_states_are_complete_and_consistent(link: UrLink) -> None:
+    stamps = []
+    tcp = slice(layout.TARGET_TCP, layout.TARGET_TCP + 3)
+    for _ in range(200):
+        state = next_state(link)
+        stamps.append(state[layout.TIMESTAMP])
+        centre = state[layout.CENTRE : layout.CENTRE + 3]
+        assert 99.99 < np.linalg.norm(state[tcp] - centre) < 101.51
+    assert link.received_s <= time.monotonic()
+    ticks = np.diff(stamps) * 500
+    assert ticks.min() > 0.99
+    np.testing.assert_allclose(ticks, np.round(ticks), atol=1e-3)
+    assert state[layout.RADIUS] == 100.0
+    assert state[layout.FEED] == 3000.0
+    assert state[layout.DIRECTION_SIGN] == 1.0
+    assert state[layout.RUNTIME_RUNNING] == 1.0
+    assert state[layout.SAFETY_OK] == 1.0
+    assert state[layout.SPEED_SCALING] == 1.0
+
+
+def test_correction_is_applied_and_its_sequence_echoed(
+    robot: VirtualRobot, link: UrLink, tmp_path: Path
+) -> None:
+    state = push(link, 100)
+    np.testing.assert_allclose(state[layout.APPLIED : layout.APPLIED + 3], PUSH_UM, rtol=0.02)
+    assert 50 < state[layout.APPLIED_SEQUENCE] <= 100
+    robot.do("latency_log", path=str(tmp_path / "log.npz"))
+    with np.load(tmp_path / "log.npz") as log:
+        assert np.all(np.diff(log["sequence"]) > 0)
+        assert len(log["sequence"]) > 50
+        assert np.all(log["arrived_s"] < log["latched_s"] + 1.0)
+
+
+def test_close_leads_the_offset_back_to_zero(robot: VirtualRobot, link: UrLink) -> None:
+    push(link, 50)
+    link.close()
+    link.close()
+    wait_for_release(robot)
+    assert not link.alive
+    with pytest.raises(DeviceError):
+        link.wait_state(0.1)
+
+
+def test_absent_robot_is_reported_plainly() -> None:
+    address = free_address()
+    with pytest.raises(DeviceError) as caught:
+        UrLink(address)
+    assert caught.value.code == "ur.absent"
+    assert address in caught.value.render()
+    assert "30004" in (caught.value.hint or "")
+
+
+def test_something_that_never_answers_is_reported_in_time() -> None:
+    address = free_address()
+    with socket.create_server((address, 30004)):
+        with pytest.raises(DeviceError) as caught:
+            UrLink(address, connect_timeout_s=1.5)
+        assert caught.value.code == "ur.absent"
+
+
+@pytest.mark.parametrize("failure", ["drop", "half_frame"])
+def test_broken_connection_is_a_fault(robot: VirtualRobot, link: UrLink, failure: str) -> None:
+    push(link, 50)
+    robot.do(failure)
+    assert fault_of(link).code in {"ur.link_lost", "ur.driver_died", "ur.silent"}
+    wait_for_release(robot)
+
+
+def test_end_of_the_robot_is_a_fault(own_robot: VirtualRobot) -> None:
+    with UrLink(own_robot.host, realtime=False) as link:
+        push(link, 50)
+        own_robot.process.kill()
+        own_robot.process.wait()
+        assert fault_of(link).code in {"ur.link_lost", "ur.driver_died", "ur.silent"}
+
+
+def test_short_stall_is_survived_and_the_watchdog_released(
+    robot: VirtualRobot, link: UrLink
+) -> None:
+    state = push(link, 50)
+    before_s = state[layout.TIMESTAMP]
+    robot.do("stall", seconds=0.8)
+    until(link, lambda s: s[layout.TIMESTAMP] > before_s + 0.8)
+    state = next_state(link)
+    np.testing.assert_allclose(state[layout.APPLIED : layout.APPLIED + 3], 0.0, atol=0.5)
+    push(link, 50, first_sequence=1000)
+    assert applied_um(robot) > 50
+
+
+def test_silence_is_a_fault_at_last(robot: VirtualRobot) -> None:
+    with UrLink(robot.host, lost_after_s=0.5, realtime=False) as link:
+        next_state(link)
+        robot.do("stall", seconds=1.5)
+        assert fault_of(link).code == "ur.silent"
+    time.sleep(1.0)
+
+
+def test_death_of_the_driver_is_a_fault_and_the_robot_lets_go(
+    robot: VirtualRobot, link: UrLink
+) -> None:
+    push(link, 50)
+    os.kill(link.process_id, signal.SIGKILL)
+    fault = fault_of(link)
+    assert fault.code == "ur.driver_died"
+    assert "SIGKILL" in fault.message
+    wait_for_release(robot)
+
+
+def test_driver_ends_with_its_host(robot: VirtualRobot) -> None:
+    code = f"""
+import sys, time
+import numpy as np
+from dtwin.links.ur import UrLink
+link = UrLink({robot.host!r}, realtime=False)
+print(link.process_id, flush=True)
+for sequence in range(1, 100000):
+    link.wait_state(1.0)
+    link.send(np.array([100.0, 0.0, 0.0]), sequence)
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as host:
+        assert host.stdout is not None
+        driver = int(host.stdout.readline())
+        while applied_um(robot) < 50:
+            time.sleep(0.01)
+        host.kill()
+    wait_for_release(robot)
+    while Path(f"/proc/{driver}/stat").exists():
+        if Path(f"/proc/{driver}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
+            break
+        time.sleep(0.01)
+
+
+def test_slow_controller_speed_slider_and_protective_stop_are_seen(
+    own_robot: VirtualRobot,
+) -> None:
+    with UrLink(own_robot.host, realtime=False) as link:
+        check_slow_scaled_and_stopped(own_robot, link)
+
+
+def check_slow_scaled_and_stopped(robot: VirtualRobot, link: UrLink) -> None:
+    robot.do("slow", factor=4)
+    next_state(link)
+    for _ in range(20):
+        next_state(link)
+    first = next_state(link)[layout.TIMESTAMP]
+    ticks = (next_state(link)[layout.TIMESTAMP] - first) * 500
+    assert round(ticks) % 4 == 0
+    robot.do("slow", factor=1)
+    robot.do("speed", factor=0.5)
+    until(link, lambda s: s[layout.SPEED_SCALING] == 0.5)
+    robot.do("protective_stop")
+    state = until(link, lambda s: s[layout.SAFETY_OK] == 0.0)
+    assert state[layout.RUNTIME_RUNNING] == 0.0
+
+
+def test_bad_corrections_never_leave_the_host(link: UrLink) -> None:
+    for offset, sequence in (([np.nan, 0, 0], 1), ([0, 0, 0], 0), ([0, 0, 0], 2**31)):
+        with pytest.raises(InputError):
+            link.send(np.array(offset, dtype=float), sequence)
+    with pytest.raises(InputError):
+        UrLink("127.0.0.1", frequency_hz=1000)
+
+
+def test_shared_memory_passes_whole_records() -> None:
+    descriptor = SharedMemory.create()
+    one, two = SharedMemory(descriptor), SharedMemory(descriptor)
+    into = np.zeros(layout.N + 1)
+    assert not two.read_state(into)
+    one.write_state(np.arange(layout.N, dtype=float), 5.0)
+    assert two.read_state(into)
+    assert two.states_written == 1
+    np.testing.assert_array_equal(into, [*range(layout.N), 5.0])
+    one.write_correction(3, PUSH_UM)
+    registers = np.zeros(4)
+    assert two.read_correction(registers)
+    np.testing.assert_array_equal(registers, [3, *PUSH_UM])
+    os.close(descriptor)
