@@ -1,0 +1,221 @@
+"""From runs in the lake to aligned ticks: what the controller knew, what the bar measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.features.infeed import align_infeed
+from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
+from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
+from dtwin.store import Lake
+
+TICK_HZ = 500.0
+ROW_EVERY = 10
+Progress = Callable[[int, int, str], None]
+_INDEX = {name: place for place, name in enumerate(STATE_FIELDS)}
+
+
+@dataclass(frozen=True)
+class TickRun:
+    """One run on the controller's clock.
+
+    Attributes
+    ----------
+    meta : RunMeta
+        Condition and set-up.
+    inputs : ndarray of float32, shape (ticks, 30)
+        Path inputs at 500 Hz in the order of ``PATH_INPUTS``.
+    bar_um : ndarray, shape (n,)
+        The bar's samples on its own clock.
+    bar_rate_hz, lag_s : float
+        Controller time = bar time + lag.
+    arc : ndarray of int
+        Rows used for fitting: ticks on the arc, at 50 Hz, that the bar covers.
+    scored : ndarray of bool, shape (len(arc),)
+        Whether a row lies in the marked window.
+    alignment_residual : float
+        Share of the bar's RMS that the alignment leaves unexplained.
+    accelerometers : SignalGroup or None
+        Raw accelerations on their own clock.
+    """
+
+    meta: RunMeta
+    inputs: np.ndarray[Any, np.dtype[np.float32]]
+    bar_um: Floats
+    bar_rate_hz: float
+    lag_s: float
+    arc: np.ndarray[Any, np.dtype[np.int64]]
+    scored: np.ndarray[Any, np.dtype[np.bool_]]
+    alignment_residual: float
+    accelerometers: SignalGroup | None = None
+
+    def target_um(self, lag_s: float | None = None) -> Floats:
+        """Return the bar's deviation at the rows, shape (len(arc),)."""
+        lag = self.lag_s if lag_s is None else lag_s
+        t = self.arc / TICK_HZ - lag
+        return np.interp(t, np.arange(self.bar_um.size) / self.bar_rate_hz, self.bar_um)
+
+    @property
+    def angle_rad(self) -> Floats:
+        """Path angle at the rows."""
+        return self.inputs[self.arc, 0].astype(float)
+
+
+def load_ticks(
+    lake: Lake,
+    campaign: Campaign,
+    rows: Sequence[Mapping[str, Any]],
+    progress: Progress | None = None,
+) -> list[TickRun]:
+    """Read runs one by one and bring them to the controller's clock.
+
+    Parameters
+    ----------
+    lake : Lake
+        Where they are.
+    campaign : Campaign
+        Gives the machine's geometry.
+    rows : sequence of mapping
+        Rows of the table ``runs``.
+    progress : callable, optional
+        Called with (done, total, run id).
+    """
+    found = []
+    for done, row in enumerate(rows, start=1):
+        found.append(tick_run(lake.load(row), campaign))
+        if progress is not None:
+            progress(done, len(rows), str(row["run_id"]))
+    return found
+
+
+def tick_run(run: Run, campaign: Campaign) -> TickRun:
+    """Bring one run to the controller's clock at 500 Hz.
+
+    Parameters
+    ----------
+    run : Run
+        A circular run with a ``controller`` signal group.
+    campaign : Campaign
+        Its campaign; ``machine_geometry`` gives centre and tool.
+
+    Raises
+    ------
+    InputError
+        When the controller's signals are missing.
+    """
+    groups = {group.name: group for group in run.signals}
+    if "controller" not in groups:
+        raise InputError(
+            "a run without controller signals cannot train a correction",
+            code="train.signals", where=run.meta.run_id,
+            got=", ".join(groups) or "no signals", allowed="a signal group named controller",
+        )
+    states = controller_ticks(groups["controller"], run.meta, campaign.machine_geometry)
+    tool = np.asarray(campaign.machine_geometry.get("tcp_mm", [0.0, 0.0, 0.0]), dtype=float)
+    inputs = PathInputs(_INDEX, tool).batch(states)
+    commanded_um = _commanded_deviation_um(states, run.meta)
+    bar = np.asarray(run.samples["deviation_um"], dtype=float)
+    found = align_infeed(
+        bar, run.meta.sample_rate_hz, commanded_um[::4], inputs[::4, 0], TICK_HZ / 4
+    )
+    bare = TickRun(
+        run.meta, inputs.astype(np.float32), bar, run.meta.sample_rate_hz, found.lag_s,
+        np.empty(0, np.int64), np.empty(0, bool), found.residual, groups.get("accelerometers"),
+    )
+    return with_rows(bare, commanded_um, run.window)
+
+
+def with_rows(run: TickRun, commanded_um: Floats, window: tuple[int, int] | None) -> TickRun:
+    """Choose the rows of a run: on the arc, covered by the bar, at 50 Hz."""
+    ticks = np.arange(0, commanded_um.size, ROW_EVERY)
+    t_bar = ticks / TICK_HZ - run.lag_s
+    inside = (t_bar > 0.05) & (t_bar < (run.bar_um.size - 1) / run.bar_rate_hz - 0.05)
+    arc = ticks[inside & (np.abs(commanded_um[ticks]) < 1.0)]
+    if window is None:
+        scored = np.ones(arc.size, dtype=bool)
+    else:
+        sample = (arc / TICK_HZ - run.lag_s) * run.bar_rate_hz
+        scored = (sample >= window[0]) & (sample < window[1])
+    return replace(run, arc=arc, scored=scored)
+
+
+def controller_ticks(
+    group: SignalGroup, meta: RunMeta, geometry: Mapping[str, Any]
+) -> Floats:
+    """Return the controller's states at 500 Hz in the order of ``STATE_FIELDS``.
+
+    Parameters
+    ----------
+    group : SignalGroup
+        The controller's record at any rate that divides its motion finely.
+    meta : RunMeta
+        Gives plane, direction and radius.
+    geometry : mapping
+        Gives the centre.
+
+    Returns
+    -------
+    ndarray, shape (ticks, len(STATE_FIELDS))
+    """
+    t_log = np.arange(group.n_samples) / group.rate_hz
+    t = np.arange(int(t_log[-1] * TICK_HZ) + 1) / TICK_HZ
+    out = np.zeros((t.size, len(STATE_FIELDS)))
+    for name, place in _INDEX.items():
+        if name in group.columns:
+            out[:, place] = np.interp(t, t_log, group.columns[name])
+    out[:, _INDEX["timestamp_s"]] = t
+    out[:, _INDEX["segment_time_s"]] = _segment_time(t, t_log, group.columns["segment_time_s"])
+    centre = centre_mm(meta, geometry)
+    for axis, value in zip("xyz", centre, strict=True):
+        out[:, _INDEX[f"centre_{axis}_mm"]] = value
+    plane = meta.plane or "XY"
+    out[:, _INDEX["plane_id"]] = PLANES.index(plane)
+    out[:, _INDEX["direction_sign"]] = 1.0 if meta.direction == "CCW" else -1.0
+    return out
+
+
+def centre_mm(meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
+    """Return the ball bar's centre in the base frame, shape (3,).
+
+    Raises
+    ------
+    InputError
+        When the campaign does not state it.
+    """
+    if "centre_mm" in geometry:
+        return np.asarray(geometry["centre_mm"], dtype=float)
+    if "centre_small_mm" in geometry and meta.radius_mm is not None:
+        large = meta.radius_mm >= float(geometry["large_radius_from_mm"])
+        return np.asarray(geometry["centre_large_mm" if large else "centre_small_mm"], dtype=float)
+    raise InputError(
+        "the campaign does not state where the ball-bar centre is", code="train.geometry",
+        allowed="centre_mm in [campaign.machine_geometry]",
+    )
+
+
+def _segment_time(t: Floats, t_log: Floats, logged: Floats) -> Floats:
+    """Hold the time since segment start between rows, restarting where a segment began."""
+    row = np.clip(np.searchsorted(t_log, t, side="right") - 1, 0, t_log.size - 1)
+    held = logged[row] + (t - t_log[row])
+    after = np.clip(row + 1, 0, t_log.size - 1)
+    begun = t_log[after] - logged[after]
+    fresh = (logged[after] < logged[row]) & (t >= begun)
+    return np.asarray(np.where(fresh, t - begun, held))
+
+
+def _commanded_deviation_um(states: Floats, meta: RunMeta) -> Floats:
+    plane = PLANES.index(meta.plane or "XY")
+    first, second = "xyz"[plane % 3], "xyz"[(plane + 1) % 3]
+    a = states[:, _INDEX[f"target_tcp_{first}_mm"]] - states[:, _INDEX[f"centre_{first}_mm"]]
+    b = states[:, _INDEX[f"target_tcp_{second}_mm"]] - states[:, _INDEX[f"centre_{second}_mm"]]
+    return np.asarray((np.hypot(a, b) - float(meta.radius_mm or 0.0)) * 1000.0)
+
+
+def input_column(name: str) -> int:
+    """Return the column of a path input."""
+    return PATH_INPUTS.index(name)

@@ -1,0 +1,400 @@
+"""The only place that knows MLflow: runs, registered versions, aliases, history."""
+
+from __future__ import annotations
+
+import json
+import logging
+import platform
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from mlflow import MlflowClient
+from mlflow.entities import Metric, Param, RunTag
+from mlflow.exceptions import MlflowException
+
+from dtwin import __version__
+from dtwin.config import Home
+from dtwin.errors import InputError, StoreError
+from dtwin.train.results import Candidate, TrainingReport
+
+EXPERIMENT = "dtwin"
+BUNDLE_FOLDER = "bundle"
+ALIASES = ("candidate", "champion", "previous")
+_PACKAGES = ("numpy", "scipy", "scikit-learn", "pyoperon", "numba", "mlflow", "deltalake")
+
+
+@dataclass(frozen=True)
+class RegisteredVersion:
+    """A version in the model registry.
+
+    Attributes
+    ----------
+    machine, version : str
+        Which model.
+    run_id : str
+        MLflow run that it comes from.
+    aliases : tuple of str
+        ``candidate``, ``champion``, ``previous`` that point at it.
+    tags : dict of str to str
+        Verdicts and evidence.
+    created : str
+        ISO 8601.
+    """
+
+    machine: str
+    version: str
+    run_id: str
+    aliases: tuple[str, ...]
+    tags: Mapping[str, str]
+    created: str
+
+
+class Registry:
+    """Runs and registered models in one MLflow store.
+
+    Parameters
+    ----------
+    home : Home
+        Gives the tracking store and the artifact folder.
+    """
+
+    def __init__(self, home: Home) -> None:
+        logging.getLogger("mlflow").setLevel(logging.WARNING)
+        logging.getLogger("alembic").setLevel(logging.WARNING)
+        self.home = home
+        self.uri = home.mlflow_uri
+        if self.uri.startswith("sqlite:///"):
+            try:
+                Path(self.uri.removeprefix("sqlite:///")).parent.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise StoreError(
+                    "the model registry cannot be written",
+                    code="registry.write",
+                    where=self.uri,
+                    got=str(error),
+                ) from error
+        self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
+
+    @contextmanager
+    def training_run(self, report: TrainingReport, name: str) -> Iterator[str]:
+        """Open an MLflow run for a training; it is marked failed when the body fails."""
+        run = self.client.create_run(
+            self._experiment(),
+            run_name=name,
+            tags={"dtwin.machine": report.machine, "dtwin.campaign": report.campaign},
+        )
+        try:
+            yield run.info.run_id
+        except BaseException:
+            self.client.set_terminated(run.info.run_id, status="FAILED")
+            raise
+        self.client.set_terminated(run.info.run_id)
+
+    def log_training(
+        self, report: TrainingReport, artifacts: Mapping[str, str | bytes]
+    ) -> dict[str, str]:
+        """Log every candidate as a run, below one parent for the training.
+
+        Parameters
+        ----------
+        report : TrainingReport
+            What was trained.
+        artifacts : dict of str to str or bytes
+            Pages and tables of the whole training, by file name.
+
+        Returns
+        -------
+        dict of str to str
+            MLflow run id by candidate name, and of the parent under ``""``.
+        """
+        stamp = time.strftime("%Y%m%d-%H%M%S")
+        ids: dict[str, str] = {}
+        with self.training_run(report, f"training {report.campaign} {stamp}") as parent:
+            ids[""] = parent
+            self._log(parent, _report_params(report), _report_metrics(report), {})
+            self._log_files(parent, artifacts)
+            for candidate in report.candidates:
+                with self.training_run(report, candidate.name) as child:
+                    ids[candidate.name] = child
+                    self._log_candidate(child, parent, report, candidate)
+        return ids
+
+    def register(
+        self, report: TrainingReport, run_id: str, candidate: Candidate, description: str
+    ) -> RegisteredVersion:
+        """Register an expression as a new version and point ``candidate`` at it.
+
+        Parameters
+        ----------
+        report : TrainingReport
+            The training it comes from.
+        run_id : str
+            Its MLflow run.
+        candidate : Candidate
+            A promotable candidate.
+        description : str
+            What the reviewer reads first, in Markdown.
+        """
+        name = model_name(report.machine)
+        try:
+            self.client.get_registered_model(name)
+        except MlflowException:
+            self.client.create_registered_model(
+                name,
+                description=f"Correction of the machine {report.machine}. Versions are served only "
+                "after `dtwin promote`; an alias moved by hand has no effect.",
+            )
+        created = self.client.create_model_version(
+            name,
+            source=f"runs:/{run_id}/{BUNDLE_FOLDER}",
+            run_id=run_id,
+            description=description,
+            tags={"candidate": candidate.name, "state": "candidate"},
+        )
+        self.client.set_registered_model_alias(name, "candidate", created.version)
+        return self.version(report.machine, str(created.version))
+
+    def version(self, machine: str, wanted: str) -> RegisteredVersion:
+        """Return a version by number or alias.
+
+        Parameters
+        ----------
+        machine : str
+            The machine.
+        wanted : str
+            A version number, or ``candidate``, ``champion``, ``previous``.
+
+        Raises
+        ------
+        InputError
+            When there is no such version.
+        """
+        name = model_name(machine)
+        try:
+            found = (
+                self.client.get_model_version_by_alias(name, wanted)
+                if wanted in ALIASES
+                else self.client.get_model_version(name, wanted)
+            )
+        except MlflowException as error:
+            known = [v.version for v in self.versions(machine)]
+            raise InputError(
+                "no such model version",
+                code="model.unknown",
+                where=f"machine {machine}",
+                got=wanted,
+                allowed=", ".join(known) or "none yet",
+                hint="dtwin models lists what there is; dtwin train makes one",
+            ) from error
+        # An alias query leaves the aliases out.
+        aliases = self.client.get_registered_model(name).aliases
+        return RegisteredVersion(
+            machine=machine,
+            version=str(found.version),
+            run_id=found.run_id or "",
+            aliases=tuple(sorted(a for a, v in aliases.items() if str(v) == str(found.version))),
+            tags=dict(found.tags),
+            created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
+        )
+
+    def versions(self, machine: str) -> list[RegisteredVersion]:
+        """Return all versions of a machine's model, newest first."""
+        found = self.client.search_model_versions(f"name='{model_name(machine)}'")
+        numbers = sorted((int(v.version) for v in found), reverse=True)
+        return [self.version(machine, str(number)) for number in numbers]
+
+    def machines(self) -> list[str]:
+        """Return the machines that have a registered model."""
+        names = [model.name for model in self.client.search_registered_models()]
+        return sorted(n.removeprefix("dtwin-") for n in names if n.startswith("dtwin-"))
+
+    def bundle(self, found: RegisteredVersion) -> dict[str, Any]:
+        """Return the bundle of a version, as data.
+
+        Raises
+        ------
+        StoreError
+            When the artifact is gone or is not JSON.
+        """
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                path = self.client.download_artifacts(
+                    found.run_id, f"{BUNDLE_FOLDER}/bundle.json", folder
+                )
+                loaded: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
+                return loaded
+        except (MlflowException, OSError, ValueError) as error:
+            raise StoreError(
+                "the bundle of the version cannot be read",
+                code="model.bundle",
+                where=f"machine {found.machine} version {found.version}",
+                got=str(error)[:200],
+            ) from error
+
+    def metrics(self, found: RegisteredVersion) -> dict[str, float]:
+        """Return the metrics of the run behind a version."""
+        return dict(self.client.get_run(found.run_id).data.metrics)
+
+    def mark(
+        self,
+        found: RegisteredVersion,
+        tags: Mapping[str, str],
+        *,
+        alias: str | None = None,
+        description: str | None = None,
+    ) -> None:
+        """Set tags, and perhaps an alias and a description, on a version."""
+        name = model_name(found.machine)
+        for key, value in tags.items():
+            self.client.set_model_version_tag(name, found.version, key, value)
+        if alias is not None:
+            self.client.set_registered_model_alias(name, alias, found.version)
+        if description is not None:
+            self.client.update_model_version(name, found.version, description)
+
+    def description(self, found: RegisteredVersion) -> str:
+        """Return the description of a version."""
+        version_ = self.client.get_model_version(model_name(found.machine), found.version)
+        return version_.description or ""
+
+    def attach(self, found: RegisteredVersion, artifacts: Mapping[str, str | bytes]) -> None:
+        """Add files to the run behind a version, for the reviewer."""
+        self._log_files(found.run_id, artifacts)
+
+    def _log_candidate(
+        self, run_id: str, parent: str, report: TrainingReport, candidate: Candidate
+    ) -> None:
+        params = {"family": candidate.family, "promotable": candidate.promotable,
+                  "complexity": candidate.complexity, **_report_params(report)}
+        tags = {"mlflow.parentRunId": parent, "dtwin.candidate": candidate.name}
+        if candidate.equation:
+            tags["mlflow.note.content"] = f"```\n{candidate.equation[:4000]}\n```"
+        self._log(run_id, params, _candidate_metrics(candidate), tags)
+        files: dict[str, str | bytes] = dict(candidate.exports)
+        if candidate.findings:
+            files["findings.txt"] = "\n".join(candidate.findings)
+        if candidate.front:
+            files["front.json"] = json.dumps(list(candidate.front), indent=1)
+        if candidate.latency is not None:
+            files["latency.json"] = json.dumps(vars(candidate.latency), indent=1)
+        if candidate.bundle is not None:
+            files[f"{BUNDLE_FOLDER}/bundle.json"] = json.dumps(candidate.bundle)
+        if candidate.onnx is not None:
+            files["onnx/model.onnx"] = candidate.onnx
+        self._log_files(run_id, files)
+
+    def _log(
+        self,
+        run_id: str,
+        params: Mapping[str, Any],
+        metrics: Mapping[str, float],
+        tags: Mapping[str, str],
+    ) -> None:
+        now = int(time.time() * 1000)
+        self.client.log_batch(
+            run_id,
+            metrics=[Metric(k, float(v), now, 0) for k, v in metrics.items() if v == v],
+            params=[Param(k, str(v)[:500]) for k, v in params.items()],
+            tags=[RunTag(k, v) for k, v in tags.items()],
+        )
+
+    def _log_files(self, run_id: str, files: Mapping[str, str | bytes]) -> None:
+        if not files:
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            for name, content in files.items():
+                path = Path(folder) / name
+                path.parent.mkdir(parents=True, exist_ok=True)
+                if isinstance(content, bytes):
+                    path.write_bytes(content)
+                else:
+                    path.write_text(content, encoding="utf-8")
+            self.client.log_artifacts(run_id, folder)
+
+    def _experiment(self) -> str:
+        found = self.client.get_experiment_by_name(EXPERIMENT)
+        if found is not None:
+            return str(found.experiment_id)
+        local = self.uri.startswith("sqlite:")
+        where = str(self.home.mlflow_artifacts) if local else None
+        try:
+            return str(self.client.create_experiment(EXPERIMENT, artifact_location=where))
+        except MlflowException:
+            # Another process was first.
+            found = self.client.get_experiment_by_name(EXPERIMENT)
+            if found is None:
+                raise
+            return str(found.experiment_id)
+
+
+def model_name(machine: str) -> str:
+    """Return the registered model's name for a machine."""
+    return f"dtwin-{machine}"
+
+
+def environment() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    found = {"python": platform.python_version(), "dtwin": __version__}
+    for package in _PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "absent"
+    return found
+
+
+def _report_params(report: TrainingReport) -> dict[str, Any]:
+    return {
+        "machine": report.machine,
+        "campaign": report.campaign,
+        "seed": report.seed,
+        "n_runs": report.n_runs,
+        "n_rows": report.n_rows,
+        **{f"table_version.{k}": v for k, v in report.table_versions.items()},
+        **{f"version.{k}": v for k, v in environment().items()},
+    }
+
+
+def _report_metrics(report: TrainingReport) -> dict[str, float]:
+    return {"noise_floor_um": report.noise_floor_um, "rms_before_um": report.rms_before_um}
+
+
+def _candidate_metrics(candidate: Candidate) -> dict[str, float]:
+    metrics = {"train_rms_um": candidate.train_rms_um, "complexity": float(candidate.complexity)}
+    for group, scores in candidate.scores.items():
+        for name in ("r2", "rms_um", "mae_um", "worst_slice_ratio"):
+            metrics[f"leave_{group}_out.{name}"] = float(getattr(scores, name))
+    if candidate.latency is not None:
+        metrics["latency_p50_us"] = candidate.latency.p50_us
+        metrics["latency_p99_us"] = candidate.latency.p99_us
+    return metrics | {k: float(v) for k, v in candidate.numbers.items()}
+
+
+def comparison_rows(report: TrainingReport) -> Sequence[Mapping[str, Any]]:
+    """Return one row per candidate for tables: accuracy, latency, complexity.
+
+    Parameters
+    ----------
+    report : TrainingReport
+        A training.
+    """
+    rows = []
+    for candidate in report.candidates:
+        row: dict[str, Any] = {
+            "candidate": candidate.name,
+            "promotable": "yes" if candidate.promotable else "no",
+        }
+        for group, scores in candidate.scores.items():
+            row[f"R2, {group} out"] = scores.r2
+            row[f"um, {group} out"] = scores.rms_um
+        row["p50 us"] = candidate.latency.p50_us if candidate.latency else None
+        row["p99 us"] = candidate.latency.p99_us if candidate.latency else None
+        row["complexity"] = candidate.complexity
+        rows.append(row)
+    return rows

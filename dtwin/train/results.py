@@ -1,0 +1,165 @@
+"""What a trained candidate is, and what is known of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, runtime_checkable
+
+from dtwin.schema import Floats
+
+
+@runtime_checkable
+class Predictor(Protocol):
+    """Anything that maps input rows to a radial error."""
+
+    def predict(self, inputs: Floats) -> Floats:
+        """Return predictions in um, shape (n,), for inputs of shape (n, k)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Error of a candidate on data that it was not trained on.
+
+    Attributes
+    ----------
+    group : str
+        What was left out as a whole: ``run``, ``feed_mm_min``, ``radius_mm`` ...
+    r2 : float
+        Share of the held-out variance explained, pooled over the held-out groups.
+    rms_um, mae_um : float
+        Held-out error after the set-up's centre and radius are removed.
+    worst_slice_ratio : float
+        Largest ratio of error with the model to error without, over conditions.
+    worst_slice : str
+        Where that is.
+    n_groups, n_runs : int
+        Number of groups that were left out in turn, and of runs in them.
+    """
+
+    group: str
+    r2: float
+    rms_um: float
+    mae_um: float
+    worst_slice_ratio: float
+    worst_slice: str
+    n_groups: int
+    n_runs: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class Latency:
+    """Time of one evaluation of one row.
+
+    Attributes
+    ----------
+    p50_us, p99_us : float
+        Percentiles over single calls.
+    calls : int
+        Number of calls that were timed.
+    what : str
+        What was timed, for example ``bundle tick`` or ``onnxruntime``.
+    histogram_us : tuple of (float, int)
+        Upper edges and counts.
+    """
+
+    p50_us: float
+    p99_us: float
+    calls: int
+    what: str
+    histogram_us: tuple[tuple[float, int], ...] = ()
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A trained model with everything that a reviewer needs.
+
+    Attributes
+    ----------
+    name, family : str
+        For example ``physics-library`` of family ``symbolic``.
+    promotable : bool
+        Whether it is an expression that can be frozen into a bundle.
+    complexity : int
+        Nodes of the expression, or parameters of the model.
+    scores : dict of str to Scores
+        By held-out group.
+    train_rms_um : float
+        Error on the rows it was fitted to.
+    latency : Latency, optional
+        Time of one row.
+    equation : str
+        Readable form, empty for what is not an expression.
+    exports : dict of str to str
+        File name to content: C, Python, LaTeX ...
+    bundle : dict, optional
+        The serving bundle of an expression.
+    onnx : bytes, optional
+        The model of what is not an expression.
+    findings : tuple of str
+        Constant or never-firing terms, bad extrapolation, and the like.
+    front : tuple of dict
+        Accuracy-complexity front of a symbolic search.
+    numbers : dict of str to float
+        Further figures.
+    """
+
+    name: str
+    family: Literal["baseline", "linear", "neighbours", "tree", "neural", "symbolic"]
+    promotable: bool
+    complexity: int
+    scores: Mapping[str, Scores]
+    train_rms_um: float
+    latency: Latency | None = None
+    equation: str = ""
+    exports: Mapping[str, str] = field(default_factory=dict)
+    bundle: Mapping[str, Any] | None = None
+    onnx: bytes | None = None
+    findings: tuple[str, ...] = ()
+    front: tuple[Mapping[str, Any], ...] = ()
+    numbers: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TrainingReport:
+    """One training: its data, its candidates, and the one that is proposed.
+
+    Attributes
+    ----------
+    machine, campaign : str
+        What was trained on.
+    table_versions : dict of str to int
+        Versions of the lake's tables: the same data can be read again.
+    noise_floor_um : float
+        RMS that repeats of the same condition disagree by.
+    rms_before_um : float
+        RMS of the set-up-corrected error without any model.
+    n_runs, n_rows : int
+        Size of the data.
+    candidates : tuple of Candidate
+        Best first, by held-out error.
+    proposed : str
+        Name of the promotable candidate that the gates should look at.
+    seed : int
+        Seed of everything random.
+    """
+
+    machine: str
+    campaign: str
+    table_versions: Mapping[str, int]
+    noise_floor_um: float
+    rms_before_um: float
+    n_runs: int
+    n_rows: int
+    candidates: tuple[Candidate, ...]
+    proposed: str
+    seed: int
+
+    def candidate(self, name: str) -> Candidate:
+        """Return a candidate by name."""
+        return next(c for c in self.candidates if c.name == name)
