@@ -191,11 +191,16 @@ def inverse_kernel(
         for j in range(6):
             for i in range(3):
                 jacobian[i, j] /= _LENGTH_SCALE_MM
-        normal = jacobian.T @ jacobian
+        normal, right = np.zeros((6, 6)), np.zeros(6)
+        for k in range(6):
+            for i in range(6):
+                right[i] += jacobian[k, i] * error[k]
+                for m in range(6):
+                    normal[i, m] += jacobian[k, i] * jacobian[k, m]
         damping = 1e-4 * min(1.0, squares) + 1e-15
         for i in range(6):
             normal[i, i] += damping
-        step = solve_kernel(normal, jacobian.T @ error)
+        step = solve_kernel(normal, right)
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(step[i]))

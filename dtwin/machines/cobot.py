@@ -58,6 +58,7 @@ class VirtualCobot:
         self._true_dh[:, :2] += joints.length_error_mm * rng.standard_normal((6, 2))
         self._true_dh[:, 3] += 1e-6 * joints.zero_error_urad * rng.standard_normal(6)
         sensors = self.parameters.accelerometers
+        self._prepared: dict[CircleCondition, tuple[MotionPlan, Mechanism, Floats]] = {}
         self._matrices = (sensor_matrix(sensors, rng), sensor_matrix(sensors, rng))
 
     def measure(self, condition: CircleCondition, *, setup: str, repeat: int) -> CobotRecording:
@@ -84,13 +85,15 @@ class VirtualCobot:
     def controller(self, condition: CircleCondition, *, setup: str, repeat: int) -> CobotController:
         """Return the machine's controller about to run a condition, for a closed loop."""
         condition = condition.standard()
-        plan = self.plan(condition)
-        mechanism, memory = self._machine(plan)
+        if condition not in self._prepared:
+            plan = self.plan(condition)
+            self._prepared[condition] = (plan, *self._machine(plan))
+        plan, mechanism, memory = self._prepared[condition]
         return CobotController(
             condition,
             plan,
             mechanism,
-            memory,
+            memory.copy(),
             lambda ticks: self.recording_of(condition, plan, ticks, setup, repeat),
         )
 

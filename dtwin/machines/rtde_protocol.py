@@ -54,10 +54,13 @@ _TYPES = (
 )
 
 
+_PATTERNS = [(re.compile(pattern), kind) for pattern, kind in _TYPES]
+
+
 def type_of(variable: str) -> str:
     """Return the RTDE type of a variable, ``"NOT_FOUND"`` when there is no such variable."""
-    for pattern, kind in _TYPES:
-        if re.fullmatch(pattern, variable):
+    for pattern, kind in _PATTERNS:
+        if pattern.fullmatch(variable):
             return kind
     return "NOT_FOUND"
 

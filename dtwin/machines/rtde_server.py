@@ -43,6 +43,7 @@ from dtwin.machines.rtde_session import Session
 
 _LOG_LENGTH = 500_000
 _CATCH_UP_TICKS = 250
+_PRIORITY = 70
 
 
 class RtdeServer:
@@ -88,7 +89,6 @@ class RtdeServer:
         self._rate_hz = cobot.parameters.controller.rate_hz
         self._repeat = 1
         self._controller = cobot.controller(condition, setup="live", repeat=1)
-        self._next = cobot.controller(condition, setup="live", repeat=2)
         self._finished: CobotController | None = None
         self._registers = layout.correction_registers()
         self._pending = [0.0, 0.0, 0.0]
@@ -192,10 +192,11 @@ class RtdeServer:
             self._stopping = True
             return
         self._repeat += 1
-        self._controller = self._next
+        self._controller = self._cobot.controller(
+            self._condition, setup="live", repeat=self._repeat
+        )
         self._controller.adopt_sequence(int(self._registers[layout.REGISTER_SEQUENCE]))
         self._controller.set_speed_scaling(self._speed_factor)
-        self._next = self._cobot.controller(self._condition, setup="live", repeat=self._repeat + 1)
 
     def _read_control(self, descriptor: int) -> None:
         received = os.read(descriptor, 65536)
@@ -273,6 +274,14 @@ def _say(message: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
+def _take_priority() -> bool:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="virtual cobot behind an RTDE server")
     parser.add_argument("--host", default="127.0.0.1", help="loopback address")
@@ -283,6 +292,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--direction", default="CCW", choices=["CCW", "CW"])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--repeat-forever", action="store_true")
+    parser.add_argument(
+        "--realtime", action="store_true", help="real-time priority, as a controller has"
+    )
     parser.add_argument("--control", action="store_true", help="JSON commands on stdin")
     return parser.parse_args()
 
@@ -307,7 +319,9 @@ def main() -> int:
     except OSError as error:
         sys.stderr.write(f"cannot listen on {chosen.host}:{chosen.port}: {error}\n")
         return 4
-    _say({"ready": True, "host": chosen.host, "port": server.port, "pid": os.getpid()})
+    realtime = chosen.realtime and _take_priority()
+    ready = {"ready": True, "host": chosen.host, "port": server.port, "realtime": realtime}
+    _say({**ready, "pid": os.getpid()})
     with contextlib.suppress(KeyboardInterrupt):
         server.run(sys.stdin.fileno() if chosen.control else None)
     return 0

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -76,6 +79,24 @@ def test_unreachable_pose_is_refused() -> None:
     with pytest.raises(InputError) as caught:
         kinematics.inverse(np.array([2000.0, 0.0, 0.0]), np.eye(3), TCP_MM, SEED_RAD)
     assert caught.value.code == "kinematics.unreachable"
+
+
+def test_needs_no_scipy() -> None:
+    code = """
+import sys
+sys.modules["scipy"] = None
+import numpy as np
+from dtwin import kinematics
+q = np.array([0.2, -1.9, 2.1, -1.77, -1.57, 0.3])
+position, rotation = kinematics.forward(q, np.zeros(3))
+raw = kinematics.inverse_kernel.py_func
+from numba import njit
+fresh = njit(raw)
+found, left = fresh(position, rotation, kinematics.UR10E.dh, np.zeros(3), q + 0.1)
+assert np.allclose(found, q) and left < 1e-6
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(

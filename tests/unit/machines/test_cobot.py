@@ -142,6 +142,17 @@ def test_offset_is_latched_by_sequence_limited_delayed_and_released(cobot: Virtu
     assert controller.state()[layout.APPLIED_SEQUENCE] == 50
 
 
+def test_old_sequence_number_does_nothing_after_a_restart(cobot: VirtualCobot) -> None:
+    controller = cobot.controller(ARC, setup="s1", repeat=1)
+    controller.adopt_sequence(77)
+    for sequence in (77, 77, 77, 77, 77, 77):
+        controller.step(layout.correction_registers(sequence, (50.0, 0.0, 0.0)))
+    assert not controller.state()[layout.APPLIED : layout.APPLIED + 3].any()
+    for _ in range(20):
+        controller.step(layout.correction_registers(78, (50.0, 0.0, 0.0)))
+    assert controller.state()[layout.APPLIED] > 40.0
+
+
 def test_correction_moves_tool_and_encoders_alike(cobot: VirtualCobot) -> None:
     plain = cobot.controller(ARC, setup="s1", repeat=1)
     pushed = cobot.controller(ARC, setup="s1", repeat=1)
