@@ -1,0 +1,186 @@
+"""One decision: newest state and newest window in, one safe correction out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from time import perf_counter_ns
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.errors import InputError
+from dtwin.features.catalogue import feature_column
+from dtwin.features.motion import PATH_INPUTS, PathInputs
+from dtwin.features.windows import WindowContract
+from dtwin.links import state as layout
+from dtwin.schema import Floats
+from dtwin.serve.direction import Direction
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.safety import Guard
+
+
+class SensorSource(Protocol):
+    """Newest sensor window, delivered without waiting."""
+
+    @property
+    def contract(self) -> WindowContract:
+        """What the sensors deliver."""
+        ...
+
+    def newest_window(self) -> tuple[NDArray[np.floating] | None, float]:
+        """Return a window (channels, n_samples) newer than the last one, or None, and its age.
+
+        The age in s is that of the newest sample of the newest window, new or not;
+        infinite before the first.
+        """
+        ...
+
+
+class Decision:
+    """Features, equation, direction and safety of one served bundle.
+
+    Parameters
+    ----------
+    compiled : CompiledBundle
+        The proved model.
+    tcp_mm : ndarray, shape (3,)
+        Tool centre point in the flange frame, for the levers of the joints.
+    covariates : mapping of str to float
+        Values of covariate inputs.
+    sensors : SensorSource, optional
+        Required when the bundle has feature inputs.
+
+    Raises
+    ------
+    InputError
+        When the bundle wants an input that nothing here provides, or other windows.
+    """
+
+    def __init__(
+        self, compiled: CompiledBundle, tcp_mm: Floats,
+        covariates: Mapping[str, float] | None = None, sensors: SensorSource | None = None,
+    ) -> None:  # fmt: skip
+        bundle = compiled.bundle
+        self.compiled, self.sensors = compiled, sensors
+        self._path = PathInputs(dict(layout.INDEX), tcp_mm)
+        given = dict(covariates or {})
+        n_path = len(PATH_INPUTS)
+        names = [*PATH_INPUTS, *layout.NAMES, *given]
+        self._pool = np.zeros(len(names))
+        self._path.values = self._pool[:n_path]
+        self._state = self._pool[n_path : n_path + layout.N]
+        self._pool[n_path + layout.N :] = list(given.values())
+        missing = [name for name in bundle.tick_inputs if name not in names]
+        if missing:
+            raise InputError(
+                "the model wants inputs that this machine does not provide",
+                code="serve.inputs",
+                got=", ".join(missing)[:200],
+                hint="give a covariate its value, or serve another model",
+            )
+        self._take = np.array([names.index(n) for n in bundle.tick_inputs], dtype=np.int64)
+        n_tick, n_features = len(bundle.tick_inputs), len(bundle.feature_inputs)
+        self._inputs = np.zeros(n_tick + n_features)
+        self._tick, self._features = self._inputs[:n_tick], self._inputs[n_tick:]
+        boxes = {i.name: (i.low, i.high) for i in bundle.inputs}
+        order = (*bundle.tick_inputs, *bundle.feature_inputs)
+        box = np.array([boxes[name] for name in order]).reshape(-1, 2)
+        self.guard = Guard(bundle.safety, box[:, 0], box[:, 1])
+        self.direction = Direction(bundle.outputs)
+        self._prepare_window(sensors)
+        self.window_age_s = 0.0
+
+    def _prepare_window(self, sensors: SensorSource | None) -> None:
+        bundle = self.compiled.bundle
+        self._uses_window = bool(bundle.feature_inputs)
+        if not self._uses_window or bundle.window is None:
+            return
+        contract = bundle.window
+        if sensors is None or sensors.contract != contract:
+            raise InputError(
+                "the model needs sensor windows that are not delivered",
+                code="serve.sensors",
+                got="no sensors" if sensors is None else str(sensors.contract.to_dict())[:300],
+                allowed=str(contract.to_dict())[:300],
+            )
+        shape = len(contract.channels), len(contract.features)
+        self._kernel, self._samples = contract.kernel(), np.zeros((shape[0], contract.n_samples))
+        self._values, self._codes = np.zeros(shape), np.zeros(shape[0], dtype=np.int64)
+        columns = [feature_column(c, f) for c in contract.channels for f in contract.features]
+        self._picked = np.array([columns.index(n) for n in bundle.feature_inputs], dtype=np.int64)
+        self._channel = self._picked // shape[1]
+
+    def reset(self) -> None:
+        """Start a new run: path angle, equation state and newest window are forgotten."""
+        self._path.reset()
+        self.compiled.reset()
+
+    def decide(
+        self, state: Floats, *, age_s: float, elapsed_s: float, enabled: bool,
+        stages: NDArray[np.int64],
+    ) -> Floats:  # fmt: skip
+        """Return the safe correction (3,) in um for the newest state.
+
+        Parameters
+        ----------
+        state : ndarray, shape (N,)
+            State of the controller.
+        age_s, elapsed_s : float
+            Age of the state, and time since the last decision.
+        enabled : bool
+            Whether a correction is wanted; false releases.
+        stages : ndarray of int64, shape (6,)
+            Receives the nanoseconds of window, path, equation and guard in its first four.
+        """
+        start = perf_counter_ns()
+        if self._uses_window:
+            self._take_window()
+        windowed = perf_counter_ns()
+        self._state[:] = state
+        self._path.update(state)
+        np.take(self._pool, self._take, out=self._tick, mode="clip")
+        pathed = perf_counter_ns()
+        outputs = self.compiled.tick(self._tick)
+        evaluated = perf_counter_ns()
+        wanted = self.direction.apply(outputs, self._pool[0], state[layout.PLANE_ID])
+        device_ok = state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
+        safe = self.guard.step(
+            wanted, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
+            window_age_s=self.window_age_s, enabled=enabled, device_ok=bool(device_ok),
+        )  # fmt: skip
+        stages[0], stages[1] = windowed - start, pathed - windowed
+        stages[2], stages[3] = evaluated - pathed, perf_counter_ns() - evaluated
+        return safe
+
+    def release(self, *, elapsed_s: float, age_s: float = 0.0, enabled: bool = False) -> Floats:
+        """Return the next correction when there is no usable state: towards zero.
+
+        Parameters
+        ----------
+        elapsed_s : float
+            Time since the last decision.
+        age_s : float
+            Age of the last state; beyond the limit it counts as a fault.
+        enabled : bool
+            False for a wanted release, true while the source is silent.
+        """
+        return self.guard.step(
+            self.direction.vector_um, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
+            window_age_s=self.window_age_s, enabled=enabled,
+        )  # fmt: skip
+
+    def _take_window(self) -> None:
+        assert self.sensors is not None
+        block, self.window_age_s = self.sensors.newest_window()
+        if block is None:
+            return
+        self._samples[:] = block
+        n = self._kernel.n_samples
+        self._kernel.compute(self._samples.reshape(-1), 0, n, self._values, self._codes)
+        np.take(self._values.reshape(-1), self._picked, out=self._features, mode="clip")
+        for k in range(len(self._picked)):
+            # A dead or broken channel must stop the correction, not feed it zeros.
+            if self._codes[self._channel[k]]:
+                self._features[k] = np.nan
+        self.compiled.window(self._features)

@@ -1,0 +1,79 @@
+"""From outputs along the path's own axes to one vector in the base frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.features.compiled import compiled
+from dtwin.schema import Floats
+from dtwin.serve.interface import OUTPUT_FRAMES, Output
+
+_ERROR_SIGN = {"error": -1.0, "correction": 1.0}
+
+
+@compiled
+def correction_kernel(
+    outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: float, plane_id: float,
+    vector_um: Floats,
+) -> None:  # fmt: skip
+    """Write the correction vector in the base frame.
+
+    Parameters
+    ----------
+    outputs : ndarray, shape (n_outputs,)
+        In um.
+    frames : ndarray of int64, shape (n_outputs,)
+        Position of each output's frame in ``OUTPUT_FRAMES``.
+    signs : ndarray, shape (n_outputs,)
+        -1 for a predicted error, +1 for a correction.
+    angle_rad : float
+        Path angle, from the plane's first axis towards its second.
+    plane_id : float
+        0, 1, 2 for XY, YZ, ZX; anything else gives NaN.
+    vector_um : ndarray, shape (3,)
+        Receives the correction along base x, y, z.
+    """
+    vector_um[:] = 0.0
+    if not (plane_id == 0.0 or plane_id == 1.0 or plane_id == 2.0):
+        vector_um[:] = np.nan
+        return
+    first = int(plane_id)
+    second, normal = (first + 1) % 3, (first + 2) % 3
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    for k in range(outputs.shape[0]):
+        value = signs[k] * outputs[k]
+        frame = frames[k]
+        if frame == 0:
+            vector_um[first] += value * cosine
+            vector_um[second] += value * sine
+        elif frame == 1:
+            vector_um[first] -= value * sine
+            vector_um[second] += value * cosine
+        elif frame == 2:
+            vector_um[normal] += value
+        else:
+            vector_um[frame - 3] += value
+
+
+class Direction:
+    """Maps the outputs of one bundle to the base frame.
+
+    The radial axis points outward, the tangential one towards growing path angle whatever
+    the direction of travel, and the normal completes a right-handed frame.
+
+    Parameters
+    ----------
+    outputs : tuple of Output
+        Declared outputs, in the order of the output vector.
+    """
+
+    def __init__(self, outputs: tuple[Output, ...]) -> None:
+        self._frames = np.array([OUTPUT_FRAMES.index(o.frame) for o in outputs], dtype=np.int64)
+        self._signs = np.array([_ERROR_SIGN[o.role] for o in outputs])
+        self.vector_um = np.zeros(3)
+
+    def apply(self, outputs: Floats, angle_rad: float, plane_id: float) -> Floats:
+        """Return the correction vector (3,) in um; the next call overwrites it."""
+        correction_kernel(outputs, self._frames, self._signs, angle_rad, plane_id, self.vector_um)
+        return self.vector_um

@@ -1,0 +1,318 @@
+"""The serving loop: on the wall clock with a link, or in lock-step with a controller."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from dtwin.errors import DeviceError
+from dtwin.links import state as layout
+from dtwin.schema import Floats
+from dtwin.serve.decision import Decision
+from dtwin.serve.realtime import realtime
+from dtwin.serve.safety import REASONS
+from dtwin.serve.timing import LoopTiming
+
+Mode = Literal["live", "shadow", "dry-run"]
+_RELEASE_MARGIN_S = 0.25
+
+
+class Link(Protocol):
+    """What the wall-clock loop needs of a link to a controller."""
+
+    @property
+    def received_s(self) -> float:
+        """Monotonic time at which the newest state was received."""
+        ...
+
+    def wait_state(self, timeout_s: float) -> Floats | None:
+        """Return the newest unseen state (N,), or None when none came in time."""
+        ...
+
+    def send(self, offset_um: Floats, sequence: int) -> None:
+        """Send a correction (3,) in um with its sequence number."""
+        ...
+
+
+class Controller(Protocol):
+    """What the lock-step loop needs of a virtual controller."""
+
+    @property
+    def done(self) -> bool:
+        """Whether its program has ended."""
+        ...
+
+    def state(self) -> Floats:
+        """Return the newest state (N,)."""
+        ...
+
+    def step(self, registers: Floats) -> None:
+        """Advance by one period with these correction registers (4,) in force."""
+        ...
+
+
+@dataclass(frozen=True)
+class ServeStatus:
+    """How serving went.
+
+    Attributes
+    ----------
+    clock : {"wall", "machine"}
+        Clock that all times are of.
+    mode : {"live", "shadow", "dry-run"}
+        ``shadow`` computes and sends nothing, ``dry-run`` sends zeros.
+    ended : str
+        Why it ended: duration, stopped, finished, latched, or the fault's code.
+    released : bool
+        Whether the last correction that was sent is exactly zero.
+    reasons : dict of str to int
+        How often each reason of the guard acted.
+    timing : dict
+        Stage times, periods, ages, late ticks.
+    realtime : dict of str to str
+        What the system allowed.
+    fault : dict or None
+        The device error that ended it.
+    largest_um : float
+        Longest correction that was computed and let through.
+    last_sequence : int
+        Sequence number of the last correction sent; 0 when none was.
+    """
+
+    clock: Literal["wall", "machine"]
+    mode: Mode
+    ended: str
+    released: bool
+    reasons: dict[str, int]
+    timing: dict[str, Any]
+    realtime: dict[str, str] = field(default_factory=dict)
+    fault: dict[str, str] | None = None
+    largest_um: float = 0.0
+    last_sequence: int = 0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return dict(self.__dict__)
+
+
+class ServingLoop:
+    """Serves one decision on the wall clock through a link.
+
+    Parameters
+    ----------
+    decision : Decision
+        Features, equation, direction and safety.
+    link : Link
+        Source and actuator.
+    period_s : float
+        Nominal period of the controller's states.
+    mode : {"live", "shadow", "dry-run"}
+        Whether corrections are sent, withheld, or replaced by zeros.
+    first_sequence : int
+        Sequence number to start from.
+    """
+
+    def __init__(
+        self, decision: Decision, link: Link, *, period_s: float = 0.002, mode: Mode = "live",
+        first_sequence: int = 1,
+    ) -> None:  # fmt: skip
+        self.decision, self.link, self.mode = decision, link, mode
+        self.timing = LoopTiming(period_s)
+        self._period_s = period_s
+        self._sequence = first_sequence - 1
+        self._sent_zero, self._largest_um = True, 0.0
+        self._zero = np.zeros(3)
+        self._last_s = self._last_stamp_s = np.nan
+        self._segment = np.nan
+
+    def run(
+        self, duration_s: float, *, stop: Callable[[], bool] | None = None, priority: int = 60,
+        core: int | None = None,
+    ) -> ServeStatus:  # fmt: skip
+        """Serve until the time is up, a stop is asked for, or the device fails.
+
+        Whatever ends it, the correction is led to zero and zero is sent, as long as the link
+        still carries anything; the controller's own watchdog covers the rest.
+
+        Parameters
+        ----------
+        duration_s : float
+            Time to serve.
+        stop : callable, optional
+            Asked every tick; true ends the serving, as after Ctrl-C.
+        priority, core : int
+            As in ``realtime``.
+
+        Returns
+        -------
+        ServeStatus
+            How it went; a device fault is in it, not raised.
+        """
+        fault: DeviceError | None = None
+        ended = "duration"
+        with realtime(priority, core) as allowed:
+            try:
+                ended = self._serve(time.monotonic() + duration_s, stop)
+            except DeviceError as error:
+                fault, ended = error, error.code
+            finally:
+                fault = self._release() or fault
+        return ServeStatus(
+            clock="wall",
+            mode=self.mode,
+            ended=ended,
+            released=self._sent_zero,
+            reasons=self.decision.guard.counted(),
+            timing=self.timing.summary(),
+            realtime=allowed,
+            fault=fault.as_dict() if fault else None,
+            largest_um=self._largest_um,
+            last_sequence=max(self._sequence, 0),
+        )
+
+    def _serve(self, until_s: float, stop: Callable[[], bool] | None) -> str:
+        silence_s = self.decision.guard.limits.stale_s
+        while time.monotonic() < until_s:
+            if stop is not None and stop():
+                return "stopped"
+            state = self.link.wait_state(silence_s)
+            if state is None:
+                self.timing.timeouts += 1
+                self._without_state(enabled=True)
+            else:
+                self._tick(state)
+        return "duration"
+
+    def _tick(self, state: Floats) -> None:
+        start_ns = time.perf_counter_ns()
+        now_s = time.monotonic()
+        segment = state[layout.SEGMENT_ID]
+        if segment < self._segment:
+            self.decision.reset()
+        self._segment = segment
+        interval_s = now_s - self._last_s
+        elapsed_s = interval_s if interval_s >= 0 else self._period_s
+        row = self.timing.stages()
+        safe = self.decision.decide(
+            state, age_s=now_s - self.link.received_s, elapsed_s=elapsed_s, enabled=True,
+            stages=row,
+        )  # fmt: skip
+        before_ns = time.perf_counter_ns()
+        self._send(safe)
+        done_ns = time.perf_counter_ns()
+        row[4], row[5] = done_ns - before_ns, done_ns - start_ns
+        stamp_s = float(state[layout.TIMESTAMP])
+        self.timing.tick(
+            interval_s, stamp_s - self._last_stamp_s, time.monotonic() - self.link.received_s,
+            self.decision.window_age_s,
+        )  # fmt: skip
+        self._last_s, self._last_stamp_s = now_s, stamp_s
+
+    def _without_state(self, *, enabled: bool) -> None:
+        now_s = time.monotonic()
+        elapsed_s = now_s - self._last_s
+        age_s = now_s - self.link.received_s
+        self._send(self.decision.release(
+            elapsed_s=elapsed_s if elapsed_s >= 0 else self._period_s, age_s=age_s,
+            enabled=enabled,
+        ))  # fmt: skip
+        self._last_s = now_s
+
+    def _send(self, safe_um: Floats) -> None:
+        length = float(np.sqrt(safe_um @ safe_um))
+        if length > self._largest_um:
+            self._largest_um = length
+        if self.mode == "shadow":
+            return
+        offset_um = safe_um if self.mode == "live" else self._zero
+        self._sequence = self._sequence % layout.SEQUENCE_LIMIT + 1
+        self._sent_zero = False
+        self.link.send(offset_um, self._sequence)
+        self._sent_zero = not offset_um.any()
+
+    def _release(self) -> DeviceError | None:
+        """Lead the correction to zero and send zero; return what prevented it."""
+        limits = self.decision.guard.limits
+        patience_s = limits.clamp_um / limits.slew_um_s + _RELEASE_MARGIN_S
+        until_s = time.monotonic() + patience_s
+        try:
+            while not self.decision.guard.at_rest and time.monotonic() < until_s:
+                self.link.wait_state(self._period_s)
+                self._without_state(enabled=False)
+            self.decision.guard.out_um[:] = 0.0
+            self._send(self._zero)
+        except DeviceError as error:
+            self.decision.guard.out_um[:] = 0.0
+            return error
+        return None
+
+
+def serve_lockstep(
+    decision: Decision, controller: Controller, *, period_s: float = 0.002, mode: Mode = "live",
+    transport_ticks: int = 1, stop: Callable[[], bool] | None = None,
+) -> ServeStatus:  # fmt: skip
+    """Serve a virtual controller on its own clock, one tick at a time, until it is done.
+
+    Parameters
+    ----------
+    decision : Decision
+        Features, equation, direction and safety: the code of the wall-clock loop.
+    controller : Controller
+        Machine that advances a tick per correction.
+    period_s : float
+        Period of the controller.
+    mode : {"live", "shadow", "dry-run"}
+        As in ``ServingLoop``.
+    transport_ticks : int
+        Ticks between a state and the arrival of its correction, the modelled transport;
+        1 is a correction that arrives within its own tick.
+    stop : callable, optional
+        Asked every tick; true releases and lets the program run to its end.
+
+    Returns
+    -------
+    ServeStatus
+        With machine-clock ages; stage times are of the computation alone.
+    """
+    decision.reset()
+    timing = LoopTiming(period_s)
+    queue = np.zeros((max(1, transport_ticks), layout.REGISTERS_N))
+    sequence, largest, last_stamp_s, stopped = 0, 0.0, np.nan, False
+    while not controller.done:
+        start_ns = time.perf_counter_ns()
+        state = controller.state()
+        stopped = stopped or (stop is not None and stop())
+        row = timing.stages()
+        safe = decision.decide(
+            state, age_s=0.0, elapsed_s=period_s, enabled=not stopped, stages=row
+        )
+        largest = max(largest, float(np.sqrt(safe @ safe)))
+        arriving = queue[sequence % len(queue)]
+        arriving[layout.REGISTER_SEQUENCE] = 0.0 if mode == "shadow" else sequence + 1
+        arriving[layout.REGISTER_OFFSET :] = safe if mode == "live" else 0.0
+        sequence += 1
+        row[5] = time.perf_counter_ns() - start_ns
+        row[4] = 0
+        controller.step(queue[sequence % len(queue)])
+        stamp_s = float(state[layout.TIMESTAMP])
+        step_s = stamp_s - last_stamp_s
+        timing.tick(step_s, step_s, (len(queue) - 1) * period_s, decision.window_age_s)
+        last_stamp_s = stamp_s
+    rested = mode != "live" or decision.guard.at_rest
+    return ServeStatus(
+        clock="machine",
+        mode=mode,
+        ended="stopped" if stopped else "finished",
+        released=rested,
+        reasons=decision.guard.counted(),
+        timing=timing.summary(),
+        largest_um=largest,
+        last_sequence=0 if mode == "shadow" else sequence,
+    )
+
+
+__all__ = ["REASONS", "Controller", "Link", "Mode", "ServeStatus", "ServingLoop", "serve_lockstep"]

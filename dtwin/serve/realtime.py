@@ -1,0 +1,80 @@
+"""What the operating system offers a deadline loop, each part used where it is allowed."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import sys
+from collections.abc import Iterator
+
+_LOCK_CURRENT_AND_FUTURE = 3
+_PR_SET_TIMERSLACK = 29
+_USED = "used"
+
+
+@contextlib.contextmanager
+def realtime(priority: int = 60, core: int | None = None) -> Iterator[dict[str, str]]:
+    """Prepare the process for the loop and undo it afterwards.
+
+    Parameters
+    ----------
+    priority : int
+        SCHED_FIFO priority; 0 leaves the scheduler alone.
+    core : int, optional
+        Processor to stay on.
+
+    Yields
+    ------
+    dict of str to str
+        What each part came to: ``used``, or why not.
+    """
+    report = {
+        "priority": _attempt(lambda: _set_fifo(priority)) if priority else "not asked for",
+        "memory_lock": _attempt(lambda: _call("mlockall", _LOCK_CURRENT_AND_FUTURE)),
+        "timer_slack": _attempt(lambda: _call("prctl", _PR_SET_TIMERSLACK, 1, 0, 0, 0)),
+        "processor": _attempt(lambda: _pin(core)) if core is not None else "not asked for",
+    }
+    collecting = gc.isenabled()
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    report["garbage_collection"] = _USED
+    try:
+        yield report
+    finally:
+        if collecting:
+            gc.enable()
+        gc.unfreeze()
+        if report["priority"] == _USED:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        if report["memory_lock"] == _USED:
+            _attempt(lambda: _call("munlockall"))
+
+
+def _attempt(action: object) -> str:
+    try:
+        action()  # type: ignore[operator]
+    except (OSError, AttributeError, ValueError) as error:
+        return f"not available: {getattr(error, 'strerror', None) or error}"
+    return _USED
+
+
+def _set_fifo(priority: int) -> None:
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+
+
+def _pin(core: int | None) -> None:
+    if core is not None:
+        os.sched_setaffinity(0, {core})
+
+
+def _call(name: str, *arguments: int) -> None:
+    if not sys.platform.startswith("linux"):
+        raise OSError(f"{name} exists on Linux only")
+    library = ctypes.CDLL(None, use_errno=True)
+    if getattr(library, name)(*(ctypes.c_ulong(a) for a in arguments)) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))

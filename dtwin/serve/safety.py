@@ -1,0 +1,229 @@
+"""The guard between an equation and a machine."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.features.compiled import compiled
+from dtwin.schema import Floats
+from dtwin.serve.interface import SafetyLimits
+
+OK, DISABLED, NOT_FINITE, STALE, STALE_WINDOW, OUTSIDE, SHRUNK, CLAMPED, SLEWED, LATCHED, DEVICE = (
+    range(11)
+)
+REASONS: tuple[str, ...] = (
+    "ok", "disabled", "not_finite", "stale", "stale_window", "outside_box", "shrunk", "clamped",
+    "slew_limited", "latched", "device_stopped",
+)  # fmt: skip
+_LONGEST_STEP_S = 0.02
+_CLAMP, _SLEW, _STALE, _STALE_WINDOW, _TRIPS = range(5)
+_ARMED, _LATCH, _COUNT, _FAULT = range(4)
+
+
+@compiled
+def box_factor(inputs: Floats, low: Floats, high: Floats, span: float) -> float:
+    """Return how far a model may be trusted at its inputs.
+
+    Parameters
+    ----------
+    inputs, low, high : ndarray, shape (n,)
+        Inputs and their validity box.
+    span : float
+        0: nothing outside the box; else the share of the box's width over which trust
+        falls to nothing.
+
+    Returns
+    -------
+    float
+        1 inside, between 0 and 1 near it, 0 far outside, -1 when an input is not finite.
+    """
+    factor = 1.0
+    for i in range(inputs.shape[0]):
+        x = inputs[i]
+        if not abs(x) < 1e300:
+            return -1.0
+        beyond = max(low[i] - x, x - high[i])
+        if beyond > 0.0:
+            width = span * (high[i] - low[i])
+            factor = min(factor, 1.0 - beyond / width) if width > 0.0 else 0.0
+    return max(factor, 0.0)
+
+
+@compiled
+def _scaled(vector: Floats, longest: float) -> bool:
+    """Shorten a vector in place to at most ``longest``; tell whether that was needed."""
+    biggest = max(max(abs(vector[0]), abs(vector[1])), abs(vector[2]))
+    if biggest == 0.0:
+        return False
+    square = 0.0
+    for i in range(3):
+        square += (vector[i] / biggest) ** 2
+    length = biggest * np.sqrt(square)
+    if length <= longest:
+        return False
+    # Divided first: the length may exceed what its reciprocal can bear.
+    for i in range(3):
+        vector[i] = vector[i] / biggest / np.sqrt(square) * longest * (1.0 - 1e-15)
+    return True
+
+
+@compiled
+def guard_kernel(
+    wanted_um: Floats, factor: float, age_s: float, window_age_s: float, elapsed_s: float,
+    enabled: bool, device_ok: bool, limits: Floats, memory: Floats, out_um: Floats,
+) -> int:  # fmt: skip
+    """Turn a wanted correction into one that is safe to send.
+
+    Parameters
+    ----------
+    wanted_um : ndarray, shape (3,)
+        What the equation asks for.
+    factor : float
+        From ``box_factor``.
+    age_s, window_age_s : float
+        Age of the controller's state and of the newest window (0 when none is used).
+    elapsed_s : float
+        Time since the last call; counted as at most 20 ms, so that a stall earns no jump.
+    enabled : bool
+        Its rising edge arms and clears a latch; false releases.
+    device_ok : bool
+        Whether the controller reports a running program and no safety stop.
+    limits : ndarray, shape (5,)
+        Clamp, slew, the two ages, trips to latch.
+    memory : ndarray, shape (4,)
+        Armed, latched, trips, fault present. Overwritten.
+    out_um : ndarray, shape (3,)
+        The correction that was sent last; overwritten by the next one.
+
+    Returns
+    -------
+    int
+        Position in ``REASONS`` of the strongest reason that acted.
+    """
+    reason = OK
+    finite = factor >= 0.0
+    for i in range(3):
+        finite = finite and abs(wanted_um[i]) < 1e300
+    if not device_ok:
+        reason = DEVICE
+    elif not (age_s >= 0.0 and age_s <= limits[_STALE]):
+        reason = STALE
+    elif not (window_age_s >= 0.0 and window_age_s <= limits[_STALE_WINDOW]):
+        reason = STALE_WINDOW
+    elif not finite:
+        reason = NOT_FINITE
+    fault = reason != OK
+    if enabled and memory[_ARMED] == 0.0:
+        memory[_LATCH] = memory[_COUNT] = memory[_FAULT] = 0.0
+    memory[_ARMED] = 1.0 if enabled else 0.0
+    if enabled and fault and memory[_FAULT] == 0.0:
+        memory[_COUNT] += 1.0
+        if memory[_COUNT] >= limits[_TRIPS]:
+            memory[_LATCH] = 1.0
+    memory[_FAULT] = 1.0 if fault else 0.0
+    if memory[_LATCH] != 0.0 and not fault:
+        reason = LATCHED
+    if not enabled:
+        reason = DISABLED
+    elif reason == OK and factor == 0.0:
+        reason = OUTSIDE
+    target = np.zeros(3)
+    if reason == OK:
+        if factor < 1.0:
+            reason = SHRUNK
+        for i in range(3):
+            target[i] = wanted_um[i] * factor
+        if _scaled(target, limits[_CLAMP]):
+            reason = CLAMPED
+    step_s = elapsed_s if 0.0 <= elapsed_s <= _LONGEST_STEP_S else 0.0
+    if elapsed_s > _LONGEST_STEP_S:
+        step_s = _LONGEST_STEP_S
+    change = target - out_um
+    if _scaled(change, limits[_SLEW] * step_s):
+        if reason == OK:
+            reason = SLEWED
+        for i in range(3):
+            out_um[i] += change[i]
+    else:
+        for i in range(3):
+            out_um[i] = target[i]
+    _scaled(out_um, limits[_CLAMP])
+    return reason
+
+
+class Guard:
+    """Safety of one served model.
+
+    Parameters
+    ----------
+    limits : SafetyLimits
+        Clamp, slew, ages, answer outside the box.
+    low, high : ndarray, shape (n,)
+        Validity box.
+    """
+
+    def __init__(self, limits: SafetyLimits, low: Floats, high: Floats) -> None:
+        self.limits = limits
+        self._low = np.ascontiguousarray(low, dtype=np.float64)
+        self._high = np.ascontiguousarray(high, dtype=np.float64)
+        self._span = limits.shrink_span if limits.outside == "shrink" else 0.0
+        self._limits = np.array(
+            [
+                limits.clamp_um,
+                limits.slew_um_s,
+                limits.stale_s,
+                limits.window_stale_s,
+                limits.trips_to_latch,
+            ]
+        )
+        self._memory = np.zeros(4)
+        self.out_um = np.zeros(3)
+        self.counts: NDArray[np.int64] = np.zeros(len(REASONS), dtype=np.int64)
+        self.reason = DISABLED
+
+    @property
+    def latched(self) -> bool:
+        """Whether only a new rising edge of ``enabled`` can bring a correction back."""
+        return bool(self._memory[_LATCH])
+
+    @property
+    def trips(self) -> int:
+        """Faults since the guard was armed."""
+        return int(self._memory[_COUNT])
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the correction is exactly zero."""
+        return not self.out_um.any()
+
+    def step(
+        self, wanted_um: Floats, inputs: Floats, *, age_s: float, elapsed_s: float,
+        window_age_s: float = 0.0, enabled: bool = True, device_ok: bool = True,
+    ) -> Floats:  # fmt: skip
+        """Return the correction (3,) in um that may be sent; the next call overwrites it.
+
+        Parameters
+        ----------
+        wanted_um : ndarray, shape (3,)
+            What the equation asks for.
+        inputs : ndarray, shape (n,)
+            Inputs of the equation, for the validity box.
+        age_s, window_age_s : float
+            Ages of the controller's state and of the newest window.
+        elapsed_s : float
+            Time since the last call.
+        enabled, device_ok : bool
+            Whether a correction is wanted, and whether the machine runs.
+        """
+        factor = box_factor(inputs, self._low, self._high, self._span)
+        self.reason = guard_kernel(
+            wanted_um, factor, age_s, window_age_s, elapsed_s, enabled, device_ok,
+            self._limits, self._memory, self.out_um,
+        )  # fmt: skip
+        self.counts[self.reason] += 1
+        return self.out_um
+
+    def counted(self) -> dict[str, int]:
+        """Return how often each reason acted."""
+        return {name: int(n) for name, n in zip(REASONS, self.counts, strict=True) if n}

@@ -1,0 +1,99 @@
+"""Timing of the loop in buffers that are allocated once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+STAGES = ("window", "path", "equation", "guard", "send", "total")
+_EDGES_US = (0, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
+
+
+class LoopTiming:
+    """Stage times, period, ages and late ticks of the newest ticks.
+
+    Parameters
+    ----------
+    period_s : float
+        Nominal period.
+    capacity : int
+        Ticks that are remembered.
+    """
+
+    def __init__(self, period_s: float, capacity: int = 65536) -> None:
+        self.period_s = period_s
+        self.ticks = 0
+        self.late = 0
+        self.missed = 0
+        self.timeouts = 0
+        self._stages: NDArray[np.int64] = np.zeros((capacity, len(STAGES)), dtype=np.int64)
+        self._interval_s = np.zeros(capacity)
+        self._age_s = np.zeros(capacity)
+        self._window_age_s = np.zeros(capacity)
+
+    def stages(self) -> NDArray[np.int64]:
+        """Return the row (stages,) of nanoseconds that the current tick fills."""
+        row: NDArray[np.int64] = self._stages[self.ticks % len(self._stages)]
+        return row
+
+    def tick(
+        self, interval_s: float, state_step_s: float, age_s: float, window_age_s: float
+    ) -> None:
+        """Close a tick.
+
+        Parameters
+        ----------
+        interval_s : float
+            Wall time since the tick before; NaN for the first.
+        state_step_s : float
+            Step of the controller's own stamp since the tick before; NaN for the first.
+        age_s, window_age_s : float
+            Age of the state when its correction was ready, and of the newest window.
+        """
+        place = self.ticks % len(self._interval_s)
+        self._interval_s[place] = interval_s
+        self._age_s[place] = age_s
+        self._window_age_s[place] = window_age_s
+        if state_step_s > 1.5 * self.period_s:
+            self.missed += round(state_step_s / self.period_s) - 1
+        if age_s > self.period_s or interval_s > 2.0 * self.period_s:
+            self.late += 1
+        self.ticks += 1
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts, percentiles and the jitter histogram, JSON-ready."""
+        n = min(self.ticks, len(self._interval_s))
+        interval = self._interval_s[:n][np.isfinite(self._interval_s[:n])]
+        jitter_us = np.abs(interval - self.period_s) * 1e6
+        counts, _ = np.histogram(jitter_us, np.array([*_EDGES_US, np.inf]))
+        labels = [f"<{edge}" for edge in _EDGES_US[1:]] + [f">={_EDGES_US[-1]}"]
+        return {
+            "ticks": self.ticks,
+            "late_ticks": self.late,
+            "missed_states": self.missed,
+            "timeouts": self.timeouts,
+            "late_share": self.late / self.ticks if self.ticks else 0.0,
+            "period_ms": _percentiles(interval * 1e3),
+            "stage_us": {
+                name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(STAGES)
+            },
+            "state_age_ms": _percentiles(self._age_s[:n] * 1e3),
+            "window_age_ms": _percentiles(self._window_age_s[:n] * 1e3),
+            "jitter_us_histogram": {
+                label: int(count) for label, count in zip(labels, counts, strict=True)
+            },
+        }
+
+
+def _percentiles(values: NDArray[np.float64]) -> dict[str, float] | None:
+    if not len(values):
+        return None
+    p50, p99, p999 = np.percentile(values, [50, 99, 99.9]).tolist()
+    return {
+        "p50": round(p50, 3),
+        "p99": round(p99, 3),
+        "p99.9": round(p999, 3),
+        "max": round(float(values.max()), 3),
+    }
