@@ -115,7 +115,7 @@ def to_python(graph: Graph, name: str = "tick") -> str:
         number=lambda v: repr(float(v)) if v >= 0 else f"({float(v)!r})",
         name=lambda node: f'{"inputs" if node.op == "input" else "state"}[{node.name!r}]',
         operations=_operations(
-            logistic="(1.0 / (1.0 + math.exp(-{0})))", sign="float(({0} > 0) - ({0} < 0))",
+            logistic="(1.0 / (1.0 + math.exp(-{0})))", sign="float(({0} > 0) * 1 - ({0} < 0) * 1)",
             step="float({0} >= 0)",
             **{f: f"math.{f}({{0}})" for f in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh")},
             atan2="math.atan2({0}, {1})",

@@ -19,6 +19,7 @@ from dtwin.serve.bundle_file import load_bundle, save_bundle
 from dtwin.serve.graph import Graph, Node
 from dtwin.serve.interface import Input
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.tape import Tape
 
 
 def saved(tmp_path: Path, bundle: Bundle) -> Path:
@@ -237,7 +238,5 @@ def test_builder_shares_equal_terms_and_drops_unused_ones() -> None:
 def test_states_update_together() -> None:
     g = GraphBuilder()
     a, b = g.state("a"), g.state("b")
-    from dtwin.serve.tape import Tape
-
     tape = Tape(g.graph({"y": a - b}, {"a": b, "b": a}), [], {"a": 1.0, "b": 5.0}, ["y"])
     assert [float(tape.run(np.zeros(0))[0]) for _ in range(3)] == [-4.0, 4.0, -4.0]

@@ -1,0 +1,345 @@
+"""The loop in lock-step with the virtual cobot, and on the wall clock over real RTDE."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from bundles import path_bundle, sensor_bundle
+
+from dtwin.errors import DeviceError, InputError
+from dtwin.features.motion import PathInputs
+from dtwin.features.windows import WindowContract
+from dtwin.links import state as layout
+from dtwin.links.ur import UrLink
+from dtwin.machines.cobot import VirtualCobot
+from dtwin.machines.motion import CircleCondition
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.decision import Decision
+from dtwin.serve.interface import Input, Output, SafetyLimits
+from dtwin.serve.loop import ServeStatus, ServingLoop, serve_lockstep
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.safety import REASONS
+from dtwin.serve.signals import stop_on_signals
+
+TCP_MM = np.array([0.0, 0.0, 158.3])
+CONDITION = CircleCondition("YZ", 100.0, 6000.0, "CW")
+
+
+@pytest.fixture(scope="module")
+def cobot() -> VirtualCobot:
+    return VirtualCobot(seed=3)
+
+
+def angle_bundle(cobot: VirtualCobot, frame: str = "path_radial", role: str = "error") -> Bundle:
+    """Look-up of the known repeatable error over the path angle of one condition."""
+    controller = cobot.controller(CONDITION, setup="s1", repeat=1)
+    states = []
+    while not controller.done:
+        states.append(controller.state().copy())
+        controller.step(layout.correction_registers())
+    angle = PathInputs(dict(layout.INDEX), TCP_MM).batch(np.array(states))[:, 0]
+    _, radial_um, _ = cobot.repeatable_error_um(CONDITION)
+    n = min(len(angle), len(radial_um))
+    order = np.argsort(angle[:n], kind="stable")
+    start, stop = angle.min(), angle.max()
+    grid = np.linspace(start, stop, 1500)
+    values = np.interp(grid, angle[:n][order], radial_um[:n][order])
+    g = GraphBuilder()
+    error = g.lookup(g.input("path_angle_rad"), start, grid[1] - grid[0], values.tolist())
+    return path_bundle(
+        inputs=[Input("path_angle_rad", "rad", "path", 500.0, "path", start - 0.1, stop + 0.1)],
+        outputs=[Output("radial_error_um", frame, role)],
+        states=(),
+        tick_graph=g.graph({"radial_error_um": error}),
+        safety=SafetyLimits(clamp_um=300.0, slew_um_s=20_000.0),
+    )
+
+
+def served(
+    cobot: VirtualCobot, bundle: Bundle, **options: Any
+) -> tuple[float, ServeStatus, np.ndarray]:
+    controller = cobot.controller(CONDITION, setup="s1", repeat=1)
+    status = serve_lockstep(Decision(CompiledBundle(bundle), TCP_MM), controller, **options)
+    recording = controller.recording()
+    first, last = recording.window
+    deviation_um = 1000 * recording.deviation_mm[first:last]
+    angle = 2 * np.pi * np.arange(last - first) / (last - first)
+    harmonic = np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)])
+    fit = np.linalg.lstsq(harmonic, deviation_um, rcond=None)[0]
+    return float(np.std(deviation_um - harmonic @ fit)), status, recording.deviation_mm
+
+
+def test_correction_in_lockstep_reduces_the_measured_error(cobot: VirtualCobot) -> None:
+    bundle = angle_bundle(cobot)
+    plain_um, shadow, shadow_mm = served(cobot, bundle, mode="shadow")
+    dry_um, dry, dry_mm = served(cobot, bundle, mode="dry-run")
+    live_um, live, _ = served(cobot, bundle)
+    assert np.array_equal(shadow_mm, dry_mm)
+    assert plain_um == dry_um
+    assert live_um < 0.6 * plain_um
+    assert (live.clock, live.ended, live.timing["missed_states"]) == ("machine", "finished", 0)
+    assert (shadow.last_sequence, dry.last_sequence) == (0, live.last_sequence)
+    assert shadow.largest_um == pytest.approx(live.largest_um, rel=1e-3)
+    assert live.largest_um > 20
+    json.dumps(live.as_dict())
+
+
+def test_wrong_sign_or_axis_makes_the_measured_error_worse(cobot: VirtualCobot) -> None:
+    plain_um, _, _ = served(cobot, angle_bundle(cobot), mode="dry-run")
+    flipped_um, _, _ = served(cobot, angle_bundle(cobot, role="correction"))
+    assert flipped_um > 1.5 * plain_um
+    across_um, _, _ = served(cobot, angle_bundle(cobot, frame="path_tangential"))
+    assert across_um > 0.9 * plain_um
+
+
+def test_more_transport_delay_leaves_more_error(cobot: VirtualCobot) -> None:
+    bundle = angle_bundle(cobot)
+    near, _, _ = served(cobot, bundle)
+    far, status, _ = served(cobot, bundle, transport_ticks=40)
+    assert far > 1.2 * near
+    assert status.timing["state_age_ms"]["p50"] == pytest.approx(78.0)
+
+
+def test_stop_in_lockstep_releases(cobot: VirtualCobot) -> None:
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(1)
+        return len(asked) > 1000
+
+    _, status, _ = served(cobot, angle_bundle(cobot), stop=stop)
+    assert (status.ended, status.released) == ("stopped", True)
+    assert status.reasons["disabled"] > 100
+
+
+class Sensors:
+    """Newest windows of a made recording."""
+
+    def __init__(self, contract: WindowContract) -> None:
+        self.contract = contract
+        self.age_s = 0.01
+        self.broken = False
+        self.asked = 0
+
+    def newest_window(self) -> tuple[np.ndarray | None, float]:
+        self.asked += 1
+        rng = np.random.default_rng(self.asked)
+        block = 0.1 * rng.standard_normal((len(self.contract.channels), self.contract.n_samples))
+        if self.broken:
+            block[0, 5] = np.nan
+        return (block if self.asked % 5 == 1 else None), self.age_s
+
+
+def tick(decision: Decision, state: np.ndarray) -> str:
+    stages = np.zeros(6, dtype=np.int64)
+    decision.decide(state, age_s=0.0, elapsed_s=0.002, enabled=True, stages=stages)
+    return REASONS[decision.guard.reason]
+
+
+def test_sensor_windows_reach_the_equation_or_stop_the_correction(cobot: VirtualCobot) -> None:
+    bundle = sensor_bundle()
+    assert bundle.window is not None
+    sensors = Sensors(bundle.window)
+    decision = Decision(CompiledBundle(bundle), TCP_MM, sensors=sensors)
+    state = cobot.controller(CONDITION, setup="s1", repeat=1).state()
+    for _ in range(20):
+        reason = tick(decision, state)
+    assert reason == "ok"
+    assert not decision.guard.at_rest
+    sensors.age_s = 5.0
+    assert tick(decision, state) == "stale_window"
+    sensors.age_s, sensors.broken = 0.01, True
+    for _ in range(20):
+        reason = tick(decision, state)
+    assert reason == "not_finite"
+    assert decision.guard.at_rest
+
+
+def test_missing_sensors_and_inputs_are_refused() -> None:
+    with pytest.raises(InputError, match="sensor windows"):
+        Decision(CompiledBundle(sensor_bundle()), TCP_MM)
+    other = Sensors(WindowContract(1000.0, 150, 15, ("a_g",), ("rms",)))
+    with pytest.raises(InputError, match="sensor windows"):
+        Decision(CompiledBundle(sensor_bundle()), TCP_MM, sensors=other)
+    g = GraphBuilder()
+    bundle = path_bundle(
+        inputs=[Input("temperature_c", "degC", "none", 1.0, "covariate", 10.0, 40.0)],
+        states=(),
+        tick_graph=g.graph({"radial_error_um": 2.0 * g.input("temperature_c")}),
+    )
+    with pytest.raises(InputError, match="does not provide"):
+        Decision(CompiledBundle(bundle), TCP_MM)
+    Decision(CompiledBundle(bundle), TCP_MM, {"temperature_c": 21.0})
+
+
+@pytest.fixture
+def robot() -> Iterator[tuple[str, Callable[..., dict[str, Any]]]]:
+    """A virtual robot behind its real RTDE server, in a process of its own."""
+    host = f"127.{20 + os.getpid() % 200}.{os.getpid() // 200 % 250}.250"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}",
+         "--repeat-forever", "--control"],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stdin is not None
+    assert process.stdout is not None
+    reader, writer = process.stdout, process.stdin
+
+    def do(action: str, **arguments: Any) -> dict[str, Any]:
+        writer.write(json.dumps({"do": action, **arguments}) + "\n")
+        writer.flush()
+        return dict(json.loads(reader.readline()))
+
+    try:
+        assert json.loads(reader.readline())["ready"]
+        yield host, do
+    finally:
+        writer.close()
+        process.wait(10)
+        reader.close()
+
+
+def loop_for(link: Any, mode: Any = "live") -> ServingLoop:
+    limits = SafetyLimits(clamp_um=30.0, slew_um_s=2000.0, stale_s=0.1)
+    bundle = path_bundle(safety=limits)
+    return ServingLoop(Decision(CompiledBundle(bundle), TCP_MM), link, mode=mode)
+
+
+@pytest.mark.system
+def test_serving_over_rtde_corrects_and_releases(robot: Any) -> None:
+    host, _ = robot
+    with UrLink(host) as link:
+        status = loop_for(link).run(3.0, priority=0)
+        applied = None
+        for _ in range(100):
+            state = link.wait_state(0.2)
+            if state is not None and state[layout.APPLIED_SEQUENCE] == status.last_sequence:
+                applied = state[layout.APPLIED : layout.APPLIED + 3].copy()
+        assert applied is not None
+        np.testing.assert_allclose(applied, 0.0, atol=0.5)
+    assert (status.clock, status.ended, status.fault) == ("wall", "duration", None)
+    assert status.released
+    assert status.largest_um > 5.0
+    assert status.timing["ticks"] > 100
+    assert status.realtime["garbage_collection"] == "used"
+    json.dumps(status.as_dict())
+
+
+@pytest.mark.system
+def test_controller_that_drops_the_link_ends_the_serving_with_a_reason(robot: Any) -> None:
+    host, do = robot
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(1)
+        if len(asked) == 400:
+            do("drop")
+        return False
+
+    with UrLink(host) as link:
+        status = loop_for(link).run(20.0, stop=stop, priority=0)
+    assert status.fault is not None
+    assert status.ended == status.fault["code"]
+    assert status.ended.startswith("ur.")
+
+
+@pytest.mark.system
+def test_controller_that_stalls_is_answered_with_zero(robot: Any) -> None:
+    host, do = robot
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(1)
+        if len(asked) == 400:
+            do("stall", seconds=0.6)
+        return len(asked) > 900
+
+    with UrLink(host) as link:
+        loop = loop_for(link)
+        status = loop.run(20.0, stop=stop, priority=0)
+    assert status.ended == "stopped"
+    assert status.timing["timeouts"] > 0
+    assert status.reasons["stale"] > 0
+    assert status.released
+
+
+@pytest.mark.system
+def test_shadow_sends_nothing(robot: Any) -> None:
+    host, _ = robot
+    with UrLink(host) as link:
+        status = loop_for(link, "shadow").run(1.0, priority=0)
+        state = link.wait_state(1.0)
+        assert state is not None
+        assert not state[layout.APPLIED : layout.APPLIED + 3].any()
+    assert status.last_sequence == 0
+
+
+class BrokenLink:
+    """Fails after a while, as a link does whose driver died."""
+
+    received_s = 0.0
+
+    def __init__(self, state: np.ndarray, lasts: int) -> None:
+        self.state, self.left = state, lasts
+        self.sent: list[np.ndarray] = []
+
+    def wait_state(self, timeout_s: float) -> np.ndarray | None:
+        self.left -= 1
+        if self.left < 0:
+            raise DeviceError("the driver died", code="ur.died")
+        self.received_s = time.monotonic()
+        return self.state
+
+    def send(self, offset_um: np.ndarray, sequence: int) -> None:
+        if self.left < 0:
+            raise DeviceError("the driver died", code="ur.died")
+        self.sent.append(offset_um.copy())
+
+
+def test_dead_driver_is_reported_and_never_raised(cobot: VirtualCobot) -> None:
+    link = BrokenLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), 50)
+    status = loop_for(link).run(5.0, priority=0)
+    assert (status.ended, status.released) == ("ur.died", False)
+    assert status.fault == {"code": "ur.died", "message": "the driver died"}
+
+
+def test_interrupt_becomes_a_question(cobot: VirtualCobot) -> None:
+    link = BrokenLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), 10**9)
+    before = signal.getsignal(signal.SIGINT)
+    with stop_on_signals() as stop:
+        asked: list[int] = []
+
+        def after_a_while() -> bool:
+            asked.append(1)
+            if len(asked) == 200:
+                os.kill(os.getpid(), signal.SIGINT)
+            return stop()
+
+        status = loop_for(link).run(60.0, stop=after_a_while, priority=0)
+    assert signal.getsignal(signal.SIGINT) is before
+    assert (status.ended, status.released) == ("stopped", True)
+    assert link.sent[-1].tolist() == [0.0, 0.0, 0.0]
+    steps = np.linalg.norm(np.diff(link.sent, axis=0), axis=1)
+    assert steps.max() <= 2000.0 * 0.02 + 1e-9
+
+
+def test_only_a_rising_sequence_is_sent(cobot: VirtualCobot) -> None:
+    link = BrokenLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), 10)
+    loop = ServingLoop(
+        Decision(CompiledBundle(path_bundle()), TCP_MM), link,
+        first_sequence=layout.SEQUENCE_LIMIT,
+    )  # fmt: skip
+    numbers: list[int] = []
+    link.send = lambda offset, sequence: numbers.append(sequence)  # type: ignore[method-assign]
+    loop.run(5.0, priority=0)
+    assert numbers[:3] == [layout.SEQUENCE_LIMIT, 1, 2]
