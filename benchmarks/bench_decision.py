@@ -55,7 +55,7 @@ def compiled() -> CompiledBundle:
             window=CONTRACT,
             outputs=[Output("radial_error_um", "path_radial")],
             tick_graph=graph,
-        )  # fmt: skip
+        )
     )
 
 

@@ -9,6 +9,8 @@ from dtwin.features.alignment import Alignment
 from dtwin.schema import Floats
 
 _HARMONICS = 2
+_THINNED_S = 0.02
+_COARSE = 8
 
 
 def align_infeed(
@@ -52,19 +54,19 @@ def align_infeed(
     InputError
         When the controller's record does not cover the bar's at any lag.
     """
-    t_bar = np.arange(deviation_um.size)[::4] / rate_hz
-    bar = deviation_um[::4]
+    thin = max(1, round(rate_hz * _THINNED_S))
+    t_bar = np.arange(deviation_um.size)[::thin] / rate_hz
+    bar = deviation_um[::thin]
     t_controller = np.arange(commanded_um.size) / controller_rate_hz
     longest = min(max_lag_s, t_controller[-1] - 0.5 * t_bar[-1])
-    lags = np.arange(0.0, longest, step_s)
-    if lags.size < 3:
+    if longest < 3 * step_s:
         raise InputError(
             "the controller's record is shorter than the bar's",
             code="align.overlap",
             got=f"{t_controller[-1]:.1f} s and {t_bar[-1]:.1f} s",
         )
-    rest = np.empty(lags.size)
-    for i, lag in enumerate(lags):
+
+    def unexplained(lag: float) -> float:
         angle = np.interp(t_bar + lag, t_controller, angle_rad)
         y = bar - np.interp(t_bar + lag, t_controller, commanded_um)
         columns = [np.ones_like(angle)]
@@ -74,15 +76,21 @@ def align_infeed(
         gram = design.T @ design
         moment = design.T @ y
         solved = np.linalg.solve(gram + 1e-9 * np.trace(gram) * np.eye(len(gram)), moment)
-        rest[i] = max(float(y @ y - moment @ solved), 0.0) / y.size
+        return max(float(y @ y - moment @ solved), 0.0) / y.size
+
+    coarse = np.arange(0.0, longest, _COARSE * step_s)
+    overview = np.array([unexplained(lag) for lag in coarse])
+    middle_s = float(coarse[int(np.argmin(overview))])
+    lags = middle_s + step_s * np.arange(-_COARSE, _COARSE + 1)
+    rest = np.array([unexplained(lag) for lag in lags])
     best = int(np.argmin(rest))
     shift = 0.0
     if 0 < best < lags.size - 1:
         left, middle, right = rest[best - 1 : best + 2]
         bend = left - 2 * middle + right
         shift = float(0.5 * (left - right) / bend) if bend > 0 else 0.0
-    guard = np.abs(lags - lags[best]) > 0.5
-    rival = float(rest[guard].min()) if guard.any() else float("inf")
+    guard = np.abs(coarse - lags[best]) > 0.5
+    rival = float(overview[guard].min()) if guard.any() else float("inf")
     scale = float(np.var(bar)) or 1.0
     return Alignment(
         lag_s=float(lags[best] + shift * step_s),

@@ -23,15 +23,15 @@ class CompiledBundle:
         ticks, held = len(bundle.tick_inputs), bundle.feature_inputs + bundle.intermediates
         outputs = tuple(o.name for o in bundle.outputs)
         self._tape = Tape(
-            bundle.tick_graph, bundle.tick_inputs + held, bundle.initial_state, outputs
+            bundle.tick_graph, bundle.tick_inputs + held, bundle.initial_state, outputs, ticks
         )
         self._window_tape = (
             Tape(bundle.window_graph, bundle.feature_inputs, {}, bundle.intermediates)
             if bundle.window_graph is not None
             else None
         )
-        self._inputs = np.zeros(ticks + len(held))
-        self._tick = self._inputs[:ticks]
+        self._n_tick = ticks
+        self._inputs = self._tape.inputs
         self._features = self._inputs[ticks : ticks + len(bundle.feature_inputs)]
         self._held = self._inputs[ticks + len(bundle.feature_inputs) :]
 
@@ -60,8 +60,7 @@ class CompiledBundle:
         inputs : ndarray, shape (n_tick_inputs,)
             In the order of ``Bundle.tick_inputs``.
         """
-        self._tick[:] = inputs
-        return self._tape.run(self._inputs)
+        return self._tape.run(inputs)
 
     def run(self, inputs: Floats, features: Floats | None = None) -> Floats:
         """Evaluate successive ticks through the state; return outputs, shape (n, n_outputs).
@@ -75,9 +74,9 @@ class CompiledBundle:
         """
         rows = np.empty((len(inputs), len(self._inputs)))
         rows[:] = self._inputs
-        rows[:, : len(self._tick)] = inputs
+        rows[:, : self._n_tick] = inputs
         if features is not None:
-            first = len(self._tick)
+            first = self._n_tick
             rows[:, first : first + len(self._features)] = features
             if self._window_tape is not None:
                 rows[:, first + len(self._features) :] = self._window_tape.run_many(features)

@@ -173,6 +173,8 @@ class Tape:
         Initial values.
     outputs : sequence of str
         Order of the output vector.
+    n_given : int, optional
+        How many of the first inputs ``run`` is given; the others are held in ``inputs``.
 
     Raises
     ------
@@ -182,12 +184,11 @@ class Tape:
 
     def __init__(
         self, graph: Graph, inputs: Sequence[str], states: Mapping[str, float],
-        outputs: Sequence[str],
+        outputs: Sequence[str], n_given: int | None = None,
     ) -> None:  # fmt: skip
         _require(graph.inputs, inputs, "inputs")
         _require(graph.states, list(states), "states")
         _require(outputs, list(graph.outputs), "outputs")
-        self.n_inputs = len(inputs)
         self._first_state = len(inputs)
         self._initial = np.array(list(states.values()), dtype=np.float64)
         places = {("input", name): i for i, name in enumerate(inputs)}
@@ -219,7 +220,12 @@ class Tape:
         program += [slots[graph.outputs[name]] for name in outputs]
         program += [slots[i] for _, i in updates]
         program += [places[("state", name)] for name, _ in updates]
-        self.program = np.array(program, dtype=np.uint64)
+        self._all_given = np.array(program, dtype=np.uint64)
+        self.program = self._all_given.copy()
+        self._n_given = len(inputs) if n_given is None else n_given
+        self.program[1] = self._n_given
+        self.inputs = memory[: len(inputs)]
+        """The newest inputs; the held ones may be set here."""
         self.memory = memory
         self.outputs = memory[free : free + len(outputs)]
         """The newest outputs; a view that the next run overwrites."""
@@ -236,17 +242,21 @@ class Tape:
 
         Parameters
         ----------
-        inputs : ndarray of float64, shape (n_inputs,)
+        inputs : ndarray of float64, shape (n_given,)
             In the order given at the start.
         """
+        if len(inputs) != self._n_given:
+            raise ValueError(f"{len(inputs)} inputs given, {self._n_given} wanted")
         run_tape(self.program, self.memory, inputs)
         return self.outputs
 
     def run_many(self, inputs: Floats) -> Floats:
         """Evaluate rows of inputs (n, n_inputs) one after the other, through the state."""
         rows = np.ascontiguousarray(inputs, dtype=np.float64)
+        if rows.ndim != 2 or rows.shape[1] != len(self.inputs):
+            raise ValueError(f"rows of shape {rows.shape}, {len(self.inputs)} inputs wanted")
         out = np.empty((len(rows), len(self.outputs)))
-        run_tape_many(self.program, self.memory, rows, out)
+        run_tape_many(self._all_given, self.memory, rows, out)
         return out
 
 

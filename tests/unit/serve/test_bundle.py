@@ -240,3 +240,12 @@ def test_states_update_together() -> None:
     a, b = g.state("a"), g.state("b")
     tape = Tape(g.graph({"y": a - b}, {"a": b, "b": a}), [], {"a": 1.0, "b": 5.0}, ["y"])
     assert [float(tape.run(np.zeros(0))[0]) for _ in range(3)] == [-4.0, 4.0, -4.0]
+
+
+def test_wrong_count_of_inputs_is_refused() -> None:
+    compiled = CompiledBundle(path_bundle())
+    for count in (0, 1, 3):
+        with pytest.raises(ValueError, match="wanted"):
+            compiled.tick(np.zeros(count))
+    with pytest.raises(ValueError, match="broadcast|inputs"):
+        compiled.run(np.zeros((4, 3)))
