@@ -88,8 +88,9 @@ class Decision:
         box = np.array([boxes[name] for name in order]).reshape(-1, 2)
         self.guard = Guard(bundle.safety, box[:, 0], box[:, 1])
         self.direction = Direction(bundle.outputs)
-        self._prepare_window(sensors)
         self.window_age_s = 0.0
+        self._prepare_window(sensors)
+        self._warm_up()
 
     def _prepare_window(self, sensors: SensorSource | None) -> None:
         bundle = self.compiled.bundle
@@ -110,6 +111,19 @@ class Decision:
         columns = [feature_column(c, f) for c in contract.channels for f in contract.features]
         self._picked = np.array([columns.index(n) for n in bundle.feature_inputs], dtype=np.int64)
         self._channel = self._picked // shape[1]
+
+    def _warm_up(self) -> None:
+        """Have every kernel loaded before the first tick, where loading would cost deadlines."""
+        if self._uses_window:
+            n = self._kernel.n_samples
+            self._kernel.compute(self._samples.reshape(-1), 0, n, self._values, self._codes)
+            self.compiled.window(self._features)
+        uses, self._uses_window = self._uses_window, False
+        stages, state = np.zeros(6, dtype=np.int64), layout.empty_state()
+        self.decide(state, age_s=0.0, elapsed_s=0.0, enabled=False, stages=stages)
+        self._uses_window = uses
+        self.guard.reset()
+        self.reset()
 
     def reset(self) -> None:
         """Start a new run: path angle, equation state and newest window are forgotten."""

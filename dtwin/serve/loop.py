@@ -279,6 +279,7 @@ def serve_lockstep(
         With machine-clock ages; stage times are of the computation alone.
     """
     decision.reset()
+    decision.guard.reset()
     timing = LoopTiming(period_s)
     queue = np.zeros((max(1, transport_ticks), layout.REGISTERS_N))
     sequence, largest, last_stamp_s, stopped = 0, 0.0, np.nan, False

@@ -197,6 +197,13 @@ class Guard:
         """Whether the correction is exactly zero."""
         return not self.out_um.any()
 
+    def reset(self) -> None:
+        """Disarm, and forget output, trips and counts; only while nothing is being sent."""
+        self._memory[:] = 0.0
+        self.out_um[:] = 0.0
+        self.counts[:] = 0
+        self.reason = DISABLED
+
     def step(
         self, wanted_um: Floats, inputs: Floats, *, age_s: float, elapsed_s: float,
         window_age_s: float = 0.0, enabled: bool = True, device_ok: bool = True,

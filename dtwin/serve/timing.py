@@ -41,7 +41,7 @@ class LoopTiming:
     def tick(
         self, interval_s: float, state_step_s: float, age_s: float, window_age_s: float
     ) -> None:
-        """Close a tick.
+        """Close a tick; late is a correction that was ready more than a period after its state.
 
         Parameters
         ----------
@@ -58,9 +58,15 @@ class LoopTiming:
         self._window_age_s[place] = window_age_s
         if state_step_s > 1.5 * self.period_s:
             self.missed += round(state_step_s / self.period_s) - 1
-        if age_s > self.period_s or interval_s > 2.0 * self.period_s:
+        if age_s > self.period_s:
             self.late += 1
         self.ticks += 1
+
+    @property
+    def late_share(self) -> float:
+        """Share of the controller's ticks that were answered late or not at all."""
+        answered_or_missed = self.ticks + self.missed
+        return (self.late + self.missed) / answered_or_missed if answered_or_missed else 0.0
 
     def summary(self) -> dict[str, Any]:
         """Return counts, percentiles and the jitter histogram, JSON-ready."""
@@ -74,7 +80,7 @@ class LoopTiming:
             "late_ticks": self.late,
             "missed_states": self.missed,
             "timeouts": self.timeouts,
-            "late_share": self.late / self.ticks if self.ticks else 0.0,
+            "late_share": self.late_share,
             "period_ms": _percentiles(interval * 1e3),
             "stage_us": {
                 name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(STAGES)

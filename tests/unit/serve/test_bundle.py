@@ -247,5 +247,5 @@ def test_wrong_count_of_inputs_is_refused() -> None:
     for count in (0, 1, 3):
         with pytest.raises(ValueError, match="wanted"):
             compiled.tick(np.zeros(count))
-    with pytest.raises(ValueError, match="broadcast|inputs"):
+    with pytest.raises(ValueError, match=r"broadcast|inputs"):
         compiled.run(np.zeros((4, 3)))

@@ -110,6 +110,16 @@ def test_more_transport_delay_leaves_more_error(cobot: VirtualCobot) -> None:
     assert status.timing["state_age_ms"]["p50"] == pytest.approx(78.0)
 
 
+def test_one_decision_serves_run_after_run_alike(cobot: VirtualCobot) -> None:
+    decision = Decision(CompiledBundle(angle_bundle(cobot)), TCP_MM)
+    measured = []
+    for _ in range(2):
+        controller = cobot.controller(CONDITION, setup="s1", repeat=1)
+        serve_lockstep(decision, controller)
+        measured.append(controller.recording().deviation_mm)
+    assert np.array_equal(*measured)
+
+
 def test_stop_in_lockstep_releases(cobot: VirtualCobot) -> None:
     asked: list[int] = []
 

@@ -1,0 +1,93 @@
+"""Counts of the loop's clockwork, and what it reports of the system."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+
+import numpy as np
+import pytest
+from bundles import path_bundle, sensor_bundle
+
+from dtwin.features.windows import WindowContract
+from dtwin.serve.decision import Decision
+from dtwin.serve.realtime import realtime
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.timing import LoopTiming
+
+
+def test_late_and_missed_ticks_are_counted() -> None:
+    timing = LoopTiming(0.002)
+    timing.tick(np.nan, np.nan, 0.0005, 0.0)
+    for step_s, age_s in ((0.002, 0.0005), (0.002, 0.0021), (0.008, 0.0005), (0.002, 0.001)):
+        timing.tick(step_s, step_s, age_s, 0.0)
+    assert (timing.ticks, timing.late, timing.missed) == (5, 1, 3)
+    assert timing.late_share == pytest.approx(4 / 8)
+    json.dumps(timing.summary(), allow_nan=False)
+
+
+def test_empty_and_overflowing_buffers() -> None:
+    empty = LoopTiming(0.002).summary()
+    assert (empty["ticks"], empty["period_ms"]) == (0, None)
+    json.dumps(empty, allow_nan=False)
+    timing = LoopTiming(0.002, capacity=8)
+    for k in range(20):
+        timing.stages()[:] = k * 1000
+        timing.tick(0.002, 0.002, 0.0, 0.0)
+    summary = timing.summary()
+    assert summary["ticks"] == 20
+    assert summary["stage_us"]["total"]["max"] == 19.0
+    assert sum(summary["jitter_us_histogram"].values()) == 8
+
+
+def test_jitter_lands_in_its_bin() -> None:
+    timing = LoopTiming(0.002)
+    for interval_s in (0.002, 0.00203, 0.0045):
+        timing.tick(interval_s, 0.002, 0.0, 0.0)
+    histogram = timing.summary()["jitter_us_histogram"]
+    assert (histogram["<10"], histogram["<50"], histogram["<5000"]) == (1, 1, 1)
+
+
+def test_realtime_is_undone_and_reports_every_part() -> None:
+    policy, enabled = os.sched_getscheduler(0), gc.isenabled()
+    with realtime(priority=10) as report:
+        assert not gc.isenabled()
+        assert set(report) == {
+            "priority", "memory_lock", "timer_slack", "processor", "garbage_collection",
+        }  # fmt: skip
+        used = report["priority"] == "used"
+        assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == used
+    assert os.sched_getscheduler(0) == policy
+    assert gc.isenabled() == enabled
+
+
+def test_what_the_system_refuses_is_said_not_raised() -> None:
+    with realtime(priority=5000, core=10_000) as report:
+        assert report["priority"].startswith("not available: ")
+        assert report["processor"].startswith("not available: ")
+
+
+class NoWindow:
+    """Counts how often it is asked."""
+
+    def __init__(self, contract: WindowContract) -> None:
+        self.contract, self.asked = contract, 0
+
+    def newest_window(self) -> tuple[None, float]:
+        self.asked += 1
+        return None, float("inf")
+
+
+def test_warming_up_leaves_no_trace() -> None:
+    bundle = sensor_bundle()
+    assert bundle.window is not None
+    sensors = NoWindow(bundle.window)
+    for decision in (
+        Decision(CompiledBundle(path_bundle()), np.zeros(3)),
+        Decision(CompiledBundle(bundle), np.zeros(3), sensors=sensors),
+    ):
+        assert decision.guard.counted() == {}
+        assert decision.guard.at_rest
+        assert not decision.compiled._tape.inputs.any()
+    assert sensors.asked == 0
