@@ -112,8 +112,10 @@ def tick_run(run: Run, campaign: Campaign) -> TickRun:
     if "controller" not in groups:
         raise InputError(
             "a run without controller signals cannot train a correction",
-            code="train.signals", where=run.meta.run_id,
-            got=", ".join(groups) or "no signals", allowed="a signal group named controller",
+            code="train.signals",
+            where=run.meta.run_id,
+            got=", ".join(groups) or "no signals",
+            allowed="a signal group named controller",
         )
     states = controller_ticks(groups["controller"], run.meta, campaign.machine_geometry)
     tool = np.asarray(campaign.machine_geometry.get("tcp_mm", [0.0, 0.0, 0.0]), dtype=float)
@@ -124,8 +126,15 @@ def tick_run(run: Run, campaign: Campaign) -> TickRun:
         bar, run.meta.sample_rate_hz, commanded_um[::4], inputs[::4, 0], TICK_HZ / 4
     )
     bare = TickRun(
-        run.meta, inputs.astype(np.float32), bar, run.meta.sample_rate_hz, found.lag_s,
-        np.empty(0, np.int64), np.empty(0, bool), found.residual, groups.get("accelerometers"),
+        run.meta,
+        inputs.astype(np.float32),
+        bar,
+        run.meta.sample_rate_hz,
+        found.lag_s,
+        np.empty(0, np.int64),
+        np.empty(0, bool),
+        found.residual,
+        groups.get("accelerometers"),
     )
     return with_rows(bare, commanded_um, run.window)
 
@@ -144,9 +153,7 @@ def with_rows(run: TickRun, commanded_um: Floats, window: tuple[int, int] | None
     return replace(run, arc=arc, scored=scored)
 
 
-def controller_ticks(
-    group: SignalGroup, meta: RunMeta, geometry: Mapping[str, Any]
-) -> Floats:
+def controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
     """Return the controller's states at 500 Hz in the order of ``STATE_FIELDS``.
 
     Parameters
@@ -193,7 +200,8 @@ def centre_mm(meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
         large = meta.radius_mm >= float(geometry["large_radius_from_mm"])
         return np.asarray(geometry["centre_large_mm" if large else "centre_small_mm"], dtype=float)
     raise InputError(
-        "the campaign does not state where the ball-bar centre is", code="train.geometry",
+        "the campaign does not state where the ball-bar centre is",
+        code="train.geometry",
         allowed="centre_mm in [campaign.machine_geometry]",
     )
 

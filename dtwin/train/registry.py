@@ -270,8 +270,12 @@ class Registry:
     def _log_candidate(
         self, run_id: str, parent: str, report: TrainingReport, candidate: Candidate
     ) -> None:
-        params = {"family": candidate.family, "promotable": candidate.promotable,
-                  "complexity": candidate.complexity, **_report_params(report)}
+        params = {
+            "family": candidate.family,
+            "promotable": candidate.promotable,
+            "complexity": candidate.complexity,
+            **_report_params(report),
+        }
         tags = {"mlflow.parentRunId": parent, "dtwin.candidate": candidate.name}
         if candidate.equation:
             tags["mlflow.note.content"] = f"```\n{candidate.equation[:4000]}\n```"

@@ -1,0 +1,120 @@
+"""Least squares by sums of squares per condition, so that any condition can be left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.schema import Floats
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums over the rows of one cell of the grid.
+
+    Attributes
+    ----------
+    gram : ndarray, shape (p, p)
+        X'X.
+    moment : ndarray, shape (p,)
+        X'y.
+    power : float
+        y'y.
+    rows : int
+        Number of rows.
+    """
+
+    gram: Floats
+    moment: Floats
+    power: float
+    rows: int
+
+    def __add__(self, other: Sums) -> Sums:
+        """Return the sums over both cells."""
+        return Sums(
+            self.gram + other.gram,
+            self.moment + other.moment,
+            self.power + other.power,
+            self.rows + other.rows,
+        )
+
+    def take(self, chosen: Sequence[int]) -> Sums:
+        """Return the sums for a subset of the columns."""
+        index = np.asarray(chosen, dtype=int)
+        return Sums(self.gram[np.ix_(index, index)], self.moment[index], self.power, self.rows)
+
+    def residual(self, weights: Floats) -> float:
+        """Return the sum of squared residuals under given weights."""
+        return float(self.power - 2.0 * weights @ self.moment + weights @ self.gram @ weights)
+
+
+def sums_of(design: Floats, target: Floats) -> Sums:
+    """Return the sums of one cell.
+
+    Parameters
+    ----------
+    design : ndarray, shape (n, p)
+    target : ndarray, shape (n,)
+    """
+    return Sums(design.T @ design, design.T @ target, float(target @ target), target.size)
+
+
+def total(cells: Sequence[Sums]) -> Sums:
+    """Return the sums over several cells."""
+    result = cells[0]
+    for cell in cells[1:]:
+        result = result + cell
+    return result
+
+
+def solve(sums: Sums, ridge: float) -> Floats:
+    """Return ridge weights; the penalty is relative to each column's own size.
+
+    Parameters
+    ----------
+    sums : Sums
+        Over the training rows.
+    ridge : float
+        Penalty as a share of a column's mean square.
+    """
+    scale = np.sqrt(np.maximum(np.diag(sums.gram), 1e-300))
+    scaled = sums.gram / np.outer(scale, scale)
+    scaled[np.diag_indices_from(scaled)] += ridge
+    return np.asarray(np.linalg.solve(scaled, sums.moment / scale) / scale)
+
+
+def forward_order(sums: Sums, groups: Sequence[Sequence[int]], ridge: float) -> list[int]:
+    """Return groups of columns in the order in which they reduce the residual most.
+
+    Parameters
+    ----------
+    sums : Sums
+        Over the training rows.
+    groups : sequence of sequence of int
+        Columns that enter together, such as cosine and sine.
+    ridge : float
+        As in :func:`solve`.
+    """
+    scale = np.sqrt(np.maximum(np.diag(sums.gram), 1e-300))
+    gram = sums.gram / np.outer(scale, scale)
+    gram[np.diag_indices_from(gram)] += ridge
+    moment = sums.moment / scale
+    left = list(range(len(groups)))
+    order: list[int] = []
+    # Orthogonalise in place: after each step gram and moment are those of the residual.
+    while left:
+        gains = []
+        for g in left:
+            index = list(groups[g])
+            block = gram[np.ix_(index, index)] + 1e-12 * np.eye(len(index))
+            gains.append(float(moment[index] @ np.linalg.solve(block, moment[index])))
+        best = left.pop(int(np.argmax(gains)))
+        order.append(best)
+        index = list(groups[best])
+        block = gram[np.ix_(index, index)] + 1e-12 * np.eye(len(index))
+        across = gram[:, index]
+        moment = moment - across @ np.linalg.solve(block, moment[index])
+        gram = gram - across @ np.linalg.solve(block, across.T)
+    return order

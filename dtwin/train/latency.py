@@ -1,0 +1,92 @@
+"""Time of one row, on what serving would really run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.train.results import Latency
+
+_BUDGET_NS = 1e9
+_EDGES_US = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
+
+
+def bundle_latency(bundle: Bundle, calls: int = 20_000) -> Latency:
+    """Time single ticks of a compiled bundle.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The bundle.
+    calls : int
+        Number of timed ticks.
+    """
+    compiled = CompiledBundle(bundle)
+    low = np.array([i.low for i in bundle.inputs if i.source != "feature"])
+    high = np.array([i.high for i in bundle.inputs if i.source != "feature"])
+    middle = 0.5 * (low + high)
+    return _timed(lambda: compiled.tick(middle), calls, "bundle tick")
+
+
+def onnx_latency(model: Any, x: Floats, calls: int = 2000) -> tuple[bytes | None, Latency | None]:
+    """Convert a fitted scikit-learn model to ONNX and time one row of it.
+
+    Parameters
+    ----------
+    model : scikit-learn regressor
+        Fitted.
+    x : ndarray, shape (n, k)
+        Inputs; the first row is used.
+    calls : int
+        Number of timed rows.
+
+    Returns
+    -------
+    onnx, latency : tuple
+        The serialised model and its time; both None when it cannot be converted.
+    """
+    import onnxruntime
+    from skl2onnx import to_onnx
+
+    row = np.ascontiguousarray(x[:1], dtype=np.float32)
+    try:
+        data = to_onnx(model, row, target_opset=17).SerializeToString()
+    except (RuntimeError, NotImplementedError):
+        return None, None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    options.log_severity_level = 3
+    session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    name = session.get_inputs()[0].name
+    return data, _timed(lambda: session.run(None, {name: row}), calls, "onnxruntime")
+
+
+def _timed(call: Callable[[], Any], calls: int, what: str) -> Latency:
+    clock = time.perf_counter_ns
+    begun = clock()
+    for _ in range(20):
+        call()
+    each_ns = (clock() - begun) / 20
+    # A slow model is not worth minutes of timing.
+    calls = int(min(calls, max(50, _BUDGET_NS / max(each_ns, 1.0))))
+    spent = np.empty(calls)
+    for i in range(calls):
+        begun = clock()
+        call()
+        spent[i] = clock() - begun
+    spent_us = spent / 1000.0
+    counts = np.histogram(spent_us, bins=[0.0, *_EDGES_US, np.inf])[0]
+    edges = [*_EDGES_US, float(spent_us.max())]
+    return Latency(
+        p50_us=float(np.percentile(spent_us, 50)),
+        p99_us=float(np.percentile(spent_us, 99)),
+        calls=calls,
+        what=what,
+        histogram_us=tuple((float(e), int(c)) for e, c in zip(edges, counts, strict=True)),
+    )

@@ -1,0 +1,237 @@
+"""A library of physical terms for robots, written once as a graph for training and serving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.features.motion import PATH_INPUTS
+from dtwin.schema import Floats
+from dtwin.serve.builder import Expression, GraphBuilder
+from dtwin.serve.tape import Tape
+from dtwin.train.dataset import TICK_HZ, TickRun
+
+JOINTS = range(1, 7)
+# Wider than any play worth modelling, far narrower than any motion: gives the loaded flank.
+FLANK_RAD = 1e-4
+
+
+@dataclass(frozen=True)
+class Gear:
+    """Transmission error of one joint at one order.
+
+    Attributes
+    ----------
+    joint : int
+        1 to 6.
+    order : float
+        Cycles per turn of the joint.
+    """
+
+    joint: int
+    order: float
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A lightly damped structural mode driven by the commanded acceleration.
+
+    Attributes
+    ----------
+    frequency_hz, damping_ratio : float
+        Of the oscillator.
+    """
+
+    frequency_hz: float
+    damping_ratio: float
+
+
+@dataclass(frozen=True)
+class Atom:
+    """One term of the library, before it gets a coefficient.
+
+    Attributes
+    ----------
+    name : str
+        Readable form.
+    unit : str
+        Unit of the term; a coefficient has um over it.
+    cause : str
+        Physical cause that it stands for.
+    """
+
+    name: str
+    unit: str
+    cause: str
+
+
+class Library:
+    """Terms that are linear in their coefficients, as nodes of one graph.
+
+    Parameters
+    ----------
+    gears : sequence of Gear
+        Orders found by the search.
+    modes : sequence of Mode
+        Structural modes.
+    horizon_s : float
+        Joint angles are taken this far ahead along the commanded motion, to make up for the
+        known delay between correction and motion. Zero in training.
+    """
+
+    def __init__(
+        self, gears: Sequence[Gear], modes: Sequence[Mode], *, horizon_s: float = 0.0
+    ) -> None:
+        self.gears, self.modes, self.horizon_s = tuple(gears), tuple(modes), horizon_s
+        self.builder = GraphBuilder()
+        self.atoms: dict[Atom, Expression] = {}
+        self.initial: dict[str, float] = {}
+        self.updates: dict[str, Expression] = {}
+        self._q = {j: self._ahead(j) for j in JOINTS}
+        self._lever = {j: self.builder.input(f"lever_{j}_mm_rad") for j in JOINTS}
+        self._flank = {j: self._loaded_flank(j) for j in JOINTS}
+        self._calibration()
+        self._compliance()
+        for gear in gears:
+            self._transmission(gear)
+        for mode in modes:
+            self._structure(mode)
+
+    @property
+    def names(self) -> list[str]:
+        """Readable names of the terms, in order."""
+        return [atom.name for atom in self.atoms]
+
+    def columns(self, run: TickRun, only: Sequence[int] | None = None) -> Floats:
+        """Return terms at the rows of a run, shape (rows, terms).
+
+        The terms run through every tick of the run, because some remember.
+
+        Parameters
+        ----------
+        run : TickRun
+            A run on the controller's clock.
+        only : sequence of int, optional
+            Numbers of the wanted terms; all by default.
+        """
+        terms = list(self.atoms.values())
+        wanted = range(len(terms)) if only is None else only
+        outputs = {f"t{i}": terms[i] for i in wanted}
+        graph = self.builder.graph(outputs, self.updates)
+        tape = Tape(graph, PATH_INPUTS, self.initial, list(outputs))
+        values = tape.run_many(run.inputs.astype(float))[run.arc]
+        return np.asarray(values, dtype=np.float32).astype(float)
+
+    def _ahead(self, joint: int) -> Expression:
+        q = self.builder.input(f"q{joint}_rad")
+        if self.horizon_s == 0.0:
+            return q
+        return q + self.horizon_s * self.builder.input(f"qd{joint}_rad_s")
+
+    def _loaded_flank(self, joint: int) -> Expression:
+        """Return -1 ... 1: the tooth flank that carries the load, remembered at standstill."""
+        name = f"flank_{joint}_rad"
+        b, q = self.builder, self._q[joint]
+        dragged = b.apply("min", b.apply("max", b.state(name), q - FLANK_RAD), q + FLANK_RAD)
+        self.initial[name] = 0.0
+        self.updates[name] = dragged
+        return (q - dragged) / FLANK_RAD
+
+    def _calibration(self) -> None:
+        b = self.builder
+        for j in JOINTS:
+            lever, q = self._lever[j], self._q[j]
+            self._atom(f"lever{j}", "mm/rad", "zero error", lever)
+            self._atom(f"lever{j}*flank{j}", "mm/rad", "joint backlash", lever * self._flank[j])
+            for order in (1, 2, 3):
+                for function in ("cos", "sin"):
+                    term = lever * b.apply(function, float(order) * q)
+                    name = f"lever{j}*{function}({order}*q{j})"
+                    self._atom(name, "mm/rad", "bearing and encoder eccentricity", term)
+
+    def _compliance(self) -> None:
+        b = self.builder
+        upper = self._q[2] + self._q[3]
+        for j in (2, 3, 4):
+            for label, angle in (("q2+q3", upper), ("q2+q3+q4", upper + self._q[4])):
+                for function in ("cos", "sin"):
+                    term = self._lever[j] * b.apply(function, angle)
+                    self._atom(f"lever{j}*{function}({label})", "mm/rad", "gravity", term)
+
+    def _transmission(self, gear: Gear) -> None:
+        j, flank = gear.joint, self._flank[gear.joint]
+        for function in ("cos", "sin"):
+            wave = self._lever[j] * self.builder.apply(function, gear.order * self._q[j])
+            name = f"lever{j}*{function}({gear.order:g}*q{j})"
+            self._atom(name, "mm/rad", "transmission ripple", wave)
+            self._atom(f"{name}*flank{j}", "mm/rad", "transmission ripple", wave * flank)
+
+    def _structure(self, mode: Mode) -> None:
+        """Add the mode's displacement in the frame that turns with joint 1."""
+        b = self.builder
+        cos, sin = b.apply("cos", self._q[1]), b.apply("sin", self._q[1])
+
+        def turned(prefix: str, suffix: str) -> tuple[Expression, Expression, Expression]:
+            x, y, z = (b.input(f"{prefix}_{axis}_{suffix}") for axis in "xyz")
+            return x * cos + y * sin, y * cos - x * sin, z
+
+        seen = turned("radial", "1")
+        drive = turned("acceleration", "mm_s2")
+        a, gain = oscillator_step(mode, 1.0 / TICK_HZ)
+        for push, force in zip("rtz", drive, strict=True):
+            place, speed = (f"mode{mode.frequency_hz:g}_{push}_{k}" for k in ("x", "v"))
+            x, v = b.state(place), b.state(speed)
+            moved = a[0][0] * x + a[0][1] * v + gain[0] * force
+            self.initial |= {place: 0.0, speed: 0.0}
+            self.updates[place] = moved
+            self.updates[speed] = a[1][0] * x + a[1][1] * v + gain[1] * force
+            for show, along in zip("rtz", seen, strict=True):
+                name = f"mode{mode.frequency_hz:g}Hz_{push}->{show}"
+                self._atom(name, "mm", "structural resonance", along * moved)
+
+    def _atom(self, name: str, unit: str, cause: str, term: Expression) -> None:
+        self.atoms[Atom(name, unit, cause)] = term
+
+
+def oscillator_step(mode: Mode, dt_s: float) -> tuple[list[list[float]], list[float]]:
+    """Return the exact step of ``x'' + 2 zeta w x' + w^2 x = u`` for constant ``u``.
+
+    Parameters
+    ----------
+    mode : Mode
+        Oscillator, underdamped.
+    dt_s : float
+        Length of the step.
+
+    Returns
+    -------
+    transition, gain : list
+        ``[x, v] <- transition [x, v] + gain u``.
+    """
+    w, zeta = 2.0 * np.pi * mode.frequency_hz, mode.damping_ratio
+    wd = w * np.sqrt(1.0 - zeta**2)
+    decay = np.exp(-zeta * w * dt_s)
+    c, s = np.cos(wd * dt_s), np.sin(wd * dt_s)
+    ratio = zeta * w / wd
+    transition = [
+        [float(decay * (c + ratio * s)), float(decay * s / wd)],
+        [float(-decay * w**2 * s / wd), float(decay * (c - ratio * s))],
+    ]
+    gain = [float((1.0 - transition[0][0]) / w**2), float(transition[0][1])]
+    return transition, gain
+
+
+def equation_text(library: Library, weights: Mapping[str, float]) -> str:
+    """Return the equation as text, grouped by cause, strongest first."""
+    by_cause: dict[str, list[tuple[float, str]]] = {}
+    for atom in library.atoms:
+        weight = weights.get(atom.name, 0.0)
+        if weight:
+            by_cause.setdefault(atom.cause, []).append((weight, atom.name))
+    lines = ["radial_error_um ="]
+    for cause, terms in by_cause.items():
+        lines.append(f"  # {cause}")
+        lines += [f"  {weight:+.6g} * {name}" for weight, name in terms]
+    return "\n".join(lines)

@@ -1,0 +1,116 @@
+"""Find the orders per joint turn at which a robot's error repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from dtwin.schema import Floats
+from dtwin.train.dataset import input_column
+from dtwin.train.library import FLANK_RAD, Gear
+from dtwin.train.rows import Rows
+
+_COARSE = np.arange(20.0, 460.0, 4.0)
+_FINE = np.arange(-4.0, 4.01, 0.5)
+_SMALLEST_GAIN = 0.01
+
+
+def find_gears(
+    rows: Rows,
+    explained: Callable[[Sequence[Gear]], Floats],
+    *,
+    most: int = 16,
+    every: int = 2,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> list[Gear]:
+    """Add one order of one joint after the other while the residual falls.
+
+    Every order of every joint is correlated with the residual of the terms so far
+    (orthogonal matching pursuit); the best one is refined and joins them. The search ends
+    when an order explains less than one per cent of what is left.
+
+    Parameters
+    ----------
+    rows : Rows
+        Rows of all runs.
+    explained : callable
+        Given the gears so far, returns the fitted prediction at all rows.
+    most : int
+        Largest number of orders.
+    every : int
+        Only each such row is looked at.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Returns
+    -------
+    list of Gear
+        In the order in which they were found.
+    """
+    some = np.arange(0, rows.n, every)
+    q, lever, flank = (part[some] for part in _joint_state(rows))
+    found: list[Gear] = []
+    residual = rows.target_um - explained(found)
+    for step in range(most):
+        part = residual[some]
+        gain, gear = max(
+            (
+                (_explained(part, q, lever, flank, Gear(j, float(k))), Gear(j, float(k)))
+                for j in range(1, 7)
+                for k in _COARSE
+            ),
+            key=lambda pair: pair[0],
+        )
+        gain, gear = max(
+            (
+                (
+                    _explained(part, q, lever, flank, Gear(gear.joint, gear.order + d)),
+                    Gear(gear.joint, float(gear.order + d)),
+                )
+                for d in _FINE
+            ),
+            key=lambda pair: pair[0],
+        )
+        if gain < _SMALLEST_GAIN * float(part @ part):
+            break
+        found.append(gear)
+        residual = rows.target_um - explained(found)
+        if progress is not None:
+            progress(step + 1, most, f"joint {gear.joint} order {gear.order:g}")
+    return found
+
+
+def _joint_state(rows: Rows) -> tuple[Floats, Floats, Floats]:
+    """Return joint angles, levers and loaded flanks at the rows, shapes (n, 6)."""
+    first_q, first_lever = input_column("q1_rad"), input_column("lever_1_mm_rad")
+    q = np.concatenate([run.inputs[run.arc, first_q : first_q + 6] for run in rows.runs])
+    lever = np.concatenate(
+        [run.inputs[run.arc, first_lever : first_lever + 6] for run in rows.runs]
+    )
+    flank = np.concatenate(
+        [_flank(run.inputs[:, first_q : first_q + 6].astype(float))[run.arc] for run in rows.runs]
+    )
+    return q.astype(float), lever.astype(float), flank
+
+
+def _flank(q: Floats) -> Floats:
+    """Return the sign of the last motion of each joint that exceeded the play."""
+    moved = np.sign(np.diff(q, axis=0, prepend=q[:1]))
+    moved[np.abs(np.diff(q, axis=0, prepend=q[:1])) < 0.01 * FLANK_RAD] = 0.0
+    index = np.where(moved != 0.0, np.arange(len(q))[:, None], 0)
+    return np.asarray(np.take_along_axis(moved, np.maximum.accumulate(index, axis=0), axis=0))
+
+
+def _explained(residual: Floats, q: Floats, lever: Floats, flank: Floats, gear: Gear) -> float:
+    """Return the sum of squares that an order's four terms take from a residual."""
+    j = gear.joint - 1
+    phase = gear.order * q[:, j]
+    waves = np.column_stack([np.cos(phase), np.sin(phase)]) * lever[:, [j]]
+    terms = np.column_stack([waves, waves * flank[:, [j]]])
+    gram = terms.T @ terms
+    size = float(np.trace(gram))
+    if size <= 1e-12 * len(residual):
+        return 0.0
+    moment = terms.T @ residual
+    return float(moment @ np.linalg.solve(gram + 1e-6 * size * np.eye(4), moment))

@@ -1,0 +1,198 @@
+"""The fitted physics library as a candidate: scores, bundle, exports, latency."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dtwin import __version__
+from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
+from dtwin.schema import Floats
+from dtwin.serve.builder import Expression
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import create_bundle
+from dtwin.serve.export import to_c, to_latex, to_python
+from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
+from dtwin.train.candidates import HELD_OUT, score
+from dtwin.train.dataset import TICK_HZ
+from dtwin.train.gram import solve, sums_of
+from dtwin.train.latency import bundle_latency
+from dtwin.train.library import Library, equation_text
+from dtwin.train.physics_fit import RIDGE, PhysicsFit
+from dtwin.train.results import Candidate
+from dtwin.train.rows import Rows
+
+_BOX_MARGIN = 0.02
+_DEAD_SHARE = 1e-3
+
+
+def physics_candidate(
+    fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]
+) -> Candidate:
+    """Return the proposed equation of a physics fit.
+
+    Parameters
+    ----------
+    fit : PhysicsFit
+        Fitted library.
+    machine : str
+        Machine that the bundle is for.
+    horizon_s : float
+        Known delay between a correction and the motion it causes; the equation looks as far
+        ahead along the commanded motion.
+    table_versions : dict of str to int
+        Versions of the lake's tables, for the bundle's provenance.
+    """
+    design = fit.design[:, list(fit.chosen)]
+    scores = {}
+    for group in HELD_OUT:
+        scores[group] = score(fit.rows, _left_out(fit.rows, design, group), group)
+    rest = fit.rows.target_um - design @ fit.weights
+    names = [fit.library.names[i] for i in fit.chosen]
+    weights = dict(zip(names, fit.weights.tolist(), strict=True))
+    bundle = physics_bundle(fit, machine, horizon_s=horizon_s, table_versions=table_versions)
+    graph = bundle.tick_graph
+    return Candidate(
+        name="physics-library",
+        family="symbolic",
+        promotable=True,
+        complexity=len(graph.nodes),
+        scores=scores,
+        train_rms_um=fit.rows.rms_um(rest),
+        latency=bundle_latency(bundle),
+        equation=equation_text(fit.library, weights),
+        exports={
+            "equation.txt": equation_text(fit.library, weights),
+            "equation.tex": to_latex(graph),
+            "equation.py": to_python(graph),
+            "equation.c": to_c(
+                graph, bundle.tick_inputs, tuple(bundle.initial_state), ("radial_um",)
+            ),
+        },
+        bundle=bundle.to_dict(),
+        findings=tuple(_findings(fit, design)),
+        front=tuple(vars(point) for point in fit.front),
+        numbers={
+            "terms": float(len(fit.chosen)),
+            "alignment_shift_ms": 1000.0 * fit.lag_shift_s,
+            "horizon_ms": 1000.0 * horizon_s,
+        },
+    )
+
+
+def physics_bundle(
+    fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]
+) -> Bundle:
+    """Freeze the chosen terms into a bundle.
+
+    Parameters
+    ----------
+    fit : PhysicsFit
+        Fitted library.
+    machine : str
+        Machine that it is for.
+    horizon_s : float
+        How far joint angles are taken ahead.
+    table_versions : dict of str to int
+        Versions of the lake's tables.
+    """
+    library = Library(fit.library.gears, fit.library.modes, horizon_s=horizon_s)
+    terms = list(library.atoms.values())
+    weighted = [w * terms[i] for i, w in zip(fit.chosen, fit.weights.tolist(), strict=True)]
+    graph = library.builder.graph({"radial_um": _sum(library, weighted)}, library.updates)
+    # Updates of states that the chosen terms never read are dead weight.
+    read = {n.name for n in graph.nodes if n.op == "state"}
+    live = _reachable(library, weighted, read)
+    graph = library.builder.graph(
+        {"radial_um": _sum(library, weighted)}, {k: library.updates[k] for k in live}
+    )
+    low, high = _box(fit.rows)
+    used = set(graph.inputs)
+    inputs = [
+        Input(n, PATH_INPUT_UNITS[n], "path", TICK_HZ, "path", float(low[i]), float(high[i]))
+        for i, n in enumerate(PATH_INPUTS)
+        if n in used
+    ]
+    largest, steepest = _extent(fit)
+    return create_bundle(
+        name="physics-library",
+        machine=machine,
+        model_version=0,
+        inputs=inputs,
+        outputs=[Output("radial_um", "path_radial", "error")],
+        tick_graph=graph,
+        states=[State(k, _state_unit(k), library.initial[k]) for k in live],
+        safety=SafetyLimits(clamp_um=1.25 * largest, slew_um_s=max(2000.0, 2.0 * steepest)),
+        provenance=Provenance(code_version=__version__, table_versions=dict(table_versions)),
+    )
+
+
+def _sum(library: Library, terms: Sequence[Expression]) -> Expression:
+    """Add in a tree, so that the graph stays shallow."""
+    level = list(terms)
+    while len(level) > 1:
+        pairs = [level[i : i + 2] for i in range(0, len(level), 2)]
+        level = [p[0] + p[1] if len(p) == 2 else p[0] for p in pairs]
+    return level[0] if level else library.builder.constant(0.0)
+
+
+def _reachable(library: Library, terms: Sequence[Expression], read: set[str]) -> list[str]:
+    """Return the states that the terms read, directly or through other states."""
+    plain = library.builder.graph({"radial_um": _sum(library, terms)})
+    wanted = {n.name for n in plain.nodes if n.op == "state"}
+    while True:
+        graph = library.builder.graph(
+            {"radial_um": _sum(library, terms)}, {k: library.updates[k] for k in wanted}
+        )
+        found = {n.name for n in graph.nodes if n.op == "state"} & read
+        if found <= wanted:
+            return sorted(wanted)
+        wanted |= found
+
+
+def _state_unit(name: str) -> str:
+    if name.startswith("flank"):
+        return "rad"
+    return "mm" if name.endswith("_x") else "mm/s"
+
+
+def _left_out(rows: Rows, design: Floats, group: str) -> Floats:
+    label = rows.label(group)
+    predicted = np.zeros(rows.n)
+    for value in np.unique(label):
+        inside = (label != value) & rows.scored
+        outside = label == value
+        if inside.any():
+            weights = solve(sums_of(design[inside], rows.target_um[inside]), RIDGE)
+            predicted[outside] = design[outside] @ weights
+    return predicted
+
+
+def _box(rows: Rows) -> tuple[Floats, Floats]:
+    """Return the validity box: what the controller did in training, a little widened."""
+    low = np.min([run.inputs.min(axis=0) for run in rows.runs], axis=0).astype(float)
+    high = np.max([run.inputs.max(axis=0) for run in rows.runs], axis=0).astype(float)
+    margin = _BOX_MARGIN * (high - low)
+    return low - margin, high + margin
+
+
+def _extent(fit: PhysicsFit) -> tuple[float, float]:
+    """Return the largest predicted error in um and its steepest change in um/s."""
+    predicted = fit.design[:, list(fit.chosen)] @ fit.weights
+    same_run = np.diff(fit.rows.of_run) == 0
+    ticks = np.concatenate([run.arc for run in fit.rows.runs])
+    dt_s = np.diff(ticks) / TICK_HZ
+    slope = np.abs(np.diff(predicted)[same_run] / dt_s[same_run])
+    return float(np.abs(predicted).max()), float(np.quantile(slope, 0.9999))
+
+
+def _findings(fit: PhysicsFit, design: Floats) -> list[str]:
+    """Say which terms do nothing."""
+    share = np.std(design * fit.weights, axis=0) / max(float(np.std(fit.rows.target_um)), 1e-12)
+    return [
+        f"{fit.library.names[i]} contributes {100 * s:.2g} % of the error's spread: "
+        "nearly constant or never firing"
+        for i, s in zip(fit.chosen, share, strict=True)
+        if s < _DEAD_SHARE
+    ]

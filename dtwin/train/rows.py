@@ -1,0 +1,153 @@
+"""All rows of a campaign side by side, with set-ups taken out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.schema import Floats
+from dtwin.train.dataset import TickRun
+
+GROUPS = ("feed_mm_min", "radius_mm", "plane", "repeat")
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of every run on the controller's clock.
+
+    Attributes
+    ----------
+    runs : tuple of TickRun
+        The runs, in order.
+    of_run : ndarray of int, shape (n,)
+        Which run a row belongs to.
+    angle_rad, measured_um : ndarray, shape (n,)
+        Path angle, and the bar's deviation as measured.
+    target_um : ndarray, shape (n,)
+        Measured deviation after centre and radius of its set-up are taken out.
+    scored : ndarray of bool, shape (n,)
+        Rows inside the marked windows: errors are stated over these.
+    """
+
+    runs: tuple[TickRun, ...]
+    of_run: NDArray[np.int64]
+    angle_rad: Floats
+    measured_um: Floats
+    target_um: Floats
+    scored: NDArray[np.bool_]
+
+    @property
+    def n(self) -> int:
+        """Number of rows."""
+        return self.of_run.size
+
+    def label(self, name: str) -> NDArray[Any]:
+        """Return a field of the run's condition for every row."""
+        return np.array([getattr(run.meta, name) for run in self.runs])[self.of_run]
+
+    def condition(self) -> NDArray[np.int64]:
+        """Return the number of each row's condition: plane, radius, feed, direction."""
+        keys = [
+            (r.meta.plane, r.meta.radius_mm, r.meta.feed_mm_min, r.meta.direction)
+            for r in self.runs
+        ]
+        numbers = {key: i for i, key in enumerate(dict.fromkeys(keys))}
+        return np.array([numbers[key] for key in keys])[self.of_run]
+
+    def without_setups(self, values: Floats) -> Floats:
+        """Project centre and radius of every set-up out of columns.
+
+        Centre and radius belong to a set-up, never to a run: what they absorb is the same for
+        every feed, direction and repeat inside it.
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,) or (n, p)
+            Columns over the rows.
+        """
+        result = np.array(values, dtype=float)
+        setups, of_run = np.unique([run.meta.setup for run in self.runs], return_inverse=True)
+        of_row = of_run[self.of_run]
+        for setup in range(len(setups)):
+            inside = np.flatnonzero(of_row == setup)
+            angle = self.angle_rad[inside]
+            basis = np.linalg.qr(
+                np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)])
+            )[0]
+            result[inside] -= basis @ (basis.T @ result[inside])
+        return result
+
+    def rms_um(self, values: Floats) -> float:
+        """Return the RMS over the scored rows."""
+        return float(np.sqrt(np.mean(values[self.scored] ** 2)))
+
+
+def gather(runs: Sequence[TickRun]) -> Rows:
+    """Put the rows of all runs side by side.
+
+    Parameters
+    ----------
+    runs : sequence of TickRun
+        Aligned runs.
+    """
+    measured = np.concatenate([run.target_um() for run in runs])
+    rows = Rows(
+        runs=tuple(runs),
+        of_run=np.repeat(np.arange(len(runs)), [run.arc.size for run in runs]),
+        angle_rad=np.concatenate([run.angle_rad for run in runs]),
+        measured_um=measured,
+        target_um=measured,
+        scored=np.concatenate([run.scored for run in runs]),
+    )
+    return replace(rows, target_um=rows.without_setups(measured))
+
+
+def thinned(rows: Rows, every: int) -> Rows:
+    """Return every so manieth row of each run."""
+    runs = [replace(run, arc=run.arc[::every], scored=run.scored[::every]) for run in rows.runs]
+    return gather(runs)
+
+
+def noise_floor_um(rows: Rows) -> tuple[float, int]:
+    """Return what repeats of the same condition disagree by, and the number of conditions.
+
+    The unit of replication is the run: profiles over the path angle are averaged per run
+    first, repeats of a condition in the same set-up are compared, and their pooled standard
+    deviation is the floor that no model's held-out error may go below.
+
+    Parameters
+    ----------
+    rows : Rows
+        Rows with at least two repeats of some condition; without any the floor is NaN.
+    """
+    bins = 120
+    place = (np.degrees(rows.angle_rad) % 360.0 * bins / 360.0).astype(int) % bins
+    turn = np.floor(np.degrees(rows.angle_rad) / 360.0).astype(int)
+    conditions = rows.condition()
+    squares, freedom, used = 0.0, 0, 0
+    for condition in np.unique(conditions):
+        inside = (conditions == condition) & rows.scored
+        profiles = []
+        for run in np.unique(rows.of_run[inside]):
+            mine = inside & (rows.of_run == run)
+            main = mine & (
+                turn == np.bincount(turn[mine] - turn[mine].min()).argmax() + turn[mine].min()
+            )
+            count = np.bincount(place[main], minlength=bins)
+            total = np.bincount(place[main], weights=rows.target_um[main], minlength=bins)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                profiles.append(total / count)
+        stack = np.array(profiles)
+        if len(stack) < 2:
+            continue
+        known = np.isfinite(stack).all(axis=0)
+        if known.any():
+            spread = stack[:, known] - stack[:, known].mean(axis=0)
+            squares += float(np.sum(spread**2) / known.sum())
+            freedom += len(stack) - 1
+            used += 1
+    return (float(np.sqrt(squares / freedom)) if freedom else float("nan")), used
