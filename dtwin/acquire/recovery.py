@@ -1,0 +1,327 @@
+"""Read a recording back, whether it was closed or its process died, and seal it into Parquet."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from dtwin.acquire.recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
+from dtwin.errors import StoreError
+from dtwin.parquet import columns_of, write_parquet
+from dtwin.schema import Finding, SignalGroup
+from dtwin.units import unit_of
+
+# The header of signal files, which ``dtwin.acquire.signal_files`` reads.
+_SIGNALS_KEY = b"dtwin.signals"
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Samples that the device took and nobody read.
+
+    Attributes
+    ----------
+    first_sample, n_lost : int
+        Place on the device's clock, and number per channel.
+    reason : str
+        Why.
+    """
+
+    first_sample: int
+    n_lost: int
+    reason: str
+
+
+@dataclass(frozen=True)
+class Recovered:
+    """What a recording holds.
+
+    Attributes
+    ----------
+    group : SignalGroup
+        All complete blocks; lost samples are NaN.
+    gaps : tuple of Gap
+        Where samples were lost.
+    blocks : int
+        Complete blocks of samples.
+    complete : bool
+        Whether the recording was closed in order.
+    notes : dict
+        What the recorder was given.
+    """
+
+    group: SignalGroup
+    gaps: tuple[Gap, ...]
+    blocks: int
+    complete: bool
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is wrong with the recording."""
+        return _findings(self.complete, self.gaps, self.group.rate_hz)
+
+
+@dataclass(frozen=True)
+class Sealed:
+    """A recording that became a signal file.
+
+    Attributes
+    ----------
+    path : Path
+        The Parquet file.
+    n_samples, n_bytes : int
+        Samples per channel with the lost ones, and size of the file.
+    complete : bool
+        Whether the recording was closed in order.
+    findings : tuple of Finding
+        Gaps, and that it is incomplete.
+    """
+
+    path: Path
+    n_samples: int
+    n_bytes: int
+    complete: bool
+    findings: tuple[Finding, ...]
+
+
+@dataclass
+class _Content:
+    head: dict[str, Any]
+    table: pa.Table
+    gaps: tuple[Gap, ...]
+    blocks: int
+    complete: bool
+
+
+def recover(path: Path) -> Recovered:
+    """Return every complete block of a recording.
+
+    Parameters
+    ----------
+    path : Path
+        Stream written by ``Recorder``.
+
+    Raises
+    ------
+    StoreError
+        When the recording is still being written, is missing or empty, or its header is
+        damaged.
+    """
+    with _read(path) as content:
+        head = content.head
+        group = SignalGroup(
+            head["group"], head["rate_hz"], columns_of(content.table), head["start_s"]
+        )
+        return Recovered(group, content.gaps, content.blocks, content.complete, head["notes"])
+
+
+def seal(path: Path, target: Path) -> Sealed:
+    """Turn a closed or broken-off recording into a signal file, then remove the stream.
+
+    The signal file appears whole or not at all; lost samples are null in it, and its header
+    tells the gaps and whether the recording is complete.
+
+    Parameters
+    ----------
+    path : Path
+        Stream written by ``Recorder``.
+    target : Path
+        Parquet file to write.
+
+    Raises
+    ------
+    StoreError
+        As for ``recover``, and when the file cannot be written; the stream stays then.
+    """
+    with _read(path) as content:
+        head = content.head | {
+            "complete": content.complete,
+            "gaps": [[g.first_sample, g.n_lost, g.reason] for g in content.gaps],
+        }
+        table = content.table.replace_schema_metadata({_SIGNALS_KEY: json.dumps(head)})
+        size = write_parquet(target, table)
+        path.unlink()
+    found = _findings(content.complete, content.gaps, head["rate_hz"])
+    return Sealed(target, table.num_rows, size, content.complete, found)
+
+
+def recover_folder(folder: Path) -> list[Sealed]:
+    """Seal every recording that a dead process left in a folder, and return them.
+
+    Recordings that are being written are left alone; an empty one is removed.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the streams are; each becomes ``<name>.parquet`` beside it.
+
+    Raises
+    ------
+    StoreError
+        When a recording is damaged or cannot be sealed; the others are sealed all the same.
+    """
+    sealed, problems = [], []
+    for path in sorted(folder.glob(f"*{SUFFIX}")):
+        try:
+            sealed.append(seal(path, path.with_suffix(".parquet")))
+        except StoreError as error:
+            if error.code == "recording.empty":
+                path.unlink()
+            elif error.code != "recording.live":
+                problems.append(error)
+    if problems:
+        raise problems[0]
+    return sealed
+
+
+def signal_findings(path: Path) -> tuple[Finding, ...]:
+    """Return what the header of a sealed signal file says is wrong with it.
+
+    Parameters
+    ----------
+    path : Path
+        Parquet file; one without such a header has no findings.
+
+    Raises
+    ------
+    StoreError
+        When the file cannot be read.
+    """
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+        head = json.loads(metadata.get(_SIGNALS_KEY, b"{}"))
+        gaps = tuple(Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
+        return _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
+    except (OSError, pa.ArrowException, ValueError, TypeError) as error:
+        raise StoreError(
+            "a signal file is missing or damaged",
+            code="store.damaged",
+            where=str(path),
+            got=str(error)[:200],
+        ) from error
+
+
+@contextmanager
+def _read(path: Path) -> Iterator[_Content]:
+    """Hold the stream against writers and yield its content, mapped rather than copied."""
+    try:
+        with path.open("rb") as held:
+            try:
+                fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise StoreError(
+                    "the recording is still being written",
+                    code="recording.live",
+                    where=str(path),
+                    hint="end the recording first",
+                ) from error
+            yield _content(path)
+    except OSError as error:
+        raise StoreError(
+            "the recording cannot be read",
+            code="recording.unreadable",
+            where=str(path),
+            got=str(error),
+        ) from error
+
+
+def _open(path: Path) -> tuple[pa.ipc.RecordBatchStreamReader, dict[str, Any]]:
+    if path.stat().st_size == 0:
+        raise StoreError(
+            "the recording's process died before anything was recorded",
+            code="recording.empty",
+            where=str(path),
+        )
+    try:
+        stream = pa.ipc.open_stream(pa.memory_map(str(path)))
+        label = json.loads(stream.schema.metadata[STREAM_KEY])
+        if header_checksum(label["head"], list(stream.schema)) != label["crc"]:
+            raise ValueError("the checksum of the header is wrong")
+        return stream, json.loads(label["head"])
+    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError) as error:
+        raise StoreError(
+            "the header of the recording is damaged",
+            code="recording.damaged",
+            where=str(path),
+            got=str(error)[:200],
+            hint="restore the file from a backup",
+        ) from error
+
+
+def _content(path: Path) -> _Content:
+    stream, head = _open(path)
+    parts: list[pa.RecordBatch] = []
+    gaps: list[Gap] = []
+    blocks, complete, first = 0, False, 0
+    for batch, place in _blocks(stream):
+        if place["first"] != first:
+            break
+        if place["lost"]:
+            gaps.append(Gap(first, place["lost"], place["why"]))
+            parts.append(_nothing(stream.schema, place["lost"]))
+        elif batch.num_rows:
+            parts.append(batch)
+            blocks += 1
+        first += batch.num_rows + place["lost"]
+        complete = place.get("end", False)
+    schema = pa.schema([field.with_metadata(_unit(field.name)) for field in stream.schema])
+    plain = [pa.RecordBatch.from_arrays(part.columns, schema=schema) for part in parts]
+    return _Content(head, pa.Table.from_batches(plain, schema), tuple(gaps), blocks, complete)
+
+
+def _blocks(stream: pa.ipc.RecordBatchStreamReader) -> Iterator[tuple[pa.RecordBatch, Any]]:
+    """Yield blocks up to the first that is torn or damaged."""
+    while True:
+        try:
+            batch, metadata = stream.read_next_batch_with_custom_metadata()
+            label = json.loads(metadata[BLOCK_KEY])
+            arrays = [column.to_numpy() for column in batch.columns] if batch.num_rows else []
+            if checksum(label["place"], arrays) != label["crc"]:
+                return
+            place = json.loads(label["place"])
+        except (StopIteration, pa.ArrowException, OSError, ValueError, KeyError, TypeError):
+            return
+        yield batch, place
+
+
+def _nothing(schema: pa.Schema, n: int) -> pa.RecordBatch:
+    bare = pa.schema([pa.field(field.name, field.type) for field in schema])
+    return pa.RecordBatch.from_arrays([pa.nulls(n, field.type) for field in schema], schema=bare)
+
+
+def _unit(name: str) -> dict[str, str] | None:
+    unit = unit_of(name)
+    return None if unit is None else {"unit": unit}
+
+
+def _findings(complete: bool, gaps: tuple[Gap, ...], rate_hz: float) -> tuple[Finding, ...]:
+    found = []
+    if not complete:
+        found.append(
+            Finding(
+                "recording.incomplete",
+                "error",
+                "the recording broke off; all blocks before that are here",
+            )
+        )
+    if gaps:
+        lost = sum(gap.n_lost for gap in gaps)
+        reasons = ", ".join(sorted({gap.reason for gap in gaps}))
+        found.append(
+            Finding(
+                "recording.gap",
+                "warning",
+                f"{lost} samples ({lost / rate_hz:.3g} s) were lost in {len(gaps)} gaps: {reasons}",
+                {"gaps": float(len(gaps)), "lost": float(lost), "lost_s": lost / rate_hz},
+            )
+        )
+    return tuple(found)
