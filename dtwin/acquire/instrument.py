@@ -1,0 +1,172 @@
+"""What every instrument is to the rest of dtwin, and the loop that records one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.schema import Finding
+
+if TYPE_CHECKING:
+    # Brings pyarrow, which a host that only serves does not have.
+    from dtwin.acquire.recording import Recorder
+
+
+@dataclass(frozen=True)
+class Description:
+    """What an open instrument delivers.
+
+    Attributes
+    ----------
+    group : str
+        Device group of its signals.
+    rate_hz : float
+        Sample rate that it really has.
+    columns : dict of str to dtype
+        Signals; names of floating-point columns end in their unit.
+    notes : dict
+        What else belongs to a recording.
+    """
+
+    group: str
+    rate_hz: float
+    columns: Mapping[str, np.dtype[Any]]
+    notes: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Successive samples.
+
+    Attributes
+    ----------
+    columns : dict of str to ndarray, shape (n,)
+        The samples; n may be 0.
+    lost : int
+        Samples that were lost just before these.
+    reason : str
+        Why they were lost.
+    """
+
+    columns: Mapping[str, NDArray[Any]]
+    lost: int = 0
+    reason: str = ""
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples per column."""
+        return len(next(iter(self.columns.values()))) if self.columns else 0
+
+
+@runtime_checkable
+class Instrument(Protocol):
+    """A device that delivers samples once it is open and started.
+
+    ``open`` raises ``MissingPart`` when a driver is not installed and ``DeviceError`` when the
+    device does not answer. ``stop`` and ``close`` are safe to call twice and in any state.
+    """
+
+    name: str
+
+    def open(self) -> None:
+        """Connect and set up."""
+        ...
+
+    def describe(self) -> Description:
+        """Return what it delivers; valid when open."""
+        ...
+
+    def check(self) -> tuple[Finding, ...]:
+        """Return what is odd about the set-up."""
+        ...
+
+    def start(self) -> None:
+        """Begin to sample."""
+        ...
+
+    def read(self) -> Reading:
+        """Return the samples that follow those of the last call, waiting for them."""
+        ...
+
+    def stop(self) -> None:
+        """End sampling."""
+        ...
+
+    def close(self) -> None:
+        """Release the device."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Open the instrument."""
+        ...
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the instrument."""
+        ...
+
+
+class OpenAndClose:
+    """The context manager of every instrument."""
+
+    def open(self) -> None:
+        """Connect and set up."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Release the device."""
+        raise NotImplementedError
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def record(instrument: Instrument, recorder: Recorder, wanted: Callable[[int], bool]) -> int:
+    """Record a started instrument; losses are recorded as gaps.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Open and started.
+    recorder : Recorder
+        Of the columns that the instrument describes.
+    wanted : callable
+        Asked with the number of samples so far; false ends the recording.
+
+    Returns
+    -------
+    int
+        Samples on the device's clock, lost ones included.
+
+    Raises
+    ------
+    DeviceError
+        When the device fails; what was read before is safe in the recorder.
+    StoreError
+        When the disk is full.
+    """
+    while wanted(recorder.n_samples):
+        reading = instrument.read()
+        if reading.lost:
+            recorder.gap(reading.lost, reading.reason)
+        if reading.n_samples:
+            recorder.append(reading.columns)
+    return recorder.n_samples
