@@ -11,7 +11,15 @@ from bundles import path_bundle
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
 from dtwin.serve.bundle_file import load_bundle, save_bundle
-from dtwin.serve.pointer import machine_folder, only_machine, resolve, write_pointer
+from dtwin.serve.pointer import (
+    clear_trial,
+    machine_folder,
+    only_machine,
+    read_machine,
+    resolve,
+    write_machine,
+    write_pointer,
+)
 
 
 @pytest.fixture
@@ -67,6 +75,7 @@ def test_exchanged_bundle_is_refused_even_to_look_at(home: Home) -> None:
         {"bundle": "a\x00b"},
         {"bundle": 7},
         {"state": "excellent"},
+        {"state": "trial"},
         {"version": "3"},
         {"extra": 1},
     ],
@@ -108,3 +117,78 @@ def test_missing_bundle_and_unknown_model(home: Home) -> None:
         resolve("latest", "cobot-a", home)
     with pytest.raises(InputError, match="unknown model"):
         resolve("previous", "cobot-a", home)
+    with pytest.raises(InputError, match="cannot be read"):
+        resolve(str(machine_folder("cobot-a", home) / "v9.json"), None, home)
+
+
+def test_trial_leaves_the_champion_alone(home: Home) -> None:
+    champion = promoted(home)
+    before = champion.read_bytes()
+    path = save_bundle(path_bundle(model_version=4), machine_folder("cobot-a", home) / "v4.json")
+    pointer = write_pointer("cobot-a", home, path, 4, "trial")
+    assert champion.read_bytes() == before
+    assert pointer.name == "trial.json"
+    assert (resolve("latest", None, home).version, resolve("latest", None, home).state) == (
+        3,
+        "champion",
+    )
+    found = resolve("trial", None, home)
+    assert (found.version, found.state, found.machine) == (4, "trial", "cobot-a")
+    clear_trial("cobot-a", home)
+    clear_trial("cobot-a", home)
+    with pytest.raises(InputError, match="no model on trial"):
+        resolve("trial", "cobot-a", home)
+    with pytest.raises(InputError, match="no model is on trial"):
+        resolve("trial", None, home)
+
+
+def test_first_trial_is_not_the_latest(home: Home) -> None:
+    path = save_bundle(path_bundle(), machine_folder("cobot-a", home) / "v3.json")
+    write_pointer("cobot-a", home, path, 3, "trial")
+    for machine in (None, "cobot-a"):
+        with pytest.raises(InputError) as caught:
+            resolve("latest", machine, home)
+        assert "--model trial" in (caught.value.hint or "")
+
+
+def test_file_is_only_looked_at_unless_a_pointer_names_it(home: Home, tmp_path: Path) -> None:
+    path = save_bundle(path_bundle(model_version=9), tmp_path / "draft.json")
+    with pytest.raises(GateRefusal, match="unpromoted"):
+        resolve(str(path), None, home)
+    assert resolve(str(path), None, home, harmless=True).state == "unpromoted"
+    promoted(home)
+    with pytest.raises(GateRefusal, match="unpromoted"):
+        resolve(str(path), None, home)
+    served = machine_folder("cobot-a", home) / "v3.json"
+    copy = tmp_path / "copy.json"
+    copy.write_bytes(served.read_bytes())
+    assert resolve(str(copy), None, home).state == "champion"
+    promoted(home, "barred")
+    with pytest.raises(GateRefusal, match="barred"):
+        resolve(str(copy), None, home)
+
+
+def test_machine_file_comes_back(home: Home) -> None:
+    geometry = {"type": "ur10e", "tcp_mm": (0.0, 1.5, 158.3), "centre_mm": [0, 0, 0]}
+    path = write_machine("cobot-a", home, geometry)
+    read = read_machine("cobot-a", home)
+    assert (read.type, read.tcp.tolist()) == ("ur10e", [0.0, 1.5, 158.3])
+    assert json.loads(path.read_text()) == {"type": "ur10e", "tcp_mm": [0.0, 1.5, 158.3]}
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [
+        {"type": "ur10e"},
+        {"type": "ur10e", "tcp_mm": [0.0, 1.0]},
+        {"type": "ur10e", "tcp_mm": [0.0, 1.0, "2"]},
+        {"type": "ur10e", "tcp_mm": 158.3},
+        {"type": "toaster", "tcp_mm": [0.0, 0.0, 158.3]},
+    ],
+)
+def test_unusable_geometry_is_not_written(home: Home, geometry: dict[str, object]) -> None:
+    with pytest.raises(InputError):
+        write_machine("cobot-a", home, geometry)
+    with pytest.raises(InputError, match="nothing is known of the tool") as caught:
+        read_machine("cobot-a", home)
+    assert "dtwin promote" in (caught.value.hint or "")
