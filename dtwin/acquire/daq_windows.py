@@ -1,0 +1,206 @@
+"""Newest accelerometer windows for the serving loop, read by a process of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import mmap
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.daq import AccelerometerChannel
+from dtwin.acquire.sample_ring import SampleRing
+from dtwin.errors import DeviceError, InputError, MissingPart
+from dtwin.features.windows import WindowContract
+from dtwin.schema import Floats
+
+FILTER_SAMPLES = 40.0
+"""About what a delta-sigma converter's filter holds back; NI states no formula for the 9234."""
+
+_CLOSE_S = 3.0
+_CONNECT_EXTRA_S = 15.0
+_LEAST_BLOCKS = 8
+
+
+class DaqWindows:
+    """Delivers windows to the serving loop without waiting.
+
+    Parameters
+    ----------
+    contract : WindowContract
+        What the model was trained on; rate and channels must be met exactly.
+    channels : sequence of AccelerometerChannel
+        The contract's channels, in its order.
+    block_s : float
+        Time between reads; part of the age of what is served.
+    grpc_target : str, optional
+        As for ``AccelerometerTask``.
+    timeout_s : float
+        As for ``AccelerometerTask``.
+
+    Raises
+    ------
+    InputError
+        When the channels are not the contract's.
+    MissingPart
+        When package or driver is not installed.
+    DeviceError
+        When a device is absent, or samples at another rate than the model was trained on.
+    """
+
+    def __init__(
+        self, contract: WindowContract, channels: Sequence[AccelerometerChannel], *,
+        block_s: float = 0.01, grpc_target: str | None = None, timeout_s: float = 2.0,
+    ) -> None:  # fmt: skip
+        names = tuple(channel.name for channel in channels)
+        if names != contract.channels:
+            raise InputError(
+                "the sensors are not those that the model was trained on",
+                code="daq.channels",
+                got=", ".join(names)[:200],
+                allowed=", ".join(contract.channels)[:200],
+            )
+        self._contract, self._where = contract, grpc_target or "the local driver"
+        blocks_n = int(block_s * contract.rate_hz) + 1
+        capacity = contract.n_samples + _LEAST_BLOCKS * blocks_n
+        size = SampleRing.size(len(names), capacity)
+        memory = os.memfd_create("dtwin-daq")
+        os.ftruncate(memory, size)
+        self._ring = SampleRing(mmap.mmap(memory, size), len(names), capacity)
+        self._window = np.zeros((len(names), contract.n_samples))
+        self._end, self._read_s = 0, -np.inf
+        self._fault: DeviceError | MissingPart | None = None
+        setup = {
+            "channels": [asdict(channel) for channel in channels],
+            "rate_hz": contract.rate_hz,
+            "block_s": block_s,
+            "target": grpc_target,
+            "timeout_s": timeout_s,
+        }
+        self._start(memory, capacity, json.dumps(setup))
+        self._await_ready(timeout_s + _CONNECT_EXTRA_S)
+
+    @property
+    def contract(self) -> WindowContract:
+        """What is delivered."""
+        return self._contract
+
+    def newest_window(self) -> tuple[Floats | None, float]:
+        """Return a window (channels, n_samples) newer than the last one, or None, and its age.
+
+        Windows never span a gap. A device that fails delivers no more windows: the age grows,
+        and ``fault`` tells why. The array is overwritten by the next window.
+
+        Returns
+        -------
+        window : ndarray, shape (channels, n_samples), or None
+            In g; None before a whole hop of samples has come.
+        age_s : float
+            Of the newest sample of the newest window, with the converter's filter; infinite
+            before the first.
+        """
+        window: Floats | None = None
+        if self._ring.end >= self._end + self._contract.hop or not self._end:
+            end, read_s = self._ring.newest(self._window)
+            if end:
+                self._end, self._read_s = end, read_s
+                window = self._window
+        delay_s = FILTER_SAMPLES / self._contract.rate_hz
+        return window, time.monotonic() - self._read_s + delay_s
+
+    def fault(self) -> DeviceError | MissingPart | None:
+        """Return why no more windows come, or None."""
+        if self._fault is None and not self._process.stdin.closed:  # type: ignore[union-attr]
+            self._listen(0.0)
+        return self._fault
+
+    def close(self) -> None:
+        """End sampling and release the modules; safe to call twice."""
+        if self._process.stdin is not None and not self._process.stdin.closed:
+            self._process.stdin.close()
+            try:
+                self._process.wait(_CLOSE_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+            os.close(self._messages)
+
+    def __enter__(self) -> DaqWindows:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _start(self, memory: int, capacity: int, setup: str) -> None:
+        self._messages, theirs = os.pipe2(os.O_CLOEXEC)
+        options = [f"--memory={memory}", f"--messages={theirs}", f"--capacity={capacity}"]
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "dtwin.acquire.daq_worker", *options, f"--setup={setup}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            pass_fds=(memory, theirs),
+            start_new_session=True,
+        )
+        os.close(theirs)
+        os.close(memory)
+
+    def _await_ready(self, timeout_s: float) -> None:
+        try:
+            message = self._listen(timeout_s)
+            if self._fault is not None:
+                raise self._fault
+            if message is None:
+                text = f"the acquisition was not ready within {timeout_s:g} s"
+                raise DeviceError(text, code="daq.silent", where=self._where)
+            if abs(message["rate_hz"] / self._contract.rate_hz - 1) > 1e-6:
+                raise DeviceError(
+                    "the module samples at another rate than the model was trained on",
+                    code="daq.rate",
+                    where=self._where,
+                    got=f"{message['rate_hz']:.10g} Hz",
+                    allowed=f"{self._contract.rate_hz:.10g} Hz",
+                    hint="train at a rate that the module has: 51200 Hz divided by 1 to 31",
+                )
+        except BaseException:
+            self._process.kill()
+            self.close()
+            raise
+
+    def _listen(self, timeout_s: float) -> dict[str, Any] | None:
+        """Return a message of the worker; note its fault, or its death."""
+        ready, _, _ = select.select([self._messages], [], [], timeout_s)
+        if not ready:
+            return None
+        said = os.read(self._messages, 65536).splitlines()
+        if not said:
+            code = None
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = self._process.wait(_CLOSE_S)
+            self._fault = DeviceError(
+                f"the acquisition process died (exit code {code})",
+                code="daq.worker_died",
+                where=self._where,
+                hint="start again",
+            )
+            return None
+        # Ready and a fault may have come together; the fault is what counts.
+        message: dict[str, Any] = json.loads(said[-1])
+        if "fault" in message:
+            fields = dict(message["fault"])
+            kind = MissingPart if message["missing"] else DeviceError
+            self._fault = kind(fields.pop("message"), **fields)
+        return message
