@@ -1,0 +1,158 @@
+"""The command that corrects a machine: serve."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import emit
+from dtwin.errors import EXIT_DONE, DtwinError, InputError
+from dtwin.report.text import table
+
+if TYPE_CHECKING:
+    from dtwin.serve.loop import Mode
+    from dtwin.serve.session import Served
+
+_BAR_WIDTH = 40
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(serve)
+
+
+def serve(
+    model: Annotated[
+        str, typer.Option(help="latest (the champion), trial, or a bundle's .json file.")
+    ] = "latest",
+    machine: Annotated[
+        str | None, typer.Option(help="Required when several machines have a model.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address of the robot controller.")] = "127.0.0.1",
+    duration: Annotated[
+        float | None, typer.Option(help="Seconds to serve; without it until Ctrl-C.")
+    ] = None,
+    shadow: Annotated[bool, typer.Option("--shadow", help="Compute, but send nothing.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Send zeros only.")] = False,
+    trial: Annotated[
+        bool, typer.Option("--trial", help="Limit the correction to a quarter of its clamp.")
+    ] = False,
+    priority: Annotated[int, typer.Option(help="Real-time priority; 0 for none.")] = 60,
+    covariate: Annotated[
+        list[str] | None, typer.Option(help="Value of a covariate input, as NAME=NUMBER.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+) -> None:
+    """Correct a robot live with a promoted model; Ctrl-C releases the correction."""
+    from dtwin.config import home
+    from dtwin.serve.session import ServeRequest
+    from dtwin.serve.session import serve as serve_session
+
+    request = ServeRequest(
+        model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
+        _covariates(covariate or []),
+    )  # fmt: skip
+    served = serve_session(request, home(), _announce)
+    emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
+    if served.status.fault is not None:
+        _announce(DtwinError(**served.status.fault).render())
+    if served.exit_code != EXIT_DONE:
+        raise typer.Exit(served.exit_code)
+
+
+def render_served(served: Served) -> str:
+    """Return the status of a session for people."""
+    status, timing = served.status, served.status.timing
+    found = served.resolved
+    head = (
+        f"{found.machine} version {found.version} ({found.state}) on the {served.device} "
+        f"controller at {served.request.host}: {status.mode}, {status.clock} clock"
+    )
+    kept = "released" if status.released else "NOT confirmed as released by this end"
+    lines = [
+        head,
+        f"  ended: {status.ended}; the correction is {kept}",
+        f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:g} um",
+        f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
+        f"states missed ({100 * timing['late_share']:.2f} % together), "
+        f"{timing['timeouts']} waits without a state",
+        "",
+        _percentiles("stage_us", timing["stage_us"]),
+        "",
+        _percentiles("time_ms", _times(timing)),
+        "",
+        "jitter of the period, us",
+        *_bars(timing["jitter_us_histogram"]),
+        "",
+        "what the guard did: " + _pairs(status.reasons),
+        "real-time support: "
+        + _pairs(status.realtime)
+        + f", driver process: {'priority used' if served.driver_realtime else 'no priority'}",
+        f"session log: {served.log}",
+    ]
+    return "\n".join(lines)
+
+
+def _times(timing: Mapping[str, Any]) -> dict[str, Any]:
+    ages = {"period": timing["period_ms"], "state to correction": timing["state_age_ms"]}
+    window = timing["window_age_ms"]
+    return ages | ({"sensor window age": window} if window and window["max"] > 0 else {})
+
+
+def _percentiles(title: str, rows: Mapping[str, Mapping[str, float] | None]) -> str:
+    columns = ("p50", "p99", "p99.9", "max")
+    return table(
+        (title, *columns),
+        [
+            [name, *((found or {}).get(column) for column in columns)]
+            for name, found in rows.items()
+        ],
+    )
+
+
+def _bars(histogram: Mapping[str, int]) -> list[str]:
+    most = max([*histogram.values(), 1])
+    filled = [label for label, count in histogram.items() if count]
+    return [
+        f"  {label:>8}  {'#' * -(-_BAR_WIDTH * histogram[label] // most):<{_BAR_WIDTH}}"
+        f"  {histogram[label]}"
+        for label in filled
+    ]
+
+
+def _pairs(found: Mapping[str, object]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in found.items()) or "-"
+
+
+def _mode(shadow: bool, dry_run: bool) -> Mode:
+    if shadow and dry_run:
+        raise InputError(
+            "a session is one or the other",
+            code="serve.mode",
+            got="--shadow --dry-run",
+            allowed="--shadow (send nothing) or --dry-run (send zeros)",
+        )
+    return "shadow" if shadow else "dry-run" if dry_run else "live"
+
+
+def _covariates(pairs: list[str]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            raise InputError(
+                "a covariate needs a number",
+                code="serve.covariate",
+                got=pair[:80],
+                allowed="NAME=NUMBER, for example temperature_c=21.5",
+            ) from None
+    return found
+
+
+def _announce(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

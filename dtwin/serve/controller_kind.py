@@ -1,0 +1,66 @@
+"""Whether a controller is known to be virtual. Whatever is not known to be, is real."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import struct
+
+from dtwin.links.ur_worker import RTDE_PORT
+
+VIRTUAL_VARIABLE = "output_int_register_1000"
+"""Controllers have 48 registers of a kind and answer ``NOT_FOUND``; the virtual one has more.
+
+Firmware fixes which variables exist, so no robot program can claim to be virtual.
+"""
+
+_HEADER = struct.Struct(">HB")
+_SETUP_OUTPUTS, _REQUEST_VERSION = 79, 86
+
+
+def is_virtual(host: str, timeout_s: float = 2.0) -> bool:
+    """Tell whether a controller is certainly the virtual one.
+
+    It must live at a loopback address, which the virtual controller never leaves, and it must
+    know a variable that no real controller has. No answer, a strange one, or one through a
+    tunnel to a real robot counts as real.
+
+    Parameters
+    ----------
+    host : str
+        Address of the controller.
+    timeout_s : float
+        Longest wait for each answer.
+    """
+    try:
+        address = socket.gethostbyname(host)
+        if not ipaddress.ip_address(address).is_loopback:
+            return False
+        with socket.create_connection((address, RTDE_PORT), timeout_s) as connection:
+            _ask(connection, _REQUEST_VERSION, struct.pack(">H", 2))
+            reply = _ask(
+                connection, _SETUP_OUTPUTS, struct.pack(">d", 1.0) + VIRTUAL_VARIABLE.encode()
+            )
+    except (OSError, UnicodeError):
+        return False
+    return reply[1:] == b"INT32"
+
+
+def _ask(connection: socket.socket, kind: int, payload: bytes) -> bytes:
+    """Send one RTDE frame and return the payload of the answer of the same kind."""
+    connection.sendall(_HEADER.pack(_HEADER.size + len(payload), kind) + payload)
+    while True:
+        size, answered = _HEADER.unpack(_exactly(connection, _HEADER.size))
+        answer = _exactly(connection, max(size - _HEADER.size, 0))
+        if answered == kind:
+            return answer
+
+
+def _exactly(connection: socket.socket, size: int) -> bytes:
+    held = b""
+    while len(held) < size:
+        received = connection.recv(size - len(held))
+        if not received:
+            raise ConnectionError("the controller closed the connection")
+        held += received
+    return held

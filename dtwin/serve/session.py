@@ -1,0 +1,342 @@
+"""One serving session: from a model's name to a released correction and a line in the log."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.errors import (
+    EXIT_DEVICE,
+    EXIT_DONE,
+    EXIT_INTERRUPTED,
+    DeviceError,
+    DtwinError,
+    GateRefusal,
+    InputError,
+)
+from dtwin.links import state as layout
+from dtwin.links.ur import UrLink
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import load_bundle
+from dtwin.serve.controller_kind import is_virtual
+from dtwin.serve.decision import Decision
+from dtwin.serve.lease import lease
+from dtwin.serve.loop import Mode, ServeStatus, ServingLoop
+from dtwin.serve.pointer import Resolved, read_machine, resolve
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.signals import stop_on_signals
+
+TRIAL_SHARE = 0.25
+"""Share of a bundle's clamp that a trial may use."""
+
+_FIRST_STATE_S = 5.0
+_RATE_HZ = 500.0
+
+Announce = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class ServeRequest:
+    """What a user asked for.
+
+    Attributes
+    ----------
+    model : str
+        ``latest``, ``trial``, or the path of a bundle.
+    machine : str or None
+        Machine; None when only one has a model.
+    host : str
+        Address of the robot.
+    duration_s : float or None
+        Time to serve; None until stopped.
+    mode : {"live", "shadow", "dry-run"}
+        As in ``ServingLoop``.
+    trial : bool
+        Serve under the tight clamp of a trial, whatever the model's state.
+    priority : int
+        Real-time priority, 0 for none.
+    covariates : mapping of str to float
+        Values of covariate inputs.
+    """
+
+    model: str = "latest"
+    machine: str | None = None
+    host: str = "127.0.0.1"
+    duration_s: float | None = None
+    mode: Mode = "live"
+    trial: bool = False
+    priority: int = 60
+    covariates: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse a time that is none."""
+        if self.duration_s is not None and not 0.0 < self.duration_s < math.inf:
+            raise InputError(
+                "the duration is not a time to serve",
+                code="serve.duration",
+                got=f"{self.duration_s} s",
+                allowed="more than 0 s; leave it out to serve until Ctrl-C",
+            )
+        if not 0 <= self.priority <= 99:
+            raise InputError(
+                "no such priority",
+                code="serve.priority",
+                got=str(self.priority),
+                allowed="0 (none) to 99",
+            )
+
+
+@dataclass(frozen=True)
+class Served:
+    """What came of a session.
+
+    Attributes
+    ----------
+    request : ServeRequest
+        What was asked for.
+    resolved : Resolved
+        What the model's name stood for.
+    device : {"real", "virtual"}
+        What answered at the address.
+    trial : bool
+        Whether the clamp was tightened.
+    clamp_um : float
+        Longest correction that was allowed.
+    status : ServeStatus
+        How it went.
+    driver_realtime : bool
+        Whether the driver process was given real-time priority.
+    log : str
+        Path of the session log, or why there is none.
+    """
+
+    request: ServeRequest
+    resolved: Resolved
+    device: str
+    trial: bool
+    clamp_um: float
+    status: ServeStatus
+    driver_realtime: bool
+    log: str = ""
+
+    @property
+    def exit_code(self) -> int:
+        """4 after a fault, 130 when stopped before the time that was asked for, else 0."""
+        if self.status.fault is not None:
+            return EXIT_DEVICE
+        early = self.status.ended == "stopped" and self.request.duration_s is not None
+        return EXIT_INTERRUPTED if early else EXIT_DONE
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        found = self.resolved
+        return {
+            "machine": found.machine,
+            "model": {
+                "asked": self.request.model,
+                "version": found.version,
+                "state": found.state,
+                "bundle": str(found.path),
+                "sha256": found.sha256,
+            },
+            "host": self.request.host,
+            "device": self.device,
+            "trial": self.trial,
+            "clamp_um": self.clamp_um,
+            "driver_realtime": self.driver_realtime,
+            "log": self.log,
+            **self.status.as_dict(),
+        }
+
+
+def serve(request: ServeRequest, home: Home, announce: Announce) -> Served:
+    """Serve a model to a robot until the time is up, a stop is asked for, or something fails.
+
+    Call it in the main thread of a process that runs nothing else.
+
+    Parameters
+    ----------
+    request : ServeRequest
+        What to serve, where, how long.
+    home : Home
+        Where pointers, locks and logs lie.
+    announce : callable
+        Receives lines for the user while it goes on.
+
+    Returns
+    -------
+    Served
+        A fault while serving is in it, not raised.
+
+    Raises
+    ------
+    InputError
+        When a file is missing or unusable.
+    GateRefusal
+        When the model may not be served so.
+    DeviceError
+        When the robot is absent or served already.
+    StoreError
+        When the lease cannot be taken.
+    """
+    resolved = resolve(request.model, request.machine, home, harmless=request.mode != "live")
+    announce(f"{request.model} is {resolved.describe()}")
+    started = datetime.now(UTC)
+    try:
+        served = _serve_resolved(request, resolved, home, announce)
+    except DtwinError as error:
+        record = {"ended": error.code, "fault": error.as_dict(), "host": request.host}
+        model = {"version": resolved.version, "state": resolved.state}
+        _write_log(home, resolved.machine, started, {**record, "model": model}, announce)
+        raise
+    log = _write_log(home, resolved.machine, started, served.as_dict(), announce)
+    return dataclasses.replace(served, log=log)
+
+
+def _serve_resolved(
+    request: ServeRequest, resolved: Resolved, home: Home, announce: Announce
+) -> Served:
+    compiled = load_bundle(resolved.path, resolved.machine)
+    trial = request.trial or resolved.state == "trial"
+    if trial:
+        compiled = with_trial_clamp(compiled)
+        limit_um = compiled.bundle.safety.clamp_um
+        announce(f"trial: the correction is limited to {limit_um:g} um, a quarter of its clamp")
+    decision = Decision(compiled, read_machine(resolved.machine, home).tcp, request.covariates)
+    with (
+        _held(request, resolved.machine, home),
+        UrLink(request.host, _RATE_HZ, realtime=request.priority > 0) as link,
+    ):
+        device = "virtual" if is_virtual(request.host) else "real"
+        require_evidence(compiled.bundle, device, mode=request.mode, trial=trial)
+        time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
+        announce(f"serving the {device} controller at {request.host}, {request.mode}, {time_text}")
+        status = _run(request, decision, link)
+        return Served(
+            request, resolved, device, trial, compiled.bundle.safety.clamp_um, status,
+            link.realtime,
+        )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _held(request: ServeRequest, machine: str, home: Home) -> Iterator[None]:
+    """Hold the lease, except in shadow, which writes nothing to the robot."""
+    if request.mode == "shadow":
+        yield
+        return
+    with lease(request.host, machine, home):
+        yield
+
+
+def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
+    """Return the model with a quarter of its clamp."""
+    bundle = compiled.bundle
+    safety = dataclasses.replace(bundle.safety, clamp_um=TRIAL_SHARE * bundle.safety.clamp_um)
+    return CompiledBundle(dataclasses.replace(bundle, safety=safety))
+
+
+def require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) -> None:
+    """Refuse to move a real device on evidence from a virtual one, outside a trial.
+
+    Raises
+    ------
+    GateRefusal
+        When the bundle has no evidence from a real device.
+    """
+    evidence = bundle.provenance.evidence
+    if device == "virtual" or mode != "live" or trial or evidence == "real":
+        return
+    raise GateRefusal(
+        "the model was never shown to help a real machine",
+        code="serve.evidence",
+        got=f"evidence: {evidence}",
+        allowed="evidence: real",
+        hint="try it under a tight clamp with --trial, or look at it with --shadow",
+    )
+
+
+class _Stops:
+    """Asked every tick whether to end, and afterwards why."""
+
+    def __init__(self, asked: Callable[[], bool], decision: Decision, newest: Any) -> None:
+        self._asked, self._guard, self._newest = asked, decision.guard, newest
+        self.why = ""
+
+    def __call__(self) -> bool:
+        if self._newest[layout.SAFETY_OK] < 0.5:
+            self.why = "safety_stop"
+        elif self._guard.latched:
+            self.why = "latched"
+        elif self._asked():
+            self.why = "stopped"
+        return bool(self.why)
+
+    def fault(self, host: str) -> DeviceError | None:
+        """Return what a stop that nobody asked for means."""
+        if self.why == "safety_stop":
+            return DeviceError(
+                "the robot stopped for safety; the correction was released",
+                code="serve.safety_stop",
+                where=f"robot at {host}",
+                hint="clear the stop at the robot, find its cause, then serve again",
+            )
+        if self.why == "latched":
+            return DeviceError(
+                "too many faults; the correction was released and stays so",
+                code="serve.latched",
+                where=f"robot at {host}",
+                got=f"{self._guard.trips} faults",
+                hint="the reasons in the status say which; serve again to arm it",
+            )
+        return None
+
+
+def _run(request: ServeRequest, decision: Decision, link: UrLink) -> ServeStatus:
+    # The link's buffer: later calls overwrite it, so it always shows the newest state.
+    newest = link.wait_state(_FIRST_STATE_S)
+    if newest is None:
+        raise DeviceError(
+            "the robot sends no states", code="ur.silent", where=f"robot at {request.host}"
+        )
+    first = int(newest[layout.APPLIED_SEQUENCE]) % layout.SEQUENCE_LIMIT + 1
+    loop = ServingLoop(
+        decision, link, period_s=1.0 / _RATE_HZ, mode=request.mode, first_sequence=first
+    )
+    duration_s = math.inf if request.duration_s is None else request.duration_s
+    with stop_on_signals() as asked:
+        stops = _Stops(asked, decision, newest)
+        status = loop.run(duration_s, stop=stops, priority=request.priority)
+    fault = stops.fault(request.host)
+    if status.fault is None and fault is not None:
+        return dataclasses.replace(status, ended=stops.why, fault=fault.as_dict())
+    return status
+
+
+def _write_log(
+    home: Home, machine: str, started: datetime, record: Mapping[str, Any], announce: Announce
+) -> str:
+    """Append one JSON line; a log that cannot be written never stops the serving."""
+    path = home.logs / f"serve-{machine}.jsonl"
+    ended = datetime.now(UTC)
+    line = {
+        "started": started.isoformat(timespec="milliseconds"),
+        "duration_s": round((ended - started).total_seconds(), 3),
+        **record,
+    }
+    plain = json.loads(json.dumps(line), parse_constant=lambda word: None)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("ab", buffering=0) as file:
+            file.write(json.dumps(plain).encode() + b"\n")
+    except OSError as error:
+        reason = f"not written: {error.strerror or error}"
+        announce(f"the session log {path} was {reason}")
+        return reason
+    return str(path)
