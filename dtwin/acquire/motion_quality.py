@@ -64,7 +64,9 @@ def motion_of(run: Run) -> Motion:
     halves = tuple(int(n) for n in np.diff(inner))
     period = _period(deviation, rate, expected)
     first_turn = float(sum(halves[:2])) if len(halves) > 1 else period
-    lead_in = lead_in_samples(deviation, rate, first_turn, _LEAD_IN) if np.isfinite(first_turn) else 0
+    lead_in = (
+        lead_in_samples(deviation, rate, first_turn, _LEAD_IN) if np.isfinite(first_turn) else 0
+    )
     return Motion(inner, period, lead_in, halves)
 
 

@@ -12,6 +12,7 @@ from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.plan import PlannedTest
 from dtwin.schema import Direction, Plane, Run, RunMeta, SignalGroup
 
+_SINGLE = ("_g", "_rad_s", "_mm_s", "_um")
 EPOCH = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
 
 
@@ -38,10 +39,14 @@ class VirtualCobotBench:
                 "type": "ur10e",
                 "tcp_mm": [0.0, 0.0, motion.tcp_z_mm],
                 "centre_small_mm": [
-                    motion.centre_x_small_mm, motion.centre_y_mm, motion.centre_z_mm,
+                    motion.centre_x_small_mm,
+                    motion.centre_y_mm,
+                    motion.centre_z_mm,
                 ],
                 "centre_large_mm": [
-                    motion.centre_x_large_mm, motion.centre_y_mm, motion.centre_z_mm,
+                    motion.centre_x_large_mm,
+                    motion.centre_y_mm,
+                    motion.centre_z_mm,
                 ],
                 "large_radius_from_mm": motion.large_radius_from_mm,
                 "virtual": True,
@@ -89,9 +94,15 @@ def run_of(recording: CobotRecording, run_id: str, plane: Plane, started: dateti
         "deviation_um": recording.deviation_mm * 1000.0,
     }
     meta = RunMeta(
-        run_id=run_id, plane=plane, direction=direction, radius_mm=condition.radius_mm,
-        feed_mm_min=condition.feed_mm_min, repeat=recording.repeat, setup=recording.setup,
-        started=started.isoformat(), sample_rate_hz=recording.sample_rate_hz,
+        run_id=run_id,
+        plane=plane,
+        direction=direction,
+        radius_mm=condition.radius_mm,
+        feed_mm_min=condition.feed_mm_min,
+        repeat=recording.repeat,
+        setup=recording.setup,
+        started=started.isoformat(),
+        sample_rate_hz=recording.sample_rate_hz,
         covariates={"temperature_c": 20.0},
     )
     groups = tuple(_compact(group) for group in recording.groups)
@@ -99,9 +110,10 @@ def run_of(recording: CobotRecording, run_id: str, plane: Plane, started: dateti
 
 
 def _compact(group: SignalGroup) -> SignalGroup:
-    """Keep accelerations in single precision: 24 bits are what the converter has."""
+    """Keep what is measured in single precision: a converter has 24 bits."""
     columns = {
-        name: values.astype(np.float32) if name.endswith("_g") else values
+        name: values.astype(np.float32) if name.endswith(_SINGLE) else values
         for name, values in group.columns.items()
+        if not name.startswith("actual_qd")
     }
     return SignalGroup(group.name, group.rate_hz, columns, group.start_s)

@@ -22,6 +22,8 @@ STATE_FIELDS: tuple[str, ...] = (
     "plane_id",
     "direction_sign",
     "segment_time_s",
+    *(f"applied_{axis}_um" for axis in "xyz"),
+    "feed_mm_min",
 )
 """What the path inputs are computed from, in the order that the kernel expects."""
 
@@ -37,6 +39,8 @@ PATH_INPUTS: tuple[str, ...] = (
     "segment_time_s",
     *(f"radial_{axis}_1" for axis in "xyz"),
     *(f"acceleration_{axis}_mm_s2" for axis in "xyz"),
+    *(f"tangent_{axis}_1" for axis in "xyz"),
+    "programmed_feed_mm_min",
 )
 """Names of the path inputs, in the order in which the kernel writes them."""
 
@@ -52,9 +56,11 @@ PATH_INPUT_UNITS: dict[str, str] = {
     "segment_time_s": "s",
     **{f"radial_{axis}_1": "1" for axis in "xyz"},
     **{f"acceleration_{axis}_mm_s2": "mm/s^2" for axis in "xyz"},
+    **{f"tangent_{axis}_1": "1" for axis in "xyz"},
+    "programmed_feed_mm_min": "mm/min",
 }
 
-CARRY_SIZE = 11
+CARRY_SIZE = 14
 _TURN = 2.0 * np.pi
 
 
@@ -67,19 +73,21 @@ def path_inputs_kernel(
     The lever of joint j is the radial component of the tool's motion per radian of that
     joint: the outward unit vector at the path angle times column j of the position Jacobian.
     The commanded acceleration is the difference of two successive target velocities. The
-    outward unit vector and that acceleration are given in the base frame as well.
+    outward unit vector, the direction of travel and that acceleration are given in the base
+    frame as well. A correction that the controller reports as applied is taken out of position
+    and velocity first: the path is what was commanded, not what was added to it.
 
     Parameters
     ----------
     state : ndarray, shape (any,)
         Newest state of the controller.
-    index : ndarray of int64, shape (25,)
+    index : ndarray of int64, shape (29,)
         Where each of ``STATE_FIELDS`` is in ``state``.
     dh, tcp_mm : ndarray, shapes (6, 4) and (3,)
         Chain and tool centre point, as in ``dtwin.kinematics``.
-    carry : ndarray, shape (11,)
+    carry : ndarray, shape (14,)
         What is remembered from the sample before; zeros at the start of a run. Overwritten.
-    out : ndarray, shape (30,)
+    out : ndarray, shape (34,)
         Receives the inputs in the order of ``PATH_INPUTS``.
     """
     now_s = state[index[0]]
@@ -87,6 +95,8 @@ def path_inputs_kernel(
     first, second = plane % 3, (plane + 1) % 3
     across = state[index[13 + second]] - state[index[19 + second]]
     along = state[index[13 + first]] - state[index[19 + first]]
+    across -= 1e-3 * state[index[25 + second]]
+    along -= 1e-3 * state[index[25 + first]]
     angle = np.arctan2(across, along)
     cosine, sine = np.cos(angle), np.sin(angle)
     started = carry[0] > 0.5 and carry[1] == plane
@@ -110,21 +120,30 @@ def path_inputs_kernel(
     jacobian = jacobian_kernel(q, dh, tcp_mm)
     for j in range(6):
         out[14 + j] = cosine * jacobian[first, j] + sine * jacobian[second, j]
+    elapsed_s = now_s - carry[7]
+    speed = np.zeros(3)
     square = 0.0
     for i in range(3):
-        square += state[index[16 + i]] ** 2
-    out[20] = np.sqrt(square)
-    elapsed_s = now_s - carry[7]
+        speed[i] = state[index[16 + i]]
+        if started and elapsed_s > 0.0:
+            speed[i] -= 1e-3 * (state[index[25 + i]] - carry[11 + i]) / elapsed_s
+        square += speed[i] ** 2
+    if not started or elapsed_s > 0.0:
+        out[20] = np.sqrt(square)
     for i in range(3):
         out[24 + i] = 0.0
     out[24 + first], out[24 + second] = cosine, sine
+    for i in range(3):
+        out[30 + i] = 0.0
+    out[30 + first], out[30 + second] = -state[index[23]] * sine, state[index[23]] * cosine
+    out[33] = state[index[28]]
     if not started:
         out[21], out[22], out[27], out[28], out[29] = 0.0, 0.0, 0.0, 0.0, 0.0
     elif elapsed_s > 0.0:
         for i in range(3):
-            out[27 + i] = (state[index[16 + i]] - carry[8 + i]) / elapsed_s
-        a = (state[index[16 + first]] - carry[8 + first]) / elapsed_s
-        b = (state[index[16 + second]] - carry[8 + second]) / elapsed_s
+            out[27 + i] = (speed[i] - carry[8 + i]) / elapsed_s
+        a = out[27 + first]
+        b = out[27 + second]
         out[21] = state[index[23]] * (cosine * b - sine * a)
         out[22] = cosine * a + sine * b
     out[23] = state[index[24]]
@@ -134,7 +153,8 @@ def path_inputs_kernel(
     if not started or elapsed_s > 0.0:
         carry[7] = now_s
         for i in range(3):
-            carry[8 + i] = state[index[16 + i]]
+            carry[8 + i] = speed[i]
+            carry[11 + i] = state[index[25 + i]]
 
 
 @compiled
@@ -143,8 +163,8 @@ def _path_inputs_many(
 ) -> None:
     for n in range(states.shape[0]):
         if n:
-            out[n, 21], out[n, 22] = out[n - 1, 21], out[n - 1, 22]
-            out[n, 27:] = out[n - 1, 27:]
+            out[n, 20:23] = out[n - 1, 20:23]
+            out[n, 27:30] = out[n - 1, 27:30]
         path_inputs_kernel(states[n], index, dh, tcp_mm, carry, out[n])
 
 
@@ -186,7 +206,7 @@ class PathInputs:
         self.values[:] = 0.0
 
     def update(self, state: Floats) -> Floats:
-        """Return the inputs (30,) of the newest state; the array is reused by the next call.
+        """Return the inputs (34,) of the newest state; the array is reused by the next call.
 
         Parameters
         ----------
@@ -197,7 +217,7 @@ class PathInputs:
         return self.values
 
     def batch(self, states: Floats) -> Floats:
-        """Return the inputs of a run from its first sample, shape (n, 30).
+        """Return the inputs of a run from its first sample, shape (n, 34).
 
         Parameters
         ----------

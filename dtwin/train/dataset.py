@@ -28,7 +28,7 @@ class TickRun:
     ----------
     meta : RunMeta
         Condition and set-up.
-    inputs : ndarray of float32, shape (ticks, 30)
+    inputs : ndarray of float32, shape (ticks, 34)
         Path inputs at 500 Hz in the order of ``PATH_INPUTS``.
     bar_um : ndarray, shape (n,)
         The bar's samples on its own clock.
@@ -181,6 +181,7 @@ def controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, A
     for axis, value in zip("xyz", centre, strict=True):
         out[:, _INDEX[f"centre_{axis}_mm"]] = value
     plane = meta.plane or "XY"
+    out[:, _INDEX["feed_mm_min"]] = float(meta.feed_mm_min or 0.0)
     out[:, _INDEX["plane_id"]] = PLANES.index(plane)
     out[:, _INDEX["direction_sign"]] = 1.0 if meta.direction == "CCW" else -1.0
     return out

@@ -16,6 +16,7 @@ from dtwin.train.dataset import TICK_HZ, TickRun
 JOINTS = range(1, 7)
 # Wider than any play worth modelling, far narrower than any motion: gives the loaded flank.
 FLANK_RAD = 1e-4
+MOVING_MM_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Gear:
 
 @dataclass(frozen=True)
 class Mode:
-    """A lightly damped structural mode driven by the commanded acceleration.
+    """A lightly damped structural mode that rings after the path starts or stops.
 
     Attributes
     ----------
@@ -96,8 +97,9 @@ class Library:
         self._compliance()
         for gear in gears:
             self._transmission(gear)
+        events = self._events() if modes else {}
         for mode in modes:
-            self._structure(mode)
+            self._structure(mode, events)
 
     @property
     def names(self) -> list[str]:
@@ -168,35 +170,52 @@ class Library:
             self._atom(name, "mm/rad", "transmission ripple", wave)
             self._atom(f"{name}*flank{j}", "mm/rad", "transmission ripple", wave * flank)
 
-    def _structure(self, mode: Mode) -> None:
-        """Add the mode's displacement in the frame that turns with joint 1."""
+    def _structure(self, mode: Mode, events: Mapping[str, Expression]) -> None:
+        """Add a mode that rings after each start and stop, seen in the frame of joint 1.
+
+        The kick goes along the direction of travel and grows with the programmed feed; how
+        much of it the mode takes up, and in which direction it moves, is left to the fit.
+        """
         b = self.builder
         cos, sin = b.apply("cos", self._q[1]), b.apply("sin", self._q[1])
 
-        def turned(prefix: str, suffix: str) -> tuple[Expression, Expression, Expression]:
-            x, y, z = (b.input(f"{prefix}_{axis}_{suffix}") for axis in "xyz")
+        def turned(prefix: str) -> tuple[Expression, Expression, Expression]:
+            x, y, z = (b.input(f"{prefix}_{axis}_1") for axis in "xyz")
             return x * cos + y * sin, y * cos - x * sin, z
 
-        seen = turned("radial", "1")
-        drive = turned("acceleration", "mm_s2")
-        a, gain = oscillator_step(mode, 1.0 / TICK_HZ)
-        for push, force in zip("rtz", drive, strict=True):
-            place, speed = (f"mode{mode.frequency_hz:g}_{push}_{k}" for k in ("x", "v"))
-            x, v = b.state(place), b.state(speed)
-            moved = a[0][0] * x + a[0][1] * v + gain[0] * force
-            self.initial |= {place: 0.0, speed: 0.0}
-            self.updates[place] = moved
-            self.updates[speed] = a[1][0] * x + a[1][1] * v + gain[1] * force
-            for show, along in zip("rtz", seen, strict=True):
-                name = f"mode{mode.frequency_hz:g}Hz_{push}->{show}"
-                self._atom(name, "mm", "structural resonance", along * moved)
+        seen, travel = turned("radial"), turned("tangent")
+        feed = b.input("programmed_feed_mm_min") / 1000.0
+        a = free_step(mode, 1.0 / TICK_HZ)
+        w = 2.0 * np.pi * mode.frequency_hz
+        for event, happened in events.items():
+            for push, along in zip("rtz", travel, strict=True):
+                place, speed = (f"mode{mode.frequency_hz:g}_{event}_{push}_{k}" for k in "xv")
+                x, v = b.state(place), b.state(speed)
+                kicked = v + happened * along * feed
+                moved = a[0][0] * x + a[0][1] * kicked
+                moving = a[1][0] * x + a[1][1] * kicked
+                self.initial |= {place: 0.0, speed: 0.0}
+                self.updates |= {place: moved, speed: moving}
+                for show, toward in zip("rtz", seen, strict=True):
+                    name = f"mode{mode.frequency_hz:g}Hz_{event}_{push}->{show}"
+                    self._atom(f"{name}_sin", "m/min", "ringing after stops", toward * moved * w)
+                    self._atom(f"{name}_cos", "m/min", "ringing after stops", toward * moving)
+
+    def _events(self) -> dict[str, Expression]:
+        """Return what is 1 for the one tick in which the path starts, or stops."""
+        b = self.builder
+        moving = b.apply("step", b.input("commanded_speed_mm_s") - MOVING_MM_S)
+        before = b.state("was_moving_1")
+        self.initial["was_moving_1"] = 0.0
+        self.updates["was_moving_1"] = moving
+        return {"start": moving * (1.0 - before), "stop": before * (1.0 - moving)}
 
     def _atom(self, name: str, unit: str, cause: str, term: Expression) -> None:
         self.atoms[Atom(name, unit, cause)] = term
 
 
-def oscillator_step(mode: Mode, dt_s: float) -> tuple[list[list[float]], list[float]]:
-    """Return the exact step of ``x'' + 2 zeta w x' + w^2 x = u`` for constant ``u``.
+def free_step(mode: Mode, dt_s: float) -> list[list[float]]:
+    """Return the exact step of ``x'' + 2 zeta w x' + w^2 x = 0``: ``[x, v] <- step [x, v]``.
 
     Parameters
     ----------
@@ -204,23 +223,16 @@ def oscillator_step(mode: Mode, dt_s: float) -> tuple[list[list[float]], list[fl
         Oscillator, underdamped.
     dt_s : float
         Length of the step.
-
-    Returns
-    -------
-    transition, gain : list
-        ``[x, v] <- transition [x, v] + gain u``.
     """
     w, zeta = 2.0 * np.pi * mode.frequency_hz, mode.damping_ratio
     wd = w * np.sqrt(1.0 - zeta**2)
     decay = np.exp(-zeta * w * dt_s)
     c, s = np.cos(wd * dt_s), np.sin(wd * dt_s)
     ratio = zeta * w / wd
-    transition = [
+    return [
         [float(decay * (c + ratio * s)), float(decay * s / wd)],
         [float(-decay * w**2 * s / wd), float(decay * (c - ratio * s))],
     ]
-    gain = [float((1.0 - transition[0][0]) / w**2), float(transition[0][1])]
-    return transition, gain
 
 
 def equation_text(library: Library, weights: Mapping[str, float]) -> str:

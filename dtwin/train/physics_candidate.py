@@ -154,7 +154,9 @@ def _reachable(library: Library, terms: Sequence[Expression], read: set[str]) ->
 def _state_unit(name: str) -> str:
     if name.startswith("flank"):
         return "rad"
-    return "mm" if name.endswith("_x") else "mm/s"
+    if name.startswith("was"):
+        return "1"
+    return "m s/min" if name.endswith("_x") else "m/min"
 
 
 def _left_out(rows: Rows, design: Floats, group: str) -> Floats:
@@ -174,7 +176,12 @@ def _box(rows: Rows) -> tuple[Floats, Floats]:
     low = np.min([run.inputs.min(axis=0) for run in rows.runs], axis=0).astype(float)
     high = np.max([run.inputs.max(axis=0) for run in rows.runs], axis=0).astype(float)
     margin = _BOX_MARGIN * (high - low)
-    return low - margin, high + margin
+    low, high = low - margin, high + margin
+    # What rings grows with the feed from zero: between standstill and the slowest trained feed
+    # the equation interpolates.
+    low[PATH_INPUTS.index("programmed_feed_mm_min")] = 0.0
+    low[PATH_INPUTS.index("commanded_speed_mm_s")] = -1.0
+    return low, high
 
 
 def _extent(fit: PhysicsFit) -> tuple[float, float]:

@@ -10,11 +10,11 @@ import numpy as np
 from dtwin.schema import Floats
 from dtwin.train.gram import Sums, forward_order, solve, sums_of, total
 from dtwin.train.library import Gear, Library, Mode
+from dtwin.train.mode_search import find_modes
 from dtwin.train.order_search import find_gears
 from dtwin.train.rows import Rows, gather, thinned
 
 RIDGE = 1e-3
-MODES = (Mode(9.4, 0.04), Mode(15.5, 0.04), Mode(26.0, 0.04))
 # Within this of the best held-out error the smaller equation wins.
 ELBOW = 1.03
 _SEARCH_EVERY = 4
@@ -82,8 +82,8 @@ def fit_physics(rows: Rows, progress: Progress | None = None) -> PhysicsFit:
     progress : callable, optional
         Called with (done, total, what).
     """
-    gears = _search(thinned(rows, _SEARCH_EVERY), progress)
-    library = Library(gears, MODES)
+    gears, modes = _search(thinned(rows, _SEARCH_EVERY), progress)
+    library = Library(gears, modes)
     columns = np.concatenate([library.columns(run) for run in rows.runs])
     rows, shift_s = _realigned(rows, columns)
     design = rows.without_setups(columns)
@@ -130,7 +130,7 @@ def held_out_rms(cells: dict[tuple[float, float], Sums], axis: int, chosen: Sequ
     return float(np.sqrt(max(squares, 0.0) / rows))
 
 
-def _search(rows: Rows, progress: Progress | None) -> list[Gear]:
+def _search(rows: Rows, progress: Progress | None) -> tuple[list[Gear], list[Mode]]:
     base = Library((), ())
     fixed = np.concatenate([base.columns(run) for run in rows.runs])
     kept: dict[Gear, Floats] = {}
@@ -142,7 +142,8 @@ def _search(rows: Rows, progress: Progress | None) -> list[Gear]:
         design = rows.without_setups(np.column_stack([fixed, *(kept[g] for g in gears)]))
         return design @ solve(sums_of(design, rows.target_um), RIDGE)
 
-    return find_gears(rows, explained, progress=progress)
+    gears = find_gears(rows, explained, progress=progress)
+    return gears, find_modes(rows, rows.target_um - explained(gears))
 
 
 def _gear_columns(rows: Rows, gear: Gear) -> Floats:
