@@ -157,8 +157,17 @@ class SerialLink(OpenAndClose):
     def _faults(self) -> Iterator[None]:
         if self._device is None:
             raise DeviceError("the port is not open", code="serial.closed", where=self.port)
+        from serial import SerialTimeoutException
+
         try:
             yield
+        except SerialTimeoutException as error:
+            raise DeviceError(
+                f"the serial device took nothing for {self.timeout_s:g} s",
+                code="serial.stuck",
+                where=self.port,
+                hint="check flow control and the device's firmware",
+            ) from error
         except OSError as error:
             raise DeviceError(
                 "the serial device is gone",
