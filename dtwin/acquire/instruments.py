@@ -1,0 +1,139 @@
+"""Every instrument and machine that dtwin knows: what it measures, what it needs, how to make it.
+
+A new one is one entry here; the conformance test runs over all entries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from dtwin.errors import InputError
+
+if TYPE_CHECKING:
+    from dtwin.acquire.instrument import Instrument
+    from dtwin.acquire.runner import Bench
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One kind of instrument or machine.
+
+    Attributes
+    ----------
+    name : str
+        What it is asked for by.
+    role : {"instrument", "bench"}
+        A stream of samples, or a machine with its instruments that runs planned tests.
+    measures : str
+        What it delivers, in a few words.
+    needs : str
+        Extra of this package, and driver, that it needs; empty for none.
+    make : callable
+        Returns one from its settings; touches no device yet.
+    """
+
+    name: str
+    role: Literal["instrument", "bench"]
+    measures: str
+    needs: str
+    make: Callable[..., Any]
+
+
+def instrument(name: str, **settings: Any) -> Instrument:
+    """Return a closed instrument.
+
+    Parameters
+    ----------
+    name : str
+        A key of ``ENTRIES`` with the role ``instrument``.
+    **settings
+        As its class takes them; see ``ENTRIES[name].make``.
+
+    Raises
+    ------
+    InputError
+        When there is no such instrument, or its settings make no sense.
+    """
+    made: Instrument = _make(name, "instrument", settings)
+    return made
+
+
+def bench(name: str, **settings: Any) -> Bench:
+    """Return a machine with its instruments; parameters and errors as for ``instrument``."""
+    made: Bench = _make(name, "bench", settings)
+    return made
+
+
+def _make(name: str, role: str, settings: Mapping[str, Any]) -> Any:
+    known = [entry.name for entry in ENTRIES.values() if entry.role == role]
+    if name not in known:
+        raise InputError(
+            f"there is no such {role}",
+            code="instrument.unknown",
+            got=name[:60],
+            allowed=", ".join(known),
+        )
+    try:
+        return ENTRIES[name].make(**settings)
+    except TypeError as error:
+        raise InputError(
+            f"the settings do not fit the {role} {name}",
+            code="instrument.settings",
+            got=str(error)[:200],
+        ) from error
+
+
+def _accelerometers(**settings: Any) -> Instrument:
+    """Return an ``AccelerometerTask``; channels may be mappings, as from a file."""
+    from dtwin.acquire.daq import AccelerometerChannel, AccelerometerTask
+
+    channels = [
+        channel if isinstance(channel, AccelerometerChannel) else AccelerometerChannel(**channel)
+        for channel in settings.pop("channels", ())
+    ]
+    return AccelerometerTask(channels, **settings)
+
+
+def _serial(**settings: Any) -> Instrument:
+    """Return a ``SerialInstrument``."""
+    from dtwin.acquire.serial_port import SerialInstrument
+
+    return SerialInstrument(**settings)
+
+
+def _robot(**settings: Any) -> Instrument:
+    """Return a ``RobotRecorder``."""
+    from dtwin.acquire.robot import RobotRecorder
+
+    return RobotRecorder(**settings)
+
+
+def _virtual_cobot(**settings: Any) -> Bench:
+    """Return a ``VirtualCobotBench``."""
+    from dtwin.acquire.virtual import VirtualCobotBench
+
+    return VirtualCobotBench(**settings)
+
+
+_ALL = (
+    Entry(
+        "accelerometers", "instrument", "acceleration in g, NI-9234 class modules",
+        "dtwin[daq] and the NI-DAQmx driver, or an NI gRPC device server", _accelerometers,
+    ),
+    Entry(
+        "serial", "instrument", "any columns of a device on a serial line", "dtwin[serve]", _serial
+    ),
+    Entry(
+        "controller", "instrument", "joints, path and corrections of a UR robot",
+        "dtwin[serve]", _robot,
+    ),
+    Entry(
+        "virtual-cobot", "bench", "circular tests with ball bar, accelerometers and controller",
+        "dtwin[serve]", _virtual_cobot,
+    ),
+)  # fmt: skip
+
+ENTRIES: dict[str, Entry] = {entry.name: entry for entry in _ALL}
+"""All instruments and machines by name."""
