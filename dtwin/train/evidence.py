@@ -198,7 +198,7 @@ def virtual_evidence(
         for done, found in enumerate(pool.map(_measure_condition, jobs), start=1):
             measured.append(found)
             if progress is not None:
-                progress(done, len(jobs), "{0} R{1:g} F{2:g}".format(*plan.conditions[done - 1]))
+                progress(done, len(jobs), "{} R{:g} F{:g}".format(*plan.conditions[done - 1]))
     results, profiles = [], {}
     for (plane, radius, feed), runs in zip(plan.conditions, measured, strict=True):
         results.append(_result(plane, radius, feed, feed in plan.trained_feeds, runs))

@@ -1,0 +1,255 @@
+"""Sections of a report: recording, campaign, candidates, evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.b5r import read_b5r
+from dtwin.acquire.motion_quality import aligned_angle_deg, motion_of
+from dtwin.physics.circular import fit_circle, residual_um
+from dtwin.report.html import Section, Table
+from dtwin.report.plots import (
+    comparison_figure,
+    error_figure,
+    evidence_figure,
+    front_figure,
+    polar_figure,
+)
+from dtwin.schema import Floats, Run
+from dtwin.train.results import Candidate, TrainingReport
+
+THESIS_REDUCTION = (
+    "The source thesis reports 55.35 % less mean error over its XYZ circles (table 7-2). It is "
+    "not comparable: its figures keep the eccentricity of the set-up, which a constant offset "
+    "on X and Y removes without touching any error of the machine; here centre and radius of "
+    "every set-up are taken out of both sides."
+)
+
+
+def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
+    """Return the section about a ball-bar file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    result : mapping
+        What ``check_source`` returned for it.
+    """
+    runs = read_b5r(path).runs
+    head = ["", "by the file's indices", "vendor's file says", "aligned by the stops"]
+    tables, findings = [], []
+    for run in result["runs"]:
+        rows = []
+        for title, key, vendor in _FIGURES:
+            aligned = run.get("aligned_by_stops") or {}
+            rows.append(
+                [
+                    f"{run['run']}: {title}",
+                    _number(run["by_file_indices"].get(key)),
+                    _number(run["vendor"].get(vendor)),
+                    _number(aligned.get(key)),
+                ]
+            )
+        tables.append(Table(head, rows))
+        findings += [(f["severity"], f"{run['run']}: {f['message']}") for f in run["findings"]]
+        lines = ", ".join(
+            f"{line['frequency_hz']:.2f} Hz ({line['amplitude_um']:.1f} um)"
+            for line in run["spectrum"]["lines"]
+        )
+        findings.append(("info", f"{run['run']}: strongest lines {lines}"))
+    by_file = {r.meta.run_id: _centred(r, r.samples["angle_deg"], r.window) for r in runs}
+    aligned_curves = {}
+    for run_ in runs:
+        motion = motion_of(run_)
+        angle = aligned_angle_deg(run_, motion)
+        if angle is not None and len(motion.stops) >= 3:
+            window = (int(motion.stops[0]), int(motion.stops[2]))
+            aligned_curves[run_.meta.run_id] = _centred(run_, angle, window)
+    radius = float(runs[0].meta.radius_mm or 100.0)
+    return Section(
+        f"The recording {path.name}",
+        [f"Machine as stated: {result['machine']}."],
+        findings,
+        tables,
+        [
+            polar_figure(by_file, radius, title="As the file's indices say"),
+            polar_figure(aligned_curves, radius, title="Aligned by the stops"),
+        ],
+    )
+
+
+def training_section(report: TrainingReport) -> Section:
+    """Return the section about candidates: comparison, front, equation.
+
+    Parameters
+    ----------
+    report : TrainingReport
+        A training.
+    """
+    proposed = report.candidate(report.proposed)
+    points = [
+        {
+            "name": c.name,
+            "rms_um": c.scores["feed_mm_min"].rms_um,
+            "p50_us": c.latency.p50_us if c.latency else None,
+            "promotable": c.promotable,
+        }
+        for c in report.candidates
+    ]
+    figures = [comparison_figure(points, report.noise_floor_um)]
+    if proposed.front and "terms" in proposed.front[0]:
+        figures.append(front_figure(proposed.front, report.noise_floor_um))
+    return Section(
+        "Candidates",
+        [
+            f"Campaign {report.campaign} on {report.machine}: {report.n_runs} runs, "
+            f"{report.n_rows} rows. Error without a model {report.rms_before_um:.1f} um RMS after "
+            f"centre and radius of each set-up; repeats of the same condition disagree by "
+            f"{report.noise_floor_um:.1f} um (unit of replication: the run).",
+            "Every error is on conditions that were left out as a whole: all runs of one feed, or "
+            "of one radius, at a time.",
+        ],
+        [("info", f"{proposed.name}: {finding}") for finding in proposed.findings],
+        [Table(*comparison_table(report.candidates))],
+        figures,
+        [proposed.equation],
+    )
+
+
+def comparison_table(
+    candidates: Sequence[Candidate],
+) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of the comparison of candidates.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        In the order to show.
+    """
+    head = [
+        "candidate",
+        "R2, feed out",
+        "um, feed out",
+        "R2, radius out",
+        "um, radius out",
+        "p50 us",
+        "p99 us",
+        "complexity",
+        "promotable",
+    ]
+    rows = []
+    for c in candidates:
+        feed, radius = c.scores["feed_mm_min"], c.scores["radius_mm"]
+        rows.append(
+            [
+                c.name,
+                f"{feed.r2:.3f}",
+                f"{feed.rms_um:.1f}",
+                f"{radius.r2:.3f}",
+                f"{radius.rms_um:.1f}",
+                f"{c.latency.p50_us:.2f}" if c.latency else "-",
+                f"{c.latency.p99_us:.2f}" if c.latency else "-",
+                str(c.complexity),
+                "yes" if c.promotable else "no",
+            ]
+        )
+    return head, rows
+
+
+def evidence_section(evidence: Mapping[str, Any], profiles: Mapping[str, Any]) -> Section:
+    """Return the section about compensated against uncompensated circles.
+
+    Parameters
+    ----------
+    evidence : mapping
+        As ``Evidence.as_dict`` gives it.
+    profiles : mapping
+        Mean error over the path angle by condition, way and direction.
+    """
+    figures = [evidence_figure(evidence)]
+    for name, ways in list(profiles.items())[:4]:
+        plane, radius = name.split()[0], float(name.split()[1][1:])
+        arc = 360.0 if plane == "XY" else 180.0
+        curves: dict[str, tuple[Floats, Floats]] = {}
+        for way in ("uncompensated", "compensated"):
+            values = np.asarray(ways[way]["CCW"])
+            curves[way] = ((np.arange(values.size) + 0.5) / values.size * arc, values)
+        figures.append(
+            polar_figure(curves, radius, title=f"{name} CCW")
+            if plane == "XY"
+            else error_figure(curves, title=f"{name} CCW")
+        )
+    delays = ", ".join(f"{k} {1000 * v:.0f} ms" for k, v in evidence["delays"].items())
+    return Section(
+        "Compensated against uncompensated",
+        [
+            f"{evidence['kind'].capitalize()} evidence on the {evidence['clock']}; modelled "
+            f"delays: {delays}. The oracle knows the repeatable error exactly and has the same "
+            "clamp, slew limit and delay.",
+            f"Share of the oracle's reduction on feeds that were never trained: "
+            f"{100 * evidence['share_of_oracle_unseen_feeds']:.0f} %; on trained feeds "
+            f"{100 * evidence['share_of_oracle_trained_feeds']:.0f} %.",
+            THESIS_REDUCTION,
+        ],
+        [],
+        [Table(*evidence_table(evidence))],
+        figures,
+    )
+
+
+def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of before, after, oracle and floor per condition."""
+    head = [
+        "condition",
+        "feed trained",
+        "before um",
+        "after um",
+        "reduction",
+        "oracle um",
+        "floor um",
+        "runs",
+        "worse",
+    ]
+    rows = []
+    for c in evidence["conditions"]:
+        rows.append(
+            [
+                f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}",
+                "yes" if c["trained"] else "no",
+                f"{c['before_um']:.1f} +- {c['before_ci_um']:.1f}",
+                f"{c['after_um']:.1f} +- {c['after_ci_um']:.1f}",
+                f"{100 * c['reduction']:.0f} %",
+                f"{c['oracle_um']:.1f}",
+                f"{c['floor_um']:.1f}",
+                str(c["n_runs"]),
+                "yes" if c["worse"] else "no",
+            ]
+        )
+    return head, rows
+
+
+_FIGURES = (
+    ("centre along first axis, um", "centre_a_um", "centre_a_um"),
+    ("centre along second axis, um", "centre_b_um", "centre_b_um"),
+    ("least-squares radius, mm", "radius_mm", "best_radius_mm"),
+    ("circular deviation, um", "circular_deviation_um", "circularity_um"),
+    ("RMS about the circle, um", "rms_um", ""),
+    ("mean feed, mm/min", "feed_mm_min", "feed_mm_min"),
+)
+
+
+def _centred(run: Run, angle: Floats, window: tuple[int, int] | None) -> tuple[Floats, Floats]:
+    part = slice(*window) if window is not None else slice(None)
+    radius = float(run.meta.radius_mm or 100.0)
+    deviation = run.samples["deviation_um"][part]
+    circle = fit_circle(angle[part], deviation, radius)
+    return angle[part], residual_um(angle[part], deviation, radius, circle)
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4f}" if 10 < abs(value) < 1000 else f"{value:.2f}"

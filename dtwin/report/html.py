@@ -1,0 +1,142 @@
+"""Self-contained HTML pages: readable offline, nothing fetched."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import plotly.graph_objects as go
+import plotly.io as pio
+from jinja2 import Environment
+from plotly.offline import get_plotlyjs
+
+from dtwin.errors import StoreError
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta http-equiv="Content-Security-Policy"
+ content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:">
+<title>{{ title }}</title>
+<style>
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; margin: 0 auto; max-width: 1100px; padding: 1.5rem; }
+h1 { font-size: 1.7rem; margin: 0 0 .3rem; } h2 { margin-top: 2.2rem; border-top: 1px solid #ccc; padding-top: 1rem; }
+table { border-collapse: collapse; font-size: .92rem; margin: .8rem 0; display: block; overflow-x: auto; }
+th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e3e3e3; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; } th { background: #f3f5f7; }
+pre { background: #f6f7f8; padding: .8rem; overflow: auto; font-size: .82rem; max-height: 26rem; }
+.note { color: #555; } .error { color: #a30000; } .warning { color: #8a5a00; }
+.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(460px, 1fr)); gap: 1rem; }
+@media print { .pair { display: block; } h2 { break-before: auto; } }
+</style><script>{{ plotly|safe }}</script></head><body>
+<h1>{{ title }}</h1><p class="note">{{ subtitle }}</p>
+{% for section in sections %}<section><h2>{{ section.title }}</h2>
+{% for text in section.paragraphs %}<p>{{ text }}</p>{% endfor %}
+{% for kind, text in section.findings %}<p class="{{ kind }}"><strong>{{ kind }}</strong>: {{ text }}</p>{% endfor %}
+{% for table in section.tables %}<table><thead><tr>{% for cell in table.head %}<th scope="col">{{ cell }}</th>{% endfor %}</tr></thead>
+<tbody>{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endfor %}
+{% if section.figures %}<div class="pair">{% for figure in section.figures %}<div>{{ figure|safe }}</div>{% endfor %}</div>{% endif %}
+{% for text in section.code %}<pre>{{ text }}</pre>{% endfor %}
+</section>{% endfor %}
+</body></html>
+"""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a page; cells are text already.
+
+    Attributes
+    ----------
+    head : sequence of str
+        Column titles.
+    rows : sequence of sequence of str
+        Cells.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page.
+
+    Attributes
+    ----------
+    title : str
+        Heading.
+    paragraphs : sequence of str
+        Plain text.
+    findings : sequence of (severity, text)
+        Shown in the colour of their severity.
+    tables : sequence of Table
+    figures : sequence of plotly Figure
+    code : sequence of str
+        Shown as they are.
+    """
+
+    title: str
+    paragraphs: Sequence[str] = ()
+    findings: Sequence[tuple[str, str]] = ()
+    tables: Sequence[Table] = ()
+    figures: Sequence[go.Figure] = ()
+    code: Sequence[str] = field(default_factory=tuple)
+
+
+def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
+    """Return one HTML page that holds everything it shows.
+
+    Parameters
+    ----------
+    title, subtitle : str
+        Heading and the line below it.
+    sections : sequence of Section
+        Content. All text is escaped: names from files cannot become markup.
+    """
+    rendered = [
+        {
+            "title": s.title,
+            "paragraphs": s.paragraphs,
+            "findings": s.findings,
+            "tables": s.tables,
+            "figures": [_figure_html(figure) for figure in s.figures],
+            "code": s.code,
+        }
+        for s in sections
+    ]
+    template = Environment(autoescape=True).from_string(_PAGE)
+    return template.render(title=title, subtitle=subtitle, sections=rendered, plotly=get_plotlyjs())
+
+
+def write_page(path: Path, content: str) -> Path:
+    """Write a page in one step and return its path.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be written.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(content, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        raise StoreError(
+            "the report cannot be written", code="store.write", where=str(path), got=str(error)
+        ) from error
+    return path
+
+
+def _figure_html(figure: go.Figure) -> str:
+    return str(
+        pio.to_html(
+            figure,
+            full_html=False,
+            include_plotlyjs=False,
+            config={"displaylogo": False, "responsive": True},
+        )
+    )

@@ -1,0 +1,259 @@
+"""Figures for reports, the registry and the browser; the same functions serve all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from dtwin.schema import Floats
+
+# Okabe and Ito: told apart by every kind of colour vision.
+COLOURS = {
+    "measured": "#0072B2",
+    "second": "#D55E00",
+    "third": "#009E73",
+    "fourth": "#CC79A7",
+    "floor": "#999999",
+}
+_PALETTE = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"]
+
+
+def polar_figure(
+    traces: Mapping[str, tuple[Floats, Floats]],
+    radius_mm: float,
+    *,
+    title: str,
+    magnification: float | None = None,
+) -> go.Figure:
+    """Return a polar plot as ball-bar people draw it: error magnified about the nominal circle.
+
+    Parameters
+    ----------
+    traces : mapping of str to (angle_deg, deviation_um)
+        Curves by name, arrays of shape (n,).
+    radius_mm : float
+        Nominal radius.
+    title : str
+        Heading.
+    magnification : float, optional
+        Drawn millimetres per millimetre of error; chosen so that the largest error is a
+        quarter of the radius when left out.
+    """
+    largest = max((float(np.max(np.abs(d))) for _, d in traces.values()), default=1.0)
+    factor = magnification or _round_factor(0.25 * radius_mm * 1000.0 / max(largest, 1e-9))
+    figure = go.Figure()
+    circle = np.linspace(0.0, 360.0, 181)
+    figure.add_trace(
+        go.Scatterpolar(
+            theta=circle,
+            r=np.full(circle.size, radius_mm),
+            mode="lines",
+            name="nominal",
+            line={"color": COLOURS["floor"], "width": 1, "dash": "dot"},
+            hoverinfo="skip",
+        )
+    )
+    for colour, (name, (angle, deviation)) in zip(_PALETTE * 4, traces.items(), strict=False):
+        figure.add_trace(
+            go.Scatterpolar(
+                theta=_short(angle),
+                r=_short(radius_mm + deviation * factor / 1000.0),
+                mode="lines",
+                name=name,
+                line={"color": colour, "width": 1.5},
+                customdata=_short(deviation),
+                hovertemplate="%{theta:.1f} deg<br>%{customdata:.1f} um<extra>" + name + "</extra>",
+            )
+        )
+    figure.update_layout(
+        title=f"{title} ({factor:g} x)",
+        polar={
+            "radialaxis": {"range": [0.0, 1.45 * radius_mm], "showticklabels": False, "ticks": ""},
+            "angularaxis": {"rotation": 0, "direction": "counterclockwise"},
+        },
+    )
+    return _styled(figure)
+
+
+def error_figure(traces: Mapping[str, tuple[Floats, Floats]], *, title: str) -> go.Figure:
+    """Return error over the path angle.
+
+    Parameters
+    ----------
+    traces : mapping of str to (angle_deg, error_um)
+        Curves by name.
+    title : str
+        Heading.
+    """
+    figure = go.Figure()
+    for colour, (name, (angle, error)) in zip(_PALETTE * 4, traces.items(), strict=False):
+        figure.add_trace(
+            go.Scatter(
+                x=_short(angle),
+                y=_short(error),
+                mode="lines",
+                name=name,
+                line={"color": colour, "width": 1.5},
+            )
+        )
+    figure.update_layout(title=title, xaxis_title="path angle, deg", yaxis_title="error, um")
+    return _styled(figure)
+
+
+def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
+    """Return error before and after per condition, with the oracle and the noise floor.
+
+    Parameters
+    ----------
+    evidence : mapping
+        As ``Evidence.as_dict`` gives it.
+    """
+    conditions = evidence["conditions"]
+    names = [
+        f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}{'' if c['trained'] else ' *'}"
+        for c in conditions
+    ]
+    figure = go.Figure()
+    for name, key, colour in (
+        ("uncompensated", "before", COLOURS["measured"]),
+        ("compensated", "after", COLOURS["second"]),
+    ):
+        figure.add_trace(
+            go.Bar(
+                x=names,
+                y=[c[f"{key}_um"] for c in conditions],
+                name=name,
+                marker_color=colour,
+                error_y={"type": "data", "array": [c[f"{key}_ci_um"] for c in conditions]},
+            )
+        )
+    figure.add_trace(
+        go.Scatter(
+            x=names,
+            y=[c["oracle_um"] for c in conditions],
+            name="oracle",
+            mode="markers",
+            marker={
+                "symbol": "line-ew-open",
+                "size": 22,
+                "color": COLOURS["third"],
+                "line": {"width": 3},
+            },
+        )
+    )
+    figure.add_trace(
+        go.Scatter(
+            x=names,
+            y=[c["floor_um"] for c in conditions],
+            name="noise floor",
+            mode="lines",
+            line={"color": COLOURS["floor"], "dash": "dash"},
+        )
+    )
+    figure.update_layout(
+        title="Set-up-corrected radial error, RMS; bars: 95 % over runs; *: feed never trained",
+        yaxis_title="um",
+        barmode="group",
+    )
+    return _styled(figure)
+
+
+def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
+    """Return held-out error against latency, one point per candidate.
+
+    Parameters
+    ----------
+    candidates : sequence of mapping
+        With ``name``, ``rms_um``, ``p50_us`` (may be None) and ``promotable``.
+    floor_um : float
+        Noise floor.
+    """
+    figure = go.Figure()
+    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
+        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
+        figure.add_trace(
+            go.Scatter(
+                x=[c["p50_us"] for c in chosen],
+                y=[c["rms_um"] for c in chosen],
+                text=[c["name"] for c in chosen],
+                mode="markers+text",
+                textposition="top center",
+                name="expression, promotable" if promotable else "comparison only",
+                marker={
+                    "size": 12,
+                    "color": colour,
+                    "symbol": "circle" if promotable else "square",
+                },
+            )
+        )
+    figure.add_hline(
+        y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
+    )
+    figure.update_layout(
+        title="Error on feeds left out against the time of one row",
+        xaxis={"title": "median time of one row, us", "type": "log"},
+        yaxis={"title": "held-out RMS, um", "rangemode": "tozero"},
+    )
+    return _styled(figure)
+
+
+def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
+    """Return held-out error over the size of the equation.
+
+    Parameters
+    ----------
+    front : sequence of mapping
+        With ``terms``, ``held_out_rms_um`` and ``radius_out_rms_um``.
+    floor_um : float
+        Noise floor.
+    """
+    figure = go.Figure()
+    terms = [point["terms"] for point in front]
+    for name, key, colour in (
+        ("feeds left out", "held_out_rms_um", COLOURS["measured"]),
+        ("radii left out", "radius_out_rms_um", COLOURS["second"]),
+    ):
+        figure.add_trace(
+            go.Scatter(
+                x=terms,
+                y=[point[key] for point in front],
+                mode="lines+markers",
+                name=name,
+                line={"color": colour},
+            )
+        )
+    figure.add_hline(
+        y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
+    )
+    figure.update_layout(
+        title="Accuracy and complexity of the physics library",
+        xaxis_title="terms",
+        yaxis={"title": "RMS, um", "rangemode": "tozero"},
+    )
+    return _styled(figure)
+
+
+def _styled(figure: go.Figure) -> go.Figure:
+    figure.update_layout(
+        template="plotly_white",
+        height=460,
+        margin={"l": 60, "r": 30, "t": 60, "b": 60},
+        font={"family": "system-ui, sans-serif", "size": 13},
+        legend={"orientation": "h", "y": -0.18},
+    )
+    return figure
+
+
+def _short(values: Floats) -> list[float]:
+    """Thin a long curve and round it: a report is looked at, not computed with."""
+    step = max(1, len(values) // 1500)
+    return [round(float(v), 4) for v in np.asarray(values)[::step]]
+
+
+def _round_factor(value: float) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above a value."""
+    power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
+    return float(max(m * power for m in (1.0, 2.0, 5.0) if m * power <= value * (1 + 1e-9)))

@@ -1,0 +1,192 @@
+"""Checks that a model must pass before it may move anything."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
+from dtwin.schema import PLANES
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.direction import Direction
+from dtwin.serve.proof import prove
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.safety import Guard
+from dtwin.train.dataset import TICK_HZ
+
+LATENCY_BUDGET_US = 100.0
+MIN_R2 = 0.2
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one gate says.
+
+    Attributes
+    ----------
+    gate : str
+        Name of the gate.
+    passed : bool
+        The verdict.
+    reason : str
+        With the numbers.
+    """
+
+    gate: str
+    passed: bool
+    reason: str
+
+
+def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+    """Judge a bundle by everything that needs no motion.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The model.
+    metrics : mapping of str to float
+        What training logged: held-out scores, latency.
+    """
+    return [
+        _held_out(metrics),
+        _no_slice_worse(metrics),
+        _sign_and_frame(bundle),
+        _bounded(bundle),
+        _contract(bundle),
+        _latency(metrics),
+    ]
+
+
+def evidence_gate(evidence: Mapping[str, Any], bundle: Bundle, *, real: bool) -> list[Verdict]:
+    """Judge closed-loop evidence.
+
+    Parameters
+    ----------
+    evidence : mapping
+        As ``Evidence.as_dict`` gives it.
+    bundle : Bundle
+        The bundle that it must belong to.
+    real : bool
+        Whether the machine is real, which virtual evidence cannot speak for.
+    """
+    conditions = evidence["conditions"]
+    worse = [c for c in conditions if c["worse"]]
+    better = [
+        c
+        for c in conditions
+        if c["before_um"] - c["after_um"] > np.hypot(c["before_ci_um"], c["after_ci_um"])
+    ]
+    same = evidence["bundle_sha256"] == bundle.sha256
+    kind_fits = evidence["kind"] == "real" or not real
+    return [
+        Verdict("evidence belongs to this bundle", same, evidence["bundle_sha256"][:12]),
+        Verdict("evidence is of this kind of machine", kind_fits, f"{evidence['kind']} evidence"),
+        Verdict(
+            "no condition worse",
+            not worse,
+            "none beyond its 95 % interval" if not worse else ", ".join(map(_named, worse)),
+        ),
+        Verdict(
+            "error falls",
+            len(better) > len(conditions) / 2,
+            f"{len(better)} of {len(conditions)} conditions better beyond their 95 % intervals",
+        ),
+    ]
+
+
+def _named(condition: Mapping[str, Any]) -> str:
+    return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"
+
+
+def _held_out(metrics: Mapping[str, float]) -> Verdict:
+    found = {
+        group: metrics.get(f"leave_{group}_out.r2", float("nan"))
+        for group in ("feed_mm_min", "radius_mm")
+    }
+    told = ", ".join(f"{group} out: R2 {r2:.3f}" for group, r2 in found.items())
+    passed = all(np.isnan(r2) or r2 >= MIN_R2 for r2 in found.values())
+    passed = passed and found["feed_mm_min"] >= MIN_R2
+    return Verdict("held-out conditions", passed, f"{told}; at least {MIN_R2}")
+
+
+def _no_slice_worse(metrics: Mapping[str, float]) -> Verdict:
+    ratio = metrics.get("leave_feed_mm_min_out.worst_slice_ratio", float("inf"))
+    return Verdict(
+        "no slice worse than no correction",
+        ratio < 1.0,
+        f"worst held-out condition keeps {100 * ratio:.0f} % of its error",
+    )
+
+
+def _sign_and_frame(bundle: Bundle) -> Verdict:
+    """A positive predicted radial error must be answered inwards, in every plane."""
+    direction = Direction(bundle.outputs)
+    outward_sign = -1.0 if bundle.outputs[0].role == "error" else 1.0
+    worst = 1.0
+    for plane_id in range(len(PLANES)):
+        for angle in np.linspace(0.1, 6.2, 9):
+            vector = direction.apply(np.ones(len(bundle.outputs)), float(angle), float(plane_id))
+            outward = np.zeros(3)
+            outward[plane_id % 3], outward[(plane_id + 1) % 3] = np.cos(angle), np.sin(angle)
+            length = max(float(np.linalg.norm(vector)), 1e-12)
+            worst = min(worst, outward_sign * float(vector @ outward) / length)
+    radial = all(output.frame == "path_radial" for output in bundle.outputs)
+    passed = not radial or worst > 1.0 - 1e-9
+    return Verdict("sign and frame", passed, f"cosine to the inward radius {worst:.6f}")
+
+
+def _bounded(bundle: Bundle) -> Verdict:
+    """Whatever comes in, what goes out stays inside the clamp."""
+    rng = np.random.default_rng(7)
+    low = np.array([i.low for i in bundle.inputs if i.source != "feature"])
+    high = np.array([i.high for i in bundle.inputs if i.source != "feature"])
+    compiled = CompiledBundle(bundle)
+    guard = Guard(bundle.safety, low, high)
+    largest = raw = 0.0
+    for scale in (1.0, 3.0, 1e6):
+        for _ in range(300):
+            middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
+            inputs = middle + half * rng.uniform(-1.0, 1.0, low.size)
+            value = float(compiled.tick(inputs)[0])
+            safe = guard.step(np.array([value, 0.0, 0.0]), inputs, age_s=0.0, elapsed_s=0.002)
+            length = float(np.linalg.norm(safe))
+            if not np.isfinite(length):
+                return Verdict("bounded output", False, "not finite after the guard")
+            largest = max(largest, length)
+            raw = max(raw, abs(value)) if scale == 1.0 else raw
+    passed = largest <= bundle.safety.clamp_um * (1 + 1e-9)
+    return Verdict(
+        "bounded output",
+        passed,
+        f"up to {raw:.0f} um inside the box, {largest:.0f} um after a clamp of "
+        f"{bundle.safety.clamp_um:.0f} um whatever comes in",
+    )
+
+
+def _contract(bundle: Bundle) -> Verdict:
+    problems = [
+        i.name
+        for i in bundle.inputs
+        if i.source == "path" and (PATH_INPUT_UNITS.get(i.name) != i.unit or i.rate_hz != TICK_HZ)
+    ]
+    problems += [i.name for i in bundle.inputs if i.source == "path" and i.name not in PATH_INPUTS]
+    try:
+        prove(bundle)
+    except Exception as error:  # whatever it is, it is the reason
+        return Verdict("train and serve agree", False, f"test vectors: {error}")
+    return Verdict(
+        "train and serve agree",
+        not problems,
+        ", ".join(problems)
+        or f"{len(bundle.inputs)} inputs at {TICK_HZ:g} Hz, test vectors proved",
+    )
+
+
+def _latency(metrics: Mapping[str, float]) -> Verdict:
+    p99 = metrics.get("latency_p99_us", float("inf"))
+    return Verdict(
+        "latency", p99 <= LATENCY_BUDGET_US, f"p99 {p99:.2f} us of {LATENCY_BUDGET_US:g}"
+    )

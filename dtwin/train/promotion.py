@@ -1,0 +1,260 @@
+"""From a registered version to the bundle that is served, and back."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import save_bundle
+from dtwin.serve.pointer import machine_folder, write_machine, write_pointer
+from dtwin.train.gates import Verdict, evidence_gate, offline_gates
+from dtwin.train.registry import RegisteredVersion, Registry
+
+HISTORY = "promotions.jsonl"
+Action = Literal["trial", "champion", "refused", "rollback"]
+
+
+def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
+    """Return a version's bundle and the verdicts of the offline gates.
+
+    Parameters
+    ----------
+    registry : Registry
+        Where the version is.
+    found : RegisteredVersion
+        The version.
+    """
+    bundle = Bundle.from_dict(registry.bundle(found))
+    if bundle.machine != found.machine:
+        raise GateRefusal(
+            "the bundle is for another machine",
+            code="promote.machine",
+            got=bundle.machine,
+            allowed=found.machine,
+        )
+    verdicts = offline_gates(bundle, registry.metrics(found))
+    barred = found.tags.get("state") == "barred"
+    verdicts.append(Verdict("not barred", not barred, found.tags.get("state", "candidate")))
+    return bundle, verdicts
+
+
+def promote(
+    registry: Registry,
+    home: Home,
+    found: RegisteredVersion,
+    *,
+    geometry: Mapping[str, Any],
+    evidence: Mapping[str, Any] | None,
+    comment: str = "",
+) -> Path:
+    """Make a version the champion of its machine, or refuse with the reasons.
+
+    Parameters
+    ----------
+    registry : Registry
+        Where the version is.
+    home : Home
+        Where bundles live.
+    found : RegisteredVersion
+        The version.
+    geometry : mapping
+        The machine's geometry, for the serving host.
+    evidence : mapping or None
+        Closed-loop evidence; without it nothing becomes champion.
+    comment : str
+        Why; kept in the history.
+
+    Returns
+    -------
+    Path
+        The served bundle.
+
+    Raises
+    ------
+    GateRefusal
+        When a gate says no.
+    """
+    bundle, verdicts = check_version(registry, found)
+    if evidence is None:
+        verdicts.append(Verdict("closed-loop evidence", False, "none: measure it on trial first"))
+    else:
+        real = not bool(geometry.get("virtual", False))
+        verdicts += evidence_gate(evidence, bundle, real=real)
+    _record_verdicts(registry, found, verdicts)
+    if not all(v.passed for v in verdicts):
+        _remember(home, found, "refused", comment, verdicts)
+        raise _refusal(found, verdicts)
+    kind = str(evidence["kind"]) if evidence else "none"
+    path = _freeze(home, found, bundle, verdicts, kind)
+    previous = _champion(registry, found.machine)
+    write_machine(found.machine, home, dict(geometry))
+    write_pointer(found.machine, home, path, int(found.version), "champion")
+    if previous is not None and previous.version != found.version:
+        registry.mark(previous, {"state": "previous"}, alias="previous")
+    registry.mark(found, {"state": "champion", "evidence": kind}, alias="champion")
+    _remember(home, found, "champion", comment, verdicts)
+    return path
+
+
+def trial(
+    registry: Registry,
+    home: Home,
+    found: RegisteredVersion,
+    *,
+    geometry: Mapping[str, Any],
+    comment: str = "",
+) -> Path:
+    """Put a version on trial: served only with ``--trial``, under a tight clamp.
+
+    Parameters
+    ----------
+    registry, home, found, geometry, comment
+        As in :func:`promote`.
+
+    Raises
+    ------
+    GateRefusal
+        When an offline gate says no.
+    """
+    bundle, verdicts = check_version(registry, found)
+    _record_verdicts(registry, found, verdicts)
+    if not all(v.passed for v in verdicts):
+        _remember(home, found, "refused", comment, verdicts)
+        raise _refusal(found, verdicts)
+    path = _freeze(home, found, bundle, verdicts, "none")
+    write_machine(found.machine, home, dict(geometry))
+    write_pointer(found.machine, home, path, int(found.version), "trial")
+    registry.mark(found, {"state": "trial"})
+    _remember(home, found, "trial", comment, verdicts)
+    return path
+
+
+def rollback(registry: Registry, home: Home, machine: str, comment: str = "") -> RegisteredVersion:
+    """Restore the previous champion and bar the present one.
+
+    Parameters
+    ----------
+    registry, home
+        As in :func:`promote`.
+    machine : str
+        The machine.
+    comment : str
+        Why; kept in the history.
+
+    Raises
+    ------
+    InputError
+        When there is no previous champion.
+    """
+    present = _champion(registry, machine)
+    try:
+        previous = registry.version(machine, "previous")
+    except InputError as error:
+        raise InputError(
+            "there is no previous champion to go back to",
+            code="rollback.none",
+            where=f"machine {machine}",
+            hint="dtwin models shows the history",
+        ) from error
+    path = _bundle_path(home, previous)
+    if not path.is_file():
+        raise StoreError(
+            "the previous bundle is gone",
+            code="rollback.bundle",
+            where=str(path),
+            hint="promote that version again",
+        )
+    write_pointer(machine, home, path, int(previous.version), "champion")
+    registry.mark(previous, {"state": "champion"}, alias="champion")
+    if present is not None and present.version != previous.version:
+        registry.mark(present, {"state": "barred"})
+        _remember(home, present, "rollback", comment, [])
+    return registry.version(machine, previous.version)
+
+
+def history(home: Home, machine: str) -> list[dict[str, Any]]:
+    """Return everything that was promoted, refused or rolled back, oldest first."""
+    path = machine_folder(machine, home) / HISTORY
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]
+
+
+def verdict_lines(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return verdicts as lines of text."""
+    return [f"{'pass' if v.passed else 'FAIL'}  {v.gate}: {v.reason}" for v in verdicts]
+
+
+def _champion(registry: Registry, machine: str) -> RegisteredVersion | None:
+    try:
+        return registry.version(machine, "champion")
+    except InputError:
+        return None
+
+
+def _bundle_path(home: Home, found: RegisteredVersion) -> Path:
+    return machine_folder(found.machine, home) / f"v{int(found.version):04d}.json"
+
+
+def _freeze(
+    home: Home, found: RegisteredVersion, bundle: Bundle, verdicts: Sequence[Verdict], kind: str
+) -> Path:
+    provenance = dataclasses.replace(
+        bundle.provenance,
+        mlflow_version=found.version,
+        evidence=kind,
+        gates={v.gate: v.passed for v in verdicts},
+    )
+    frozen = dataclasses.replace(bundle, model_version=int(found.version), provenance=provenance)
+    path = _bundle_path(home, found)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return save_bundle(frozen, path)
+
+
+def _record_verdicts(
+    registry: Registry, found: RegisteredVersion, verdicts: Sequence[Verdict]
+) -> None:
+    passed = all(v.passed for v in verdicts)
+    registry.mark(found, {"gates": "passed" if passed else "refused"})
+    registry.attach(found, {"gates.txt": "\n".join(verdict_lines(verdicts)) + "\n"})
+
+
+def _refusal(found: RegisteredVersion, verdicts: Sequence[Verdict]) -> GateRefusal:
+    failed = [f"{v.gate}: {v.reason}" for v in verdicts if not v.passed]
+    return GateRefusal(
+        f"version {found.version} of {found.machine} is not promoted",
+        code="promote.refused",
+        got="; ".join(failed),
+        hint="the reasons are in the registry too; a better candidate comes from dtwin train",
+    )
+
+
+def _remember(
+    home: Home, found: RegisteredVersion, action: Action, comment: str, verdicts: Sequence[Verdict]
+) -> None:
+    path = machine_folder(found.machine, home) / HISTORY
+    entry = {
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "version": found.version,
+        "action": action,
+        "comment": comment,
+        "failed": [v.gate for v in verdicts if not v.passed],
+    }
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("a", encoding="utf-8") as handle:
+            handle.write(json.dumps(entry) + "\n")
+    except OSError as error:
+        raise StoreError(
+            "the promotion history cannot be written",
+            code="store.write",
+            where=str(path),
+            got=str(error),
+        ) from error

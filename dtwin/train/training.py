@@ -1,0 +1,134 @@
+"""One training: from a campaign in the lake to candidates, compared and registered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from dtwin.errors import InputError
+from dtwin.store import Lake
+from dtwin.train.candidates import RECIPES, Recipe, baselines, train_recipe
+from dtwin.train.dataset import load_ticks
+from dtwin.train.inputs import generic_inputs
+from dtwin.train.physics_candidate import physics_candidate
+from dtwin.train.physics_fit import PhysicsFit, fit_physics
+from dtwin.train.results import Candidate, TrainingReport
+from dtwin.train.rows import gather, noise_floor_um, thinned
+from dtwin.train.symbolic import Engine, OperonEngine
+from dtwin.train.symbolic_candidate import symbolic_candidate
+
+Progress = Callable[[str, int, int, str], None]
+# Comparison models look at fewer rows than the physics library, to be ready in seconds.
+_COMPARED_EVERY = 6
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training and what later steps need of it.
+
+    Attributes
+    ----------
+    report : TrainingReport
+        Candidates and data.
+    fit : PhysicsFit
+        The fitted physics library, for plots.
+    geometry : dict
+        The machine's geometry.
+    """
+
+    report: TrainingReport
+    fit: PhysicsFit
+    geometry: Mapping[str, Any]
+
+
+def train_campaign(
+    lake: Lake,
+    name: str,
+    *,
+    seed: int = 1,
+    engine: Engine | None = None,
+    recipes: Sequence[Recipe] = RECIPES,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> Training:
+    """Train every candidate on a campaign.
+
+    Runs with a data-quality error are left out. The versions of the tables are recorded, so
+    that the same rows can be read again.
+
+    Parameters
+    ----------
+    lake : Lake
+        Where the campaign is.
+    name : str
+        Campaign.
+    seed : int
+        Seed of everything random.
+    engine : Engine, optional
+        Free symbolic search; Operon by default.
+    recipes : sequence of Recipe
+        Comparison models.
+    workers : int
+        Comparison models fitted side by side.
+    progress : callable, optional
+        Called with (stage, done, total, what).
+
+    Raises
+    ------
+    InputError
+        When the campaign is unknown, or too few usable runs remain.
+    """
+    tell = progress or (lambda *_: None)
+    campaign = lake.campaign(name)
+    rows_ = [r for r in lake.runs(name) if r["n_errors"] == 0 and r["status"] == "complete"]
+    if len({r["feed_mm_min"] for r in rows_}) < 2:
+        raise InputError(
+            "a model cannot be judged on one feed",
+            code="train.grid",
+            where=f"campaign {name}",
+            got=f"{len(rows_)} usable runs",
+            hint="measure at least two feeds; dtwin plan --check says what a plan cannot tell",
+        )
+    versions = dict(lake.versions())
+    geometry = campaign.machine_geometry
+    horizon_s = float(geometry.get("correction_delay_s", 0.0))
+    runs = load_ticks(lake, campaign, rows_, lambda d, n, w: tell("align runs", d, n, w))
+    fit = fit_physics(gather(runs), lambda d, n, w: tell("search joint orders", d, n, w))
+    found = [physics_candidate(fit, campaign.machine, horizon_s=horizon_s, table_versions=versions)]
+    compared = thinned(fit.rows, _COMPARED_EVERY)
+    found += baselines(compared)
+    found.append(
+        symbolic_candidate(
+            compared, engine or OperonEngine(), campaign.machine, seed=seed, table_versions=versions
+        )
+    )
+    inputs = generic_inputs(compared)
+    usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
+    with ThreadPoolExecutor(workers) as pool:
+        jobs = [pool.submit(train_recipe, compared, inputs, recipe, seed) for recipe in usable]
+        for done, (job, recipe) in enumerate(zip(jobs, usable, strict=True), start=1):
+            found.append(job.result())
+            tell("comparison models", done, len(usable), recipe.name)
+    found.sort(key=lambda c: c.scores["feed_mm_min"].rms_um)
+    floor, _ = noise_floor_um(fit.rows)
+    report = TrainingReport(
+        machine=campaign.machine,
+        campaign=name,
+        table_versions=versions,
+        noise_floor_um=floor,
+        rms_before_um=fit.rows.rms_um(fit.rows.target_um),
+        n_runs=len(runs),
+        n_rows=fit.rows.n,
+        candidates=tuple(found),
+        proposed=_proposed(found),
+        seed=seed,
+    )
+    return Training(report, fit, geometry)
+
+
+def _proposed(candidates: Sequence[Candidate]) -> str:
+    """Return the promotable candidate with the smallest held-out error."""
+    promotable = [c for c in candidates if c.promotable]
+    return min(promotable, key=lambda c: c.scores["feed_mm_min"].rms_um).name
