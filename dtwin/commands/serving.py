@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands.output import emit
-from dtwin.errors import EXIT_DONE, DtwinError, InputError
+from dtwin.errors import EXIT_DONE, EXIT_INTERRUPTED, DtwinError, InputError
 from dtwin.report.text import table
 
 if TYPE_CHECKING:
@@ -59,6 +59,8 @@ def serve(
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
     if served.status.fault is not None:
         _announce(DtwinError(**served.status.fault).render())
+    if served.exit_code == EXIT_INTERRUPTED:
+        _announce("interrupted before the time was over; run the same command again to continue")
     if served.exit_code != EXIT_DONE:
         raise typer.Exit(served.exit_code)
 

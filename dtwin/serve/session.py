@@ -6,7 +6,8 @@ import contextlib
 import dataclasses
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -21,12 +22,13 @@ from dtwin.errors import (
     GateRefusal,
     InputError,
 )
+from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
 from dtwin.links.ur import UrLink
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.controller_kind import is_virtual
-from dtwin.serve.decision import Decision
+from dtwin.serve.decision import Decision, SensorSource
 from dtwin.serve.lease import lease
 from dtwin.serve.loop import Mode, ServeStatus, ServingLoop
 from dtwin.serve.pointer import Resolved, read_machine, resolve
@@ -40,6 +42,7 @@ _FIRST_STATE_S = 5.0
 _RATE_HZ = 500.0
 
 Announce = Callable[[str], None]
+OpenSensors = Callable[[WindowContract], AbstractContextManager[SensorSource]]
 
 
 @dataclass(frozen=True)
@@ -156,7 +159,9 @@ class Served:
         }
 
 
-def serve(request: ServeRequest, home: Home, announce: Announce) -> Served:
+def serve(
+    request: ServeRequest, home: Home, announce: Announce, open_sensors: OpenSensors | None = None
+) -> Served:
     """Serve a model to a robot until the time is up, a stop is asked for, or something fails.
 
     Call it in the main thread of a process that runs nothing else.
@@ -169,6 +174,8 @@ def serve(request: ServeRequest, home: Home, announce: Announce) -> Served:
         Where pointers, locks and logs lie.
     announce : callable
         Receives lines for the user while it goes on.
+    open_sensors : callable, optional
+        Opens what delivers the windows of a contract; called when the model needs windows.
 
     Returns
     -------
@@ -190,7 +197,7 @@ def serve(request: ServeRequest, home: Home, announce: Announce) -> Served:
     announce(f"{request.model} is {resolved.describe()}")
     started = datetime.now(UTC)
     try:
-        served = _serve_resolved(request, resolved, home, announce)
+        served = _serve_resolved(request, resolved, home, announce, open_sensors)
     except DtwinError as error:
         record = {"ended": error.code, "fault": error.as_dict(), "host": request.host}
         model = {"version": resolved.version, "state": resolved.state}
@@ -201,19 +208,23 @@ def serve(request: ServeRequest, home: Home, announce: Announce) -> Served:
 
 
 def _serve_resolved(
-    request: ServeRequest, resolved: Resolved, home: Home, announce: Announce
-) -> Served:
+    request: ServeRequest, resolved: Resolved, home: Home, announce: Announce,
+    open_sensors: OpenSensors | None,
+) -> Served:  # fmt: skip
     compiled = load_bundle(resolved.path, resolved.machine)
     trial = request.trial or resolved.state == "trial"
     if trial:
         compiled = with_trial_clamp(compiled)
         limit_um = compiled.bundle.safety.clamp_um
         announce(f"trial: the correction is limited to {limit_um:g} um, a quarter of its clamp")
-    decision = Decision(compiled, read_machine(resolved.machine, home).tcp, request.covariates)
-    with (
-        _held(request, resolved.machine, home),
-        UrLink(request.host, _RATE_HZ, realtime=request.priority > 0) as link,
-    ):
+    tcp_mm = read_machine(resolved.machine, home).tcp
+    with contextlib.ExitStack() as held:
+        if request.mode != "shadow":
+            held.enter_context(lease(request.host, resolved.machine, home))
+        window = compiled.bundle.window
+        sensors = held.enter_context(open_sensors(window)) if open_sensors and window else None
+        decision = Decision(compiled, tcp_mm, request.covariates, sensors)
+        link = held.enter_context(UrLink(request.host, _RATE_HZ, realtime=request.priority > 0))
         device = "virtual" if is_virtual(request.host) else "real"
         require_evidence(compiled.bundle, device, mode=request.mode, trial=trial)
         time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
@@ -223,16 +234,6 @@ def _serve_resolved(
             request, resolved, device, trial, compiled.bundle.safety.clamp_um, status,
             link.realtime,
         )  # fmt: skip
-
-
-@contextlib.contextmanager
-def _held(request: ServeRequest, machine: str, home: Home) -> Iterator[None]:
-    """Hold the lease, except in shadow, which writes nothing to the robot."""
-    if request.mode == "shadow":
-        yield
-        return
-    with lease(request.host, machine, home):
-        yield
 
 
 def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
@@ -305,7 +306,9 @@ def _run(request: ServeRequest, decision: Decision, link: UrLink) -> ServeStatus
         raise DeviceError(
             "the robot sends no states", code="ur.silent", where=f"robot at {request.host}"
         )
-    first = int(newest[layout.APPLIED_SEQUENCE]) % layout.SEQUENCE_LIMIT + 1
+    # What the robot latched last would not count as a change.
+    latched = 0 if request.mode == "shadow" else int(newest[layout.APPLIED_SEQUENCE])
+    first = latched % layout.SEQUENCE_LIMIT + 1
     loop = ServingLoop(
         decision, link, period_s=1.0 / _RATE_HZ, mode=request.mode, first_sequence=first
     )

@@ -1,0 +1,441 @@
+"""``dtwin serve`` as a user runs it, with the real ur-rtde client, against the virtual robot."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+from virtual_robot import RTDE_PORT, VirtualRobot, free_address, virtual_robot
+
+from dtwin.commands import serving
+from dtwin.config import Home
+from dtwin.config import home as dtwin_home
+from dtwin.errors import DtwinError, GateRefusal
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import create_bundle, save_bundle
+from dtwin.serve.controller_kind import is_virtual
+from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
+from dtwin.serve.pointer import machine_folder, write_machine, write_pointer
+from dtwin.serve.session import require_evidence
+
+pytestmark = pytest.mark.system
+
+MACHINE = "cobot-a"
+# The maintainer's cli may or may not know the command yet; its error handler is the real one.
+_ENTRY = """
+from dtwin.cli import app, main
+from dtwin.commands import serving
+known = {c.name or c.callback.__name__ for c in app.registered_commands}
+if "serve" not in known:
+    serving.register(app)
+main()
+"""
+
+
+def bundle(**changes: Any) -> Bundle:
+    """First harmonic of the path angle; lenient about the timing of a busy test host."""
+    g = GraphBuilder()
+    angle = g.input("path_angle_rad")
+    arguments: dict[str, Any] = {
+        "name": "first-harmonic",
+        "machine": MACHINE,
+        "model_version": 3,
+        "inputs": [Input("path_angle_rad", "rad", "path", 500.0, "path", -50.0, 50.0)],
+        "outputs": [Output("radial_error_um", "path_radial")],
+        "tick_graph": g.graph({"radial_error_um": 24.0 + 0.0 * g.apply("sin", angle)}),
+        "safety": SafetyLimits(clamp_um=40.0, slew_um_s=2000.0, stale_s=0.3, trips_to_latch=9),
+        "provenance": Provenance(evidence="virtual"),
+    }
+    return create_bundle(**(arguments | changes))
+
+
+def promote(home: Home, state: str = "champion", **changes: Any) -> Path:
+    made = bundle(**changes)
+    path = machine_folder(MACHINE, home) / f"v{made.model_version}.json"
+    save_bundle(made, path)
+    write_pointer(MACHINE, home, path, made.model_version, state)  # type: ignore[arg-type]
+    write_machine(MACHINE, home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
+    return path
+
+
+@pytest.fixture
+def home() -> Home:
+    return dtwin_home()
+
+
+@pytest.fixture(scope="module")
+def robot() -> Iterator[VirtualRobot]:
+    with virtual_robot("--feed-mm-min=3000") as running:
+        yield running
+
+
+@pytest.fixture
+def own_robot() -> Iterator[VirtualRobot]:
+    with virtual_robot("--feed-mm-min=3000") as running:
+        yield running
+
+
+class Server:
+    """One ``dtwin serve`` process."""
+
+    def __init__(self, *options: str) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", _ENTRY, "serve", "--priority=0", *options],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+        self.said = ""
+
+    def wait_for(self, words: str, timeout_s: float = 60.0) -> None:
+        assert self.process.stderr is not None
+        until = time.monotonic() + timeout_s
+        while words not in self.said:
+            ready, _, _ = select.select([self.process.stderr], [], [], until - time.monotonic())
+            assert ready, f"never said {words!r}: {self.said}"
+            received = os.read(self.process.stderr.fileno(), 65536).decode()
+            assert received, f"ended without {words!r}: {self.said}"
+            self.said += received
+
+    def interrupt(self) -> None:
+        self.process.send_signal(signal.SIGINT)
+
+    def end(self) -> tuple[int, str, str]:
+        out, err = self.process.communicate(timeout=90)
+        return self.process.returncode, out, self.said + err
+
+
+def served(*options: str) -> tuple[int, dict[str, Any], str]:
+    server = Server("--json", *options)
+    code, out, err = server.end()
+    assert "Traceback" not in err
+    return code, json.loads(out), err
+
+
+def applied_um(robot: VirtualRobot) -> float:
+    return float(max(abs(x) for x in robot.do("status")["applied_um"]))
+
+
+def wait_until_corrected(robot: VirtualRobot) -> None:
+    until = time.monotonic() + 60
+    while applied_um(robot) < 15.0:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def wait_until_released(robot: VirtualRobot) -> None:
+    until = time.monotonic() + 10
+    while applied_um(robot) > 0.5:
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def logged(home: Home) -> list[dict[str, Any]]:
+    lines = (home.logs / f"serve-{MACHINE}.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def test_serves_for_the_time_that_was_asked_for(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    code, status, err = served(f"--host={robot.host}", "--duration=2")
+    assert code == 0
+    assert (status["ended"], status["released"], status["fault"]) == ("duration", True, None)
+    assert (status["machine"], status["device"], status["mode"]) == (MACHINE, "virtual", "live")
+    assert status["model"]["version"] == 3
+    assert status["largest_um"] == pytest.approx(24.0)
+    assert status["timing"]["ticks"] > 100
+    assert status["reasons"]["ok"] > 50
+    assert "latest is cobot-a: version 3 (champion)" in err
+    wait_until_released(robot)
+    (line,) = logged(home)
+    assert (line["model"]["version"], line["ended"]) == (3, "duration")
+    assert line["timing"]["ticks"] == status["timing"]["ticks"]
+
+
+def test_text_for_people_names_what_matters(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    code, out, err = Server(f"--host={robot.host}", "--duration=1").end()
+    assert code == 0, err
+    for words in ("virtual controller", "equation", "guard", "state to correction", "real-time",
+                  "jitter", "##", "priority not asked for", "garbage collection used"):  # fmt: skip
+        assert words in out
+    assert "sensor window age" not in out
+
+
+@pytest.mark.parametrize(("options", "expected"), [((), 0), (("--duration=300",), 130)])
+def test_interrupt_releases(
+    robot: VirtualRobot, home: Home, options: tuple[str, ...], expected: int
+) -> None:
+    promote(home)
+    server = Server("--json", f"--host={robot.host}", *options)
+    wait_until_corrected(robot)
+    server.interrupt()
+    code, out, _ = server.end()
+    status = json.loads(out)
+    assert (code, status["ended"], status["released"]) == (expected, "stopped", True)
+    wait_until_released(robot)
+
+
+def test_killed_server_is_released_by_the_robot(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    server = Server(f"--host={robot.host}")
+    wait_until_corrected(robot)
+    server.process.kill()
+    server.end()
+    wait_until_released(robot)
+    assert served(f"--host={robot.host}", "--duration=1")[0] == 0
+
+
+def test_absent_controller(home: Home) -> None:
+    promote(home)
+    address = free_address()
+    code, answer, _ = served(f"--host={address}", "--duration=1")
+    assert (code, answer["error"]["code"]) == (4, "ur.absent")
+    assert address in answer["error"]["where"]
+    assert logged(home)[0]["ended"] == "ur.absent"
+
+
+def test_dropped_link(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    server = Server(f"--host={robot.host}")
+    wait_until_corrected(robot)
+    robot.do("drop")
+    code, out, err = server.end()
+    assert code == 4
+    assert "error[ur." in err
+    assert "Traceback" not in err
+    assert "ended: ur." in out
+    wait_until_released(robot)
+
+
+def test_stall_of_a_second_is_released_and_survived(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    server = Server("--json", f"--host={robot.host}")
+    wait_until_corrected(robot)
+    robot.do("stall", seconds=1.0)
+    wait_until_released(robot)
+    wait_until_corrected(robot)
+    server.interrupt()
+    code, out, _ = server.end()
+    status = json.loads(out)
+    assert (code, status["released"]) == (0, True)
+    assert status["reasons"]["stale"] > 0
+    assert status["timing"]["timeouts"] > 0
+
+
+def test_speed_slider_does_not_end_the_serving(own_robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    server = Server("--json", f"--host={own_robot.host}")
+    wait_until_corrected(own_robot)
+    own_robot.do("speed", factor=0.5)
+    before = own_robot.do("status")["ticks"]
+    while own_robot.do("status")["ticks"] < before + 250:
+        time.sleep(0.02)
+    assert applied_um(own_robot) > 15.0
+    server.interrupt()
+    code, out, _ = server.end()
+    assert (code, json.loads(out)["released"]) == (0, True)
+
+
+def test_protective_stop_ends_the_serving(own_robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    server = Server("--json", f"--host={own_robot.host}")
+    wait_until_corrected(own_robot)
+    own_robot.do("protective_stop")
+    code, out, err = server.end()
+    status = json.loads(out)
+    assert (code, status["ended"], status["released"]) == (4, "safety_stop", True)
+    assert "error[serve.safety_stop]" in err
+    wait_until_released(own_robot)
+
+
+def test_repeated_faults_latch_and_end_the_serving(own_robot: VirtualRobot, home: Home) -> None:
+    safety = SafetyLimits(clamp_um=40.0, slew_um_s=2000.0, stale_s=0.3, trips_to_latch=1)
+    promote(home, safety=safety)
+    server = Server("--json", f"--host={own_robot.host}")
+    wait_until_corrected(own_robot)
+    own_robot.do("stall", seconds=0.8)
+    code, out, _ = server.end()
+    status = json.loads(out)
+    assert (code, status["ended"]) == (4, "latched")
+    assert status["fault"]["code"] == "serve.latched"
+    wait_until_released(own_robot)
+
+
+@pytest.mark.parametrize("how", ["bundle", "pointer"])
+def test_tampered_bundle(robot: VirtualRobot, home: Home, how: str) -> None:
+    path = promote(home)
+    plain = path.read_text().replace("24.0", "39.0")
+    assert plain != path.read_text()
+    path.write_text(plain)
+    if how == "pointer":
+        write_pointer(MACHINE, home, path, 3, "champion")
+    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    assert (code, answer["error"]["code"]) == (
+        (3, "pointer.checksum") if how == "bundle" else (1, "bundle.checksum")
+    )
+
+
+def test_bundle_of_another_machine(robot: VirtualRobot, home: Home) -> None:
+    promote(home, machine="cobot-b")
+    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    assert (code, answer["error"]["code"]) == (3, "bundle.machine")
+
+
+@pytest.mark.parametrize("state", ["barred", "candidate"])
+def test_version_that_did_not_pass(robot: VirtualRobot, home: Home, state: str) -> None:
+    promote(home, state)
+    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    assert (code, answer["error"]["code"], answer["error"]["got"]) == (3, "serve.not_passed", state)
+    code, status, _ = served(f"--host={robot.host}", "--duration=0.5", "--shadow")
+    assert (code, status["last_sequence"], status["model"]["state"]) == (0, 0, state)
+
+
+def test_file_is_served_harmlessly_only(robot: VirtualRobot, home: Home, tmp_path: Path) -> None:
+    promote(home)
+    path = save_bundle(bundle(model_version=8), tmp_path / "draft.json")
+    options = (f"--model={path}", f"--host={robot.host}", "--duration=1")
+    code, answer, _ = served(*options)
+    assert (code, answer["error"]["got"]) == (3, "unpromoted")
+    code, status, _ = served(*options, "--dry-run")
+    assert (code, status["mode"], status["model"]["state"]) == (0, "dry-run", "unpromoted")
+    assert status["last_sequence"] > 50
+    assert status["largest_um"] == pytest.approx(24.0)
+
+
+def test_trial_has_a_tight_clamp(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    promote(home, "trial", model_version=4)
+    for model, options, version in (("trial", (), 4), ("latest", ("--trial",), 3)):
+        code, status, err = served(
+            f"--model={model}", f"--host={robot.host}", "--duration=1", *options
+        )
+        assert (code, status["model"]["version"], status["trial"]) == (0, version, True)
+        assert status["clamp_um"] == 10.0
+        assert status["largest_um"] == pytest.approx(10.0)
+        assert status["reasons"]["clamped"] > 20
+        assert "limited to 10 um" in err
+
+
+def test_two_servers_at_once(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    first = Server("--json", f"--host={robot.host}")
+    wait_until_corrected(robot)
+    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    assert (code, answer["error"]["code"]) == (4, "serve.lease")
+    assert str(first.process.pid) in answer["error"]["got"]
+    code, status, _ = served(f"--host={robot.host}", "--duration=0.5", "--shadow")
+    assert (code, status["last_sequence"]) == (0, 0)
+    assert applied_um(robot) > 15.0
+    first.interrupt()
+    assert first.end()[0] == 0
+
+
+def test_log_that_cannot_be_written_does_not_stop_the_serving(
+    robot: VirtualRobot, home: Home
+) -> None:
+    promote(home)
+    home.logs.write_text("a file where the folder should be")
+    code, status, err = served(f"--host={robot.host}", "--duration=1")
+    assert (code, status["released"]) == (0, True)
+    assert status["log"].startswith("not written")
+    assert "not written" in err
+
+
+def test_lease_that_cannot_be_taken_stops_it(robot: VirtualRobot, home: Home) -> None:
+    promote(home)
+    (home.root / "locks").write_text("a file where the folder should be")
+    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    assert (code, answer["error"]["code"]) == (1, "serve.lease_file")
+
+
+def test_unknown_machine_and_unknown_tool(robot: VirtualRobot, home: Home) -> None:
+    code, answer, _ = served(f"--host={robot.host}")
+    assert (code, answer["error"]["code"]) == (1, "serve.machine")
+    promote(home)
+    (machine_folder(MACHINE, home) / "machine.json").unlink()
+    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    assert (code, answer["error"]["code"]) == (1, "serve.geometry")
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        (("--shadow", "--dry-run"), "serve.mode"),
+        (("--duration=0",), "serve.duration"),
+        (("--duration=nan",), "serve.duration"),
+        (("--priority=100",), "serve.priority"),
+        (("--covariate=warm",), "serve.covariate"),
+        (("--model=newest",), "serve.model"),
+    ],
+)
+def test_unusable_options(options: tuple[str, ...], error: str) -> None:
+    app = typer.Typer()
+    serving.register(app)
+    result = CliRunner().invoke(app, list(options))
+    assert isinstance(result.exception, DtwinError)
+    assert (result.exception.code, result.exception.exit_code) == (error, 1)
+
+
+class Impostor:
+    """A relay at a loopback address whose answers are those of a real controller."""
+
+    def __init__(self, answer: bytes) -> None:
+        self.host, self._answer = free_address(), answer
+        self._listener = socket.create_server((self.host, RTDE_PORT))
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        connection, _ = self._listener.accept()
+        with connection:
+            for reply in (b"\x00\x04\x56\x01", b"\x00\x08\x4dhello", self._answer):
+                connection.recv(4096)
+                connection.sendall(reply)
+                if reply[2] == 0x4D:
+                    connection.sendall(self._answer)
+                    return
+
+    def close(self) -> None:
+        self._listener.close()
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [b"\x00\x0d\x4f\x00NOT_FOUND", b"\x00\x04\x4f\x01", b"\x00\x01\x4f", b"\x00\x02", b""],
+)
+def test_whatever_does_not_prove_virtual_is_real(answer: bytes) -> None:
+    impostor = Impostor(answer)
+    assert not is_virtual(impostor.host, timeout_s=1.0)
+    impostor.close()
+
+
+def test_only_the_virtual_controller_is_virtual(robot: VirtualRobot) -> None:
+    assert is_virtual(robot.host)
+    assert not is_virtual(free_address())
+    assert not is_virtual("192.0.2.1", timeout_s=0.1)
+
+
+@pytest.mark.parametrize("evidence", ["none", "virtual"])
+def test_real_device_wants_real_evidence(evidence: str) -> None:
+    made = bundle(provenance=Provenance(evidence=evidence))
+    with pytest.raises(GateRefusal, match="real machine") as refused:
+        require_evidence(made, "real", mode="live", trial=False)
+    assert refused.value.exit_code == 3
+    require_evidence(made, "real", mode="live", trial=True)
+    require_evidence(made, "real", mode="shadow", trial=False)
+    require_evidence(made, "virtual", mode="live", trial=False)
+    real = dataclasses.replace(made, provenance=Provenance(evidence="real"))
+    require_evidence(real, "real", mode="live", trial=False)
