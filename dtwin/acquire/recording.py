@@ -55,7 +55,7 @@ class Recorder:
     Raises
     ------
     InputError
-        When a column has no unit or no numeric type.
+        When a column has no unit, or is neither float nor signed integer.
     StoreError
         When the stream exists already or cannot be created.
     """
@@ -110,7 +110,7 @@ class Recorder:
         return self.n_samples
 
     def gap(self, n_lost: int, reason: str) -> None:
-        """Record that samples were lost; they stay empty for ever.
+        """Record that samples were lost; nothing is ever put in their place.
 
         Parameters
         ----------
@@ -208,10 +208,10 @@ class Recorder:
             ) from error
 
     def _check_columns(self) -> None:
-        odd = [name for name, kind in self._types.items() if kind.kind not in "fiu"]
+        odd = [name for name, kind in self._types.items() if kind.kind not in "fi"]
         if odd or not self._types:
             raise InputError(
-                "a recording needs numeric columns",
+                "a recording needs columns of floats or signed integers",
                 code="recording.columns",
                 where=str(self.path),
                 got=", ".join(odd)[:200] or "no column",

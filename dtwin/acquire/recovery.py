@@ -47,7 +47,7 @@ class Recovered:
     Attributes
     ----------
     group : SignalGroup
-        All complete blocks; lost samples are NaN.
+        All complete blocks; lost samples are NaN, and -1 in columns of whole numbers.
     gaps : tuple of Gap
         Where samples were lost.
     blocks : int
@@ -127,8 +127,8 @@ def recover(path: Path) -> Recovered:
 def seal(path: Path, target: Path) -> Sealed:
     """Turn a closed or broken-off recording into a signal file, then remove the stream.
 
-    The signal file appears whole or not at all; lost samples are null in it, and its header
-    tells the gaps and whether the recording is complete.
+    The signal file appears whole or not at all; lost samples are null in it, or -1 in columns
+    of whole numbers, and its header tells the gaps and whether the recording is complete.
 
     Parameters
     ----------
@@ -294,8 +294,15 @@ def _blocks(stream: pa.ipc.RecordBatchStreamReader) -> Iterator[tuple[pa.RecordB
 
 
 def _nothing(schema: pa.Schema, n: int) -> pa.RecordBatch:
+    """Return lost samples: null, and -1 in whole numbers, whose type must stay what it is."""
     bare = pa.schema([pa.field(field.name, field.type) for field in schema])
-    return pa.RecordBatch.from_arrays([pa.nulls(n, field.type) for field in schema], schema=bare)
+    columns = [
+        pa.repeat(pa.scalar(-1, field.type), n)
+        if pa.types.is_integer(field.type)
+        else pa.nulls(n, field.type)
+        for field in schema
+    ]
+    return pa.RecordBatch.from_arrays(columns, schema=bare)
 
 
 def _unit(name: str) -> dict[str, str] | None:

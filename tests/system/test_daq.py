@@ -46,9 +46,7 @@ def daq() -> Iterator[VirtualDaq]:
 def task(
     daq: VirtualDaq, rate_hz: float = RATE_HZ, channels: tuple[AccelerometerChannel, ...] = CHANNELS
 ) -> AccelerometerTask:
-    return AccelerometerTask(
-        channels, rate_hz, block_s=0.05, grpc_target=daq.target, timeout_s=1.0
-    )
+    return AccelerometerTask(channels, rate_hz, block_s=0.05, grpc_target=daq.target, timeout_s=1.0)
 
 
 def true_g(channel: AccelerometerChannel, first: int, n: int, rate_hz: float) -> np.ndarray:
@@ -196,9 +194,7 @@ def test_swapped_channels_are_refused(daq: VirtualDaq) -> None:
     ("physical", "code"),
     [("cDAQ9Mod1/ai0", "daq.device_absent"), ("cDAQ1Mod1/ai7", "daq.channel_absent")],
 )
-def test_absent_modules_and_inputs_are_named(
-    shared: VirtualDaq, physical: str, code: str
-) -> None:
+def test_absent_modules_and_inputs_are_named(shared: VirtualDaq, physical: str, code: str) -> None:
     wrong = task(shared, channels=(AccelerometerChannel("wrist_x_g", physical),))
     with pytest.raises(DeviceError) as caught:
         wrong.open()

@@ -136,7 +136,9 @@ def test_lost_samples_stay_empty_and_keep_the_clock(tmp_path: Path) -> None:
     values = group.columns["wrist_x_g"]
     assert np.flatnonzero(np.isnan(values)).tolist() == list(range(256, 356))
     assert values[356] == np.float32(np.sin(3.56))
-    assert pq.read_table(target).column("count").null_count == 100
+    assert pq.read_table(target).column("wrist_x_g").null_count == 100
+    assert group.columns["count"].dtype == np.int32
+    assert np.flatnonzero(group.columns["count"] < 0).tolist() == list(range(256, 356))
     assert signal_findings(sealed.path)[0].numbers["lost"] == 100
 
 
@@ -238,6 +240,13 @@ def test_a_block_that_does_not_fit_is_refused(
         assert caught.value.code == code
         writing.append(block(0))
     assert recover(tmp_path / "r1.arrows").blocks == 1
+
+
+@pytest.mark.parametrize("kind", [np.bool_, np.uint16, np.complex64, "U4"])
+def test_only_floats_and_signed_integers_are_recorded(tmp_path: Path, kind: object) -> None:
+    with pytest.raises(InputError) as caught:
+        Recorder(tmp_path / "a.arrows", "daq", 100.0, {"wrist_g": kind})  # type: ignore[dict-item]
+    assert caught.value.code == "recording.columns"
 
 
 def test_columns_without_unit_and_absurd_gaps_are_refused(tmp_path: Path) -> None:
