@@ -9,6 +9,8 @@ import sys
 import typer
 
 from dtwin.commands import data as data_commands
+from dtwin.commands import demo as demo_command
+from dtwin.commands import serving as serving_commands
 from dtwin.config import quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError
 
@@ -19,7 +21,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+demo_command.register(app)
 data_commands.register(app)
+serving_commands.register(app)
 
 
 def main() -> None:

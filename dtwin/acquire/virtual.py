@@ -13,6 +13,8 @@ from dtwin.plan import PlannedTest
 from dtwin.schema import Direction, Plane, Run, RunMeta, SignalGroup
 
 _SINGLE = ("_g", "_rad_s", "_mm_s", "_um")
+# A correction arrives one controller period after the state that it answers.
+TRANSPORT_S = 0.002
 EPOCH = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
 
 
@@ -33,7 +35,8 @@ class VirtualCobotBench:
 
     def describe(self) -> Mapping[str, Mapping[str, Any]]:
         """Return geometry and instrument for the campaign file."""
-        motion = self.cobot.parameters.motion
+        motion, controller = self.cobot.parameters.motion, self.cobot.parameters.controller
+        delay_s = controller.actuator_delay_s + controller.actuator_lag_s + TRANSPORT_S
         return {
             "machine_geometry": {
                 "type": "ur10e",
@@ -49,6 +52,7 @@ class VirtualCobotBench:
                     motion.centre_z_mm,
                 ],
                 "large_radius_from_mm": motion.large_radius_from_mm,
+                "correction_delay_s": delay_s,
                 "virtual": True,
             },
             "instrument": {"model": "virtual ballbar", "sample_rate_hz": 200.0},

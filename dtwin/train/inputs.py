@@ -16,7 +16,7 @@ from dtwin.train.rows import Rows
 
 WINDOW_FEATURES = ("rms", "peak_amplitude", "mean_frequency", "band_power")
 BAND_HZ = (4.0, 40.0)
-_WINDOW_SAMPLES, _HOP = 512, 83
+WINDOW_SAMPLES, HOP = 512, 83
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,8 @@ def contract_of(rows: Rows) -> WindowContract | None:
         return None
     return WindowContract(
         rate_hz=first.rate_hz,
-        n_samples=_WINDOW_SAMPLES,
-        hop=_HOP,
+        n_samples=WINDOW_SAMPLES,
+        hop=HOP,
         channels=tuple(name for name in first.columns if name.endswith("_g")),
         features=WINDOW_FEATURES,
         band_hz=BAND_HZ,

@@ -215,26 +215,37 @@ class Registry:
         return sorted(n.removeprefix("dtwin-") for n in names if n.startswith("dtwin-"))
 
     def bundle(self, found: RegisteredVersion) -> dict[str, Any]:
-        """Return the bundle of a version, as data.
+        """Return the bundle of a version, as data."""
+        loaded: dict[str, Any] = self.read_json(found, f"{BUNDLE_FOLDER}/bundle.json")
+        return loaded
+
+    def read_json(self, found: RegisteredVersion, name: str) -> Any:
+        """Return a JSON artifact of the run behind a version.
 
         Raises
         ------
+        InputError
+            When there is no such artifact.
         StoreError
-            When the artifact is gone or is not JSON.
+            When it cannot be read as JSON.
         """
+        where = f"machine {found.machine} version {found.version} {name}"
         try:
             with tempfile.TemporaryDirectory() as folder:
-                path = self.client.download_artifacts(
-                    found.run_id, f"{BUNDLE_FOLDER}/bundle.json", folder
-                )
-                loaded: dict[str, Any] = json.loads(Path(path).read_text(encoding="utf-8"))
-                return loaded
-        except (MlflowException, OSError, ValueError) as error:
+                path = Path(self.client.download_artifacts(found.run_id, name, folder))
+                content = path.read_text(encoding="utf-8")
+        except (MlflowException, OSError) as error:
+            raise InputError(
+                "the registry holds no such file",
+                code="model.artifact",
+                where=where,
+                got=str(error)[:160],
+            ) from error
+        try:
+            return json.loads(content)
+        except ValueError as error:
             raise StoreError(
-                "the bundle of the version cannot be read",
-                code="model.bundle",
-                where=f"machine {found.machine} version {found.version}",
-                got=str(error)[:200],
+                "a file in the registry is damaged", code="model.artifact", where=where
             ) from error
 
     def metrics(self, found: RegisteredVersion) -> dict[str, float]:

@@ -1,0 +1,52 @@
+"""The main job in one command."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Annotated
+
+import typer
+
+from dtwin.commands.output import ProgressLine, emit
+from dtwin.errors import InputError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(demo)
+
+
+def demo(
+    which: Annotated[str, typer.Argument(help="Which demo: cobot.")] = "cobot",
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A small campaign, for a first look.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+) -> None:
+    """From a real recording and 81 tests to an equation served to a robot."""
+    if which != "cobot":
+        raise InputError("no such demo", code="demo.unknown", got=which[:40], allowed="cobot")
+    from dtwin.config import home
+    from dtwin.pipeline.demo import full_size, quick_size, run_demo
+
+    result = run_demo(
+        home(), _Terminal(quiet=as_json), quick_size() if quick else full_size(), seed=seed
+    )
+    emit(result, lambda: "", as_json=as_json)
+
+
+class _Terminal:
+    """Prints results as they come; with ``--json`` only the end is printed."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self.quiet = quiet
+
+    def say(self, text: str) -> None:
+        """Show a finished result."""
+        if not self.quiet:
+            print(text, flush=True)
+
+    def progress(self, title: str) -> Callable[[int, int, str], None]:
+        """Return a progress line for a piece of work."""
+        return ProgressLine(title, quiet=self.quiet)

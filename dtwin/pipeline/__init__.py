@@ -1,0 +1,1 @@
+"""The steps of the main job, as plain functions: for commands, flows, tests and laptops."""

@@ -1,0 +1,341 @@
+"""The main job: from a real recording and an 81-test campaign to a served equation."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from dtwin.config import Home, sample_recording
+from dtwin.pipeline.measuring import compute_features, ingest, simulate
+from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
+from dtwin.pipeline.virtual_robot import virtual_controller
+from dtwin.plan import Plan, training_plan
+from dtwin.report.campaign import (
+    comparison_table,
+    evidence_section,
+    evidence_table,
+    recording_section,
+    training_section,
+)
+from dtwin.report.checking import check_source, render_check
+from dtwin.report.html import Section, Table, page, write_page
+from dtwin.report.text import table
+from dtwin.serve.session import Served, ServeRequest
+from dtwin.serve.session import serve as serve_session
+from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
+from dtwin.train.gates import Verdict
+from dtwin.train.promotion import verdict_lines
+
+SERVE_S = 20.0
+
+
+class Screen(Protocol):
+    """Where the demo shows what it does."""
+
+    def say(self, text: str) -> None:
+        """Show a finished result."""
+        ...
+
+    def progress(self, title: str) -> Callable[[int, int, str], None]:
+        """Return a progress callback for a piece of work."""
+        ...
+
+
+@dataclass(frozen=True)
+class DemoSize:
+    """How much is measured.
+
+    Attributes
+    ----------
+    plan : Plan
+        Training campaign.
+    evidence : EvidencePlan
+        Circles with and without correction.
+    serve_s : float
+        Time on the wall clock.
+    """
+
+    plan: Plan
+    evidence: EvidencePlan
+    serve_s: float
+
+
+def full_size() -> DemoSize:
+    """Return the demo of the README: 81 tests, 162 runs, twelve conditions."""
+    return DemoSize(training_plan(), DEFAULT_PLAN, SERVE_S)
+
+
+def quick_size() -> DemoSize:
+    """Return a demo for tests: one plane, two radii, two feeds."""
+    plan = training_plan(
+        radii_mm=(100.0, 150.0),
+        feeds_mm_min=(4000.0, 6000.0),
+        planes=("YZ",),
+        repeats=2,
+        name="training-quick",
+    )
+    evidence = EvidencePlan((("YZ", 150.0, 5000.0), ("YZ", 100.0, 6000.0)), 2, (4000.0, 6000.0))
+    return DemoSize(plan, evidence, 3.0)
+
+
+def run_demo(home: Home, screen: Screen, size: DemoSize, *, seed: int = 0) -> dict[str, Any]:
+    """Run the five steps and return what they found.
+
+    Parameters
+    ----------
+    home : Home
+        Where everything is kept.
+    screen : Screen
+        Shows progress and results.
+    size : DemoSize
+        How much is measured.
+    seed : int
+        Seed of the virtual machine.
+
+    Returns
+    -------
+    dict
+        JSON-ready: recording, campaign, comparison, gates, serving, evidence, champion, report,
+        seconds by step.
+    """
+    clock = _Clock(screen)
+    sections: list[Section] = []
+    with clock.step("1 of 5  a real recording: what it says, and what is wrong with it"):
+        recording = _recording(home, screen, sections)
+    with clock.step(f"2 of 5  {len(size.plan.tests)} tests on the virtual cobot, machine clock"):
+        campaign = _measure(home, screen, size, seed)
+    with clock.step("3 of 5  features, candidates, comparison"):
+        registered = _train(home, screen, size, sections)
+    with clock.step("4 of 5  gates, trial, serving, evidence"):
+        outcome = _correct(home, screen, size, seed, registered, sections)
+    with clock.step("5 of 5  report"):
+        title = "dtwin: from a recording to a served correction"
+        path = write_page(
+            home.reports / "demo.html",
+            page(title, f"machine {size.plan.machine}", sections),
+        )
+        screen.say(f"report: {path}")
+    screen.say(_final(outcome, clock.seconds))
+    return {
+        "recording": recording,
+        "campaign": campaign,
+        "comparison": _comparison(registered),
+        "report": str(path),
+        "seconds": clock.seconds,
+        **outcome,
+    }
+
+
+def _recording(home: Home, screen: Screen, sections: list[Section]) -> dict[str, Any]:
+    path = sample_recording()
+    report = ingest(path, home)
+    result = check_source(path)
+    screen.say(render_check(result))
+    screen.say(
+        f"in the lake as campaign {report.campaign}: {len(report.added)} runs added, "
+        f"{len(report.unchanged)} were there"
+    )
+    sections.append(recording_section(path, result))
+    return result
+
+
+def _measure(home: Home, screen: Screen, size: DemoSize, seed: int) -> dict[str, Any]:
+    folder = home.campaigns / size.plan.name
+    done = simulate(size.plan, folder, seed=seed, progress=screen.progress("measure"))
+    report = ingest(folder, home, screen.progress("ingest"))
+    codes = sorted({finding.code for _, finding in report.findings})
+    screen.say(
+        f"{done.measured} tests measured, {done.kept} kept from before, "
+        f"{done.raw_bytes / 1e6:.0f} MB; {len(report.added)} runs added to the lake, "
+        f"{len(report.unchanged)} unchanged; findings: {', '.join(codes) or 'none'}"
+    )
+    return {
+        "folder": str(done.folder),
+        "tests": len(size.plan.tests),
+        "runs": size.plan.n_runs,
+        "raw_bytes": done.raw_bytes,
+        "added": len(report.added),
+        "findings": codes,
+    }
+
+
+def _train(home: Home, screen: Screen, size: DemoSize, sections: list[Section]) -> Any:
+    features = compute_features(home, size.plan.name, screen.progress("features"))
+    screen.say(
+        f"{features.windows} windows of {features.runs} runs, table version "
+        f"{features.version}; {features.not_finite} not finite, {features.constant} constant"
+    )
+    lines: dict[str, Callable[[int, int, str], None]] = {}
+
+    def tell(stage: str, done: int, total: int, what: str) -> None:
+        lines.setdefault(stage, screen.progress(stage))(done, total, what)
+
+    registered = train(home, size.plan.name, progress=tell)
+    report = registered.training.report
+    head, rows = comparison_table(report.candidates)
+    screen.say(table(head, rows))
+    screen.say(
+        f"error without a model {report.rms_before_um:.1f} um RMS, noise floor "
+        f"{report.noise_floor_um:.1f} um (unit of replication: the run)\n"
+        f"proposed: {report.proposed}, registered as version {registered.version.version}"
+    )
+    sections.append(training_section(report))
+    return registered
+
+
+def _correct(
+    home: Home, screen: Screen, size: DemoSize, seed: int, registered: Any,
+    sections: list[Section],
+) -> dict[str, Any]:  # fmt: skip
+    version, geometry = registered.version, registered.training.geometry
+    screen.say("\n".join(verdict_lines(registered.verdicts)))
+    if not all(v.passed for v in registered.verdicts):
+        return _stopped(registered.verdicts, "an offline gate said no")
+    put_on_trial(home, version, "demo")
+    screen.say(f"version {version.version} is on trial (a quarter of its clamp)")
+    served = serve_wall_clock(home, version.machine, size, seed)
+    serving = served.as_dict()
+    screen.say(_serving_text(served))
+    evidence = measure_evidence(
+        home,
+        version,
+        geometry,
+        seed=seed,
+        plan=size.evidence,
+        progress=screen.progress("circles"),
+    )
+    found = evidence.as_dict()
+    screen.say(table(*evidence_table(found)))
+    path, reason = make_champion(home, version, found, "demo")
+    screen.say(
+        f"champion: version {version.version}, {path}" if path else f"not promoted\n{reason}"
+    )
+    sections += [_serving_section(served), evidence_section(found, evidence.profiles)]
+    return {
+        "gates": [vars(v) for v in registered.verdicts],
+        "serving": serving,
+        "evidence": found,
+        "champion": version.version if path else None,
+        "refused": reason,
+    }
+
+
+def serve_wall_clock(home: Home, machine: str, size: DemoSize, seed: int) -> Served:
+    """Serve the trial to the virtual controller over real RTDE, on the wall clock.
+
+    Parameters
+    ----------
+    home : Home
+        Bundles.
+    machine : str
+        The machine.
+    size : DemoSize
+        For how long, and on which circle.
+    seed : int
+        Seed of the machine.
+    """
+    plane, radius, feed = size.evidence.conditions[0]
+    log = home.logs / "virtual-controller.log"
+    with virtual_controller(
+        plane=plane, radius_mm=radius, feed_mm_min=feed, seed=seed, log=log
+    ) as host:
+        request = ServeRequest("trial", machine, host, size.serve_s, trial=True)
+        return serve_session(request, home, lambda _: None)
+
+
+def _stopped(verdicts: list[Verdict], reason: str) -> dict[str, Any]:
+    return {
+        "gates": [vars(v) for v in verdicts],
+        "serving": None,
+        "evidence": None,
+        "champion": None,
+        "refused": reason,
+    }
+
+
+def _serving_numbers(served: Served) -> list[list[str]]:
+    timing = served.status.timing
+    rows = [["ended", served.status.ended], ["corrections sent", str(served.status.last_sequence)]]
+    rows += [["correction released", "yes" if served.status.released else "no"]]
+    for name, value in timing.items():
+        if isinstance(value, Mapping) and "p50" in value:
+            shown = ", ".join(f"{k} {v:.4g}" for k, v in value.items() if isinstance(v, float))
+            rows.append([name, shown])
+        elif isinstance(value, int | float):
+            rows.append([name, f"{value:.4g}"])
+    rows += [[f"real time: {k}", v] for k, v in served.status.realtime.items()]
+    return rows
+
+
+def _serving_text(served: Served) -> str:
+    head = f"served over RTDE on the wall clock for {served.request.duration_s:g} s (trial)"
+    return head + "\n" + table(("what", "value"), _serving_numbers(served))
+
+
+def _serving_section(served: Served) -> Section:
+    return Section(
+        "Serving on the wall clock",
+        [
+            "The real ur-rtde client against the virtual controller over RTDE on loopback: timing "
+            "figures come from here, error figures from the machine clock below."
+        ],
+        [],
+        [Table(("what", "value"), _serving_numbers(served))],
+    )
+
+
+def _comparison(registered: Any) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": c.name,
+            "promotable": c.promotable,
+            "complexity": c.complexity,
+            "scores": {k: s.as_dict() for k, s in c.scores.items()},
+            "p50_us": c.latency.p50_us if c.latency else None,
+            "p99_us": c.latency.p99_us if c.latency else None,
+        }
+        for c in registered.training.report.candidates
+    ]
+
+
+def _final(outcome: Mapping[str, Any], seconds: Mapping[str, float]) -> str:
+    lines = []
+    evidence = outcome["evidence"]
+    if evidence:
+        lines.append(
+            f"share of the oracle's reduction: "
+            f"{100 * evidence['share_of_oracle_unseen_feeds']:.0f} % on feeds never trained, "
+            f"{100 * evidence['share_of_oracle_trained_feeds']:.0f} % on trained ones"
+        )
+    lines.append(f"champion: {outcome['champion'] or 'none'}; {sum(seconds.values()):.0f} s in all")
+    lines.append("look further: dtwin models, dtwin runs, dtwin up (MLflow and Prefect pages)")
+    return "\n".join(lines)
+
+
+class _Clock:
+    """Announces steps and remembers how long they took."""
+
+    def __init__(self, screen: Screen) -> None:
+        self.screen = screen
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def step(self, title: str) -> Iterator[None]:
+        self.screen.say(f"\n== {title}")
+        begun = time.monotonic()
+        yield
+        self.seconds[title.split("  ")[0]] = round(time.monotonic() - begun, 1)
+
+
+def folder_of(home: Home, plan: Plan) -> Path:
+    """Return the campaign folder that the demo measures into."""
+    return home.campaigns / plan.name
+
+
+def renamed(size: DemoSize, name: str) -> DemoSize:
+    """Return the same demo with a campaign of another name."""
+    return replace(size, plan=replace(size.plan, name=name))

@@ -1,0 +1,253 @@
+"""Train, register, judge, promote."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError
+from dtwin.report.campaign import (
+    comparison_table,
+    evidence_section,
+    evidence_table,
+    training_section,
+)
+from dtwin.report.html import page
+from dtwin.serve.bundle import Bundle
+from dtwin.store import Lake
+from dtwin.train.evidence import DEFAULT_PLAN, Evidence, EvidencePlan, virtual_evidence
+from dtwin.train.gates import Verdict
+from dtwin.train.promotion import check_version, promote, trial, verdict_lines
+from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.symbolic import Engine
+from dtwin.train.training import Training, train_campaign
+
+EVIDENCE_FILE = "evidence.json"
+StageProgress = Callable[[str, int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A training that is in the registry.
+
+    Attributes
+    ----------
+    training : Training
+        Candidates and data.
+    version : RegisteredVersion
+        The proposed candidate.
+    verdicts : list of Verdict
+        Offline gates on it.
+    """
+
+    training: Training
+    version: RegisteredVersion
+    verdicts: list[Verdict]
+
+
+def train(
+    home: Home,
+    campaign: str,
+    *,
+    seed: int = 1,
+    engine: Engine | None = None,
+    progress: StageProgress | None = None,
+) -> Registered:
+    """Train every candidate on a campaign, log them, register the proposed one.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    campaign : str
+        Campaign in the lake.
+    seed : int
+        Seed of everything random.
+    engine : Engine, optional
+        Free symbolic search.
+    progress : callable, optional
+        Called with (stage, done, total, what).
+    """
+    training = train_campaign(
+        Lake(home.lake), campaign, seed=seed, engine=engine, progress=progress
+    )
+    report = training.report
+    if progress is not None:
+        progress("log and register", 0, 1, "")
+    registry = Registry(home)
+    title = f"Training on {campaign}"
+    overview = page(title, report.machine, [training_section(report)])
+    ids = registry.log_training(report, {"comparison.html": overview})
+    proposed = report.candidate(report.proposed)
+    version = registry.register(report, ids[proposed.name], proposed, "")
+    registry.attach(version, {"geometry.json": json.dumps(dict(training.geometry), default=str)})
+    _, verdicts = check_version(registry, version)
+    registry.mark(version, {}, description=_description(training, verdicts))
+    if progress is not None:
+        progress("log and register", 1, 1, f"version {version.version}")
+    return Registered(training, registry.version(report.machine, version.version), verdicts)
+
+
+def measure_evidence(
+    home: Home,
+    version: RegisteredVersion,
+    geometry: Mapping[str, Any],
+    *,
+    seed: int,
+    plan: EvidencePlan = DEFAULT_PLAN,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Evidence:
+    """Measure compensated against uncompensated circles on the virtual cobot and keep them.
+
+    Parameters
+    ----------
+    home : Home
+        Registry.
+    version : RegisteredVersion
+        What to serve.
+    geometry : mapping
+        The machine's geometry; it must be a virtual one.
+    seed : int
+        Seed of the machine.
+    plan : EvidencePlan
+        Circles.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When the machine is real: its circles have to be measured on it.
+    """
+    if not geometry.get("virtual", False):
+        raise InputError(
+            "a real machine's circles have to be measured on it",
+            code="evidence.real",
+            where=f"machine {version.machine}",
+            hint="serve the trial, measure circles with and without it, and give the file to "
+            "dtwin promote --evidence",
+        )
+    registry = Registry(home)
+    bundle = Bundle.from_dict(registry.bundle(version))
+    evidence = virtual_evidence(
+        bundle,
+        seed=seed,
+        tcp_mm=np.asarray(geometry.get("tcp_mm", [0.0, 0.0, 0.0]), float),
+        plan=plan,
+        progress=progress,
+    )
+    found = evidence.as_dict()
+    section = evidence_section(found, evidence.profiles)
+    registry.attach(
+        version,
+        {
+            EVIDENCE_FILE: json.dumps(found, indent=1),
+            "evidence.html": page("Closed-loop evidence", f"version {version.version}", [section]),
+        },
+    )
+    before = registry.description(version)
+    registry.mark(version, {}, description=before + "\n\n" + _evidence_markdown(found))
+    return evidence
+
+
+def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> Path:
+    """Put a version on trial; offline gates decide.
+
+    Parameters
+    ----------
+    home : Home
+        Registry and bundles.
+    version : RegisteredVersion
+        The version.
+    comment : str
+        Why.
+    """
+    registry = Registry(home)
+    return trial(registry, home, version, geometry=geometry_of(registry, version), comment=comment)
+
+
+def make_champion(
+    home: Home,
+    version: RegisteredVersion,
+    evidence: Mapping[str, Any] | None,
+    comment: str = "",
+) -> tuple[Path | None, str]:
+    """Make a version champion, or return why not.
+
+    Parameters
+    ----------
+    home : Home
+        Registry and bundles.
+    version : RegisteredVersion
+        The version.
+    evidence : mapping or None
+        Closed-loop evidence.
+    comment : str
+        Why; kept in the history.
+
+    Returns
+    -------
+    path, reason : tuple
+        The served bundle, or None and the reasons.
+    """
+    registry = Registry(home)
+    geometry = geometry_of(registry, version)
+    try:
+        return promote(
+            registry, home, version, geometry=geometry, evidence=evidence, comment=comment
+        ), ""
+    except GateRefusal as refusal:
+        return None, refusal.render()
+
+
+def geometry_of(registry: Registry, version: RegisteredVersion) -> dict[str, Any]:
+    """Return the machine's geometry that a version was trained with."""
+    found: dict[str, Any] = registry.read_json(version, "geometry.json")
+    return found
+
+
+def evidence_of(registry: Registry, version: RegisteredVersion) -> dict[str, Any] | None:
+    """Return the closed-loop evidence that is kept with a version, None without any."""
+    try:
+        found: dict[str, Any] = registry.read_json(version, EVIDENCE_FILE)
+    except InputError:
+        return None
+    return found
+
+
+def _description(training: Training, verdicts: list[Verdict]) -> str:
+    report = training.report
+    proposed = report.candidate(report.proposed)
+    feed = proposed.scores["feed_mm_min"]
+    lines = [
+        f"**{proposed.name}** for {report.machine}, trained on `{report.campaign}` "
+        f"({report.n_runs} runs, table versions {dict(report.table_versions)}).",
+        "",
+        f"Held-out by feed: {report.rms_before_um:.1f} -> {feed.rms_um:.1f} um RMS "
+        f"(R2 {feed.r2:.3f}); noise floor {report.noise_floor_um:.1f} um.",
+        "",
+        _markdown(*comparison_table(report.candidates)),
+        "",
+        "Offline gates:",
+        "",
+        *(f"- {line}" for line in verdict_lines(verdicts)),
+    ]
+    return "\n".join(lines)
+
+
+def _evidence_markdown(evidence: Mapping[str, Any]) -> str:
+    return f"Closed-loop evidence ({evidence['kind']}, {evidence['clock']}):\n\n" + _markdown(
+        *evidence_table(evidence)
+    )
+
+
+def _markdown(head: list[str], rows: list[list[str]]) -> str:
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines)
