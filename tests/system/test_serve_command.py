@@ -36,15 +36,6 @@ from dtwin.serve.session import require_evidence
 pytestmark = pytest.mark.system
 
 MACHINE = "cobot-a"
-# The maintainer's cli may or may not know the command yet; its error handler is the real one.
-_ENTRY = """
-from dtwin.cli import app, main
-from dtwin.commands import serving
-known = {c.name or c.callback.__name__ for c in app.registered_commands}
-if "serve" not in known:
-    serving.register(app)
-main()
-"""
 
 
 def bundle(**changes: Any) -> Bundle:
@@ -95,7 +86,7 @@ class Server:
 
     def __init__(self, *options: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-c", _ENTRY, "serve", "--priority=0", *options],
+            [sys.executable, "-m", "dtwin", "serve", "--priority=0", *options],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
         self.said = ""
