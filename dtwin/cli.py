@@ -10,6 +10,7 @@ import typer
 
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
+from dtwin.commands import modelling as modelling_commands
 from dtwin.commands import serving as serving_commands
 from dtwin.config import quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError
@@ -23,6 +24,7 @@ app = typer.Typer(
 )
 demo_command.register(app)
 data_commands.register(app)
+modelling_commands.register(app)
 serving_commands.register(app)
 
 

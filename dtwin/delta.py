@@ -59,8 +59,7 @@ class DeltaFiles:
         """
         if not self.exists() or version == -1:
             return []
-        actions = pa.table(self._open(version).get_add_actions())
-        return sorted(actions.column("path").to_pylist())
+        return _live_files(self._open(version))
 
     def write(self, name: str, table: pa.Table) -> tuple[str, int, int]:
         """Write a data file without committing it.
@@ -99,7 +98,7 @@ class DeltaFiles:
         self._require_columns(schema)
         for attempt in range(_COMMIT_TRIES):
             table = self._open()
-            live = set(self.files())
+            live = set(_live_files(table))
             now_ms = int(time.time() * 1000)
             actions: list[AddAction | RemoveAction] = [
                 AddAction(name, size, {}, now_ms, True, json.dumps({"numRecords": rows}))
@@ -211,6 +210,11 @@ class DeltaFiles:
             got=str(error)[:200],
             hint="check free space and permissions; nothing was committed",
         )
+
+
+def _live_files(table: DeltaTable) -> list[str]:
+    actions = pa.table(table.get_add_actions())
+    return sorted(actions.column("path").to_pylist())
 
 
 def metadata_of(name: str) -> Mapping[str, Any]:

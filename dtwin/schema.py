@@ -61,7 +61,7 @@ def standard_plane(plane: str, direction: Direction) -> tuple[Plane, Direction]:
     """
     wanted = plane.upper()
     if wanted in PLANES:
-        return wanted, direction  # type: ignore[return-value]
+        return wanted, direction
     if wanted in _FLIPPED:
         return _FLIPPED[wanted], "CW" if direction == "CCW" else "CCW"
     raise InputError(

@@ -204,7 +204,7 @@ class Lake:
         window = None if row["window_start"] is None else (row["window_start"], row["window_end"])
         return Run(
             meta=_meta_of(row),
-            samples=_measured(samples),
+            samples=columns_of(samples),
             window=window,
             signals=tuple(self._load_group(group) for group in groups),
             source=row["source"],
@@ -319,13 +319,12 @@ class Lake:
         rows = []
         for run in runs:
             sha = hashes[run.meta.run_id]
-            keys = {"campaign": campaign.name, "run_id": run.meta.run_id, "content_sha256": sha}
             stem = f"{campaign.name}/{run.meta.run_id}-{sha[:16]}"
-            sample_file = samples.write(f"{stem}.parquet", keys, run.samples)
+            sample_file = samples.write(f"{stem}.parquet", run.samples)
             groups = [
                 {
                     "group": group.name,
-                    "file": signals.write(f"{stem}-{group.name}.parquet", keys, group.columns),
+                    "file": signals.write(f"{stem}-{group.name}.parquet", group.columns),
                     "rate_hz": group.rate_hz,
                     "start_s": group.start_s,
                 }
@@ -353,7 +352,7 @@ class Lake:
 
     def _load_group(self, group: Mapping[str, Any]) -> SignalGroup:
         table = self.tables["signals"].read([group["file"]])
-        return SignalGroup(group["group"], group["rate_hz"], _measured(table), group["start_s"])
+        return SignalGroup(group["group"], group["rate_hz"], columns_of(table), group["start_s"])
 
     @contextmanager
     def _lock(self) -> Iterator[None]:
@@ -381,9 +380,10 @@ class _Batch:
         self.written: list[tuple[str, int, int]] = []
         self.schemas: list[pa.Schema] = []
 
-    def write(self, name: str, keys: Mapping[str, str], columns: Mapping[str, NDArray[Any]]) -> str:
-        n = len(next(iter(columns.values())))
-        table = table_of({key: pa.repeat(value, n) for key, value in keys.items()} | dict(columns))
+    def write(self, name: str, columns: Mapping[str, NDArray[Any]]) -> str:
+        # A file is one run, named after campaign, run and content; repeating these in every
+        # row would double the time of an ingest.
+        table = table_of(columns)
         self.written.append(self.table.write(name, table))
         self.schemas.append(table.schema)
         return name
@@ -406,7 +406,7 @@ def content_sha256(run: Run) -> str:
             data = (
                 json.dumps(values.tolist()).encode()
                 if values.dtype == object
-                else (np.ascontiguousarray(values).tobytes())
+                else memoryview(np.ascontiguousarray(values)).cast("B")
             )
             digest.update(data)
     return digest.hexdigest()
@@ -472,8 +472,3 @@ def _meta_of(row: Mapping[str, Any]) -> RunMeta:
         covariates=json.loads(row["covariates_json"]),
         vendor=json.loads(row["vendor_json"]),
     )
-
-
-def _measured(table: pa.Table) -> dict[str, NDArray[Any]]:
-    keep = [c for c in table.column_names if c not in ("campaign", "run_id", "content_sha256")]
-    return columns_of(table.select(keep))

@@ -1,0 +1,359 @@
+"""Commands about models: simulate, features, train, models, promote, rollback, report."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import ProgressLine, emit
+from dtwin.errors import EXIT_GATE, InputError
+from dtwin.report.text import table
+
+if TYPE_CHECKING:
+    from dtwin.train.registry import Registry
+    from dtwin.train.symbolic import Engine
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    for command in (simulate, features, train, models, promote, rollback, report):
+        app.command()(command)
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
+    machine: Annotated[str, typer.Option(help="Virtual machine: cobot.")] = "cobot",
+    plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Eight tests instead.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Measure a campaign on a virtual machine. Run it again to continue."""
+    from dtwin.pipeline.demo import quick_size
+    from dtwin.pipeline.measuring import simulate as measure
+    from dtwin.plan import read_plan, training_plan
+
+    if machine != "cobot":
+        raise InputError(
+            "no such virtual machine", code="simulate.machine", got=machine[:40], allowed="cobot"
+        )
+    if plan is not None:
+        planned = read_plan(plan)
+    else:
+        planned = quick_size().plan if quick else training_plan()
+    done = measure(planned, out, seed=seed, progress=ProgressLine("measure", quiet=as_json))
+    payload = {
+        "folder": str(done.folder),
+        "measured": done.measured,
+        "kept": done.kept,
+        "raw_bytes": done.raw_bytes,
+        "campaign": planned.name,
+    }
+    emit(
+        payload,
+        lambda: (
+            f"{done.measured} tests measured, {done.kept} kept from before, in "
+            f"{done.folder}\nnext: dtwin ingest {done.folder}"
+        ),
+        as_json=as_json,
+    )
+
+
+def features(
+    campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")],
+    as_json: Json = False,
+) -> None:
+    """Compute the signal features of a campaign into the lake."""
+    from dtwin.config import home
+    from dtwin.pipeline.measuring import compute_features
+
+    found = compute_features(home(), campaign, ProgressLine("features", quiet=as_json))
+    payload = dict(vars(found)) | {"contract": found.contract.to_dict() if found.contract else None}
+    emit(
+        payload,
+        lambda: (
+            f"{campaign}: {found.windows} windows of {found.runs} runs, "
+            f"{found.not_finite} not finite, {found.constant} constant; table version {found.version}"
+        ),
+        as_json=as_json,
+    )
+
+
+def train(
+    campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")],
+    seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
+    engine: Annotated[
+        str, typer.Option(help="Free symbolic search: operon, or pysr (needs Julia).")
+    ] = "operon",
+    as_json: Json = False,
+) -> None:
+    """Train every candidate, compare on conditions left out, register the best equation."""
+    from dtwin.config import home
+    from dtwin.pipeline.modelling import train as train_and_register
+    from dtwin.report.campaign import comparison_table
+    from dtwin.train.promotion import verdict_lines
+
+    search = _engine(engine)
+    lines: dict[str, Callable[[int, int, str], None]] = {}
+
+    def tell(stage: str, done: int, total: int, what: str) -> None:
+        lines.setdefault(stage, ProgressLine(stage, quiet=as_json))(done, total, what)
+
+    found = train_and_register(home(), campaign, seed=seed, engine=search, progress=tell)
+    result = found.training.report
+    payload = {
+        "campaign": campaign,
+        "machine": result.machine,
+        "version": found.version.version,
+        "proposed": result.proposed,
+        "noise_floor_um": result.noise_floor_um,
+        "rms_before_um": result.rms_before_um,
+        "table_versions": dict(result.table_versions),
+        "candidates": [
+            {
+                "name": c.name,
+                "promotable": c.promotable,
+                "complexity": c.complexity,
+                "scores": {k: s.as_dict() for k, s in c.scores.items()},
+                "latency": vars(c.latency) if c.latency else None,
+                "findings": list(c.findings),
+            }
+            for c in result.candidates
+        ],
+        "gates": [vars(v) for v in found.verdicts],
+    }
+
+    def text() -> str:
+        head = (
+            f"{campaign}: {result.rms_before_um:.1f} um RMS without a model, noise floor "
+            f"{result.noise_floor_um:.1f} um"
+        )
+        gates = "\n".join(verdict_lines(found.verdicts))
+        return "\n".join(
+            [
+                head,
+                table(*comparison_table(result.candidates)),
+                f"registered {result.proposed} as version {found.version.version}",
+                gates,
+                f"next: dtwin promote {found.version.version} --machine {result.machine}",
+            ]
+        )
+
+    emit(payload, text, as_json=as_json)
+
+
+def models(machine: Machine = None, as_json: Json = False) -> None:
+    """List registered versions, what they are, and the history of promotions."""
+    from dtwin.config import home
+    from dtwin.train.promotion import history
+    from dtwin.train.registry import Registry
+
+    registry = Registry(home())
+    found = [
+        v for m in ([machine] if machine else registry.machines()) for v in registry.versions(m)
+    ]
+    past = {m: history(home(), m) for m in {v.machine for v in found}}
+    payload = {"versions": [dict(vars(v)) for v in found], "history": past}
+
+    def text() -> str:
+        if not found:
+            return "no model is registered yet; make one with: dtwin train CAMPAIGN"
+        rows = [
+            [
+                v.machine,
+                v.version,
+                ", ".join(v.aliases) or "-",
+                v.tags.get("state", "-"),
+                v.tags.get("gates", "-"),
+                v.tags.get("evidence", "none"),
+                v.created,
+            ]
+            for v in found
+        ]
+        lines = [
+            table(("machine", "version", "alias", "state", "gates", "evidence", "created"), rows)
+        ]
+        for name, entries in past.items():
+            lines += [
+                f"{name}  {e['time']}  version {e['version']}  {e['action']}  {e['comment']}"
+                + (f"  failed: {', '.join(e['failed'])}" if e["failed"] else "")
+                for e in entries
+            ]
+        return "\n".join(lines)
+
+    emit(payload, text, as_json=as_json)
+
+
+def promote(
+    version: Annotated[str, typer.Argument(help="Version number, or candidate.")] = "candidate",
+    machine: Machine = None,
+    trial: Annotated[bool, typer.Option("--trial", help="Only put it on trial.")] = False,
+    evidence: Annotated[
+        Path | None, typer.Option(help="Closed-loop evidence measured elsewhere (JSON).")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
+    comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Check a version and make it champion, or say why not (exit 3).
+
+    Without evidence, circles with and without correction are measured first on the virtual
+    machine that the campaign came from.
+    """
+    from dtwin.config import home
+    from dtwin.pipeline.modelling import (
+        evidence_of,
+        geometry_of,
+        make_champion,
+        measure_evidence,
+        put_on_trial,
+    )
+    from dtwin.report.campaign import evidence_table
+    from dtwin.train.registry import Registry
+
+    registry = Registry(home())
+    found = registry.version(_machine(registry, machine), version)
+    if trial:
+        path = put_on_trial(home(), found, comment)
+        emit(
+            {"version": found.version, "state": "trial", "bundle": str(path)},
+            lambda: f"version {found.version} is on trial: dtwin serve --model trial --trial",
+            as_json=as_json,
+        )
+        return
+    given = _evidence_file(evidence) if evidence is not None else evidence_of(registry, found)
+    if given is None:
+        geometry = geometry_of(registry, found)
+        given = measure_evidence(
+            home(), found, geometry, seed=seed, progress=ProgressLine("circles", quiet=as_json)
+        ).as_dict()
+    bundle, reason = make_champion(home(), found, given, comment)
+    payload = {
+        "version": found.version,
+        "champion": bundle is not None,
+        "bundle": str(bundle) if bundle else None,
+        "reason": reason,
+        "evidence": given,
+    }
+
+    def text() -> str:
+        state = f"champion: version {found.version}, {bundle}" if bundle else reason
+        return "\n".join([table(*evidence_table(given)), state])
+
+    emit(payload, text, as_json=as_json)
+    if bundle is None:
+        raise typer.Exit(EXIT_GATE)
+
+
+def rollback(
+    machine: Machine = None,
+    comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Go back to the previous champion and bar the present one."""
+    from dtwin.config import home
+    from dtwin.train.promotion import rollback as go_back
+    from dtwin.train.registry import Registry
+
+    registry = Registry(home())
+    restored = go_back(registry, home(), _machine(registry, machine), comment)
+    emit(
+        {"champion": restored.version},
+        lambda: f"champion again: version {restored.version}",
+        as_json=as_json,
+    )
+
+
+def report(
+    source: Annotated[Path, typer.Argument(help="A .b5r file.")],
+    out: Annotated[Path | None, typer.Option(help="HTML file to write.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Write one self-contained HTML page about a recording."""
+    from dtwin.config import home
+    from dtwin.report.campaign import recording_section
+    from dtwin.report.checking import check_source
+    from dtwin.report.html import page, write_page
+
+    if source.suffix.lower() != ".b5r":
+        raise InputError(
+            "only a ball-bar file can be reported on by itself",
+            code="report.source",
+            got=source.suffix or "no ending",
+            allowed=".b5r",
+        )
+    result = check_source(source)
+    section = recording_section(source, result)
+    target = out or home().reports / f"{source.stem}.html"
+    write_page(target, page(source.name, f"machine {result['machine']}", [section]))
+    emit({"report": str(target)}, lambda: str(target), as_json=as_json)
+
+
+def _machine(registry: Registry, named: str | None) -> str:
+    known = registry.machines()
+    if named is not None:
+        return named
+    if len(known) == 1:
+        return known[0]
+    raise InputError(
+        "no model is registered yet" if not known else "several machines have models",
+        code="models.machine",
+        got=", ".join(known) or None,
+        hint="dtwin train CAMPAIGN" if not known else "name one with --machine",
+    )
+
+
+def _engine(name: str) -> Engine:
+    from dtwin.errors import MissingPart
+    from dtwin.train.symbolic import OperonEngine, PySREngine
+
+    if name == "operon":
+        return OperonEngine()
+    if name == "pysr":
+        reason = PySREngine.absent()
+        if reason is not None:
+            raise MissingPart(
+                "PySR cannot be used",
+                code="pysr.absent",
+                got=reason,
+                hint="the default engine needs neither: --engine operon",
+            )
+        return PySREngine()
+    raise InputError("no such engine", code="train.engine", got=name[:40], allowed="operon, pysr")
+
+
+def _evidence_file(path: Path) -> dict[str, Any]:
+    wanted: dict[str, type | tuple[type, ...]] = {
+        "kind": str,
+        "clock": str,
+        "bundle_sha256": str,
+        "conditions": list,
+        "delays": dict,
+    }
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            "the evidence cannot be read",
+            code="evidence.file",
+            where=str(path),
+            got=str(error)[:160],
+        ) from error
+    good = isinstance(found, dict) and all(
+        isinstance(found.get(name), kind) for name, kind in wanted.items()
+    )
+    if not good or not found["conditions"]:
+        raise InputError(
+            "not closed-loop evidence",
+            code="evidence.file",
+            where=str(path),
+            allowed=", ".join(wanted),
+        )
+    return dict(found)
