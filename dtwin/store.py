@@ -21,6 +21,7 @@ from dtwin.errors import InputError, StoreError
 from dtwin.parquet import columns_of, table_of
 from dtwin.schema import Campaign, Finding, Run, RunMeta, SignalGroup, require_name
 
+INCOMPLETE = "recording.incomplete"
 TABLES = ("runs", "samples", "signals", "features", "rejects")
 _RUN_SCHEMA = pa.schema(
     [
@@ -120,7 +121,6 @@ class Lake:
         campaign: Campaign,
         runs: Sequence[Run],
         rejected: Sequence[RejectedRows] = (),
-        status: str = "complete",
     ) -> CommitReport:
         """Add runs; a run that is there with the same content is left alone.
 
@@ -135,8 +135,8 @@ class Lake:
             Runs to add.
         rejected : sequence of RejectedRows
             Rows that were left out of their samples.
-        status : {"complete", "incomplete"}
-            ``incomplete`` marks a recovered recording.
+
+        A run with a finding ``recording.incomplete`` is marked incomplete.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class Lake:
         fresh = self._fresh(campaign, runs, hashes)
         if not fresh:
             return CommitReport((), tuple(hashes), self.versions())
-        rows, batches = self._write_data(campaign, fresh, hashes, status)
+        rows, batches = self._write_data(campaign, fresh, hashes)
         with self._lock():
             for batch in batches:
                 batch.commit()
@@ -313,7 +313,6 @@ class Lake:
         campaign: Campaign,
         runs: Sequence[Run],
         hashes: Mapping[str, str],
-        status: str,
     ) -> tuple[list[dict[str, Any]], tuple[_Batch, _Batch]]:
         samples, signals = _Batch(self.tables["samples"]), _Batch(self.tables["signals"])
         rows = []
@@ -330,7 +329,7 @@ class Lake:
                 }
                 for group in run.signals
             ]
-            rows.append(_run_row(campaign, run, sha, sample_file, groups, status))
+            rows.append(_run_row(campaign, run, sha, sample_file, groups))
         return rows, (samples, signals)
 
     def _commit_rejects(self, campaign: Campaign, rejected: Sequence[RejectedRows]) -> None:
@@ -406,7 +405,7 @@ def content_sha256(run: Run) -> str:
             data = (
                 json.dumps(values.tolist()).encode()
                 if values.dtype == object
-                else memoryview(np.ascontiguousarray(values)).cast("B")
+                else np.ascontiguousarray(values).data.cast("B")
             )
             digest.update(data)
     return digest.hexdigest()
@@ -418,7 +417,6 @@ def _run_row(
     sha: str,
     sample_file: str,
     groups: Sequence[Mapping[str, Any]],
-    status: str,
 ) -> dict[str, Any]:
     meta = run.meta
     return {
@@ -430,7 +428,7 @@ def _run_row(
         "direction": meta.direction,
         "setup": meta.setup,
         "started": meta.started or campaign.started,
-        "status": status,
+        "status": "incomplete" if any(f.code == INCOMPLETE for f in run.findings) else "complete",
         "source": run.source,
         "content_sha256": sha,
         "samples_file": sample_file,

@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from dtwin.acquire.b5r import read_b5r
+from dtwin.acquire.recovery import signal_findings
 from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.tabular import read_columns
 from dtwin.acquire.trace_json import read_trace_json
@@ -109,7 +110,12 @@ class CampaignFolder:
             )
             for run in runs
         }
-        return [replace(r, signals=by_direction[r.meta.run_id]) for r in runs], rejected
+        noticed = tuple(f for path in entry.signals for f in signal_findings(path))
+        complete = [
+            replace(r, signals=by_direction[r.meta.run_id], findings=(*r.findings, *noticed))
+            for r in runs
+        ]
+        return complete, rejected
 
     def __iter__(self) -> Iterator[tuple[list[Run], list[RejectedRows]]]:
         return (self.read(entry) for entry in self.entries)

@@ -52,7 +52,9 @@ class Recipe:
 RECIPES: tuple[Recipe, ...] = (
     Recipe("linear", "linear", lambda s: make_pipeline(StandardScaler(), Ridge(1.0))),
     Recipe(
-        "robust", "linear", lambda s: make_pipeline(StandardScaler(), HuberRegressor(max_iter=1000, tol=1e-3))
+        "robust",
+        "linear",
+        lambda s: make_pipeline(StandardScaler(), HuberRegressor(max_iter=1000, tol=1e-3)),
     ),
     Recipe(
         "accelerometers-only",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.features.infeed import align_infeed
@@ -125,6 +126,7 @@ def tick_run(run: Run, campaign: Campaign) -> TickRun:
     found = align_infeed(
         bar, run.meta.sample_rate_hz, commanded_um[::4], inputs[::4, 0], TICK_HZ / 4
     )
+    covered = _covered_ticks(groups["controller"], len(states))
     bare = TickRun(
         run.meta,
         inputs.astype(np.float32),
@@ -136,15 +138,17 @@ def tick_run(run: Run, campaign: Campaign) -> TickRun:
         found.residual,
         groups.get("accelerometers"),
     )
-    return with_rows(bare, commanded_um, run.window)
+    return with_rows(bare, commanded_um, run.window, covered)
 
 
-def with_rows(run: TickRun, commanded_um: Floats, window: tuple[int, int] | None) -> TickRun:
-    """Choose the rows of a run: on the arc, covered by the bar, at 50 Hz."""
+def with_rows(
+    run: TickRun, commanded_um: Floats, window: tuple[int, int] | None, covered: NDArray[np.bool_]
+) -> TickRun:
+    """Choose the rows of a run: on the arc, covered by bar and controller, at 50 Hz."""
     ticks = np.arange(0, commanded_um.size, ROW_EVERY)
     t_bar = ticks / TICK_HZ - run.lag_s
     inside = (t_bar > 0.05) & (t_bar < (run.bar_um.size - 1) / run.bar_rate_hz - 0.05)
-    arc = ticks[inside & (np.abs(commanded_um[ticks]) < 1.0)]
+    arc = ticks[inside & covered[ticks] & (np.abs(commanded_um[ticks]) < 1.0)]
     if window is None:
         scored = np.ones(arc.size, dtype=bool)
     else:
@@ -172,11 +176,14 @@ def controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, A
     t_log = np.arange(group.n_samples) / group.rate_hz
     t = np.arange(int(t_log[-1] * TICK_HZ) + 1) / TICK_HZ
     out = np.zeros((t.size, len(STATE_FIELDS)))
+    known = _complete_rows(group)
     for name, place in _INDEX.items():
         if name in group.columns:
-            out[:, place] = np.interp(t, t_log, group.columns[name])
+            out[:, place] = np.interp(t, t_log[known], group.columns[name][known])
     out[:, _INDEX["timestamp_s"]] = t
-    out[:, _INDEX["segment_time_s"]] = _segment_time(t, t_log, group.columns["segment_time_s"])
+    out[:, _INDEX["segment_time_s"]] = _segment_time(
+        t, t_log[known], group.columns["segment_time_s"][known]
+    )
     centre = centre_mm(meta, geometry)
     for axis, value in zip("xyz", centre, strict=True):
         out[:, _INDEX[f"centre_{axis}_mm"]] = value
@@ -185,6 +192,23 @@ def controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, A
     out[:, _INDEX["plane_id"]] = PLANES.index(plane)
     out[:, _INDEX["direction_sign"]] = 1.0 if meta.direction == "CCW" else -1.0
     return out
+
+
+def _complete_rows(group: SignalGroup) -> NDArray[np.bool_]:
+    """Return which rows of the controller's log hold numbers; lost ones are NaN."""
+    floats = [v for v in group.columns.values() if v.dtype.kind == "f"]
+    known = np.all([np.isfinite(v) for v in floats], axis=0)
+    if np.count_nonzero(known) < 2:
+        raise InputError("the controller's log holds no rows", code="train.signals")
+    return np.asarray(known)
+
+
+def _covered_ticks(group: SignalGroup, n_ticks: int) -> NDArray[np.bool_]:
+    """Return which ticks lie between rows of the log that follow each other without a gap."""
+    known = np.flatnonzero(_complete_rows(group))
+    place = np.arange(n_ticks) / TICK_HZ * group.rate_hz
+    after = np.clip(np.searchsorted(known, place, side="left"), 1, known.size - 1)
+    return np.asarray(known[after] - known[after - 1] == 1)
 
 
 def centre_mm(meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
