@@ -213,6 +213,7 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
         "oracle um",
         "floor um",
         "runs",
+        "outside box",
         "worse",
     ]
     rows = []
@@ -227,6 +228,7 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
                 f"{c['oracle_um']:.1f}",
                 f"{c['floor_um']:.1f}",
                 str(c["n_runs"]),
+                f"{100 * c.get('acted', {}).get('outside_box', 0.0):.1f} %",
                 "yes" if c["worse"] else "no",
             ]
         )

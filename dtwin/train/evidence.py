@@ -72,6 +72,8 @@ class ConditionResult:
         What repeats of the uncompensated circle disagree by.
     n_runs : int
         Runs of each way.
+    acted : dict of str to float
+        Share of the ticks in which each guard acted, for example ``outside_box``.
     """
 
     plane: str
@@ -85,6 +87,7 @@ class ConditionResult:
     after_ci_um: float
     floor_um: float
     n_runs: int
+    acted: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def reduction(self) -> float:
@@ -239,21 +242,23 @@ def _measure_condition(job: tuple[Any, ...]) -> dict[str, list[dict[str, Any]]]:
             for direction in ("CCW", "CW"):
                 serial += 1
                 condition = CircleCondition(plane, radius, feed, direction)
-                recording = _run(cobot, bundle, np.array(tcp), condition, setup, 100 + serial, way)
-                found[way].append(_evaluate(recording, direction))
+                recording, acted = _run(
+                    cobot, bundle, np.array(tcp), condition, setup, 100 + serial, way
+                )
+                found[way].append(_evaluate(recording, direction) | {"acted": acted})
     return found
 
 
 def _run(
     cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, condition: CircleCondition,
     setup: str, repeat: int, way: str,
-) -> CobotRecording:  # fmt: skip
+) -> tuple[CobotRecording, dict[str, int]]:  # fmt: skip
     if way == "uncompensated":
-        return cobot.measure(condition, setup=setup, repeat=repeat)
+        return cobot.measure(condition, setup=setup, repeat=repeat), {}
     controller = cobot.controller(condition, setup=setup, repeat=repeat)
     if way == "compensated":
-        serve_lockstep(Decision(CompiledBundle(bundle), tcp_mm), controller)
-        return controller.recording()
+        status = serve_lockstep(Decision(CompiledBundle(bundle), tcp_mm), controller)
+        return controller.recording(), status.reasons
     _, _, vector_um = cobot.repeatable_error_um(condition)
     motion = cobot.parameters.controller
     ahead = round((motion.actuator_delay_s + motion.actuator_lag_s) / _TICK_S)
@@ -266,7 +271,7 @@ def _run(
         )
         controller.step(layout.correction_registers(tick + 1, safe))
         tick += 1
-    return controller.recording()
+    return controller.recording(), guard.counted()
 
 
 def _evaluate(recording: CobotRecording, direction: str) -> dict[str, Any]:
@@ -297,7 +302,14 @@ def _result(
         after_ci_um=_half_width(after),
         floor_um=_floor(runs["uncompensated"]),
         n_runs=len(before),
+        acted=_shares([run["acted"] for run in runs["compensated"]]),
     )
+
+
+def _shares(counts: Sequence[Mapping[str, int]]) -> dict[str, float]:
+    total = sum(sum(c.values()) for c in counts)
+    names = sorted({name for c in counts for name in c})
+    return {n: sum(c.get(n, 0) for c in counts) / total for n in names} if total else {}
 
 
 def _rms_per_run(runs: Sequence[Mapping[str, Any]]) -> Floats:

@@ -10,6 +10,10 @@ import numpy as np
 from dtwin.schema import Floats
 
 
+# Small: it decides only what the measurements leave open.
+CENTRE_PENALTY = 0.02
+
+
 @dataclass(frozen=True)
 class Sums:
     """Sums over the rows of one cell of the grid.
@@ -24,12 +28,15 @@ class Sums:
         y'y.
     rows : int
         Number of rows.
+    penalty : ndarray, shape (p, p)
+        What is minimised besides the residual.
     """
 
     gram: Floats
     moment: Floats
     power: float
     rows: int
+    penalty: Floats
 
     def __add__(self, other: Sums) -> Sums:
         """Return the sums over both cells."""
@@ -38,27 +45,39 @@ class Sums:
             self.moment + other.moment,
             self.power + other.power,
             self.rows + other.rows,
+            self.penalty + other.penalty,
         )
 
     def take(self, chosen: Sequence[int]) -> Sums:
         """Return the sums for a subset of the columns."""
         index = np.asarray(chosen, dtype=int)
-        return Sums(self.gram[np.ix_(index, index)], self.moment[index], self.power, self.rows)
+        square = np.ix_(index, index)
+        return Sums(
+            self.gram[square], self.moment[index], self.power, self.rows, self.penalty[square]
+        )
 
     def residual(self, weights: Floats) -> float:
         """Return the sum of squared residuals under given weights."""
         return float(self.power - 2.0 * weights @ self.moment + weights @ self.gram @ weights)
 
 
-def sums_of(design: Floats, target: Floats) -> Sums:
+def sums_of(design: Floats, target: Floats, absorbed: Floats | None = None) -> Sums:
     """Return the sums of one cell.
 
     Parameters
     ----------
     design : ndarray, shape (n, p)
+        Terms with centre and radius of the set-up taken out.
     target : ndarray, shape (n,)
+        Error with the same taken out.
+    absorbed : ndarray, shape (n, p), optional
+        What was taken out of the terms. It is held near zero: an equation that moves the
+        centre of the circle spends its clamp on what no measurement has asked for.
     """
-    return Sums(design.T @ design, design.T @ target, float(target @ target), target.size)
+    penalty = np.zeros((design.shape[1], design.shape[1]))
+    if absorbed is not None:
+        penalty = CENTRE_PENALTY * (absorbed.T @ absorbed)
+    return Sums(design.T @ design, design.T @ target, float(target @ target), target.size, penalty)
 
 
 def total(cells: Sequence[Sums]) -> Sums:
@@ -80,7 +99,7 @@ def solve(sums: Sums, ridge: float) -> Floats:
         Penalty as a share of a column's mean square.
     """
     scale = np.sqrt(np.maximum(np.diag(sums.gram), 1e-300))
-    scaled = sums.gram / np.outer(scale, scale)
+    scaled = (sums.gram + sums.penalty) / np.outer(scale, scale)
     scaled[np.diag_indices_from(scaled)] += ridge
     return np.asarray(np.linalg.solve(scaled, sums.moment / scale) / scale)
 

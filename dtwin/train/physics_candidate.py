@@ -19,12 +19,11 @@ from dtwin.train.dataset import TICK_HZ
 from dtwin.train.gram import solve, sums_of
 from dtwin.train.latency import bundle_latency
 from dtwin.train.library import Library, equation_text
-from dtwin.train.physics_fit import RIDGE, PhysicsFit
+from dtwin.train.physics_fit import DEAD_SHARE, RIDGE, PhysicsFit
 from dtwin.train.results import Candidate
 from dtwin.train.rows import Rows
 
 _BOX_MARGIN = 0.02
-_DEAD_SHARE = 1e-3
 
 
 def physics_candidate(
@@ -45,9 +44,7 @@ def physics_candidate(
         Versions of the lake's tables, for the bundle's provenance.
     """
     design = fit.design[:, list(fit.chosen)]
-    scores = {}
-    for group in HELD_OUT:
-        scores[group] = score(fit.rows, _left_out(fit.rows, design, group), group)
+    scores = {g: score(fit.rows, _left_out(fit, design, g), g) for g in HELD_OUT}
     rest = fit.rows.target_um - design @ fit.weights
     names = [fit.library.names[i] for i in fit.chosen]
     weights = dict(zip(names, fit.weights.tolist(), strict=True))
@@ -159,14 +156,16 @@ def _state_unit(name: str) -> str:
     return "m s/min" if name.endswith("_x") else "m/min"
 
 
-def _left_out(rows: Rows, design: Floats, group: str) -> Floats:
+def _left_out(fit: PhysicsFit, design: Floats, group: str) -> Floats:
+    rows, absorbed = fit.rows, fit.absorbed[:, list(fit.chosen)]
     label = rows.label(group)
     predicted = np.zeros(rows.n)
     for value in np.unique(label):
         inside = (label != value) & rows.scored
         outside = label == value
         if inside.any():
-            weights = solve(sums_of(design[inside], rows.target_um[inside]), RIDGE)
+            sums = sums_of(design[inside], rows.target_um[inside], absorbed[inside])
+            weights = solve(sums, RIDGE)
             predicted[outside] = design[outside] @ weights
     return predicted
 
@@ -175,7 +174,8 @@ def _box(rows: Rows) -> tuple[Floats, Floats]:
     """Return the validity box: what the controller did in training, a little widened."""
     low = np.min([run.inputs.min(axis=0) for run in rows.runs], axis=0).astype(float)
     high = np.max([run.inputs.max(axis=0) for run in rows.runs], axis=0).astype(float)
-    margin = _BOX_MARGIN * (high - low)
+    # An input that never moved still has rounding errors of its own.
+    margin = _BOX_MARGIN * (high - low) + 1e-6 * np.maximum(1.0, np.abs(high))
     low, high = low - margin, high + margin
     # What rings grows with the feed from zero: between standstill and the slowest trained feed
     # the equation interpolates.
@@ -186,7 +186,8 @@ def _box(rows: Rows) -> tuple[Floats, Floats]:
 
 def _extent(fit: PhysicsFit) -> tuple[float, float]:
     """Return the largest predicted error in um and its steepest change in um/s."""
-    predicted = fit.design[:, list(fit.chosen)] @ fit.weights
+    chosen = list(fit.chosen)
+    predicted = (fit.design[:, chosen] + fit.absorbed[:, chosen]) @ fit.weights
     same_run = np.diff(fit.rows.of_run) == 0
     ticks = np.concatenate([run.arc for run in fit.rows.runs])
     dt_s = np.diff(ticks) / TICK_HZ
@@ -201,5 +202,5 @@ def _findings(fit: PhysicsFit, design: Floats) -> list[str]:
         f"{fit.library.names[i]} contributes {100 * s:.2g} % of the error's spread: "
         "nearly constant or never firing"
         for i, s in zip(fit.chosen, share, strict=True)
-        if s < _DEAD_SHARE
+        if s < DEAD_SHARE
     ]

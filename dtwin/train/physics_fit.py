@@ -18,6 +18,8 @@ RIDGE = 1e-3
 # Within this of the best held-out error the smaller equation wins.
 ELBOW = 1.03
 _SEARCH_EVERY = 4
+_NEVER_MOVES = 1e-9
+DEAD_SHARE = 1e-3
 _LAG_RANGE_S, _LAG_STEP_S, _LAG_ROUNDS = 0.040, 0.002, 2
 Progress = Callable[[int, int, str], None]
 
@@ -51,8 +53,8 @@ class PhysicsFit:
         Rows with refined alignment.
     library : Library
         All terms.
-    design : ndarray, shape (n, p)
-        Terms at the rows, set-ups taken out.
+    design, absorbed : ndarray, shape (n, p)
+        Terms at the rows, centre and radius of set-ups taken out; and what was taken out.
     chosen : tuple of int
         Columns of the proposed equation.
     weights : ndarray, shape (len(chosen),)
@@ -66,6 +68,7 @@ class PhysicsFit:
     rows: Rows
     library: Library
     design: Floats
+    absorbed: Floats
     chosen: tuple[int, ...]
     weights: Floats
     front: tuple[FrontPoint, ...]
@@ -87,13 +90,16 @@ def fit_physics(rows: Rows, progress: Progress | None = None) -> PhysicsFit:
     columns = np.concatenate([library.columns(run) for run in rows.runs])
     rows, shift_s = _realigned(rows, columns)
     design = rows.without_setups(columns)
-    cells = cell_sums(rows, design)
+    absorbed = columns - design
+    cells = cell_sums(rows, design, absorbed)
     chosen, front = _front(rows, library, cells)
     weights = solve(total(list(cells.values())).take(chosen), RIDGE)
-    return PhysicsFit(rows, library, design, tuple(chosen), weights, tuple(front), shift_s)
+    return PhysicsFit(
+        rows, library, design, absorbed, tuple(chosen), weights, tuple(front), shift_s
+    )
 
 
-def cell_sums(rows: Rows, design: Floats) -> dict[tuple[float, float], Sums]:
+def cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> dict[tuple[float, float], Sums]:
     """Return sums by (feed, radius), over the scored rows."""
     feeds, radii = rows.label("feed_mm_min"), rows.label("radius_mm")
     cells = {}
@@ -102,7 +108,7 @@ def cell_sums(rows: Rows, design: Floats) -> dict[tuple[float, float], Sums]:
             inside = (feeds == feed) & (radii == radius) & rows.scored
             if inside.any():
                 cells[(float(feed), float(radius))] = sums_of(
-                    design[inside], rows.target_um[inside]
+                    design[inside], rows.target_um[inside], absorbed[inside]
                 )
     return cells
 
@@ -177,8 +183,8 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
 def _front(
     rows: Rows, library: Library, cells: dict[tuple[float, float], Sums]
 ) -> tuple[list[int], list[FrontPoint]]:
-    groups = _pairs(library)
     everything = total(list(cells.values()))
+    groups = _pairs(library, everything)
     order = forward_order(everything, groups, RIDGE)
     front: list[FrontPoint] = []
     sets: list[list[int]] = []
@@ -203,9 +209,12 @@ def _front(
     return sets[best], front
 
 
-def _pairs(library: Library) -> list[list[int]]:
-    """Return columns that belong together: cosine and sine of one wave."""
+def _pairs(library: Library, sums: Sums) -> list[list[int]]:
+    """Return columns that belong together, cosine and sine of one wave, if they ever move."""
+    size = np.sqrt(np.diag(sums.gram) / sums.rows)
     groups: dict[str, list[int]] = {}
     for i, atom in enumerate(library.atoms):
+        if size[i] < _NEVER_MOVES * float(size.max()):
+            continue
         groups.setdefault(atom.name.replace("cos(", "wave(").replace("sin(", "wave("), []).append(i)
     return list(groups.values())
