@@ -77,7 +77,7 @@ def render_served(served: Served) -> str:
     lines = [
         head,
         f"  ended: {status.ended}; the correction is {kept}",
-        f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:g} um",
+        f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:.1f} um",
         f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
         f"states missed ({100 * timing['late_share']:.2f} % together), "
         f"{timing['timeouts']} waits without a state",

@@ -216,7 +216,7 @@ def _serve_resolved(
     if trial:
         compiled = with_trial_clamp(compiled)
         limit_um = compiled.bundle.safety.clamp_um
-        announce(f"trial: the correction is limited to {limit_um:g} um, a quarter of its clamp")
+        announce(f"trial: the correction is limited to {limit_um:.1f} um, a quarter of its clamp")
     tcp_mm = read_machine(resolved.machine, home).tcp
     with contextlib.ExitStack() as held:
         if request.mode != "shadow":

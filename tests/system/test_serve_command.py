@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from typer.testing import CliRunner
@@ -25,13 +26,14 @@ from dtwin.commands import serving
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal
+from dtwin.features.windows import WindowContract
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.controller_kind import is_virtual
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.serve.pointer import machine_folder, write_machine, write_pointer
-from dtwin.serve.session import require_evidence
+from dtwin.serve.session import ServeRequest, require_evidence, serve
 
 pytestmark = pytest.mark.system
 
@@ -318,7 +320,7 @@ def test_trial_has_a_tight_clamp(robot: VirtualRobot, home: Home) -> None:
         assert status["clamp_um"] == 10.0
         assert status["largest_um"] == pytest.approx(10.0)
         assert status["reasons"]["clamped"] > 20
-        assert "limited to 10 um" in err
+        assert "limited to 10.0 um" in err
 
 
 def test_two_servers_at_once(robot: VirtualRobot, home: Home) -> None:
@@ -430,3 +432,51 @@ def test_real_device_wants_real_evidence(evidence: str) -> None:
     require_evidence(made, "virtual", mode="live", trial=False)
     real = dataclasses.replace(made, provenance=Provenance(evidence="real"))
     require_evidence(real, "real", mode="live", trial=False)
+
+
+class PacedWindows:
+    """Delivers one made window of a contract every 20 ms."""
+
+    def __init__(self, contract: WindowContract) -> None:
+        self.contract = contract
+        self.closed = False
+        self._block = 0.1 * np.random.default_rng(0).standard_normal((1, contract.n_samples))
+        self._delivered_s = 0.0
+
+    def newest_window(self) -> tuple[np.ndarray | None, float]:
+        now_s = time.monotonic()
+        if now_s - self._delivered_s < 0.02:
+            return None, now_s - self._delivered_s
+        self._delivered_s = now_s
+        return self._block, 0.0
+
+    def __enter__(self) -> PacedWindows:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.closed = True
+
+
+def test_sensors_are_opened_with_the_contract_and_closed(robot: VirtualRobot, home: Home) -> None:
+    contract = WindowContract(1652.0, 150, 15, ("wrist_x_g",), ("rms",))
+    g = GraphBuilder()
+    promote(
+        home,
+        inputs=[Input("wrist_x_rms_g", "g", "sensor", 110.0, "feature", 0.0, 2.0)],
+        window=contract,
+        tick_graph=g.graph({"radial_error_um": 100.0 * g.input("wrist_x_rms_g")}),
+    )
+    request = ServeRequest(host=robot.host, duration_s=1.0, priority=0)
+    with pytest.raises(DtwinError, match="sensor windows"):
+        serve(request, home, lambda _: None)
+    opened: list[PacedWindows] = []
+
+    def open_sensors(wanted: WindowContract) -> PacedWindows:
+        opened.append(PacedWindows(wanted))
+        return opened[-1]
+
+    served_now = serve(request, home, lambda _: None, open_sensors)
+    assert [(s.contract, s.closed) for s in opened] == [(contract, True)]
+    assert served_now.status.largest_um == pytest.approx(10.0, rel=0.3)
+    assert served_now.status.timing["window_age_ms"]["max"] > 1.0
+    assert "sensor window age" in serving.render_served(served_now)
