@@ -1,13 +1,7 @@
 #!/usr/bin/env bash
-# Set up an environment of its own and run every check; the README's second command.
+# README's second command: set up, then run every check.
 set -euo pipefail
-cd "$(dirname "$0")/.."
-
-python="${PYTHON:-python3}"
-"$python" -m venv .venv
-.venv/bin/python -m pip install -q uv
-.venv/bin/uv pip install -q -p .venv --require-hashes -r requirements.lock
-.venv/bin/uv pip install -q -p .venv --no-deps -e .
+. "$(dirname "$0")/setup.sh"
 
 .venv/bin/ruff check .
 .venv/bin/ruff format --check --quiet . || { echo "run: .venv/bin/ruff format ."; exit 1; }

@@ -13,6 +13,7 @@ import numpy as np
 
 from dtwin.acquire.readings import parse_readings
 from dtwin.acquire.xmlsafe import parse_vendor_xml, read_bounded
+from dtwin.atomic import write_text
 from dtwin.errors import InputError
 from dtwin.schema import Direction, Floats, Run, RunMeta, standard_plane
 
@@ -240,9 +241,7 @@ def write_b5r(
     for run in runs:
         lines += _run_lines(run)
     lines += ["</RUN_RESULTS>", "</TEST_DOCUMENT>", ""]
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text("\n".join(lines), encoding="utf-8")
-    partial.replace(path)
+    write_text(path, "\n".join(lines), "the ball-bar file")
 
 
 def _run_lines(run: Run) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from dtwin.acquire.b5r import write_b5r
 from dtwin.acquire.signal_files import write_signals
+from dtwin.atomic import write_text
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest
 from dtwin.schema import Direction, Run
@@ -221,9 +222,7 @@ def _write_toml(
         if entry["covariates"]:
             lines += ["[run.covariates]"]
             lines += [f"{k} = {v}" for k, v in entry["covariates"].items()]
-    partial = folder / "campaign.toml.partial"
-    partial.write_text("\n".join([*lines, ""]), encoding="utf-8")
-    partial.replace(folder / "campaign.toml")
+    write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
 
 
 def _toml(value: Any) -> str:

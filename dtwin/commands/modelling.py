@@ -277,10 +277,11 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Write one self-contained HTML page about a recording."""
+    from dtwin.atomic import write_text
     from dtwin.config import home
     from dtwin.report.campaign import recording_section
     from dtwin.report.checking import check_source
-    from dtwin.report.html import page, write_page
+    from dtwin.report.html import page
 
     if source.suffix.lower() != ".b5r":
         raise InputError(
@@ -292,7 +293,8 @@ def report(
     result = check_source(source)
     section = recording_section(source, result)
     target = out or home().reports / f"{source.stem}.html"
-    write_page(target, page(source.name, f"machine {result['machine']}", [section]))
+    content = page(source.name, f"machine {result['machine']}", [section])
+    write_text(target, content, "the report")
     emit({"report": str(target)}, lambda: str(target), as_json=as_json)
 
 

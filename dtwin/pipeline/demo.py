@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from dtwin.atomic import write_text
 from dtwin.config import Home, sample_recording
 from dtwin.pipeline.measuring import compute_features, ingest, simulate
 from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
@@ -22,7 +23,7 @@ from dtwin.report.campaign import (
     training_section,
 )
 from dtwin.report.checking import check_source, render_check
-from dtwin.report.html import Section, Table, page, write_page
+from dtwin.report.html import Section, Table, page
 from dtwin.report.text import table
 from dtwin.serve.session import Served, ServeRequest
 from dtwin.serve.session import serve as serve_session
@@ -114,10 +115,8 @@ def run_demo(home: Home, screen: Screen, size: DemoSize, *, seed: int = 0) -> di
         outcome = _correct(home, screen, size, seed, registered, sections)
     with clock.step("5 of 5  report"):
         title = "dtwin: from a recording to a served correction"
-        path = write_page(
-            home.reports / "demo.html",
-            page(title, f"machine {size.plan.machine}", sections),
-        )
+        content = page(title, f"machine {size.plan.machine}", sections)
+        path = write_text(home.reports / "demo.html", content, "the report")
         screen.say(f"report: {path}")
     screen.say(_final(outcome, clock.seconds))
     return {

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import plotly.graph_objects as go
 import plotly.io as pio
 from jinja2 import Environment
 from plotly.offline import get_plotlyjs
-
-from dtwin.errors import StoreError
 
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
@@ -109,26 +105,6 @@ def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
     ]
     template = Environment(autoescape=True).from_string(_PAGE)
     return template.render(title=title, subtitle=subtitle, sections=rendered, plotly=get_plotlyjs())
-
-
-def write_page(path: Path, content: str) -> Path:
-    """Write a page in one step and return its path.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be written.
-    """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(content, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        raise StoreError(
-            "the report cannot be written", code="store.write", where=str(path), got=str(error)
-        ) from error
-    return path
 
 
 def _figure_html(figure: go.Figure) -> str:

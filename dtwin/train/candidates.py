@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -10,7 +9,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.ensemble import GradientBoostingRegressor, RandomForestRegressor
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import HuberRegressor, Ridge
 from sklearn.neighbors import KNeighborsRegressor
 from sklearn.neural_network import MLPRegressor
@@ -228,9 +226,7 @@ def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed:
     usable = np.flatnonzero(inside & rows.scored)
     chosen = rng.choice(usable, min(FIT_ROWS, usable.size), replace=False)
     model = recipe.make(seed)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        model.fit(x[chosen].astype(np.float32), rows.target_um[chosen])
+    model.fit(x[chosen].astype(np.float32), rows.target_um[chosen])
     return model
 
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from dtwin.schema import Floats
 
-
 # Small: it decides only what the measurements leave open.
 CENTRE_PENALTY = 0.02
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
+
+from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.errors import InputError
 from dtwin.store import Lake
@@ -106,7 +109,9 @@ def train_campaign(
     )
     inputs = generic_inputs(compared)
     usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]
-    with ThreadPoolExecutor(workers) as pool:
+    with warnings.catch_warnings(), ThreadPoolExecutor(workers) as pool:
+        # A comparison model that has not converged is judged as it is.
+        warnings.simplefilter("ignore", ConvergenceWarning)
         jobs = [pool.submit(train_recipe, compared, inputs, recipe, seed) for recipe in usable]
         for done, (job, recipe) in enumerate(zip(jobs, usable, strict=True), start=1):
             found.append(job.result())

@@ -19,7 +19,9 @@ from dtwin.parquet import read_parquet, table_of, write_parquet
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
 from dtwin.store import Lake, RejectedRows
 
-CAMPAIGN = Campaign("c", "mill-a", machine_geometry={"type": "ur10e"}, instrument={"nominal_mm": 100.0})
+CAMPAIGN = Campaign(
+    "c", "mill-a", machine_geometry={"type": "ur10e"}, instrument={"nominal_mm": 100.0}
+)
 
 
 def make_run(run_id: str, seed: int = 0, n: int = 400) -> Run:
@@ -29,10 +31,18 @@ def make_run(run_id: str, seed: int = 0, n: int = 400) -> Run:
         "angle_deg": np.linspace(0, 360, n),
         "deviation_um": rng.normal(size=n),
     }
-    signals = SignalGroup("accelerometers", 1651.6, {"wrist_x_g": rng.normal(size=3 * n).astype("f4")}, 0.2)
+    signals = SignalGroup(
+        "accelerometers", 1651.6, {"wrist_x_g": rng.normal(size=3 * n).astype("f4")}, 0.2
+    )
     meta = RunMeta(
-        run_id, plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2000.0,
-        sample_rate_hz=200.0, covariates={"temperature_c": 20.5}, vendor={"centre_a_um": 1.0},
+        run_id,
+        plane="XY",
+        direction="CCW",
+        radius_mm=100.0,
+        feed_mm_min=2000.0,
+        sample_rate_hz=200.0,
+        covariates={"temperature_c": 20.5},
+        vendor={"centre_a_um": 1.0},
     )
     return Run(meta, samples, (10, 380), (signals,), "somewhere.b5r")
 
@@ -73,7 +83,9 @@ def test_the_same_id_twice_in_one_commit_is_refused(tmp_path: Path) -> None:
     assert lake.runs() == []
 
 
-@pytest.mark.parametrize("name", ["../x", "a/b", "", ".hidden", "a\x00b", "x" * 300, "..", "%2e%2e", "a b"])
+@pytest.mark.parametrize(
+    "name", ["../x", "a/b", "", ".hidden", "a\x00b", "x" * 300, "..", "%2e%2e", "a b"]
+)
 def test_names_cannot_leave_the_lake(tmp_path: Path, name: str) -> None:
     lake = Lake(tmp_path / "lake")
     with pytest.raises(InputError):
@@ -91,7 +103,9 @@ def test_columns_may_grow_but_not_change_their_type(tmp_path: Path) -> None:
     lake.commit(CAMPAIGN, [warm])
     assert "spindle_c" in lake.load(lake.runs("c")[1]).samples
     other = make_run("r3", 2)
-    other = replace(other, samples=dict(other.samples) | {"spindle_c": np.full(400, "warm", dtype=object)})
+    other = replace(
+        other, samples=dict(other.samples) | {"spindle_c": np.full(400, "warm", dtype=object)}
+    )
     with pytest.raises(StoreError, match="changed its type"):
         lake.commit(CAMPAIGN, [other])
     assert len(lake.runs("c")) == 2
@@ -102,7 +116,9 @@ def test_rejected_rows_are_kept_with_the_reason(tmp_path: Path) -> None:
     rows = [{"row": 3, "reason": "not finite: deviation_um", "values": {"deviation_um": "nan"}}]
     lake.commit(CAMPAIGN, [make_run("r1")], [RejectedRows("r1", "a.csv", rows)])
     kept = lake.tables["rejects"].read().to_pylist()
-    assert [(r["run_id"], r["row"], r["reason"]) for r in kept] == [("r1", 3, "not finite: deviation_um")]
+    assert [(r["run_id"], r["row"], r["reason"]) for r in kept] == [
+        ("r1", 3, "not finite: deviation_um")
+    ]
 
 
 def test_every_flipped_bit_is_noticed(tmp_path: Path) -> None:
@@ -152,7 +168,9 @@ def test_a_full_disk_leaves_the_lake_as_it_was(tmp_path: Path) -> None:
         pytest.skip("mounting a small file system needs root")
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "none", str(disk)], check=False)
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=2m", "none", str(disk)], check=False
+    )
     if mounted.returncode:
         pytest.skip("this sandbox does not mount file systems")
     try:
@@ -163,7 +181,8 @@ def test_a_full_disk_leaves_the_lake_as_it_was(tmp_path: Path) -> None:
         assert [row["run_id"] for row in lake.runs()] == ["r1"]
         assert list((disk / "lake").rglob("*.partial")) == []
         np.testing.assert_array_equal(
-            lake.load(lake.runs()[0]).samples["deviation_um"], make_run("r1").samples["deviation_um"]
+            lake.load(lake.runs()[0]).samples["deviation_um"],
+            make_run("r1").samples["deviation_um"],
         )
     finally:
         subprocess.run(["umount", str(disk)], check=True)
@@ -188,7 +207,13 @@ def test_two_writers_at_once_lose_nothing_and_double_nothing(tmp_path: Path) -> 
         jobs = [pool.submit(write, n) for n in ([1, 2, 3], [3, 2, 1], [4, 5, 1])]
         for job in jobs:
             job.result()
-    assert sorted(row["run_id"] for row in Lake(tmp_path / "lake").runs()) == ["r1", "r2", "r3", "r4", "r5"]
+    assert sorted(row["run_id"] for row in Lake(tmp_path / "lake").runs()) == [
+        "r1",
+        "r2",
+        "r3",
+        "r4",
+        "r5",
+    ]
 
 
 _INGEST = """
@@ -231,10 +256,14 @@ def test_a_kill_at_any_moment_leaves_whole_runs_only(tmp_path: Path, delay_s: fl
     assert len(lake.runs()) == 40
 
 
-def test_a_model_can_be_rebuilt_from_its_table_version(tmp_path: Path, real_recording: Path) -> None:
+def test_a_model_can_be_rebuilt_from_its_table_version(
+    tmp_path: Path, real_recording: Path
+) -> None:
     lake = Lake(tmp_path / "lake")
     versions = lake.commit(CAMPAIGN, read_b5r(real_recording).runs).versions
     before = lake.tables["samples"].files()
     lake.commit(replace(CAMPAIGN, name="later"), [make_run("r1")])
     assert lake.tables["samples"].files(versions["samples"]) == before
-    assert pa.types.is_float64(lake.tables["samples"].read(before).schema.field("deviation_um").type)
+    assert pa.types.is_float64(
+        lake.tables["samples"].read(before).schema.field("deviation_um").type
+    )

@@ -53,9 +53,7 @@ def test_written_file_is_read_back_the_same(real_recording: Path, tmp_path: Path
     for before, after in zip(runs, again.runs, strict=True):
         assert after.window == before.window
         assert after.meta.direction == before.meta.direction
-        np.testing.assert_array_equal(
-            after.samples["deviation_um"], before.samples["deviation_um"]
-        )
+        np.testing.assert_array_equal(after.samples["deviation_um"], before.samples["deviation_um"])
         np.testing.assert_allclose(after.samples["angle_deg"], before.samples["angle_deg"])
 
 

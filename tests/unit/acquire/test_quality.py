@@ -68,7 +68,9 @@ def made(**columns: np.ndarray) -> Run:
         "angle_deg": np.linspace(0, 360, n),
         "deviation_um": 5 * np.sin(np.arange(n) / 7.0),
     } | columns
-    meta = RunMeta("r", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2000.0, sample_rate_hz=200.0)
+    meta = RunMeta(
+        "r", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2000.0, sample_rate_hz=200.0
+    )
     return Run(meta, samples)
 
 
@@ -92,7 +94,10 @@ def _changed(values: np.ndarray, at: slice, to: float) -> np.ndarray:
         ({"t_s": _changed(np.arange(400) / 200, slice(200, 201), 0.0)}, "clock.backwards"),
         ({"t_s": np.arange(400) / 200 + (np.arange(400) > 200) * 0.5}, "clock.dropout"),
         ({"deviation_um": 1e4 * np.sin(np.arange(400) / 7.0)}, "reading.out_of_range"),
-        ({"deviation_um": _changed(5 * np.sin(np.arange(400) / 7.0), slice(100, 150), 1.0)}, "reading.stuck"),
+        (
+            {"deviation_um": _changed(5 * np.sin(np.arange(400) / 7.0), slice(100, 150), 1.0)},
+            "reading.stuck",
+        ),
         ({"deviation_um": np.minimum(5 * np.sin(np.arange(400) / 30.0), 3.0)}, "reading.clipped"),
         ({"angle_deg": -np.linspace(0, 360, 400)}, "angle.direction"),
         ({"angle_deg": np.linspace(0, 360, 400) + (np.arange(400) > 200) * 90.0}, "angle.jump"),
@@ -110,7 +115,9 @@ def test_faults_of_signals_are_named() -> None:
         (np.clip(good, -1, 1), "signal.clipped"),
         (np.zeros(5000), "signal.dead"),
     ):
-        run = replace(made(), signals=(SignalGroup("accelerometers", 1651.6, {"wrist_x_g": values}),))
+        run = replace(
+            made(), signals=(SignalGroup("accelerometers", 1651.6, {"wrist_x_g": values}),)
+        )
         assert code in codes(run)
 
 

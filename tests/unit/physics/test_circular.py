@@ -78,7 +78,9 @@ def test_hysteresis_is_the_difference_of_the_directions() -> None:
     step = 8.0 * np.sign(np.sin(THETA)) * np.cos(THETA)
     figures = bidirectional_figures((ANGLE, step), (-ANGLE, -step[::-1] * 0), 100.0)
     assert figures.hysteresis_um == pytest.approx(8.0, rel=0.35)
-    both = bidirectional_figures((ANGLE, np.full_like(ANGLE, 3.0)), (-ANGLE, np.ones_like(ANGLE)), 100.0)
+    both = bidirectional_figures(
+        (ANGLE, np.full_like(ANGLE, 3.0)), (-ANGLE, np.ones_like(ANGLE)), 100.0
+    )
     assert both.mean_bidirectional_radius_um == pytest.approx(2.0, abs=1e-6)
     assert both.hysteresis_um == pytest.approx(2.0, abs=1e-6)
 

@@ -1,0 +1,228 @@
+"""The main job on a small campaign: real lake, real MLflow store, real RTDE, real evidence."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError
+from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
+from dtwin.serve.pointer import resolve
+from dtwin.train.evidence import EvidencePlan, virtual_evidence
+from dtwin.train.promotion import history, promote, rollback
+from dtwin.train.registry import Registry
+
+pytestmark = pytest.mark.system
+MACHINE = "virtual-cobot"
+CIRCLES = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
+
+
+def dtwin(home: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "dtwin", *arguments],
+        env=dict(os.environ, DTWIN_HOME=str(home), OMP_NUM_THREADS="1"),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=280,
+    )
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Home, dict[str, Any]]:
+    root = tmp_path_factory.mktemp("demo")
+    done = dtwin(root, "demo", "--quick", "--json")
+    assert done.returncode == 0, done.stderr
+    return Home(root), json.loads(done.stdout)
+
+
+@pytest.fixture(autouse=True)
+def _same_home(demo: tuple[Home, Any], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("DTWIN_HOME", str(demo[0].root))
+    yield
+
+
+def test_all_five_steps_have_figures(demo: tuple[Home, dict[str, Any]]) -> None:
+    _, found = demo
+    assert [run["run"] for run in found["recording"]["runs"]] == ["ccw", "cw"]
+    assert (found["campaign"]["tests"], found["campaign"]["runs"]) == (8, 16)
+    names = {c["name"] for c in found["comparison"]}
+    assert {
+        "zero",
+        "constant",
+        "first-harmonic",
+        "look-up",
+        "linear",
+        "robust",
+        "k-nearest",
+        "tree",
+        "forest",
+        "boosting",
+        "neural-net",
+        "physics-library",
+        "symbolic-operon",
+        "accelerometers-only",
+    } <= names
+    assert found["serving"]["released"] is True
+    assert found["champion"] == "1"
+    for condition in found["evidence"]["conditions"]:
+        assert condition["floor_um"] > 1.0
+        assert condition["after_um"] < 0.5 * condition["before_um"]
+        assert (
+            condition["acted"]["outside_box"] == 0.0
+            if "outside_box" in condition["acted"]
+            else True
+        )
+    assert found["evidence"]["share_of_oracle_unseen_feeds"] > 0.8
+    page = Path(found["report"]).read_text()
+    assert "Compensated against uncompensated" in page
+
+
+def test_the_physics_beats_every_baseline_where_it_was_not_trained(
+    demo: tuple[Home, dict[str, Any]],
+) -> None:
+    rms = {c["name"]: c["scores"]["feed_mm_min"]["rms_um"] for c in demo[1]["comparison"]}
+    assert rms["physics-library"] == min(rms.values())
+    assert rms["physics-library"] < 0.4 * rms["zero"]
+
+
+def test_the_registry_entry_reads_well(demo: tuple[Home, dict[str, Any]]) -> None:
+    registry = Registry(demo[0])
+    version = registry.version(MACHINE, "champion")
+    assert version.aliases == ("candidate", "champion")
+    text = registry.description(version)
+    for wanted in ("noise floor", "| physics-library |", "Offline gates", "Closed-loop evidence"):
+        assert wanted in text
+    run = registry.client.get_run(version.run_id)
+    assert run.data.params["table_version.runs"] != "-1"
+    assert "leave_feed_mm_min_out.r2" in run.data.metrics
+    kept = {a.path for a in registry.client.list_artifacts(version.run_id)}
+    assert {
+        "equation.c",
+        "equation.py",
+        "equation.tex",
+        "equation.txt",
+        "latency.json",
+        "front.json",
+        "gates.txt",
+        "evidence.json",
+        "bundle",
+    } <= kept
+
+
+def test_a_second_training_on_the_same_tables_gives_the_same_equation(
+    demo: tuple[Home, dict[str, Any]],
+) -> None:
+    home = demo[0]
+    registry = Registry(home)
+    first = registry.bundle(registry.version(MACHINE, "1"))
+    again = train(home, "training-quick")
+    second = registry.bundle(again.version)
+    assert second["tick_graph"] == first["tick_graph"]
+    # Newest, but not promoted: latest stays the champion.
+    assert again.version.version == "2"
+    assert resolve("latest", MACHINE, home).version == 1
+
+
+def test_an_alias_moved_by_hand_changes_nothing(demo: tuple[Home, dict[str, Any]]) -> None:
+    home = demo[0]
+    registry = Registry(home)
+    registry.client.set_registered_model_alias("dtwin-virtual-cobot", "champion", "2")
+    assert resolve("latest", MACHINE, home).version == 1
+    registry.client.set_registered_model_alias("dtwin-virtual-cobot", "champion", "1")
+
+
+def test_without_evidence_nothing_becomes_champion(demo: tuple[Home, dict[str, Any]]) -> None:
+    home = demo[0]
+    version = Registry(home).version(MACHINE, "2")
+    path, reason = make_champion(home, version, None)
+    assert path is None
+    assert "closed-loop evidence" in reason
+    assert history(home, MACHINE)[-1]["action"] == "refused"
+
+
+def test_a_model_with_the_wrong_sign_makes_it_worse_and_is_refused(
+    demo: tuple[Home, dict[str, Any]],
+) -> None:
+    """Good on paper, harmful on the machine: only the closed loop can tell."""
+    home = demo[0]
+    registry = Registry(home)
+    version = registry.version(MACHINE, "2")
+    content = registry.bundle(version)
+    from dtwin.serve.bundle import Bundle, checksum
+
+    body = {k: v for k, v in content.items() if k != "sha256"}
+    body["outputs"] = [dict(body["outputs"][0], role="correction")]
+    wrong = Bundle.from_dict(body | {"sha256": checksum(body)})
+    import numpy as np
+
+    evidence = virtual_evidence(
+        wrong, seed=0, tcp_mm=np.array([0.0, 0.0, 158.3]), plan=CIRCLES
+    ).as_dict()
+    assert evidence["conditions"][0]["worse"] is True
+    evidence["bundle_sha256"] = content["sha256"]
+    with pytest.raises(GateRefusal) as caught:
+        promote(registry, home, version, geometry={"virtual": True}, evidence=evidence)
+    assert caught.value.exit_code == 3
+    assert "no condition worse" in (caught.value.got or "")
+
+
+def test_champion_previous_and_rollback(demo: tuple[Home, dict[str, Any]]) -> None:
+    home = demo[0]
+    registry = Registry(home)
+    second = registry.version(MACHINE, "2")
+    put_on_trial(home, second)
+    assert resolve("latest", MACHINE, home).version == 1
+    assert resolve("trial", MACHINE, home).version == 2
+    evidence = measure_evidence(
+        home, second, {"virtual": True, "tcp_mm": [0.0, 0.0, 158.3]}, seed=0, plan=CIRCLES
+    )
+    path, reason = make_champion(home, second, evidence.as_dict(), "better")
+    assert path is not None, reason
+    assert resolve("latest", MACHINE, home).version == 2
+    assert registry.version(MACHINE, "previous").version == "1"
+    rollback(registry, home, MACHINE, "robot hummed")
+    assert resolve("latest", MACHINE, home).version == 1
+    assert registry.version(MACHINE, "2").tags["state"] == "barred"
+    path, reason = make_champion(home, registry.version(MACHINE, "2"), evidence.as_dict())
+    assert path is None
+    assert "not barred" in reason
+    assert [e["action"] for e in history(home, MACHINE)][-2:] == ["rollback", "refused"]
+
+
+def test_a_real_machine_needs_evidence_of_its_own(demo: tuple[Home, dict[str, Any]]) -> None:
+    home = demo[0]
+    version = Registry(home).version(MACHINE, "1")
+    with pytest.raises(InputError, match="measured on it"):
+        measure_evidence(home, version, {"virtual": False}, seed=0, plan=CIRCLES)
+
+
+def test_commands_speak_json_and_nothing_else(
+    demo: tuple[Home, dict[str, Any]], tmp_path: Path
+) -> None:
+    root = demo[0].root
+    for arguments in (["models"], ["runs"], ["plan"], ["features", "training-quick"]):
+        done = dtwin(root, *arguments, "--json")
+        assert done.returncode == 0, done.stderr
+        json.loads(done.stdout)
+    refused = dtwin(root, "promote", "2", "--json")
+    assert refused.returncode == 3
+    assert json.loads(refused.stdout)["champion"] is False
+    for arguments, code in (
+        (["check", str(tmp_path / "nothing.b5r")], 1),
+        (["train", "no-such-campaign"], 1),
+        (["train", "training-quick", "--engine", "magic"], 1),
+        (["promote", "99"], 1),
+        (["no-such-command"], 2),
+    ):
+        done = dtwin(root, *arguments)
+        assert done.returncode == code, (arguments, done.stderr)
+        assert "Traceback" not in done.stderr

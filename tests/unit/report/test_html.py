@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.atomic import write_text
+from dtwin.errors import StoreError
+from dtwin.report.html import Section, Table, page
+from dtwin.report.plots import polar_figure
+
+EVIL = "<script>alert(1)</script>\"'><img src=x onerror=alert(2)>"
+
+
+def test_a_page_fetches_nothing_and_escapes_everything() -> None:
+    angle = np.linspace(0, 360, 100)
+    figure = polar_figure({"run": (angle, np.sin(angle))}, 100.0, title="polar")
+    section = Section(EVIL, [EVIL], [("error", EVIL)], [Table([EVIL], [[EVIL]])], [figure], [EVIL])
+    content = page(EVIL, EVIL, [section])
+    assert "<script>alert(1)" not in content
+    assert "<img src=x" not in content
+    outside = re.sub(r"<script>.*?</script>", "", content, flags=re.S)
+    assert not re.findall(r"(?:src|href)\s*=\s*[\"']?(?:https?:)?//", outside)
+    assert "default-src 'none'" in content
+    assert content.count("Plotly.newPlot(") >= 1
+
+
+def test_magnification_is_round_and_drawn() -> None:
+    angle = np.linspace(0, 360, 100)
+    figure = polar_figure({"a": (angle, 40 * np.cos(np.radians(2 * angle)))}, 100.0, title="x")
+    assert "(500 x)" in figure.layout.title.text
+    drawn = np.array(figure.data[1].r)
+    assert drawn.max() == pytest.approx(100 + 40 * 500 / 1000, rel=1e-3)
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    target = tmp_path / "x.html"
+    target.mkdir()
+    with pytest.raises(StoreError):
+        write_text(target, "x", "the page")
+    assert [p.name for p in tmp_path.iterdir()] == ["x.html"]

@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from dtwin.features.motion import PATH_INPUT_UNITS
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import create_bundle
+from dtwin.serve.interface import Input, Output, SafetyLimits
+from dtwin.train.gates import Verdict, evidence_gate, offline_gates
+
+GOOD = {
+    "leave_feed_mm_min_out.r2": 0.9,
+    "leave_radius_mm_out.r2": 0.8,
+    "leave_feed_mm_min_out.worst_slice_ratio": 0.5,
+    "latency_p99_us": 3.0,
+}
+
+
+def bundle(**changes: object) -> Bundle:
+    builder = GraphBuilder()
+    angle = builder.input("path_angle_rad")
+    graph = builder.graph({"radial_um": 20.0 * builder.apply("cos", 2.0 * angle)})
+    unit = str(changes.pop("unit", PATH_INPUT_UNITS["path_angle_rad"]))
+    rate = float(changes.pop("rate_hz", 500.0))  # type: ignore[arg-type]
+    return create_bundle(
+        name="m",
+        machine="mill-a",
+        model_version=0,
+        inputs=[Input("path_angle_rad", unit, "path", rate, "path", -20.0, 20.0)],
+        outputs=[
+            Output(
+                "radial_um",
+                str(changes.pop("frame", "path_radial")),
+                str(changes.pop("role", "error")),
+            )
+        ],
+        tick_graph=graph,
+        safety=SafetyLimits(clamp_um=15.0),
+    )
+
+
+def failed(verdicts: list[Verdict]) -> set[str]:
+    return {v.gate for v in verdicts if not v.passed}
+
+
+def test_a_sound_model_passes_and_is_clamped() -> None:
+    verdicts = offline_gates(bundle(), GOOD)
+    assert failed(verdicts) == set()
+    assert "15 um after a clamp" in next(v.reason for v in verdicts if v.gate == "bounded output")
+
+
+@pytest.mark.parametrize(
+    ("metrics", "gate"),
+    [
+        ({"leave_feed_mm_min_out.r2": 0.1}, "held-out conditions"),
+        ({"leave_radius_mm_out.r2": -0.4}, "held-out conditions"),
+        ({"leave_feed_mm_min_out.worst_slice_ratio": 1.2}, "no slice worse than no correction"),
+        ({"latency_p99_us": 500.0}, "latency"),
+    ],
+)
+def test_each_figure_can_refuse(metrics: dict[str, float], gate: str) -> None:
+    assert failed(offline_gates(bundle(), GOOD | metrics)) == {gate}
+
+
+def test_missing_figures_refuse() -> None:
+    assert {"held-out conditions", "latency"} <= failed(offline_gates(bundle(), {}))
+
+
+def test_another_unit_or_rate_breaks_the_contract() -> None:
+    assert failed(offline_gates(bundle(unit="deg"), GOOD)) == {"train and serve agree"}
+    assert failed(offline_gates(bundle(rate_hz=125.0), GOOD)) == {"train and serve agree"}
+
+
+def test_changed_test_vectors_break_the_contract() -> None:
+    sound = bundle()
+    vectors = dataclasses.replace(
+        sound.vectors, outputs=tuple((v[0] + 1e-6,) for v in sound.vectors.outputs)
+    )
+    assert failed(offline_gates(dataclasses.replace(sound, vectors=vectors), GOOD)) == {
+        "train and serve agree"
+    }
+
+
+def evidence(**changes: object) -> dict[str, object]:
+    condition = {
+        "plane": "XY",
+        "radius_mm": 100.0,
+        "feed_mm_min": 1000.0,
+        "before_um": 50.0,
+        "after_um": 10.0,
+        "before_ci_um": 2.0,
+        "after_ci_um": 1.0,
+        "worse": False,
+    } | changes
+    return {"kind": "virtual", "bundle_sha256": bundle_sha(), "conditions": [condition]}
+
+
+def bundle_sha() -> str:
+    return SOUND.sha256
+
+
+SOUND = bundle()
+
+
+def test_evidence_must_belong_to_bundle_and_machine() -> None:
+    assert failed(evidence_gate(evidence(), SOUND, real=False)) == set()
+    assert failed(evidence_gate(evidence(), SOUND, real=True)) == {
+        "evidence is of this kind of machine"
+    }
+    other = bundle(frame="base_x")
+    assert "evidence belongs to this bundle" in failed(evidence_gate(evidence(), other, real=False))
+
+
+def test_one_worse_condition_or_no_gain_refuses() -> None:
+    worse = evidence(after_um=60.0, worse=True)
+    assert failed(evidence_gate(worse, SOUND, real=False)) == {"no condition worse", "error falls"}
+    within_noise = evidence(after_um=49.0)
+    assert failed(evidence_gate(within_noise, SOUND, real=False)) == {"error falls"}
