@@ -47,7 +47,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Home, dict[str, Any]
 @pytest.fixture(autouse=True)
 def _same_home(demo: tuple[Home, Any], monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("DTWIN_HOME", str(demo[0].root))
-    yield
+    return
 
 
 def test_all_five_steps_have_figures(demo: tuple[Home, dict[str, Any]]) -> None:

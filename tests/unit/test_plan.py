@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import re
 from pathlib import Path
 
@@ -29,7 +30,7 @@ def test_feeds_are_crossed_and_shuffled_inside_each_setup() -> None:
     setups = [test.setup for test in plan.tests]
     assert len(set(setups)) == 9
     # A set-up is done once: its tests stand together.
-    assert len([1 for a, b in zip(setups, setups[1:], strict=False) if a != b]) == 8
+    assert len([1 for a, b in itertools.pairwise(setups) if a != b]) == 8
     for setup in set(setups):
         inside = [(t.feed_mm_min, t.repeat) for t in plan.tests if t.setup == setup]
         assert len(inside) == 9
