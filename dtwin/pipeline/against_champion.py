@@ -1,0 +1,145 @@
+"""A fresh candidate and the champion on the same runs, for the reviewer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.pipeline.diagnosing import champion_error, champion_of, trained_rows
+from dtwin.pipeline.modelling import Registered
+from dtwin.report.html import Section, Table, page
+from dtwin.store import Lake
+from dtwin.train.promotion import verdict_lines
+from dtwin.train.registry import RegisteredVersion, Registry
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Candidate and champion on the same runs.
+
+    Attributes
+    ----------
+    candidate, champion : str
+        Versions.
+    candidate_um, champion_um, before_um : float
+        Set-up-corrected RMS: of the candidate with each feed left out of its fit in turn, of the
+        champion as it would have been served, and without a model.
+    noise_floor_um : float
+        What repeats disagree by.
+    n_runs, seen_by_champion : int
+        Number of runs, and how many of them the champion was trained on.
+    """
+
+    candidate: str
+    champion: str
+    candidate_um: float
+    champion_um: float
+    before_um: float
+    noise_floor_um: float
+    n_runs: int
+    seen_by_champion: int
+
+    @property
+    def verdict(self) -> str:
+        """One sentence for the reviewer."""
+        change = 1.0 - self.candidate_um / self.champion_um
+        what = f"{abs(100 * change):.0f} % {'less' if change > 0 else 'more'} error"
+        known = (
+            f"; the champion was trained on {self.seen_by_champion} of these runs, which flatters it"
+            if self.seen_by_champion
+            else ", none of which the champion ever saw"
+        )
+        return (
+            f"candidate {self.candidate} leaves {what} than champion {self.champion} "
+            f"({self.candidate_um:.1f} against {self.champion_um:.1f} um) on {self.n_runs} runs"
+            + known
+        )
+
+    def table(self) -> tuple[list[str], list[list[str]]]:
+        """Return head and rows for pages."""
+        return ["", "um RMS, held out"], [
+            ["no correction", f"{self.before_um:.1f}"],
+            [f"champion {self.champion}", f"{self.champion_um:.1f}"],
+            [f"candidate {self.candidate}", f"{self.candidate_um:.1f}"],
+            ["noise floor", f"{self.noise_floor_um:.1f}"],
+        ]
+
+
+def compare_with_champion(
+    home: Home, registered: Registered, rows: Sequence[dict[str, Any]]
+) -> Comparison | None:
+    """Compare a fresh candidate with the champion, and leave the result for the reviewer.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    registered : Registered
+        The training.
+    rows : sequence of dict
+        Rows of ``runs`` that it was trained on.
+
+    Returns
+    -------
+    Comparison or None
+        None when there is no champion, or none that recorded runs can judge; the reason is
+        then the version's tag ``against_champion``.
+    """
+    registry = Registry(home)
+    report = registered.training.report
+    champion = champion_of(registry, report.machine)
+    tags = {"trained_by": "schedule"}
+    if champion is None:
+        registry.mark(registered.version, tags | {"against_champion": "there is no champion"})
+        return None
+    lake = Lake(home.lake)
+    try:
+        error = champion_error(registry, champion, lake, rows)
+    except InputError as refused:
+        registry.mark(registered.version, tags | {"against_champion": refused.message})
+        return None
+    seen = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
+    found = Comparison(
+        candidate=registered.version.version,
+        champion=champion.version,
+        candidate_um=report.candidate(report.proposed).scores["feed_mm_min"].rms_um,
+        champion_um=error.rms_um,
+        before_um=error.before_um,
+        noise_floor_um=report.noise_floor_um,
+        n_runs=error.n_runs,
+        seen_by_champion=sum(row["content_sha256"] in seen for row in rows),
+    )
+    _leave_for_reviewer(registry, registered, champion, found)
+    registry.mark(registered.version, tags | {"against_champion": found.verdict})
+    return found
+
+
+def _leave_for_reviewer(
+    registry: Registry, registered: Registered, champion: RegisteredVersion, found: Comparison
+) -> None:
+    section = Section(
+        "Against the champion",
+        [
+            found.verdict + ".",
+            "Both errors are on the same runs after centre and radius of each set-up. The "
+            "candidate is scored with every feed left out of its fit in turn; the champion is "
+            "its frozen bundle, zero outside its validity box as when served.",
+            "Nothing was promoted: dtwin promote does that, after trial and evidence.",
+            *verdict_lines(registered.verdicts),
+        ],
+        tables=[Table(*found.table())],
+    )
+    title = f"Version {found.candidate} against champion {champion.version}"
+    registry.attach(
+        registered.version,
+        {"against-champion.html": page(title, f"machine {champion.machine}", [section])},
+    )
+    before = registry.description(registered.version)
+    registry.mark(
+        registered.version,
+        {},
+        description=f"{before}\n\nScheduled training: {found.verdict}.",
+    )

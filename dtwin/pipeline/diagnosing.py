@@ -1,0 +1,362 @@
+"""What a campaign says of its data and of the champion, without fitting anything to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.quality import judge_campaign
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.features.motion import PATH_INPUTS
+from dtwin.pipeline.measuring import Progress
+from dtwin.report.checking import run_result
+from dtwin.schema import Finding, Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.store import Lake
+from dtwin.train.candidates import score
+from dtwin.train.dataset import TICK_HZ, TickRun, load_ticks
+from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.rows import Rows, gather, noise_floor_um
+
+DRIFT = "champion.drift"
+# How far the bar's clock may be moved to where the equation fits best, as in training.
+_LAG_RANGE_S, _LAG_STEP_S, _LAG_ROUNDS = 0.040, 0.002, 2
+
+
+@dataclass(frozen=True)
+class ChampionError:
+    """The champion's error on runs, as if it had been served to them.
+
+    Attributes
+    ----------
+    rms_um, before_um : float
+        Set-up-corrected error with the champion, and without any model.
+    noise_floor_um : float
+        What repeats disagree by; NaN without repeats.
+    outside_box_share : float
+        Share of the rows at which serving would have sent no correction.
+    n_runs : int
+        Number of runs.
+    """
+
+    rms_um: float
+    before_um: float
+    noise_floor_um: float
+    outside_box_share: float
+    n_runs: int
+
+
+@dataclass(frozen=True)
+class DriftCheck:
+    """Whether the champion's error has grown.
+
+    Attributes
+    ----------
+    version, campaign : str
+        The champion, and the campaign it was judged on.
+    error : ChampionError or None
+        On runs it was never trained on; None without any.
+    expected_um : float
+        Held-out error that was registered with it; NaN when none fits the campaign.
+    expected_from : str
+        Which of the registered errors.
+    excess_um : float
+        By how much the error has grown, in quadrature; NaN when not judged.
+    drifted : bool
+        Whether that is more than the noise floor.
+    reason : str
+        The verdict in words, or why there is none.
+    """
+
+    version: str
+    campaign: str
+    error: ChampionError | None
+    expected_um: float
+    expected_from: str
+    excess_um: float
+    drifted: bool
+    reason: str
+
+    @property
+    def finding(self) -> Finding | None:
+        """The diagnosis, None without drift."""
+        if not self.drifted or self.error is None:
+            return None
+        numbers = {
+            "rms_um": self.error.rms_um,
+            "expected_um": self.expected_um,
+            "excess_um": self.excess_um,
+            "noise_floor_um": self.error.noise_floor_um,
+        }
+        return Finding(DRIFT, "warning", self.reason, numbers)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        found = self.finding
+        return _plain(vars(self)) | {
+            "error": _plain(vars(self.error)) if self.error else None,
+            "finding": found.as_dict() if found else None,
+        }
+
+
+def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
+    """Return figures and findings of every run of a campaign in the lake.
+
+    Parameters
+    ----------
+    home : Home
+        Gives the lake.
+    campaign : str
+        Name of the campaign.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Returns
+    -------
+    dict
+        ``campaign``, ``machine``, ``kind``, ``runs`` as ``dtwin check`` gives them, and
+        ``findings`` of the whole.
+    """
+    lake = Lake(home.lake)
+    known = lake.campaign(campaign)
+    rows = lake.runs(campaign)
+    results, light = [], []
+    for done, row in enumerate(rows, start=1):
+        run = lake.load(row, signals=False)
+        results.append(_once(run_result(run)))
+        light.append(replace(run, samples={}, signals=()))
+        if progress is not None:
+            progress(done, len(rows), run.meta.run_id)
+    return {
+        "campaign": campaign,
+        "machine": known.machine,
+        "kind": known.kind,
+        "runs": results,
+        "findings": [finding.as_dict() for finding in judge_campaign(light)],
+    }
+
+
+def champion_of(registry: Registry, machine: str) -> RegisteredVersion | None:
+    """Return the machine's champion, None when nothing was promoted."""
+    try:
+        return registry.version(machine, "champion")
+    except InputError:
+        return None
+
+
+def campaign_of(registry: Registry, version: RegisteredVersion) -> str:
+    """Return the campaign that a version was trained on."""
+    return str(registry.client.get_run(version.run_id).data.params.get("campaign", ""))
+
+
+def trained_rows(
+    registry: Registry, lake: Lake, version: RegisteredVersion
+) -> list[dict[str, Any]]:
+    """Return the rows of ``runs`` that a version was trained on, by its table version.
+
+    Parameters
+    ----------
+    registry : Registry
+        Says which campaign.
+    lake : Lake
+        Says what the campaign held then.
+    version : RegisteredVersion
+        The version.
+    """
+    provenance = Bundle.from_dict(registry.bundle(version)).provenance
+    table = lake.tables["runs"]
+    files = table.files(provenance.table_versions.get("runs", -1))
+    campaign = campaign_of(registry, version)
+    rows = table.read(files).to_pylist() if files else []
+    return [row for row in rows if row["campaign"] == campaign and usable(row)]
+
+
+def usable(row: Any) -> bool:
+    """Tell whether training would use a run: complete, without a data-quality error."""
+    return bool(row["n_errors"] == 0 and row["status"] == "complete")
+
+
+def check_drift(
+    home: Home, champion: RegisteredVersion, campaign: str, progress: Progress | None = None
+) -> DriftCheck:
+    """Judge the champion on those runs of a campaign that it was never trained on.
+
+    Mean squares add: what the champion's error has grown by is the root of the difference of
+    squares of its error now and of its registered held-out error. It has drifted when that
+    exceeds what repeats of the same condition disagree by. Planes that it was never trained on
+    say nothing about drift; for radii it was never trained on its registered radius-out error
+    is what to expect.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    champion : RegisteredVersion
+        The served version.
+    campaign : str
+        Campaign in the lake.
+    progress : callable, optional
+        Called with (done, total, what).
+    """
+    lake, registry = Lake(home.lake), Registry(home)
+    known = trained_rows(registry, lake, champion)
+    seen = {row["content_sha256"] for row in known}
+    fresh = [r for r in lake.runs(campaign) if usable(r) and r["content_sha256"] not in seen]
+
+    def silent(reason: str, error: ChampionError | None = None) -> DriftCheck:
+        nan = float("nan")
+        return DriftCheck(champion.version, campaign, error, nan, "", nan, False, reason)
+
+    if not fresh:
+        return silent("the champion was trained on every usable run of this campaign")
+    strange = {r["plane"] for r in fresh} - {r["plane"] for r in known}
+    if strange:
+        return silent(f"the champion was never trained on {', '.join(sorted(strange))}")
+    error = champion_error(registry, champion, lake, fresh, progress)
+    new_radius = {r["radius_mm"] for r in fresh} - {r["radius_mm"] for r in known}
+    left_out = "radius_mm" if new_radius else "feed_mm_min"
+    expected = registry.metrics(champion).get(f"leave_{left_out}_out.rms_um", float("nan"))
+    if np.isnan(expected):
+        return silent("no held-out error was registered with the champion", error)
+    if np.isnan(error.noise_floor_um):
+        return silent("without repeats of a condition the noise floor is not known", error)
+    excess = float(np.sqrt(max(0.0, error.rms_um**2 - expected**2)))
+    drifted = excess > error.noise_floor_um
+    reason = (
+        f"champion {champion.version} leaves {error.rms_um:.1f} um on {error.n_runs} runs of "
+        f"{campaign} that it never saw, {expected:.1f} um were registered with it "
+        f"({left_out} left out): grown by {excess:.1f} um in quadrature, "
+        f"{'more' if drifted else 'not more'} than the noise floor of "
+        f"{error.noise_floor_um:.1f} um"
+    )
+    return DriftCheck(
+        champion.version, campaign, error, expected, left_out, excess, drifted, reason
+    )
+
+
+def champion_error(
+    registry: Registry,
+    champion: RegisteredVersion,
+    lake: Lake,
+    rows: Sequence[dict[str, Any]],
+    progress: Progress | None = None,
+) -> ChampionError:
+    """Return a version's error on runs in the lake, with its frozen bundle.
+
+    Parameters
+    ----------
+    registry : Registry
+        Holds the bundle.
+    champion : RegisteredVersion
+        The version.
+    lake : Lake
+        Holds the runs.
+    rows : sequence of dict
+        Rows of the table ``runs``, of one campaign.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When the bundle needs more than the path says, or predicts no radial error.
+    """
+    bundle = Bundle.from_dict(registry.bundle(champion))
+    _require_path_only(bundle)
+    horizon_s = registry.metrics(champion).get("horizon_ms", 0.0) / 1000.0
+    campaign = lake.campaign(rows[0]["campaign"])
+    found = gather(load_ticks(lake, campaign, rows, progress))
+    parts = [predicted_um(bundle, run, horizon_s) for run in found.runs]
+    predicted = np.concatenate([values for values, _ in parts])
+    aligned = _aligned(found, predicted)
+    return ChampionError(
+        rms_um=score(aligned, predicted, "run_id").rms_um,
+        before_um=aligned.rms_um(aligned.target_um),
+        noise_floor_um=noise_floor_um(aligned)[0],
+        outside_box_share=float(np.mean(np.concatenate([outside for _, outside in parts]))),
+        n_runs=len(found.runs),
+    )
+
+
+def predicted_um(bundle: Bundle, run: TickRun, horizon_s: float) -> tuple[Floats, Any]:
+    """Return a bundle's radial error at the rows of a run, and where it lies outside its box.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        A bundle over path inputs.
+    run : TickRun
+        The run.
+    horizon_s : float
+        How far the equation looks ahead: its output at a tick is for that much later.
+
+    Returns
+    -------
+    predicted, outside : tuple of ndarray, shape (rows,)
+        Clamped, and zero outside the validity box, as served.
+    """
+    columns = [PATH_INPUTS.index(name) for name in bundle.tick_inputs]
+    inputs = run.inputs[:, columns].astype(float)
+    values = CompiledBundle(bundle).run(inputs)[:, 0]
+    low, high = (np.array([getattr(i, end) for i in bundle.inputs]) for end in ("low", "high"))
+    outside = ((inputs < low) | (inputs > high)).any(axis=1) | ~np.isfinite(values)
+    limit = bundle.safety.clamp_um
+    sign = 1.0 if bundle.outputs[0].role == "error" else -1.0
+    served = np.where(outside, 0.0, sign * np.clip(np.nan_to_num(values), -limit, limit))
+    ticks = np.clip(run.arc - round(horizon_s * TICK_HZ), 0, None)
+    return served[ticks], outside[ticks]
+
+
+def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return fields with NaN as None, which JSON knows."""
+    return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in fields.items()}
+
+
+def _once(result: dict[str, Any]) -> dict[str, Any]:
+    """Drop findings that the ingest made already."""
+    unique = {(f["code"], f["message"]): f for f in result["findings"]}
+    return result | {"findings": list(unique.values())}
+
+
+def _require_path_only(bundle: Bundle) -> None:
+    missing = [name for name in bundle.tick_inputs if name not in PATH_INPUTS]
+    missing += bundle.feature_inputs
+    frames = [output.frame for output in bundle.outputs]
+    if missing or frames != ["path_radial"]:
+        raise InputError(
+            "this champion cannot be judged on recorded runs",
+            code="drift.bundle",
+            where=f"machine {bundle.machine} version {bundle.model_version}",
+            got=", ".join(missing + [f for f in frames if f != "path_radial"]),
+            allowed="inputs of the path, one radial output",
+        )
+
+
+def _aligned(rows: Rows, predicted: Floats) -> Rows:
+    """Shift each run's clock to where the prediction fits best, keeping the mean shift zero.
+
+    The registered held-out error was stated after the same was done in training.
+    """
+    bounds = np.cumsum([0, *(run.arc.size for run in rows.runs)])
+    steps = np.arange(-_LAG_RANGE_S, _LAG_RANGE_S + 1e-9, _LAG_STEP_S)
+    shape = rows.without_setups(predicted)
+    for _ in range(_LAG_ROUNDS):
+        wanted = rows.measured_um - rows.target_um + shape
+        moved = np.zeros(len(rows.runs))
+        for i, run in enumerate(rows.runs):
+            here = wanted[bounds[i] : bounds[i + 1]]
+            apart = [np.mean((run.target_um(run.lag_s + step) - here) ** 2) for step in steps]
+            moved[i] = steps[int(np.argmin(apart))]
+        moved -= moved.mean()
+        rows = gather(
+            [
+                replace(run, lag_s=run.lag_s + float(shift))
+                for run, shift in zip(rows.runs, moved, strict=True)
+            ]
+        )
+    return rows

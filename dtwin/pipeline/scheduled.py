@@ -1,0 +1,278 @@
+"""Training without anybody asking: new data in, a candidate and its comparison out.
+
+Nothing is promoted here. A version that is better than the champion waits under the alias
+``candidate`` for somebody to read the comparison and run ``dtwin promote``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from dtwin.config import Home
+from dtwin.errors import InputError, StoreError
+from dtwin.pipeline.against_champion import Comparison, compare_with_champion
+from dtwin.pipeline.diagnosing import (
+    DriftCheck,
+    campaign_of,
+    champion_of,
+    check_drift,
+    trained_rows,
+    usable,
+)
+from dtwin.pipeline.modelling import Registered, StageProgress, train
+from dtwin.store import Lake
+from dtwin.train.registry import Registry
+
+Outcome = Literal["trained", "checked", "skipped"]
+_NOT_IN_A_TAG = re.compile(r"[^A-Za-z0-9_. -]")
+
+
+@dataclass(frozen=True)
+class CampaignNews:
+    """What a campaign holds that no registered version was trained on.
+
+    Attributes
+    ----------
+    campaign, machine : str
+        The campaign.
+    rows : list of dict
+        Its usable runs, as rows of ``runs``.
+    new_runs : int
+        How many of them are new.
+    digest : str
+        Identifies the content of the usable runs.
+    obstacle : str
+        Why the campaign cannot train a correction; empty when it can.
+    """
+
+    campaign: str
+    machine: str
+    rows: list[dict[str, Any]]
+    new_runs: int
+    digest: str
+    obstacle: str
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """What one turn of the schedule did.
+
+    Attributes
+    ----------
+    outcome : {"trained", "checked", "skipped"}
+        ``checked``: nothing could be trained, but the champion was judged on new runs.
+    reason : str
+        Why, in one line.
+    campaigns : dict of str to str
+        What was made of every campaign.
+    registered : Registered or None
+        The training.
+    comparison : Comparison or None
+        Candidate against champion; None without a champion.
+    drift : list of DriftCheck
+        Judgements of the champion on new runs.
+    """
+
+    outcome: Outcome
+    reason: str
+    campaigns: dict[str, str] = field(default_factory=dict)
+    registered: Registered | None = None
+    comparison: Comparison | None = None
+    drift: tuple[DriftCheck, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        found: dict[str, Any] = {
+            "outcome": self.outcome,
+            "reason": self.reason,
+            "campaigns": self.campaigns,
+            "drift": [check.as_dict() for check in self.drift],
+        }
+        if self.registered is not None:
+            report = self.registered.training.report
+            found |= {
+                "campaign": report.campaign,
+                "machine": report.machine,
+                "version": self.registered.version.version,
+                "proposed": report.proposed,
+                "table_versions": dict(report.table_versions),
+                "gates_passed": all(v.passed for v in self.registered.verdicts),
+            }
+        if self.comparison is not None:
+            found["comparison"] = vars(self.comparison) | {"verdict": self.comparison.verdict}
+        return found
+
+
+def scheduled_training(
+    home: Home, *, seed: int = 1, progress: StageProgress | None = None
+) -> Scheduled:
+    """Train on the newest campaign with new runs, compare with the champion, promote nothing.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    seed : int
+        Seed of everything random.
+    progress : callable, optional
+        Called with (stage, done, total, what).
+    """
+    with _only_one(home) as mine:
+        if not mine:
+            return Scheduled("skipped", "another scheduled training is at work")
+        registry = Registry(home)
+        found = news(home, registry)
+        if not found:
+            return Scheduled("skipped", "the lake holds no campaign yet: dtwin ingest PATH")
+        told: dict[str, str] = {}
+        drift: list[DriftCheck] = []
+        for item in found:
+            check = _drift_once(home, registry, item)
+            if check is not None:
+                drift.append(check)
+            told[item.campaign] = item.obstacle or f"{item.new_runs} new runs"
+            if item.obstacle or not item.new_runs:
+                continue
+            try:
+                registered = train(home, item.campaign, seed=seed, progress=progress)
+            except InputError as error:
+                told[item.campaign] = error.message
+                continue
+            comparison = compare_with_champion(home, registered, item.rows)
+            return Scheduled(
+                "trained",
+                f"{item.new_runs} new runs in {item.campaign}: version "
+                f"{registered.version.version} is the candidate",
+                told,
+                registered,
+                comparison,
+                tuple(drift),
+            )
+        judged = any(check.error is not None for check in drift)
+        return Scheduled(
+            "checked" if judged else "skipped",
+            "nothing new to train on" + _newest_training(registry, found),
+            told,
+            drift=tuple(drift),
+        )
+
+
+def news(home: Home, registry: Registry) -> list[CampaignNews]:
+    """Return what is new in every campaign of the lake, the newest ingest first.
+
+    New is a usable run whose content no registered version of the machine was trained on; what
+    a version was trained on is read back from the lake at the version's own table version.
+
+    Parameters
+    ----------
+    home : Home
+        Gives the lake.
+    registry : Registry
+        Gives the versions.
+    """
+    lake = Lake(home.lake)
+    by_campaign: dict[str, list[dict[str, Any]]] = {}
+    for row in lake.runs():
+        by_campaign.setdefault(row["campaign"], []).append(row)
+    order = sorted(by_campaign, key=lambda n: max(r["ingested"] for r in by_campaign[n]))
+    known = {
+        machine: _known(registry, lake, machine)
+        for machine in {rows[0]["machine"] for rows in by_campaign.values()}
+    }
+    found = []
+    for name in reversed(order):
+        rows = [row for row in by_campaign[name] if usable(row)]
+        machine = by_campaign[name][0]["machine"]
+        contents = sorted(row["content_sha256"] for row in rows)
+        found.append(
+            CampaignNews(
+                campaign=name,
+                machine=machine,
+                rows=rows,
+                new_runs=len(set(contents) - known[machine]),
+                digest=hashlib.sha256("".join(contents).encode()).hexdigest()[:16],
+                obstacle=_obstacle(rows),
+            )
+        )
+    return found
+
+
+def _known(registry: Registry, lake: Lake, machine: str) -> set[str]:
+    versions = registry.versions(machine)
+    return {row["content_sha256"] for v in versions for row in trained_rows(registry, lake, v)}
+
+
+def _obstacle(rows: list[dict[str, Any]]) -> str:
+    if not rows:
+        return "no usable runs"
+    if rows[0]["kind"] != "circular":
+        return f"a {rows[0]['kind']} campaign cannot train a correction yet"
+    if not all(_has_controller(row) for row in rows):
+        return "no controller signals, so it cannot train a correction"
+    feeds = {row["feed_mm_min"] for row in rows}
+    return "" if len(feeds) > 1 else "one feed only, so a model could not be judged"
+
+
+def _has_controller(row: dict[str, Any]) -> bool:
+    return any(group["group"] == "controller" for group in json.loads(row["signals_json"]))
+
+
+def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
+    """Judge the champion on a campaign unless the same runs were judged before."""
+    champion = champion_of(registry, item.machine)
+    judgeable = item.rows and all(_has_controller(row) for row in item.rows)
+    if champion is None or not judgeable or item.rows[0]["kind"] != "circular":
+        return None
+    tag = _NOT_IN_A_TAG.sub("_", f"drift.{item.campaign}")
+    if champion.tags.get(tag, "").startswith(item.digest):
+        return None
+    try:
+        check = check_drift(home, champion, item.campaign)
+    except InputError as error:
+        nan = float("nan")
+        check = DriftCheck(
+            champion.version, item.campaign, None, nan, "", nan, False, error.message
+        )
+    registry.mark(champion, {tag: f"{item.digest} {'DRIFT: ' * check.drifted}{check.reason}"})
+    if check.drifted:
+        registry.attach(champion, {f"{tag}.json": json.dumps(check.as_dict(), indent=1)})
+    return check
+
+
+def _newest_training(registry: Registry, found: list[CampaignNews]) -> str:
+    machine = found[0].machine
+    versions = registry.versions(machine)
+    if not versions:
+        return ""
+    newest = versions[0]
+    return f" since version {newest.version} of {machine} ({campaign_of(registry, newest)})"
+
+
+@contextlib.contextmanager
+def _only_one(home: Home) -> Iterator[bool]:
+    """Hold the lock of the schedule; False when another process holds it."""
+    path = home.root / "locks" / "scheduled-training.lock"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = path.open("w")
+    except OSError as error:
+        raise StoreError(
+            "the schedule's lock cannot be made",
+            code="store.write",
+            where=str(path),
+            got=str(error),
+        ) from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        yield True
