@@ -113,7 +113,10 @@ class Scheduled:
 def scheduled_training(
     home: Home, *, seed: int = 1, progress: StageProgress | None = None
 ) -> Scheduled:
-    """Train on the newest campaign with new runs, compare with the champion, promote nothing.
+    """Train on the newest campaign if it has new runs, compare with the champion.
+
+    Campaigns that are older than what a machine's newest training used are passed over, so the
+    alias ``candidate`` always means the newest data. Nothing is promoted.
 
     Parameters
     ----------
@@ -133,12 +136,19 @@ def scheduled_training(
             return Scheduled("skipped", "the lake holds no campaign yet: dtwin ingest PATH")
         told: dict[str, str] = {}
         drift: list[DriftCheck] = []
+        settled: set[str] = set()
         for item in found:
+            if item.machine in settled:
+                told[item.campaign] = "older than the newest campaign that was trained on"
+                continue
             check = _drift_once(home, registry, item)
             if check is not None:
                 drift.append(check)
             told[item.campaign] = item.obstacle or f"{item.new_runs} new runs"
-            if item.obstacle or not item.new_runs:
+            if item.obstacle:
+                continue
+            if not item.new_runs:
+                settled.add(item.machine)
                 continue
             try:
                 registered = train(home, item.campaign, seed=seed, progress=progress)
