@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from dtwin.atomic import write_text
 from dtwin.config import Home, sample_recording
+from dtwin.errors import DeviceError
 from dtwin.pipeline.measuring import compute_features, ingest, simulate
 from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
 from dtwin.pipeline.virtual_robot import virtual_controller
@@ -25,8 +29,6 @@ from dtwin.report.campaign import (
 from dtwin.report.checking import check_source, render_check
 from dtwin.report.html import Section, Table, page
 from dtwin.report.text import table
-from dtwin.serve.session import Served, ServeRequest
-from dtwin.serve.session import serve as serve_session
 from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import verdict_lines
@@ -196,9 +198,8 @@ def _correct(
         return _stopped(registered.verdicts, "an offline gate said no")
     put_on_trial(home, version, "demo")
     screen.say(f"version {version.version} is on trial (a quarter of its clamp)")
-    served = serve_wall_clock(home, version.machine, size, seed)
-    serving = served.as_dict()
-    screen.say(_serving_text(served))
+    serving = serve_wall_clock(home, version.machine, size, seed)
+    screen.say(_serving_text(serving))
     evidence = measure_evidence(
         home,
         version,
@@ -213,7 +214,7 @@ def _correct(
     screen.say(
         f"champion: version {version.version}, {path}" if path else f"not promoted\n{reason}"
     )
-    sections += [_serving_section(served), evidence_section(found, evidence.profiles)]
+    sections += [_serving_section(serving), evidence_section(found, evidence.profiles)]
     return {
         "gates": [vars(v) for v in registered.verdicts],
         "serving": serving,
@@ -223,8 +224,11 @@ def _correct(
     }
 
 
-def serve_wall_clock(home: Home, machine: str, size: DemoSize, seed: int) -> Served:
+def serve_wall_clock(home: Home, machine: str, size: DemoSize, seed: int) -> dict[str, Any]:
     """Serve the trial to the virtual controller over real RTDE, on the wall clock.
+
+    Serving runs in a process of its own, as it would beside a machine: no other thread may
+    hold its interpreter.
 
     Parameters
     ----------
@@ -236,14 +240,50 @@ def serve_wall_clock(home: Home, machine: str, size: DemoSize, seed: int) -> Ser
         For how long, and on which circle.
     seed : int
         Seed of the machine.
+
+    Returns
+    -------
+    dict
+        What ``dtwin serve --json`` printed.
+
+    Raises
+    ------
+    DeviceError
+        When the process printed no status.
     """
     plane, radius, feed = size.evidence.conditions[0]
     log = home.logs / "virtual-controller.log"
     with virtual_controller(
         plane=plane, radius_mm=radius, feed_mm_min=feed, seed=seed, log=log
     ) as host:
-        request = ServeRequest("trial", machine, host, size.serve_s, trial=True)
-        return serve_session(request, home, lambda _: None)
+        done = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "dtwin",
+                "serve",
+                "--model",
+                "trial",
+                "--machine",
+                machine,
+                "--host",
+                host,
+                "--duration",
+                str(size.serve_s),
+                "--json",
+            ],
+            env=dict(os.environ, DTWIN_HOME=str(home.root)),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    try:
+        found: dict[str, Any] = json.loads(done.stdout)
+    except ValueError as error:
+        raise DeviceError(
+            "serving printed no status", code="demo.serve", got=done.stderr[-400:] or "nothing"
+        ) from error
+    return found
 
 
 def _stopped(verdicts: list[Verdict], reason: str) -> dict[str, Any]:
@@ -256,26 +296,30 @@ def _stopped(verdicts: list[Verdict], reason: str) -> dict[str, Any]:
     }
 
 
-def _serving_numbers(served: Served) -> list[list[str]]:
-    timing = served.status.timing
-    rows = [["ended", served.status.ended], ["corrections sent", str(served.status.last_sequence)]]
-    rows += [["correction released", "yes" if served.status.released else "no"]]
-    for name, value in timing.items():
+def _serving_numbers(serving: Mapping[str, Any]) -> list[list[str]]:
+    if "timing" not in serving:
+        return [["error", str(serving.get("error", serving))[:200]]]
+    rows = [
+        ["ended", str(serving["ended"])],
+        ["corrections sent", str(serving["last_sequence"])],
+        ["correction released", "yes" if serving["released"] else "no"],
+    ]
+    for name, value in serving["timing"].items():
         if isinstance(value, Mapping) and "p50" in value:
             shown = ", ".join(f"{k} {v:.4g}" for k, v in value.items() if isinstance(v, float))
             rows.append([name, shown])
         elif isinstance(value, int | float):
             rows.append([name, f"{value:.4g}"])
-    rows += [[f"real time: {k}", v] for k, v in served.status.realtime.items()]
+    rows += [[f"real time: {k}", v] for k, v in serving["realtime"].items()]
     return rows
 
 
-def _serving_text(served: Served) -> str:
-    head = f"served over RTDE on the wall clock for {served.request.duration_s:g} s (trial)"
-    return head + "\n" + table(("what", "value"), _serving_numbers(served))
+def _serving_text(serving: Mapping[str, Any]) -> str:
+    head = "served over RTDE on the wall clock (trial: a quarter of the clamp)"
+    return head + "\n" + table(("what", "value"), _serving_numbers(serving))
 
 
-def _serving_section(served: Served) -> Section:
+def _serving_section(serving: Mapping[str, Any]) -> Section:
     return Section(
         "Serving on the wall clock",
         [
@@ -283,7 +327,7 @@ def _serving_section(served: Served) -> Section:
             "figures come from here, error figures from the machine clock below."
         ],
         [],
-        [Table(("what", "value"), _serving_numbers(served))],
+        [Table(("what", "value"), _serving_numbers(serving))],
     )
 
 
@@ -328,13 +372,3 @@ class _Clock:
         begun = time.monotonic()
         yield
         self.seconds[title.split("  ")[0]] = round(time.monotonic() - begun, 1)
-
-
-def folder_of(home: Home, plan: Plan) -> Path:
-    """Return the campaign folder that the demo measures into."""
-    return home.campaigns / plan.name
-
-
-def renamed(size: DemoSize, name: str) -> DemoSize:
-    """Return the same demo with a campaign of another name."""
-    return replace(size, plan=replace(size.plan, name=name))

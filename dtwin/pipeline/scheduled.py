@@ -18,7 +18,7 @@ from typing import Any, Literal
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.pipeline.against_champion import Comparison, compare_with_champion
-from dtwin.pipeline.diagnosing import (
+from dtwin.pipeline.drift import (
     DriftCheck,
     campaign_of,
     champion_of,
@@ -134,44 +134,12 @@ def scheduled_training(
         found = news(home, registry)
         if not found:
             return Scheduled("skipped", "the lake holds no campaign yet: dtwin ingest PATH")
-        told: dict[str, str] = {}
-        drift: list[DriftCheck] = []
-        settled: set[str] = set()
+        turn = _Turn(home, registry, seed, progress)
         for item in found:
-            if item.machine in settled:
-                told[item.campaign] = "older than the newest campaign that was trained on"
-                continue
-            check = _drift_once(home, registry, item)
-            if check is not None:
-                drift.append(check)
-            told[item.campaign] = item.obstacle or f"{item.new_runs} new runs"
-            if item.obstacle:
-                continue
-            if not item.new_runs:
-                settled.add(item.machine)
-                continue
-            try:
-                registered = train(home, item.campaign, seed=seed, progress=progress)
-            except InputError as error:
-                told[item.campaign] = error.message
-                continue
-            comparison = compare_with_champion(home, registered, item.rows)
-            return Scheduled(
-                "trained",
-                f"{item.new_runs} new runs in {item.campaign}: version "
-                f"{registered.version.version} is the candidate",
-                told,
-                registered,
-                comparison,
-                tuple(drift),
-            )
-        judged = any(check.error is not None for check in drift)
-        return Scheduled(
-            "checked" if judged else "skipped",
-            "nothing new to train on" + _newest_training(registry, found),
-            told,
-            drift=tuple(drift),
-        )
+            turn.look_at(item)
+            if turn.registered is not None:
+                break
+        return turn.result(found)
 
 
 def news(home: Home, registry: Registry) -> list[CampaignNews]:
@@ -254,6 +222,58 @@ def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftChec
     if check.drifted:
         registry.attach(champion, {f"{tag}.json": json.dumps(check.as_dict(), indent=1)})
     return check
+
+
+class _Turn:
+    """One pass over the campaigns, the newest first."""
+
+    def __init__(
+        self, home: Home, registry: Registry, seed: int, progress: StageProgress | None
+    ) -> None:
+        self.home, self.registry, self.seed, self.progress = home, registry, seed, progress
+        self.told: dict[str, str] = {}
+        self.drift: list[DriftCheck] = []
+        self.settled: set[str] = set()
+        self.registered: Registered | None = None
+        self.comparison: Comparison | None = None
+
+    def look_at(self, item: CampaignNews) -> None:
+        """Judge the champion on a campaign, and train on it when it is new."""
+        if item.machine in self.settled:
+            self.told[item.campaign] = "older than the newest campaign that was trained on"
+            return
+        check = _drift_once(self.home, self.registry, item)
+        if check is not None:
+            self.drift.append(check)
+        self.told[item.campaign] = item.obstacle or f"{item.new_runs} new runs"
+        if item.obstacle:
+            return
+        if not item.new_runs:
+            self.settled.add(item.machine)
+            return
+        try:
+            self.registered = train(
+                self.home, item.campaign, seed=self.seed, progress=self.progress
+            )
+        except InputError as error:
+            self.told[item.campaign] = error.message
+            return
+        self.comparison = compare_with_champion(self.home, self.registered, item.rows)
+
+    def result(self, found: list[CampaignNews]) -> Scheduled:
+        """Return what was done."""
+        outcome: Outcome = "trained"
+        if self.registered is not None:
+            campaign = self.registered.training.report.campaign
+            version = self.registered.version.version
+            reason = f"{self.told[campaign]} in {campaign}: version {version} is the candidate"
+        else:
+            judged = any(check.error is not None for check in self.drift)
+            outcome = "checked" if judged else "skipped"
+            reason = "nothing new to train on" + _newest_training(self.registry, found)
+        return Scheduled(
+            outcome, reason, self.told, self.registered, self.comparison, tuple(self.drift)
+        )
 
 
 def _newest_training(registry: Registry, found: list[CampaignNews]) -> str:

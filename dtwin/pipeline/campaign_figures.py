@@ -1,0 +1,103 @@
+"""What the runs of a campaign in the lake say: figures, findings, curves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from dtwin.acquire.quality import judge_campaign
+from dtwin.config import Home
+from dtwin.physics.circular import fit_circle, residual_um
+from dtwin.pipeline.measuring import Progress
+from dtwin.report.checking import run_result
+from dtwin.schema import Floats, Run
+from dtwin.store import Lake
+
+
+def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
+    """Return figures and findings of every run of a campaign in the lake.
+
+    Parameters
+    ----------
+    home : Home
+        Gives the lake.
+    campaign : str
+        Name of the campaign.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Returns
+    -------
+    dict
+        ``campaign``, ``machine``, ``kind``, ``runs`` as ``dtwin check`` gives them, and
+        ``findings`` of the whole.
+
+    Raises
+    ------
+    InputError
+        When the campaign is unknown.
+    """
+    lake = Lake(home.lake)
+    known = lake.campaign(campaign)
+    rows = lake.runs(campaign)
+    results, light = [], []
+    for done, row in enumerate(rows, start=1):
+        run = lake.load(row, signals=False)
+        results.append(_once(run_result(run)))
+        light.append(replace(run, samples={}, signals=()))
+        if progress is not None:
+            progress(done, len(rows), run.meta.run_id)
+    return {
+        "campaign": campaign,
+        "machine": known.machine,
+        "kind": known.kind,
+        "runs": results,
+        "findings": [finding.as_dict() for finding in judge_campaign(light)],
+    }
+
+
+def error_curves(
+    home: Home, campaign: str, most: int = 6
+) -> dict[str, dict[str, tuple[Floats, Floats]]]:
+    """Return the error over the path angle of the first run of each condition.
+
+    Parameters
+    ----------
+    home : Home
+        Gives the lake.
+    campaign : str
+        Name of a circular campaign; another kind gives nothing.
+    most : int
+        Number of conditions.
+
+    Returns
+    -------
+    dict of str to dict of str to (angle, error)
+        By condition and direction: angles in degrees, errors in um after the run's own centre
+        and radius, each of shape (n,).
+    """
+    lake = Lake(home.lake)
+    curves: dict[str, dict[str, tuple[Floats, Floats]]] = {}
+    for row in lake.runs(campaign):
+        if row["kind"] != "circular" or not row["radius_mm"]:
+            continue
+        feed = f" F{row['feed_mm_min']:g}" if row["feed_mm_min"] else ""
+        name = f"{row['plane']} R{row['radius_mm']:g}{feed}"
+        ways = curves.get(name, {}) if name in curves or len(curves) < most else None
+        if ways is not None and row["direction"] not in ways:
+            ways[row["direction"]] = _centred(lake.load(row, signals=False))
+            curves[name] = ways
+    return curves
+
+
+def _centred(run: Run) -> tuple[Floats, Floats]:
+    part = slice(*run.window) if run.window is not None else slice(None)
+    angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
+    radius = float(run.meta.radius_mm or 0.0)
+    return angle, residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
+
+
+def _once(result: dict[str, Any]) -> dict[str, Any]:
+    """Drop findings that the ingest made already and that are kept with the run."""
+    unique = {(f["code"], f["message"]): f for f in result["findings"]}
+    return result | {"findings": list(unique.values())}
