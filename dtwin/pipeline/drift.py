@@ -1,4 +1,4 @@
-"""What a campaign says of its data and of the champion, without fitting anything to it."""
+"""What new runs say of the champion, without fitting anything to them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.quality import judge_campaign
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.motion import PATH_INPUTS
 from dtwin.pipeline.measuring import Progress
-from dtwin.report.checking import run_result
 from dtwin.schema import Finding, Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -102,43 +100,6 @@ class DriftCheck:
             "error": _plain(vars(self.error)) if self.error else None,
             "finding": found.as_dict() if found else None,
         }
-
-
-def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
-    """Return figures and findings of every run of a campaign in the lake.
-
-    Parameters
-    ----------
-    home : Home
-        Gives the lake.
-    campaign : str
-        Name of the campaign.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Returns
-    -------
-    dict
-        ``campaign``, ``machine``, ``kind``, ``runs`` as ``dtwin check`` gives them, and
-        ``findings`` of the whole.
-    """
-    lake = Lake(home.lake)
-    known = lake.campaign(campaign)
-    rows = lake.runs(campaign)
-    results, light = [], []
-    for done, row in enumerate(rows, start=1):
-        run = lake.load(row, signals=False)
-        results.append(_once(run_result(run)))
-        light.append(replace(run, samples={}, signals=()))
-        if progress is not None:
-            progress(done, len(rows), run.meta.run_id)
-    return {
-        "campaign": campaign,
-        "machine": known.machine,
-        "kind": known.kind,
-        "runs": results,
-        "findings": [finding.as_dict() for finding in judge_campaign(light)],
-    }
 
 
 def champion_of(registry: Registry, machine: str) -> RegisteredVersion | None:
@@ -315,12 +276,6 @@ def predicted_um(bundle: Bundle, run: TickRun, horizon_s: float) -> tuple[Floats
 def _plain(fields: Mapping[str, Any]) -> dict[str, Any]:
     """Return fields with NaN as None, which JSON knows."""
     return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in fields.items()}
-
-
-def _once(result: dict[str, Any]) -> dict[str, Any]:
-    """Drop findings that the ingest made already."""
-    unique = {(f["code"], f["message"]): f for f in result["findings"]}
-    return result | {"findings": list(unique.values())}
 
 
 def _require_path_only(bundle: Bundle) -> None:
