@@ -17,6 +17,7 @@ from dtwin.report.plots import (
     error_figure,
     evidence_figure,
     front_figure,
+    magnification_for,
     polar_figure,
 )
 from dtwin.schema import Floats, Run
@@ -71,14 +72,17 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
             window = (int(motion.stops[0]), int(motion.stops[2]))
             aligned_curves[run_.meta.run_id] = _centred(run_, angle, window)
     radius = float(runs[0].meta.radius_mm or 100.0)
+    drawn = [*by_file.values(), *aligned_curves.values()]
+    # One magnification, so that the two pictures can be compared.
+    scale = magnification_for(max(float(np.max(np.abs(d))) for _, d in drawn), radius)
     return Section(
         f"The recording {path.name}",
         [f"Machine as stated: {result['machine']}."],
         findings,
         tables,
         [
-            polar_figure(by_file, radius, title="As the file's indices say"),
-            polar_figure(aligned_curves, radius, title="Aligned by the stops"),
+            polar_figure(by_file, radius, title="As the file's indices say", magnification=scale),
+            polar_figure(aligned_curves, radius, title="Aligned by the stops", magnification=scale),
         ],
     )
 

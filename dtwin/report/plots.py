@@ -39,11 +39,10 @@ def polar_figure(
     title : str
         Heading.
     magnification : float, optional
-        Drawn millimetres per millimetre of error; chosen so that the largest error is a
-        quarter of the radius when left out.
+        Drawn millimetres per millimetre of error; chosen from the largest error when left out.
     """
     largest = max((float(np.max(np.abs(d))) for _, d in traces.values()), default=1.0)
-    factor = magnification or _round_factor(0.25 * radius_mm * 1000.0 / max(largest, 1e-9))
+    factor = magnification or magnification_for(largest, radius_mm)
     figure = go.Figure()
     circle = np.linspace(0.0, 360.0, 181)
     figure.add_trace(
@@ -71,7 +70,7 @@ def polar_figure(
     figure.update_layout(
         title=f"{title} ({factor:g} x)",
         polar={
-            "radialaxis": {"range": [0.0, 1.45 * radius_mm], "showticklabels": False, "ticks": ""},
+            "radialaxis": {"range": [0.0, 1.4 * radius_mm], "showticklabels": False, "ticks": ""},
             "angularaxis": {"rotation": 0, "direction": "counterclockwise"},
         },
     )
@@ -154,7 +153,7 @@ def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
         )
     )
     figure.update_layout(
-        title="Set-up-corrected radial error, RMS; bars: 95 % over runs; *: feed never trained",
+        title="Radial error, RMS after set-up; bars: 95 % over runs; *: feed not trained",
         yaxis_title="um",
         barmode="group",
     )
@@ -179,8 +178,9 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
                 x=[c["p50_us"] for c in chosen],
                 y=[c["rms_um"] for c in chosen],
                 text=[c["name"] for c in chosen],
-                mode="markers+text",
-                textposition="top center",
+                mode="markers+text" if promotable else "markers",
+                textposition="top right",
+                hovertemplate="%{text}<br>%{x:.3g} us, %{y:.1f} um<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={
                     "size": 12,
@@ -193,7 +193,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
         y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
     )
     figure.update_layout(
-        title="Error on feeds left out against the time of one row",
+        title="Error on feeds left out against time of one row (hover for names)",
         xaxis={"title": "median time of one row, us", "type": "log"},
         yaxis={"title": "held-out RMS, um", "rangemode": "tozero"},
     )
@@ -236,13 +236,26 @@ def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figu
     return _styled(figure)
 
 
+def magnification_for(largest_um: float, radius_mm: float) -> float:
+    """Return the round magnification that draws an error as about a third of the radius.
+
+    Parameters
+    ----------
+    largest_um : float
+        Largest error that is to be drawn.
+    radius_mm : float
+        Nominal radius.
+    """
+    return _round_factor(0.35 * radius_mm * 1000.0 / max(largest_um, 1e-9))
+
+
 def _styled(figure: go.Figure) -> go.Figure:
     figure.update_layout(
         template="plotly_white",
         height=460,
-        margin={"l": 60, "r": 30, "t": 60, "b": 60},
+        margin={"l": 60, "r": 30, "t": 95, "b": 60},
         font={"family": "system-ui, sans-serif", "size": 13},
-        legend={"orientation": "h", "y": -0.18},
+        legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"},
     )
     return figure
 
