@@ -7,62 +7,20 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from dtwin.delta import DeltaFiles
 from dtwin.errors import InputError, StoreError
 from dtwin.parquet import columns_of, table_of
-from dtwin.schema import Campaign, Finding, Run, RunMeta, SignalGroup, require_name
+from dtwin.run_rows import RUN_SCHEMA, content_sha256, meta_of, run_row
+from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
-INCOMPLETE = "recording.incomplete"
 TABLES = ("runs", "samples", "signals", "features", "rejects")
-_RUN_SCHEMA = pa.schema(
-    [
-        *(
-            (name, pa.string())
-            for name in (
-                "campaign",
-                "machine",
-                "kind",
-                "run_id",
-                "plane",
-                "direction",
-                "setup",
-                "started",
-                "status",
-                "source",
-                "content_sha256",
-                "samples_file",
-                "signals_json",
-                "condition_json",
-                "covariates_json",
-                "vendor_json",
-                "findings_json",
-                "geometry_json",
-                "instrument_json",
-                "ingested",
-            )
-        ),
-        *((name, pa.float64()) for name in ("radius_mm", "feed_mm_min", "sample_rate_hz")),
-        *(
-            (name, pa.int64())
-            for name in (
-                "repeat",
-                "n_samples",
-                "window_start",
-                "window_end",
-                "n_errors",
-            )
-        ),
-    ]
-)
 
 
 @dataclass(frozen=True)
@@ -167,10 +125,10 @@ class Lake:
             still = {r.meta.run_id for r in self._fresh(campaign, fresh, hashes)}
             rows = [row for row in rows if row["run_id"] in still]
             if rows:
-                table = pa.Table.from_pylist(rows, schema=_RUN_SCHEMA)
+                table = pa.Table.from_pylist(rows, schema=RUN_SCHEMA)
                 digest = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()[:16]
                 name = f"{campaign.name}-{digest}.parquet"
-                self.tables["runs"].commit([self.tables["runs"].write(name, table)], _RUN_SCHEMA)
+                self.tables["runs"].commit([self.tables["runs"].write(name, table)], RUN_SCHEMA)
         return CommitReport(
             added=tuple(row["run_id"] for row in rows),
             unchanged=tuple(sorted(set(hashes) - {row["run_id"] for row in rows})),
@@ -203,7 +161,7 @@ class Lake:
         groups = json.loads(row["signals_json"]) if signals else []
         window = None if row["window_start"] is None else (row["window_start"], row["window_end"])
         return Run(
-            meta=_meta_of(row),
+            meta=meta_of(row),
             samples=columns_of(samples),
             window=window,
             signals=tuple(self._load_group(group) for group in groups),
@@ -329,7 +287,7 @@ class Lake:
                 }
                 for group in run.signals
             ]
-            rows.append(_run_row(campaign, run, sha, sample_file, groups))
+            rows.append(run_row(campaign, run, sha, sample_file, groups))
         return rows, (samples, signals)
 
     def _commit_rejects(self, campaign: Campaign, rejected: Sequence[RejectedRows]) -> None:
@@ -390,83 +348,3 @@ class _Batch:
     def commit(self) -> None:
         if self.written:
             self.table.commit(self.written, pa.unify_schemas(self.schemas))
-
-
-def content_sha256(run: Run) -> str:
-    """Return a hash of everything that was measured and under which condition."""
-    digest = hashlib.sha256()
-    meta = {k: v for k, v in asdict(run.meta).items() if k != "vendor"}
-    digest.update(json.dumps(meta, sort_keys=True, default=str).encode())
-    groups = [("samples", run.samples), *((g.name, g.columns) for g in run.signals)]
-    for group, columns in groups:
-        for name in sorted(columns):
-            values = columns[name]
-            digest.update(f"{group}/{name}".encode())
-            data = (
-                json.dumps(values.tolist()).encode()
-                if values.dtype == object
-                else np.ascontiguousarray(values).data.cast("B")
-            )
-            digest.update(data)
-    return digest.hexdigest()
-
-
-def _run_row(
-    campaign: Campaign,
-    run: Run,
-    sha: str,
-    sample_file: str,
-    groups: Sequence[Mapping[str, Any]],
-) -> dict[str, Any]:
-    meta = run.meta
-    return {
-        "campaign": campaign.name,
-        "machine": campaign.machine,
-        "kind": campaign.kind,
-        "run_id": meta.run_id,
-        "plane": meta.plane,
-        "direction": meta.direction,
-        "setup": meta.setup,
-        "started": meta.started or campaign.started,
-        "status": "incomplete" if any(f.code == INCOMPLETE for f in run.findings) else "complete",
-        "source": run.source,
-        "content_sha256": sha,
-        "samples_file": sample_file,
-        "signals_json": json.dumps(list(groups)),
-        "condition_json": json.dumps(dict(meta.condition)),
-        "covariates_json": json.dumps(dict(meta.covariates)),
-        "vendor_json": json.dumps(dict(meta.vendor)),
-        "findings_json": json.dumps([finding.as_dict() for finding in run.findings]),
-        "geometry_json": json.dumps(dict(campaign.machine_geometry), default=str),
-        "instrument_json": json.dumps(dict(campaign.instrument), default=str),
-        "ingested": datetime.now(UTC).isoformat(timespec="seconds"),
-        "radius_mm": meta.radius_mm,
-        "feed_mm_min": meta.feed_mm_min,
-        "sample_rate_hz": meta.sample_rate_hz,
-        "repeat": meta.repeat,
-        "n_samples": run.n_samples,
-        "window_start": None if run.window is None else run.window[0],
-        "window_end": None if run.window is None else run.window[1],
-        "n_errors": sum(finding.severity == "error" for finding in run.findings),
-    }
-
-
-def _meta_of(row: Mapping[str, Any]) -> RunMeta:
-    meta = RunMeta(
-        run_id=row["run_id"],
-        kind=row["kind"],
-        plane=row["plane"],
-        direction=row["direction"],
-        radius_mm=row["radius_mm"],
-        feed_mm_min=row["feed_mm_min"],
-        repeat=row["repeat"],
-        setup=row["setup"],
-        started=row["started"],
-        sample_rate_hz=row["sample_rate_hz"],
-    )
-    return replace(
-        meta,
-        condition=json.loads(row["condition_json"]),
-        covariates=json.loads(row["covariates_json"]),
-        vendor=json.loads(row["vendor_json"]),
-    )

@@ -7,7 +7,7 @@ import logging
 import platform
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -389,27 +389,3 @@ def _candidate_metrics(candidate: Candidate) -> dict[str, float]:
         metrics["latency_p50_us"] = candidate.latency.p50_us
         metrics["latency_p99_us"] = candidate.latency.p99_us
     return metrics | {k: float(v) for k, v in candidate.numbers.items()}
-
-
-def comparison_rows(report: TrainingReport) -> Sequence[Mapping[str, Any]]:
-    """Return one row per candidate for tables: accuracy, latency, complexity.
-
-    Parameters
-    ----------
-    report : TrainingReport
-        A training.
-    """
-    rows = []
-    for candidate in report.candidates:
-        row: dict[str, Any] = {
-            "candidate": candidate.name,
-            "promotable": "yes" if candidate.promotable else "no",
-        }
-        for group, scores in candidate.scores.items():
-            row[f"R2, {group} out"] = scores.r2
-            row[f"um, {group} out"] = scores.rms_um
-        row["p50 us"] = candidate.latency.p50_us if candidate.latency else None
-        row["p99 us"] = candidate.latency.p99_us if candidate.latency else None
-        row["complexity"] = candidate.complexity
-        rows.append(row)
-    return rows
