@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from dtwin.atomic import write_text
 from dtwin.config import Home, sample_recording
 from dtwin.errors import DeviceError
-from dtwin.pipeline.integration_check import COUPLING_HZ, WINDOW_S, sample_check
+from dtwin.pipeline.integration_check import sample_check
 from dtwin.pipeline.measuring import compute_features, ingest, simulate
 from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
 from dtwin.pipeline.virtual_robot import virtual_controller
@@ -142,12 +142,7 @@ def _recording(home: Home, screen: Screen, sections: list[Section]) -> dict[str,
         f"{len(report.unchanged)} were there"
     )
     seen = sample_check()
-    said = (
-        f"double integration of ideal accelerations ({COUPLING_HZ:g} Hz coupling, restarted every "
-        f"{1000 * WINDOW_S:.0f} ms) would lose {100 * seen.lost_plain:.0f} % of the energy of "
-        f"this error, {100 * seen.lost_filtered:.0f} % with the spectral threshold that a "
-        "particle swarm finds best (100 % is no better than answering zero)"
-    )
+    said = str(seen)
     screen.say(said)
     section = recording_section(path, result)
     sections.append(replace(section, paragraphs=(*section.paragraphs, said)))

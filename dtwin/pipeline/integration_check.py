@@ -8,7 +8,7 @@ import numpy as np
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.config import sample_recording
-from dtwin.features.integration import displacement_visibility, swarm_minimum
+from dtwin.features.integration import Visibility, displacement_visibility, swarm_minimum
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.schema import Floats, Run
 
@@ -19,27 +19,43 @@ WINDOW_S = 800 / 1651.6
 
 @dataclass(frozen=True)
 class IntegrationCheck:
-    """Share of the error's energy that double integration loses, with ideal sensors.
+    """What double integration answers for a known error, with ideal sensors.
 
     Attributes
     ----------
     run : str
         Which run's error was sent through the chain.
-    lost_plain, lost_filtered : float
-        Without the spectral threshold, and with the threshold that a particle swarm chose to
-        lose least: 0 is perfect, 1 no better than answering zero.
+    error_um : float
+        RMS of that error.
+    answer_um : float
+        RMS of what the chain answers: every restart begins with an unknown velocity.
+    filtered_um, filtered_correlation : float
+        The same with the spectral threshold at which a particle swarm found least loss, and
+        how that answer correlates with the error.
     cutoff_g2 : float
         That threshold.
     """
 
     run: str
-    lost_plain: float
-    lost_filtered: float
+    error_um: float
+    answer_um: float
+    filtered_um: float
+    filtered_correlation: float
     cutoff_g2: float
 
     def as_dict(self) -> dict[str, float | str]:
         """Return a JSON-ready mapping."""
         return dict(vars(self))
+
+    def __str__(self) -> str:
+        """Return one sentence."""
+        return (
+            f"double integration of ideal accelerations ({COUPLING_HZ:g} Hz coupling, restarted "
+            f"every {1000 * WINDOW_S:.0f} ms) would answer {self.answer_um:.0f} um RMS for this "
+            f"error of {self.error_um:.0f} um; with the spectral threshold that a particle swarm "
+            f"finds best, {self.filtered_um:.1f} um that correlate {self.filtered_correlation:.2f} "
+            "with it"
+        )
 
 
 def check_integration(run: Run) -> IntegrationCheck:
@@ -54,13 +70,21 @@ def check_integration(run: Run) -> IntegrationCheck:
     rate_hz = run.meta.sample_rate_hz
     window = max(2, round(WINDOW_S * rate_hz))
 
-    def lost(cutoff_g2: float) -> float:
+    def seen(cutoff_g2: float) -> Visibility:
         return displacement_visibility(
             error_mm, rate_hz, window, corner_hz=COUPLING_HZ, cutoff_power=cutoff_g2
-        ).lost_fraction
+        )
 
-    chosen = swarm_minimum(lost, 1e-9, 1e-1, particles=12, iterations=20)
-    return IntegrationCheck(run.meta.run_id, lost(0.0), chosen.value, chosen.position)
+    chosen = swarm_minimum(lambda c: seen(c).lost_fraction, 1e-9, 1e3, particles=12, iterations=20)
+    plain, filtered = seen(0.0), seen(chosen.position)
+    return IntegrationCheck(
+        run.meta.run_id,
+        1000.0 * plain.true_rms_mm,
+        1000.0 * plain.found_rms_mm,
+        1000.0 * filtered.found_rms_mm,
+        filtered.correlation,
+        chosen.position,
+    )
 
 
 def sample_check() -> IntegrationCheck:
