@@ -70,7 +70,7 @@ class SerialLink(OpenAndClose):
             raise MissingPart(
                 "the package pyserial is not installed",
                 code="serial.package",
-                hint="pip install 'dtwin[serve]'",
+                hint="pip install '.[serve]' in a checkout of dtwin",
             ) from error
         try:
             self._device = serial.Serial(

@@ -28,7 +28,7 @@ from dtwin.links.ur_memory import SharedMemory
 _CLOSE_S = 2.0
 _HINTS = {
     "ur.absent": "switch the robot on, check address and cable, and that RTDE (port 30004) is on",
-    "ur.package": "pip install 'dtwin[serve]'",
+    "ur.package": "pip install '.[serve]' in a checkout of dtwin",
     "ur.refused": "update PolyScope, or end the other program that writes the same registers",
     "ur.link_lost": "check cable and controller, then connect again",
     "ur.silent": "check whether the controller is overloaded or paused, then connect again",

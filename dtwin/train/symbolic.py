@@ -126,7 +126,7 @@ class PySREngine:
         The package is not imported for the answer: importing it asks the network for Julia.
         """
         if find_spec("pysr") is None:
-            return "the package pysr is not installed: pip install 'dtwin[pysr]'"
+            return "the package pysr is not installed: pip install '.[pysr]' in a checkout of dtwin"
         if not (os.environ.get("PYTHON_JULIAPKG_EXE") or shutil.which("julia")):
             return "no Julia on this machine (PYTHON_JULIAPKG_EXE or julia on the PATH)"
         return None
