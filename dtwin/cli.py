@@ -11,9 +11,10 @@ import typer
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import modelling as modelling_commands
+from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
 from dtwin.config import quiet_environment
-from dtwin.errors import EXIT_INTERRUPTED, DtwinError
+from dtwin.errors import EXIT_INTERRUPTED, DtwinError, MissingPart
 
 app = typer.Typer(
     name="dtwin",
@@ -26,6 +27,7 @@ demo_command.register(app)
 data_commands.register(app)
 modelling_commands.register(app)
 serving_commands.register(app)
+server_commands.register(app)
 
 
 def main() -> None:
@@ -36,6 +38,13 @@ def main() -> None:
     except DtwinError as error:
         _report(error)
         sys.exit(error.exit_code)
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        if missing in ("", "dtwin", "flows"):
+            raise
+        absent = _missing_part(missing)
+        _report(absent)
+        sys.exit(absent.exit_code)
     except KeyboardInterrupt:
         print("interrupted; run the same command again to continue", file=sys.stderr)
         sys.exit(EXIT_INTERRUPTED)
@@ -43,6 +52,16 @@ def main() -> None:
         # The reader of our output went away, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+
+
+def _missing_part(package: str) -> MissingPart:
+    """Say which part of the installation a command needs; a serving host has only ``serve``."""
+    return MissingPart(
+        f"this command needs the package {package}, which is not installed here",
+        code="package.missing",
+        hint="pip install '.[all]' in a checkout of dtwin; a serving host needs only '.[serve]' "
+        "and the command dtwin serve",
+    )
 
 
 def _report(error: DtwinError) -> None:

@@ -1,0 +1,78 @@
+"""The command that keeps the pages up: up."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from dtwin.config import Home
+
+HOURLY = "0 * * * *"
+Port = Annotated[int | None, typer.Option(min=1, max=65535, help="A free one without.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(up)
+
+
+def up(
+    prefect_port: Port = None,
+    mlflow_port: Port = None,
+    cron: Annotated[
+        str, typer.Option(help="When to train on new data: minute hour day month weekday.")
+    ] = HOURLY,
+    no_schedule: Annotated[
+        bool, typer.Option("--no-schedule", help="Train only when somebody starts it.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+) -> None:
+    """Start the Prefect and MLflow pages on this computer; Ctrl-C stops them."""
+    from dtwin.config import home
+    from flows.servers import UpRequest, servers
+
+    times = None if no_schedule else _checked(cron)
+    request = UpRequest(prefect_port, mlflow_port, times)
+    signal.signal(signal.SIGTERM, _as_interrupt)
+    try:
+        print("starting; the first time takes half a minute", file=sys.stderr, flush=True)
+        with servers(home(), request) as found:
+            payload: dict[str, Any] = found.addresses | {"cron": times}
+            shown = json.dumps(payload, indent=2) if as_json else _text(payload, home())
+            print(shown, flush=True)
+            found.watch()
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+
+
+def _checked(cron: str) -> str:
+    from importlib.util import find_spec
+
+    if find_spec("prefect") is None:
+        return cron
+    from flows.cron import require_cron
+
+    return require_cron(cron)
+
+
+def _text(payload: dict[str, Any], state: Home) -> str:
+    when = payload["cron"] or "only when started from the Prefect page"
+    return "\n".join(
+        [
+            f"Prefect  {payload['prefect']}/dashboard   flows, runs, tables and plots",
+            f"MLflow   {payload['mlflow']}/#/models   versions, comparisons, gates",
+            f"training on new data: {when}",
+            f"logs     {state.logs}",
+            "Ctrl-C stops everything",
+        ]
+    )
+
+
+def _as_interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt

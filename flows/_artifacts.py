@@ -1,0 +1,154 @@
+"""What flows leave on the Prefect page: tables, findings, plots, links."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from prefect.artifacts import create_markdown_artifact, create_table_artifact
+
+from dtwin.config import home
+from dtwin.train.gates import Verdict
+from dtwin.train.results import TrainingReport
+from flows import _plots
+from flows.reach import running
+
+
+def publish_table(
+    key: str, head: Sequence[str], rows: Sequence[Sequence[object]], description: str
+) -> None:
+    """Leave a table.
+
+    Parameters
+    ----------
+    key : str
+        Tables of one key are versions of each other on the page.
+    head : sequence of str
+        Column titles.
+    rows : sequence of sequences
+        Cells.
+    description : str
+        What it shows, in Markdown.
+    """
+    table = [{title: str(cell) for title, cell in zip(head, row, strict=True)} for row in rows]
+    create_table_artifact(table or [{"": "none"}], key=slug(key), description=description)
+
+
+def publish_markdown(key: str, text: str, description: str) -> None:
+    """Leave a page of Markdown.
+
+    Parameters
+    ----------
+    key, description : str
+        As in :func:`publish_table`.
+    text : str
+        The page.
+    """
+    create_markdown_artifact(text, key=slug(key), description=description)
+
+
+def publish_findings(
+    campaign: str, findings: Sequence[tuple[str, Mapping[str, Any]]], description: str
+) -> None:
+    """Leave data-quality findings as a table, worst first.
+
+    Parameters
+    ----------
+    campaign, description : str
+        What they belong to.
+    findings : sequence of (run id, finding)
+        Findings as ``Finding.as_dict`` gives them.
+    """
+    order = ("error", "warning", "info")
+    rows = sorted(
+        ([f["severity"], f["code"], run or "campaign", f["message"]] for run, f in findings),
+        key=lambda row: order.index(str(row[0])),
+    )
+    publish_table(f"findings-{campaign}", ("severity", "code", "run", "what"), rows, description)
+
+
+def publish_held_out_error(report: TrainingReport) -> None:
+    """Leave a plot of every candidate's held-out error.
+
+    Parameters
+    ----------
+    report : TrainingReport
+        A training.
+    """
+    rows = [(c.name, {"held-out RMS": c.scores["feed_mm_min"].rms_um}) for c in report.candidates]
+    svg = _plots.bars(
+        "error on feeds left out, um RMS",
+        rows,
+        floor=report.noise_floor_um,
+        longest=1.5 * report.rms_before_um,
+    )
+    text = _plots.markdown("held-out error by candidate", svg)
+    publish_markdown(
+        f"held-out-error-{report.campaign}", text, f"Candidates trained on {report.campaign}"
+    )
+
+
+def publish_version(machine: str, version: str, verdicts: Sequence[Verdict]) -> None:
+    """Leave what the gates say of a version, and where to read more.
+
+    Parameters
+    ----------
+    machine, version : str
+        The version.
+    verdicts : sequence of Verdict
+        What the gates say.
+    """
+    lines = [f"## Version {version} of {machine}", "", model_link(machine, version), ""]
+    lines += [f"- {'pass' if v.passed else '**FAIL**'} {v.gate}: {v.reason}" for v in verdicts]
+    publish_markdown(f"gates-{machine}", "\n".join(lines), f"Offline gates on version {version}")
+
+
+def publish_evidence(machine: str, version: str, evidence: Mapping[str, Any]) -> None:
+    """Leave a plot of compensated against uncompensated circles.
+
+    Parameters
+    ----------
+    machine, version : str
+        The version.
+    evidence : mapping
+        As ``Evidence.as_dict`` gives it.
+    """
+    rows = [
+        (
+            f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}",
+            {"before": c["before_um"], "oracle": c["oracle_um"], "after": c["after_um"]},
+        )
+        for c in evidence["conditions"]
+    ]
+    svg = _plots.bars(f"radial error, um RMS ({evidence['kind']} evidence)", rows)
+    publish_markdown(
+        f"before-and-after-{machine}",
+        _plots.markdown("before, oracle and after by condition", svg),
+        f"Closed-loop evidence for version {version}, {evidence['clock']}",
+    )
+
+
+def model_link(machine: str, version: str) -> str:
+    """Return a Markdown link to a version's page in MLflow, or how to get one.
+
+    Parameters
+    ----------
+    machine, version : str
+        The version.
+    """
+    page = running(home()).get("mlflow")
+    if page is None:
+        return "The MLflow page of this version: `dtwin up`."
+    return f"[Version {version} in MLflow]({page}/#/models/dtwin-{machine}/versions/{version})"
+
+
+def slug(text: str) -> str:
+    """Return a key as Prefect wants it: lower-case letters, digits and dashes.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+    """
+    return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-")

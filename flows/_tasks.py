@@ -1,0 +1,151 @@
+"""The only place where functions of dtwin become tasks.
+
+One task is one file, one campaign, one training: what would be worth repeating by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from prefect import Task, get_run_logger, task
+from prefect.cache_policies import NO_CACHE
+from prefect.client.schemas.objects import State, TaskRun
+
+from dtwin.acquire.ingest import IngestReport
+from dtwin.acquire.runner import CampaignRun
+from dtwin.config import home
+from dtwin.errors import DeviceError, StoreError
+from dtwin.pipeline import campaign_figures as figures
+from dtwin.pipeline import drift, measuring, modelling
+from dtwin.pipeline import scheduled as schedule
+from dtwin.plan import Plan
+from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
+from dtwin.train.registry import RegisteredVersion, Registry
+
+_LOGGED_SHARE = 0.2
+
+
+def _may_pass(_task: Task[..., Any], _run: TaskRun, state: State[Any]) -> bool:
+    """Only what may be over in a moment is tried again, never a mistake or a gate's no."""
+    error = state.result(raise_on_failure=False)
+    if isinstance(error, DeviceError):
+        return True
+    return isinstance(error, StoreError) and error.code == "store.busy"
+
+
+# The lake knows by content what is done already; a second cache beside it could only disagree.
+_REPEATABLE: dict[str, Any] = {
+    "retries": 2,
+    "retry_delay_seconds": [2, 10],
+    "retry_condition_fn": _may_pass,
+    "cache_policy": NO_CACHE,
+}
+_ONCE: dict[str, Any] = {"cache_policy": NO_CACHE}
+
+
+@task(name="measure", task_run_name="measure {plan.name}", **_REPEATABLE)
+def measure(plan: Plan, folder: Path, seed: int) -> CampaignRun:
+    """Measure a plan on the virtual cobot; tests that are in the folder already are kept."""
+    return measuring.simulate(plan, folder, seed=seed, progress=logged("measure"))
+
+
+@task(name="ingest", task_run_name="ingest {source}", **_REPEATABLE)
+def ingest(source: Path) -> IngestReport:
+    """Bring one campaign folder or file into the lake."""
+    return measuring.ingest(source, home(), logged("ingest"))
+
+
+@task(name="features", task_run_name="features {campaign}", **_REPEATABLE)
+def compute_features(campaign: str) -> measuring.FeatureReport:
+    """Compute the signal features of a campaign."""
+    return measuring.compute_features(home(), campaign, logged("features"))
+
+
+@task(name="train", task_run_name="train {campaign}", **_ONCE)
+def train(campaign: str, seed: int) -> modelling.Registered:
+    """Train every candidate and register the proposed one."""
+    return modelling.train(home(), campaign, seed=seed, progress=logged_stages())
+
+
+@task(name="scheduled training", **_ONCE)
+def scheduled_training(seed: int) -> schedule.Scheduled:
+    """Train when there is new data."""
+    return schedule.scheduled_training(home(), seed=seed, progress=logged_stages())
+
+
+@task(name="trial", task_run_name="trial of version {version.version}", **_ONCE)
+def put_on_trial(version: RegisteredVersion, comment: str) -> Path:
+    """Put a version on trial; offline gates decide."""
+    return modelling.put_on_trial(home(), version, comment)
+
+
+@task(name="evidence", task_run_name="evidence for version {version.version}", **_ONCE)
+def evidence(
+    version: RegisteredVersion, seed: int, plan: EvidencePlan = DEFAULT_PLAN
+) -> dict[str, Any]:
+    """Return the evidence that is kept with a version, or measure it on the virtual cobot."""
+    registry = Registry(home())
+    kept = modelling.evidence_of(registry, version)
+    if kept is not None:
+        return kept
+    geometry = modelling.geometry_of(registry, version)
+    return modelling.measure_evidence(
+        home(), version, geometry, seed=seed, plan=plan, progress=logged("circles")
+    ).as_dict()
+
+
+@task(name="promote", task_run_name="promote version {version.version}", **_ONCE)
+def make_champion(
+    version: RegisteredVersion, found: Mapping[str, Any], comment: str
+) -> tuple[Path | None, str]:
+    """Make a version champion, or return why not."""
+    return modelling.make_champion(home(), version, found, comment)
+
+
+@task(name="figures", task_run_name="figures of {campaign}", **_REPEATABLE)
+def campaign_figures(campaign: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return figures and findings of a campaign, and its error curves."""
+    found = figures.campaign_figures(home(), campaign, logged("figures"))
+    return found, figures.error_curves(home(), campaign)
+
+
+@task(name="drift", task_run_name="champion on {campaign}", **_REPEATABLE)
+def champion_drift(machine: str, campaign: str) -> drift.DriftCheck | None:
+    """Judge the champion on a campaign; None when nothing was promoted."""
+    champion = drift.champion_of(Registry(home()), machine)
+    if champion is None:
+        return None
+    return drift.check_drift(home(), champion, campaign, logged("champion"))
+
+
+def logged(title: str) -> Callable[[int, int, str], None]:
+    """Return a progress callback that writes to the run's log, five times in all.
+
+    Parameters
+    ----------
+    title : str
+        What is being done.
+    """
+    logger = get_run_logger()
+    reached = 0.0
+
+    def tell(done: int, total: int, what: str) -> None:
+        nonlocal reached
+        share = done / max(total, 1)
+        if share >= min(1.0, reached + _LOGGED_SHARE):
+            reached = share
+            logger.info("%s: %d of %d %s", title, done, total, what)
+
+    return tell
+
+
+def logged_stages() -> Callable[[str, int, int, str], None]:
+    """Return a progress callback for work in stages."""
+    stages: dict[str, Callable[[int, int, str], None]] = {}
+
+    def tell(stage: str, done: int, total: int, what: str) -> None:
+        stages.setdefault(stage, logged(stage))(done, total, what)
+
+    return tell

@@ -1,0 +1,100 @@
+"""Say what a campaign shows: data quality, figures, and whether the champion still fits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from prefect import flow
+
+from dtwin.pipeline.drift import DriftCheck
+from flows import _artifacts, _plots, _tasks
+
+WHAT_IT_IS = (
+    "Quality gates, standard figures, error curves, and the champion's error on runs it never "
+    "saw. It does not name a missing physical effect: that takes a twin, which this version of "
+    "dtwin does not fit yet."
+)
+_FIGURES = (
+    ("circular deviation um", "circular_deviation_um"),
+    ("RMS um", "rms_um"),
+    ("centre a um", "centre_a_um"),
+    ("centre b um", "centre_b_um"),
+    ("mean feed mm/min", "feed_mm_min"),
+)
+
+
+@flow(name="diagnose", flow_run_name="diagnose {campaign}")
+def diagnose_flow(campaign: str) -> dict[str, Any]:
+    """Publish findings, figures and curves of a campaign, and judge the champion on it.
+
+    Parameters
+    ----------
+    campaign : str
+        Campaign in the lake.
+    """
+    figures, curves = _tasks.campaign_figures(campaign)
+    findings = [("", f) for f in figures["findings"]]
+    findings += [(run["run"], f) for run in figures["runs"] for f in run["findings"]]
+    _artifacts.publish_findings(campaign, findings, f"Data quality of {campaign}. {WHAT_IT_IS}")
+    _artifacts.publish_table(
+        f"figures-{campaign}",
+        ("run", *(title for title, _ in _FIGURES)),
+        [_row(run) for run in figures["runs"]],
+        "Least-squares circle of every run, by the angles of its file",
+    )
+    if curves:
+        images = [_plots.markdown(name, _plots.polar(name, ways)) for name, ways in curves.items()]
+        _artifacts.publish_markdown(
+            f"curves-{campaign}",
+            "\n\n".join(images),
+            "Error over the path angle, first run of each condition, without its own centre and "
+            "radius",
+        )
+    check = None
+    if figures["kind"] == "circular":
+        check = _tasks.champion_drift(figures["machine"], campaign)
+    publish_drift(check)
+    return {
+        "campaign": campaign,
+        "runs": len(figures["runs"]),
+        "errors": sum(f["severity"] == "error" for _, f in findings),
+        "warnings": sum(f["severity"] == "warning" for _, f in findings),
+        "drift": check.as_dict() if check else None,
+        "scope": WHAT_IT_IS,
+    }
+
+
+def publish_drift(check: DriftCheck | None) -> None:
+    """Leave the diagnosis of a champion on a campaign.
+
+    Parameters
+    ----------
+    check : DriftCheck or None
+        None leaves nothing.
+    """
+    if check is None:
+        return
+    title = "The champion has drifted" if check.drifted else "The champion on new runs"
+    lines = [f"## {title}", "", f"{check.reason}."]
+    if check.error is not None:
+        outside = 100 * check.error.outside_box_share
+        lines += ["", f"Outside its validity box at {outside:.1f} % of the rows."]
+    if check.drifted:
+        lines += [
+            "",
+            "What to do: look at the machine first (play, belt tension, mounting, temperature); "
+            "when it is sound, measure a training campaign and train again.",
+        ]
+    _artifacts.publish_markdown(
+        f"diagnosis-{check.campaign}", "\n".join(lines), f"Champion {check.version}"
+    )
+
+
+def _row(run: Mapping[str, Any]) -> list[str]:
+    figures = run.get("by_file_indices") or {}
+    return [run["run"], *(_number(figures.get(key)) for _, key in _FIGURES)]
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{float(value):.1f}"

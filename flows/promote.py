@@ -1,0 +1,97 @@
+"""From a registered version to the served champion, gate by gate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from prefect import flow
+from prefect.client.schemas.objects import State
+from prefect.states import Completed
+
+from dtwin.config import home
+from dtwin.errors import GateRefusal, InputError
+from dtwin.report.campaign import evidence_table
+from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
+from dtwin.train.registry import Registry
+from flows import _artifacts, _tasks
+
+Circle = tuple[str, float, float]
+
+
+@flow(name="promote", flow_run_name="promote {version}")
+def promote_flow(
+    version: str = "candidate",
+    machine: str | None = None,
+    only_trial: bool = False,
+    circles: list[Circle] | None = None,
+    seed: int = 0,
+    comment: str = "",
+) -> dict[str, Any] | State[dict[str, Any]]:
+    """Put a version on trial, measure evidence, make it champion.
+
+    A gate's no is an answer, not a failure: the run then ends as ``Refused`` with the reasons.
+
+    Parameters
+    ----------
+    version : str
+        Version number, or ``candidate``.
+    machine : str, optional
+        Required when several machines have models.
+    only_trial : bool
+        Stop after the trial, for evidence that is measured on a real machine.
+    circles : list of (plane, radius in mm, feed in mm/min), optional
+        Circles of the virtual evidence; twelve conditions without.
+    seed : int
+        Seed of the virtual machine.
+    comment : str
+        Why; kept in the history.
+    """
+    registry = Registry(home())
+    found = registry.version(machine or _only_machine(registry), version)
+    result = {"machine": found.machine, "version": found.version, "champion": False, "reason": ""}
+    try:
+        _tasks.put_on_trial(found, comment)
+    except GateRefusal as refusal:
+        return _refused(result, refusal.render())
+    if only_trial:
+        return result
+    plan = EvidencePlan(tuple(circles)) if circles else DEFAULT_PLAN
+    evidence = _tasks.evidence(found, seed, plan)
+    _artifacts.publish_table(
+        f"evidence-{found.machine}",
+        *evidence_table(evidence),
+        f"Circles with and without version {found.version}: {evidence['kind']} evidence, "
+        f"{evidence['clock']}",
+    )
+    _artifacts.publish_evidence(found.machine, found.version, evidence)
+    bundle, reason = _tasks.make_champion(found, evidence, comment)
+    if bundle is None:
+        return _refused(result, reason)
+    _artifacts.publish_markdown(
+        f"promotion-{found.machine}",
+        f"Version {found.version} is the champion: `{bundle}`\n\n"
+        + _artifacts.model_link(found.machine, found.version),
+        "Promoted",
+    )
+    return result | {"champion": True, "bundle": str(bundle)}
+
+
+def _refused(result: dict[str, Any], reason: str) -> State[dict[str, Any]]:
+    _artifacts.publish_markdown(
+        f"promotion-{result['machine']}", f"```\n{reason}\n```", "Not promoted"
+    )
+    return Completed(
+        name="Refused", message=reason.splitlines()[0], data=result | {"reason": reason}
+    )
+
+
+def _only_machine(registry: Registry) -> str:
+    known = registry.machines()
+    if len(known) == 1:
+        return known[0]
+    raise InputError(
+        "several machines have models" if known else "no model is registered yet",
+        code="models.machine",
+        got=", ".join(known) or None,
+        hint="name one" if known else "train one first",
+    )

@@ -1,0 +1,94 @@
+"""Scheduled training, and all flows as deployments that the Prefect page can start."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from prefect import flow
+from prefect.client.schemas.objects import State
+from prefect.deployments.runner import RunnerDeployment
+from prefect.states import Completed
+from prefect.types.entrypoint import EntrypointType
+
+from flows import _artifacts, _tasks
+from flows.campaign import campaign_flow
+from flows.diagnose import diagnose_flow, publish_drift
+from flows.ingest import ingest_flow
+from flows.promote import promote_flow
+from flows.train import publish_training, train_flow
+
+DEPLOYMENT = "local"
+
+
+@flow(name="scheduled-training")
+def scheduled_training_flow(seed: int = 1) -> dict[str, Any] | State[dict[str, Any]]:
+    """Train when the lake has new runs, compare with the champion, promote nothing.
+
+    Without new runs the run ends as ``Skipped`` with the reason.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of everything random.
+    """
+    done = _tasks.scheduled_training(seed)
+    result = done.as_dict()
+    _artifacts.publish_table(
+        "scheduled-training",
+        ("campaign", "what was made of it"),
+        list(done.campaigns.items()),
+        f"{done.outcome}: {done.reason}",
+    )
+    for check in done.drift:
+        if check.error is not None:
+            publish_drift(check)
+    if done.registered is not None:
+        publish_training(done.registered)
+        _publish_comparison(result)
+    if done.outcome == "skipped":
+        return Completed(name="Skipped", message=done.reason, data=result)
+    return result
+
+
+def deployments(cron: str | None) -> list[RunnerDeployment]:
+    """Return every flow as a deployment, the scheduled training with its times.
+
+    Parameters
+    ----------
+    cron : str or None
+        When to train; None for only when somebody starts it.
+    """
+    scheduled = RunnerDeployment.from_flow(
+        scheduled_training_flow,
+        DEPLOYMENT,
+        cron=cron,
+        description="New data -> candidate, compared with the champion. Never promotes.",
+        entrypoint_type=EntrypointType.MODULE_PATH,
+    )
+    others = (campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow)
+    return [
+        scheduled,
+        *(
+            RunnerDeployment.from_flow(
+                known, DEPLOYMENT, entrypoint_type=EntrypointType.MODULE_PATH
+            )
+            for known in others
+        ),
+    ]
+
+
+def _publish_comparison(result: dict[str, Any]) -> None:
+    comparison = result.get("comparison")
+    verdict = comparison["verdict"] if comparison else "There is no champion to compare with"
+    lines = [
+        f"## Version {result['version']} of {result['machine']} waits for a reviewer",
+        "",
+        f"{verdict}.",
+        "",
+        _artifacts.model_link(result["machine"], result["version"]),
+        "",
+        f"Next: `dtwin promote {result['version']} --machine {result['machine']}`",
+    ]
+    _artifacts.publish_markdown(
+        f"review-{result['machine']}", "\n".join(lines), "Candidate against champion"
+    )

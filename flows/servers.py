@@ -1,0 +1,313 @@
+"""One Prefect server and one MLflow server on loopback, and the process that serves the flows.
+
+Nothing of Prefect or MLflow is imported here: they run as processes of their own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from dtwin.atomic import write_text
+from dtwin.config import Home
+from dtwin.errors import InputError, MissingPart, StoreError
+from flows.reach import SERVERS_FILE, answers, running
+
+HOST = "127.0.0.1"
+_HEALTHY_S, _STOP_S, _POLL_S = 120.0, 20.0, 0.25
+_PR_SET_PDEATHSIG = 1
+_TAIL = 400
+
+
+@dataclass(frozen=True)
+class UpRequest:
+    """What to start.
+
+    Attributes
+    ----------
+    prefect_port, mlflow_port : int or None
+        Ports on loopback; None for any free one.
+    cron : str or None
+        When to train; None for only on request.
+    """
+
+    prefect_port: int | None = None
+    mlflow_port: int | None = None
+    cron: str | None = None
+
+
+class Child:
+    """A server or runner that was started, with its log.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    command : list of str
+        What to run.
+    env : mapping
+        Its whole environment.
+    log : Path
+        Receives what it prints.
+    """
+
+    def __init__(self, name: str, command: list[str], env: Mapping[str, str], log: Path) -> None:
+        self.name, self.log = name, log
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("ab") as output:
+            self.begins = output.tell()
+            # A group of its own: Ctrl-C reaches only us, and we stop them in order.
+            self.process = subprocess.Popen(
+                command,
+                env=dict(env),
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+                preexec_fn=_end_with_parent,
+            )
+
+    def require_alive(self) -> None:
+        """Raise when the process has ended.
+
+        Raises
+        ------
+        StoreError
+            With the end of its log.
+        """
+        code = self.process.poll()
+        if code is not None:
+            raise StoreError(
+                f"{self.name} ended by itself",
+                code="up.ended",
+                where=str(self.log),
+                got=f"exit {code}: {self._tail()}",
+            )
+
+    def stop(self) -> None:
+        """Ask the process and everything it started to end, then make it."""
+        for sign, patience_s in ((signal.SIGTERM, _STOP_S), (signal.SIGKILL, _STOP_S)):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.process.pid, sign)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(patience_s)
+                break
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+
+    def _tail(self) -> str:
+        with self.log.open("rb") as file:
+            file.seek(self.begins)
+            return file.read().decode(errors="replace").strip()[-_TAIL:]
+
+
+class Servers:
+    """What is up.
+
+    Attributes
+    ----------
+    addresses : dict of str to str
+        ``prefect``, ``prefect_api`` and ``mlflow``.
+    children : list of Child
+        In the order in which they were started.
+    """
+
+    def __init__(self) -> None:
+        self.addresses: dict[str, str] = {}
+        self.children: list[Child] = []
+
+    def watch(self) -> None:
+        """Return never; raise when a child ends, or what a signal raises.
+
+        Raises
+        ------
+        StoreError
+            When a child has ended by itself.
+        """
+        while True:
+            for child in self.children:
+                child.require_alive()
+            time.sleep(_POLL_S)
+
+
+@contextlib.contextmanager
+def servers(home: Home, request: UpRequest) -> Iterator[Servers]:
+    """Start everything, wait until it is healthy, and stop it all at the end.
+
+    A server that the user names with ``PREFECT_API_URL`` or an http ``MLFLOW_TRACKING_URI`` is
+    used as it is and not started.
+
+    Parameters
+    ----------
+    home : Home
+        Stores, logs and ``servers.json``.
+    request : UpRequest
+        What to start.
+
+    Raises
+    ------
+    InputError
+        When a port is in use, or the servers of this home are up already.
+    MissingPart
+        When Prefect or MLflow is not installed.
+    StoreError
+        When a server does not come up.
+    """
+    _require_installed()
+    with _only_one(home):
+        found = Servers()
+        try:
+            _start_prefect(home, request.prefect_port, found)
+            _start_mlflow(home, request.mlflow_port, found)
+            _await_healthy(found)
+            _write_addresses(home, found)
+            _start_flows(home, request.cron, found)
+            yield found
+        finally:
+            (home.root / SERVERS_FILE).unlink(missing_ok=True)
+            for child in reversed(found.children):
+                child.stop()
+
+
+def _start_prefect(home: Home, wanted: int | None, found: Servers) -> None:
+    named = os.environ.get("PREFECT_API_URL")
+    if named:
+        found.addresses |= {"prefect": named.removesuffix("/api"), "prefect_api": named}
+        return
+    port = _port(wanted, "--prefect-port")
+    env = _environment(home) | {
+        "PREFECT_SERVER_API_HOST": HOST,
+        # Without it the page would look for its server on port 4200.
+        "PREFECT_SERVER_API_PORT": str(port),
+    }
+    command = [sys.executable, "-m", "prefect", "server", "start", "--host", HOST]
+    found.children.append(
+        Child("Prefect", [*command, "--port", str(port)], env, home.logs / "prefect-server.log")
+    )
+    page = f"http://{HOST}:{port}"
+    found.addresses |= {"prefect": page, "prefect_api": f"{page}/api"}
+
+
+def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
+    if home.mlflow_uri.startswith("http"):
+        found.addresses["mlflow"] = home.mlflow_uri.rstrip("/")
+        return
+    port = _port(wanted, "--mlflow-port")
+    home.mlflow_artifacts.mkdir(parents=True, exist_ok=True)
+    # At its defaults the server is fifteen processes and 2.4 GB.
+    env = _environment(home) | {"MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false"}
+    command = [
+        *(sys.executable, "-m", "mlflow", "server", "--host", HOST, "--port", str(port)),
+        *("--workers", "1", "--backend-store-uri", home.mlflow_uri),
+        *("--artifacts-destination", str(home.mlflow_artifacts)),
+    ]
+    found.children.append(Child("MLflow", command, env, home.logs / "mlflow-server.log"))
+    found.addresses["mlflow"] = f"http://{HOST}:{port}"
+
+
+def _start_flows(home: Home, cron: str | None, found: Servers) -> None:
+    env = _environment(home) | {"PREFECT_API_URL": found.addresses["prefect_api"]}
+    command = [sys.executable, "-m", "flows", *(["--cron", cron] if cron else [])]
+    found.children.append(Child("the flows", command, env, home.logs / "flows.log"))
+
+
+def _await_healthy(found: Servers) -> None:
+    waiting = {
+        "Prefect": found.addresses["prefect_api"] + "/health",
+        "MLflow": found.addresses["mlflow"] + "/health",
+    }
+    end_s = time.monotonic() + _HEALTHY_S
+    while waiting:
+        for child in found.children:
+            child.require_alive()
+        waiting = {name: url for name, url in waiting.items() if not answers(url)}
+        if waiting and time.monotonic() > end_s:
+            name, url = next(iter(waiting.items()))
+            raise StoreError(
+                f"{name} does not answer",
+                code="up.unhealthy",
+                where=url,
+                got=f"nothing for {_HEALTHY_S:g} s",
+                hint="its log is below DTWIN_HOME/logs",
+            )
+        time.sleep(_POLL_S if waiting else 0.0)
+
+
+def _environment(home: Home) -> dict[str, str]:
+    kept = {k: v for k, v in os.environ.items() if k != "PREFECT_API_URL"}
+    return kept | {"DTWIN_HOME": str(home.root), "PREFECT_HOME": str(home.prefect)}
+
+
+def _write_addresses(home: Home, found: Servers) -> None:
+    content = found.addresses | {"pid": str(os.getpid())}
+    write_text(home.root / SERVERS_FILE, json.dumps(content, indent=1), "the servers' file")
+
+
+def _port(wanted: int | None, option: str) -> int:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((HOST, wanted or 0))
+        except OSError as error:
+            raise InputError(
+                "the port cannot be used",
+                code="up.port",
+                where=f"{option} {wanted}",
+                got=error.strerror or str(error),
+                hint=f"leave {option} out for a free one, or name another",
+            ) from error
+        return int(probe.getsockname()[1])
+
+
+def _require_installed() -> None:
+    for package, extra in (("prefect", "flows"), ("mlflow", "train")):
+        if find_spec(package) is None:
+            raise MissingPart(
+                f"{package} is not installed",
+                code=f"{package}.absent",
+                hint=f"pip install 'dtwin[{extra}]'",
+            )
+
+
+def _end_with_parent() -> None:
+    """Run in the child: nothing stays behind when this process is killed."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+
+
+@contextlib.contextmanager
+def _only_one(home: Home) -> Iterator[None]:
+    path = home.root / "locks" / "up.lock"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = path.open("w")
+    except OSError as error:
+        raise StoreError(
+            "the state folder cannot be written",
+            code="store.write",
+            where=str(path),
+            got=str(error),
+        ) from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise InputError(
+                "the servers of this home are up already",
+                code="up.twice",
+                where=str(home.root),
+                got=running(home).get("prefect"),
+                hint="open that page, or stop the other with Ctrl-C",
+            ) from error
+        yield
