@@ -31,7 +31,7 @@ def publish_table(
     description : str
         What it shows, in Markdown.
     """
-    table = [{title: str(cell) for title, cell in zip(head, row, strict=True)} for row in rows]
+    table = [{title: _cell(cell) for title, cell in zip(head, row, strict=True)} for row in rows]
     create_table_artifact(table or [{"": "none"}], key=slug(key), description=description)
 
 
@@ -141,6 +141,11 @@ def model_link(machine: str, version: str) -> str:
     if page is None:
         return "The MLflow page of this version: `dtwin up`."
     return f"[Version {version} in MLflow]({page}/#/models/dtwin-{machine}/versions/{version})"
+
+
+def _cell(value: object) -> str:
+    """Return a cell that is no Markdown: a lone dash would be shown as a list."""
+    return "n/a" if value in (None, "-") else str(value)
 
 
 def slug(text: str) -> str:

@@ -13,7 +13,8 @@ from dtwin.schema import Floats
 
 COLOURS = ("#1f6fb2", "#c8541b", "#4c9a4c", "#8a5aa8")
 _FLOOR = "#888888"
-_WIDTH, _ROW, _LEFT, _RIGHT = 720, 24, 210, 90
+_WIDTH, _LEFT, _RIGHT = 720, 210, 90
+_BAR, _GAP = 17, 7
 _POINTS = 360
 
 
@@ -55,24 +56,19 @@ def bars(
     finite = [v for _, values in rows for v in values.values() if math.isfinite(v)]
     top = longest or max([*finite, floor or 0.0, 1e-9])
     scale = (_WIDTH - _LEFT - _RIGHT) / top
-    parts, y = [_text(10, 20, title, size=15)], 40
+    parts, y = [_text(10, 20, title, size=15)], 36.0
     if len(series) > 1:
         parts += _legend(series, y)
-        y += 20
+        y += 24
     first = y
     for label, values in rows:
-        height = (_ROW - 6) / max(len(values), 1)
-        parts.append(_text(_LEFT - 8, y + 13, label, anchor="end"))
-        for i, (name, value) in enumerate(values.items()):
-            width = scale * min(max(value, 0.0), top) if math.isfinite(value) else 0.0
+        middle = y + 0.5 * _BAR * len(values)
+        parts.append(_text(_LEFT - 8, middle + 4, label, anchor="end"))
+        for name, value in values.items():
             colour = COLOURS[series.index(name) % len(COLOURS)]
-            parts.append(
-                f'<rect x="{_LEFT}" y="{y + i * height:.1f}" width="{width:.1f}" '
-                f'height="{max(height - 1, 1):.1f}" fill="{colour}"/>'
-            )
-        newest = list(values.values())[-1]
-        parts.append(_text(_LEFT + scale * min(max(newest, 0.0), top) + 6, y + 13, _short(newest)))
-        y += _ROW
+            parts += _bar(y, scale * min(max(value, 0.0), top), value, colour)
+            y += _BAR
+        y += _GAP
     if floor is not None and math.isfinite(floor):
         x = _LEFT + scale * floor
         parts.append(
@@ -80,7 +76,8 @@ def bars(
             f'stroke-dasharray="4 3"/>'
         )
         parts.append(_text(x, y + 14, f"noise floor {_short(floor)}", anchor="middle"))
-    return _svg(_WIDTH, y + 24, parts)
+        y += 18
+    return _svg(_WIDTH, y + 8, parts)
 
 
 def polar(title: str, curves: Mapping[str, tuple[Floats, Floats]]) -> str:
@@ -110,8 +107,17 @@ def polar(title: str, curves: Mapping[str, tuple[Floats, Floats]]) -> str:
         colour = COLOURS[i % len(COLOURS)]
         parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
     parts += _legend(list(curves), 400)
-    parts.append(_text(centre, 392, f"rings: 0 and +-{_short(step)} um", anchor="middle"))
+    parts.append(_text(centre, 392, f"rings: 0 and +-{step:g} um", anchor="middle"))
     return _svg(380, 425, parts)
+
+
+def _bar(y: float, width: float, value: float, colour: str) -> list[str]:
+    if not math.isfinite(value):
+        return [_text(_LEFT + 6, y + 12, "no number")]
+    return [
+        f'<rect x="{_LEFT}" y="{y:.1f}" width="{width:.1f}" height="{_BAR - 2}" fill="{colour}"/>',
+        _text(_LEFT + width + 6, y + 12, _short(value)),
+    ]
 
 
 def _legend(names: Sequence[str], y: float) -> list[str]:

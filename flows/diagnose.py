@@ -48,8 +48,8 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
         _artifacts.publish_markdown(
             f"curves-{campaign}",
             "\n\n".join(images),
-            "Error over the path angle, first run of each condition, without its own centre and "
-            "radius",
+            "Error over the path angle as the file counts it from its own start, first run of "
+            "each condition, without its own centre and radius",
         )
     check = None
     if figures["kind"] == "circular":
@@ -76,14 +76,14 @@ def publish_drift(check: DriftCheck | None) -> None:
     if check is None:
         return
     title = "The champion has drifted" if check.drifted else "The champion on new runs"
-    lines = [f"## {title}", "", f"{check.reason}."]
+    lines = [f"## {title}", "", f"{check.reason[:1].upper()}{check.reason[1:]}."]
     if check.error is not None:
         outside = 100 * check.error.outside_box_share
         lines += ["", f"Outside its validity box at {outside:.1f} % of the rows."]
     if check.drifted:
         lines += [
             "",
-            "What to do: look at the machine first (play, belt tension, mounting, temperature); "
+            "What to do: look at the machine first (play, mounting, tool, temperature); "
             "when it is sound, measure a training campaign and train again.",
         ]
     _artifacts.publish_markdown(

@@ -53,8 +53,8 @@ def publish_training(registered: Registered) -> None:
         f"comparison-{report.campaign}",
         *comparison_table(report.candidates),
         f"{report.rms_before_um:.1f} um RMS without a model, noise floor "
-        f"{report.noise_floor_um:.1f} um, {report.n_runs} runs, table versions "
-        f"{dict(report.table_versions)}",
+        f"{report.noise_floor_um:.1f} um, {report.n_runs} runs; table versions: "
+        + ", ".join(f"{name} {number}" for name, number in report.table_versions.items()),
     )
     _artifacts.publish_held_out_error(report)
     _artifacts.publish_version(report.machine, registered.version.version, registered.verdicts)

@@ -203,13 +203,16 @@ def _has_controller(row: dict[str, Any]) -> bool:
 
 
 def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
-    """Judge the champion on a campaign unless the same runs were judged before."""
+    """Judge the champion on a newer campaign unless the same runs were judged before."""
     champion = champion_of(registry, item.machine)
     judgeable = item.rows and all(_has_controller(row) for row in item.rows)
     if champion is None or not judgeable or item.rows[0]["kind"] != "circular":
         return None
-    tag = _NOT_IN_A_TAG.sub("_", f"drift.{item.campaign}")
-    if champion.tags.get(tag, "").startswith(item.digest):
+    known = trained_rows(registry, Lake(home.lake), champion)
+    if _ingested(item.rows) < _ingested(known):
+        return None
+    tag, mark = _NOT_IN_A_TAG.sub("_", f"drift.{item.campaign}"), f"[{item.digest}]"
+    if champion.tags.get(tag, "").endswith(mark):
         return None
     try:
         check = check_drift(home, champion, item.campaign)
@@ -218,10 +221,14 @@ def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftChec
         check = DriftCheck(
             champion.version, item.campaign, None, nan, "", nan, False, error.message
         )
-    registry.mark(champion, {tag: f"{item.digest} {'DRIFT: ' * check.drifted}{check.reason}"})
+    registry.mark(champion, {tag: f"{'DRIFT: ' * check.drifted}{check.reason} {mark}"})
     if check.drifted:
         registry.attach(champion, {f"{tag}.json": json.dumps(check.as_dict(), indent=1)})
     return check
+
+
+def _ingested(rows: list[dict[str, Any]]) -> str:
+    return max((str(row["ingested"]) for row in rows), default="")
 
 
 class _Turn:
