@@ -61,10 +61,20 @@ class Child:
         Its whole environment.
     log : Path
         Receives what it prints.
+    stops_its_own : bool
+        Whether it ends its own children when it is interrupted.
     """
 
-    def __init__(self, name: str, command: list[str], env: Mapping[str, str], log: Path) -> None:
-        self.name, self.log = name, log
+    def __init__(
+        self,
+        name: str,
+        command: list[str],
+        env: Mapping[str, str],
+        log: Path,
+        *,
+        stops_its_own: bool = False,
+    ) -> None:
+        self.name, self.log, self.stops_its_own = name, log, stops_its_own
         log.parent.mkdir(parents=True, exist_ok=True)
         with log.open("ab") as output:
             self.begins = output.tell()
@@ -97,15 +107,18 @@ class Child:
             )
 
     def stop(self) -> None:
-        """Ask the process and everything it started to end, then make it."""
-        for sign, patience_s in ((signal.SIGTERM, _STOP_S), (signal.SIGKILL, _STOP_S)):
+        """Ask the process to end, wait, then end it and everything it started."""
+        if self.process.poll() is None:
             with contextlib.suppress(ProcessLookupError):
-                os.killpg(self.process.pid, sign)
+                if self.stops_its_own:
+                    self.process.send_signal(signal.SIGINT)
+                else:
+                    os.killpg(self.process.pid, signal.SIGTERM)
             with contextlib.suppress(subprocess.TimeoutExpired):
-                self.process.wait(patience_s)
-                break
+                self.process.wait(_STOP_S)
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
 
     def _tail(self) -> str:
         with self.log.open("rb") as file:
@@ -220,7 +233,9 @@ def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
 def _start_flows(home: Home, cron: str | None, found: Servers) -> None:
     env = _environment(home) | {"PREFECT_API_URL": found.addresses["prefect_api"]}
     command = [sys.executable, "-m", "flows", *(["--cron", cron] if cron else [])]
-    found.children.append(Child("the flows", command, env, home.logs / "flows.log"))
+    found.children.append(
+        Child("the flows", command, env, home.logs / "flows.log", stops_its_own=True)
+    )
 
 
 def _await_healthy(found: Servers) -> None:

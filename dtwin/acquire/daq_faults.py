@@ -74,5 +74,7 @@ def _device_error(where: str, number: int, text: str) -> DeviceError:
 
 def _package_missing(name: str) -> MissingPart:
     return MissingPart(
-        f"the package {name} is not installed", code="daq.package", hint="pip install '.[daq]' in a checkout of dtwin"
+        f"the package {name} is not installed",
+        code="daq.package",
+        hint="pip install '.[daq]' in a checkout of dtwin",
     )

@@ -19,7 +19,17 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     for command in ("demo", "plan", "simulate", "ingest", "runs", "check", "features", "train",
                     "models", "promote", "rollback", "serve", "report"):  # fmt: skip
         assert f"\n  {command} " in shown.stdout
-    heavy = ["numpy", "pandas", "scipy", "pyarrow", "mlflow", "prefect", "sklearn", "numba", "plotly"]
+    heavy = [
+        "numpy",
+        "pandas",
+        "scipy",
+        "pyarrow",
+        "mlflow",
+        "prefect",
+        "sklearn",
+        "numba",
+        "plotly",
+    ]
     code = f"import dtwin.cli, sys; print([m for m in {heavy!r} if m in sys.modules])"
     assert run(code=code).stdout.strip() == "[]"
 
