@@ -237,9 +237,8 @@ def main() -> int:
     chosen = _arguments()
     worker = Worker(chosen)
     try:
-        # Before the driver starts its own threads, which inherit the priority.
-        realtime = _prepare(chosen.realtime)
         worker.connect()
+        realtime = _prepare(chosen.realtime)
         worker.say(connected=True, realtime=realtime)
         worker.run()
     except Fault as fault:

@@ -21,7 +21,7 @@ from dtwin.report.campaign import (
 from dtwin.report.html import page
 from dtwin.serve.bundle import Bundle
 from dtwin.store import Lake
-from dtwin.train.evidence import DEFAULT_PLAN, Evidence, EvidencePlan, virtual_evidence
+from dtwin.train.evidence import Evidence, EvidencePlan, plan_within, virtual_evidence
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import check_version, promote, trial, verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
@@ -29,6 +29,7 @@ from dtwin.train.symbolic import Engine
 from dtwin.train.training import Training, train_campaign
 
 EVIDENCE_FILE = "evidence.json"
+CONDITIONS_FILE = "conditions.json"
 StageProgress = Callable[[str, int, int, str], None]
 
 
@@ -86,7 +87,13 @@ def train(
     ids = registry.log_training(report, {"comparison.html": overview})
     proposed = report.candidate(report.proposed)
     version = registry.register(report, ids[proposed.name], proposed, "")
-    registry.attach(version, {"geometry.json": json.dumps(dict(training.geometry), default=str)})
+    registry.attach(
+        version,
+        {
+            "geometry.json": json.dumps(dict(training.geometry), default=str),
+            CONDITIONS_FILE: json.dumps(training.conditions),
+        },
+    )
     _, verdicts = check_version(registry, version)
     registry.mark(version, {}, description=_description(training, verdicts))
     if progress is not None:
@@ -100,7 +107,7 @@ def measure_evidence(
     geometry: Mapping[str, Any],
     *,
     seed: int,
-    plan: EvidencePlan = DEFAULT_PLAN,
+    plan: EvidencePlan | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Evidence:
     """Measure compensated against uncompensated circles on the virtual cobot and keep them.
@@ -115,8 +122,9 @@ def measure_evidence(
         The machine's geometry; it must be a virtual one.
     seed : int
         Seed of the machine.
-    plan : EvidencePlan
-        Circles.
+    plan : EvidencePlan, optional
+        Circles; without, one radius of every plane that was trained, at feeds that were and
+        were not.
     progress : callable, optional
         Called with (done, total, what).
 
@@ -135,6 +143,9 @@ def measure_evidence(
         )
     registry = Registry(home)
     bundle = Bundle.from_dict(registry.bundle(version))
+    if plan is None:
+        trained = registry.read_json(version, CONDITIONS_FILE)
+        plan = plan_within([(str(p), float(r), float(f)) for p, r, f in trained])
     evidence = virtual_evidence(
         bundle,
         seed=seed,

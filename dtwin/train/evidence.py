@@ -224,6 +224,26 @@ def virtual_evidence(
     )
 
 
+def plan_within(conditions: Sequence[tuple[str, float, float]], repeats: int = 2) -> EvidencePlan:
+    """Return circles in the planes that were trained, at feeds that were and were not.
+
+    Parameters
+    ----------
+    conditions : sequence of (plane, radius_mm, feed_mm_min)
+        What was trained.
+    repeats : int
+        Repeats per condition, direction and way.
+    """
+    feeds = sorted({feed for _, _, feed in conditions})
+    between = [0.5 * (feeds[0] + feeds[1])] if len(feeds) > 1 else []
+    wanted = sorted({0.5 * feeds[0], feeds[0], *between, feeds[-1]})
+    circles = []
+    for plane in sorted({plane for plane, _, _ in conditions}):
+        radii = sorted({radius for p, radius, _ in conditions if p == plane})
+        circles += [(plane, radii[(len(radii) - 1) // 2], feed) for feed in wanted]
+    return EvidencePlan(tuple(circles), repeats, tuple(feeds))
+
+
 class _Oracle(Protocol):
     def decide(self, state: Floats) -> Floats:
         """Return the correction for a state."""

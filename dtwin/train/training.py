@@ -39,11 +39,14 @@ class Training:
         The fitted physics library, for plots.
     geometry : dict
         The machine's geometry.
+    conditions : tuple of (plane, radius_mm, feed_mm_min)
+        What was trained.
     """
 
     report: TrainingReport
     fit: PhysicsFit
     geometry: Mapping[str, Any]
+    conditions: tuple[tuple[str, float, float], ...]
 
 
 def train_campaign(
@@ -130,7 +133,8 @@ def train_campaign(
         proposed=_proposed(found),
         seed=seed,
     )
-    return Training(report, fit, geometry)
+    trained = sorted({(r["plane"], r["radius_mm"], r["feed_mm_min"]) for r in rows_})
+    return Training(report, fit, geometry, tuple(trained))
 
 
 def _proposed(candidates: Sequence[Candidate]) -> str:
