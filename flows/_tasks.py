@@ -21,7 +21,6 @@ from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import drift, measuring, modelling
 from dtwin.pipeline import scheduled as schedule
 from dtwin.plan import Plan
-from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
 from dtwin.train.registry import RegisteredVersion, Registry
 
 _LOGGED_SHARE = 0.2
@@ -82,9 +81,7 @@ def put_on_trial(version: RegisteredVersion, comment: str) -> Path:
 
 
 @task(name="evidence", task_run_name="evidence for version {version.version}", **_ONCE)
-def evidence(
-    version: RegisteredVersion, seed: int, plan: EvidencePlan = DEFAULT_PLAN
-) -> dict[str, Any]:
+def evidence(version: RegisteredVersion, seed: int) -> dict[str, Any]:
     """Return the evidence that is kept with a version, or measure it on the virtual cobot."""
     registry = Registry(home())
     kept = modelling.evidence_of(registry, version)
@@ -92,7 +89,7 @@ def evidence(
         return kept
     geometry = modelling.geometry_of(registry, version)
     return modelling.measure_evidence(
-        home(), version, geometry, seed=seed, plan=plan, progress=logged("circles")
+        home(), version, geometry, seed=seed, progress=logged("circles")
     ).as_dict()
 
 

@@ -11,11 +11,8 @@ from prefect.states import Completed
 from dtwin.config import home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.report.campaign import evidence_table
-from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
 from dtwin.train.registry import Registry
 from flows import _artifacts, _tasks
-
-Circle = tuple[str, float, float]
 
 
 @flow(name="promote", flow_run_name="promote {version}")
@@ -23,7 +20,6 @@ def promote_flow(
     version: str = "candidate",
     machine: str | None = None,
     only_trial: bool = False,
-    circles: list[Circle] | None = None,
     seed: int = 0,
     comment: str = "",
 ) -> dict[str, Any] | State[dict[str, Any]]:
@@ -39,8 +35,6 @@ def promote_flow(
         Required when several machines have models.
     only_trial : bool
         Stop after the trial, for evidence that is measured on a real machine.
-    circles : list of (plane, radius in mm, feed in mm/min), optional
-        Circles of the virtual evidence; twelve conditions without.
     seed : int
         Seed of the virtual machine.
     comment : str
@@ -55,8 +49,7 @@ def promote_flow(
         return _refused(result, refusal.render())
     if only_trial:
         return result
-    plan = EvidencePlan(tuple(circles)) if circles else DEFAULT_PLAN
-    evidence = _tasks.evidence(found, seed, plan)
+    evidence = _tasks.evidence(found, seed)
     _artifacts.publish_table(
         f"evidence-{found.machine}",
         *evidence_table(evidence),

@@ -6,6 +6,7 @@ import json
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
+from pathlib import Path
 
 from dtwin.config import Home
 
@@ -24,7 +25,9 @@ def running(state: Home) -> Mapping[str, str]:
         found = json.loads((state.root / SERVERS_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    # The file of a killed `dtwin up` stays behind.
+    alive = isinstance(found, dict) and Path(f"/proc/{found.get('pid')}").is_dir()
+    return found if alive else {}
 
 
 def answers(url: str, timeout_s: float = 2.0) -> bool:

@@ -39,7 +39,9 @@ def up(
 
     times = None if no_schedule else _checked(cron)
     request = UpRequest(prefect_port, mlflow_port, times)
-    signal.signal(signal.SIGTERM, _as_interrupt)
+    # Both, also where a shell has switched one off for background jobs.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _as_interrupt)
     try:
         print("starting; the first time takes half a minute", file=sys.stderr, flush=True)
         with servers(home(), request) as found:
