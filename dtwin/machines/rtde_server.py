@@ -145,6 +145,8 @@ class RtdeServer:
             self._t0_s += late_s
 
     def _attend(self, left_s: float, control: int | None) -> None:
+        # A client can go while it is published to, which closes its descriptor.
+        self._sessions = [session for session in self._sessions if session.open]
         quiet = time.perf_counter() < self._quiet_until_s
         watched: list[Any] = [] if quiet else [self._listener, *self._sessions]
         if control is not None:
@@ -159,7 +161,6 @@ class RtdeServer:
                 self._read_control(control)
             else:
                 source.receive()
-        self._sessions = [session for session in self._sessions if session.open]
 
     def _write(self, name: str, value: float) -> None:
         """Take one variable; the sequence number makes the offsets count."""

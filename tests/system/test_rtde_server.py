@@ -7,6 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -100,6 +101,19 @@ def test_nonsense_costs_only_its_own_connection(robot: VirtualRobot, nonsense: b
     assert good.ask(86, b"\x00\x02") == b"\x01"
     good.socket.close()
     bad.socket.close()
+
+
+def test_client_that_goes_while_it_is_published_to_costs_only_itself(robot: VirtualRobot) -> None:
+    client = RawClient(robot.host)
+    client.ask(79, struct.pack(">d", 500.0) + b"timestamp")
+    client.ask(83)
+    # Unread data make close() reset the connection; the stall hides that until the next state.
+    robot.do("stall", seconds=0.5)
+    client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    client.socket.close()
+    while robot.do("status")["clients"]:
+        time.sleep(0.02)
+    assert RawClient(robot.host).ask(86, b"\x00\x02") == b"\x01"
 
 
 def test_real_client_connects_with_all_its_default_variables(robot: VirtualRobot) -> None:
