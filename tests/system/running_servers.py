@@ -1,0 +1,134 @@
+"""``dtwin up`` as a process, for the tests of what it serves."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from dtwin.acquire.runner import run_campaign
+from dtwin.acquire.virtual import VirtualCobotBench
+from dtwin.config import Home
+from dtwin.machines.cobot import VirtualCobot
+from dtwin.pipeline.demo import quick_size
+from dtwin.pipeline.measuring import ingest
+
+MACHINE = "virtual-cobot"
+START_S = 150.0
+
+
+class Up:
+    """Handle of a running ``dtwin up``."""
+
+    def __init__(self, home: Home, process: subprocess.Popen[str]) -> None:
+        self.home = home
+        self.process = process
+        self.addresses: dict[str, Any] = {}
+
+    def await_addresses(self) -> None:
+        assert self.process.stdout is not None
+        ready, _, _ = select.select([self.process.stdout], [], [], START_S)
+        text = ""
+        while ready and not text.rstrip().endswith("}"):
+            line = self.process.stdout.readline()
+            if not line:
+                break
+            text += line
+        assert text, self.complaint()
+        self.addresses = json.loads(text)
+
+    def complaint(self) -> str:
+        self.process.kill()
+        assert self.process.stderr is not None
+        return self.process.stderr.read()
+
+    def stop(self) -> int:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+        return self.process.wait(60)
+
+    def ask(self, path: str, body: dict[str, Any]) -> Any:
+        request = urllib.request.Request(
+            self.addresses["prefect_api"] + path,
+            json.dumps(body).encode(),
+            {"content-type": "application/json"},
+        )
+        with urllib.request.urlopen(request, timeout=20) as reply:
+            return json.load(reply)
+
+    def runs_of(self, flow: str) -> list[dict[str, Any]]:
+        """Runs of a flow that have ended, oldest first."""
+        wanted = {
+            "flows": {"name": {"any_": [flow]}},
+            "flow_runs": {"state": {"type": {"any_": ["COMPLETED", "FAILED", "CRASHED"]}}},
+            "sort": "START_TIME_ASC",
+        }
+        found: list[dict[str, Any]] = self.ask("/flow_runs/filter", wanted)
+        return found
+
+    def artifacts_of(self, run: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        wanted = {"artifacts": {"flow_run_id": {"any_": [run["id"]]}}}
+        return {found["key"]: found for found in self.ask("/artifacts/filter", wanted)}
+
+
+@contextmanager
+def running_up(home: Home, *options: str) -> Iterator[Up]:
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", "dtwin", "up", "--json", *options],
+        env=environment | {"DTWIN_HOME": str(home.root), "OMP_NUM_THREADS": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    up = Up(home, process)
+    try:
+        up.await_addresses()
+        yield up
+    finally:
+        up.stop()
+        for stream in (process.stdout, process.stderr):
+            if stream is not None:
+                stream.close()
+
+
+def wait_for(what: Callable[[], Any], seconds: float, message: str) -> Any:
+    """The first true answer; fails the test when there is none in time."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = what()
+        if found:
+            return found
+        time.sleep(1.0)
+    raise AssertionError(message)
+
+
+def measured(home: Home, name: str, *, repeats_from: int = 0, worn: float = 1.0) -> Path:
+    """A quick campaign of the virtual cobot in the lake, with other noise, or with worn joints."""
+    plan = quick_size().plan
+    tests = tuple(replace(test, repeat=test.repeat + repeats_from) for test in plan.tests)
+    bench = VirtualCobotBench(0)
+    if worn != 1.0:
+        sound = bench.cobot.parameters
+        joints = replace(
+            sound.joints,
+            play_width_urad=tuple(worn * play for play in sound.joints.play_width_urad),
+            friction_urad=tuple(worn * lost for lost in sound.joints.friction_urad),
+        )
+        bench.cobot = VirtualCobot(replace(sound, joints=joints), seed=0)
+    folder = home.campaigns / name
+    run_campaign(replace(plan, name=name, tests=tests), bench, folder)
+    ingest(folder, home)
+    return folder

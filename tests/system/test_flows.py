@@ -1,0 +1,153 @@
+"""Flows on a real Prefect server: what they leave on the page, and two ticks of the schedule."""
+
+from __future__ import annotations
+
+import base64
+import json
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from running_servers import MACHINE, Up, wait_for
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.train.registry import Registry
+from flows import _plots
+from flows._artifacts import slug
+from flows._runtime import run, running_server
+from flows.campaign import campaign_flow
+from flows.cron import require_cron
+from flows.diagnose import diagnose_flow
+from flows.ingest import ingest_flow
+from flows.reach import running
+
+pytest_plugins = ["scheduled_servers"]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+
+
+@pytest.fixture
+def up(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
+    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
+    return scheduled_up
+
+
+def cells(artifact: dict[str, Any]) -> list[dict[str, str]]:
+    return list(json.loads(artifact["data"]))
+
+
+def test_two_ticks_train_once_and_then_skip_with_the_reason(up: Up) -> None:
+    def skipped() -> list[dict[str, Any]]:
+        return [
+            r
+            for r in up.runs_of("scheduled-training")
+            if r["state"]["name"] == "Skipped" and "nothing new" in r["state"]["message"]
+        ]
+
+    second = wait_for(skipped, 300, "no tick was skipped for want of new data")[0]
+    runs = up.runs_of("scheduled-training")
+    first = runs[0]
+    assert first["state"]["name"] == "Completed", first["state"]
+    assert (first["auto_scheduled"], second["auto_scheduled"]) == (True, True)
+    assert first["expected_start_time"] < second["expected_start_time"]
+
+    left = up.artifacts_of(first)
+    assert cells(left["comparison-quick"])[0]["candidate"] == "physics-library"
+    assert "data:image/svg+xml" in left["held-out-error-quick"]["data"]
+    assert f"dtwin promote 1 --machine {MACHINE}" in left[f"review-{MACHINE}"]["data"]
+    assert f"{up.addresses['mlflow']}/#/models" in left[f"review-{MACHINE}"]["data"]
+
+    registry = Registry(up.home)
+    candidate = registry.version(MACHINE, "candidate")
+    assert (candidate.version, candidate.tags["trained_by"]) == ("1", "schedule")
+    assert "version 1" in second["state"]["message"]
+    assert candidate.aliases == ("candidate",)
+    assert not up.home.bundles.exists(), "the schedule promoted something"
+
+
+def test_ingest_leaves_what_is_wrong_with_the_recording(up: Up, real_recording: Path) -> None:
+    found = run(ingest_flow, sources=[real_recording])
+    assert (found["added"] + found["unchanged"], found["worst_finding"]) == (2, "error")
+    left = up.artifacts_of(up.runs_of("ingest")[-1])
+    rows = cells(left[f"findings-{slug(found['campaigns'][0])}"])
+    assert rows[0]["severity"] == "error"
+    assert {row["run"] for row in rows} >= {"ccw", "cw"}
+
+
+def test_diagnosis_shows_curves_and_says_what_it_is_not(up: Up, real_recording: Path) -> None:
+    campaign = run(ingest_flow, sources=[real_recording])["campaigns"][0]
+    found = run(diagnose_flow, campaign=campaign)
+    assert (found["runs"], found["drift"]) == (2, None)
+    left = up.artifacts_of(up.runs_of("diagnose")[-1])
+    assert {row["run"] for row in cells(left[f"figures-{slug(campaign)}"])} == {"ccw", "cw"}
+    assert (
+        "does not name a missing physical effect"
+        in (left[f"findings-{slug(campaign)}"]["description"])
+    )
+    assert left[f"curves-{slug(campaign)}"]["data"].startswith("![XY R100")
+
+
+def test_a_measured_campaign_is_kept_when_the_flow_runs_again(up: Up, tmp_path: Path) -> None:
+    plan = tmp_path / "small.toml"
+    plan.write_text(
+        '[plan]\nname = "small"\nmachine = "virtual-cobot"\n'
+        '[grid]\nradius_mm = [100.0]\nfeed_mm_min = [6000.0]\nplane = ["YZ"]\nrepeats = 1\n',
+        encoding="utf-8",
+    )
+    options = {"plan_file": plan, "out": tmp_path / "small", "to_lake": False}
+    first, again = run(campaign_flow, **options), run(campaign_flow, **options)
+    assert (first["measured"], first["kept"]) == (1, 0)
+    assert (again["measured"], again["kept"]) == (0, 1)
+    left = up.artifacts_of(up.runs_of("campaign")[-1])
+    assert "small" in " ".join(left)
+
+
+def test_a_user_s_mistake_fails_the_run_with_the_reason(up: Up) -> None:
+    with pytest.raises(InputError, match="no such campaign"):
+        run(diagnose_flow, campaign="never-measured")
+    failed = up.runs_of("diagnose")[-1]
+    assert failed["state"]["type"] == "FAILED"
+    assert "no such campaign" in failed["state"]["message"]
+    wanted = {"task_runs": {"flow_run_id": {"any_": [failed["id"]]}}}
+    assert [t["run_count"] for t in up.ask("/task_runs/filter", wanted)] == [1], "was retried"
+
+
+def test_a_named_server_that_is_silent_is_said_so(up: Up, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert running_server(up.home) == up.addresses["prefect_api"]
+    monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
+    with pytest.raises(InputError, match="does not answer"):
+        run(campaign_flow, quick=True)
+
+
+def test_servers_of_a_killed_process_are_not_believed(up: Up, tmp_path: Path) -> None:
+    assert running(up.home)["prefect_api"] == up.addresses["prefect_api"]
+    stale = running(up.home) | {"pid": "999999999"}
+    (tmp_path / "servers.json").write_text(json.dumps(stale), encoding="utf-8")
+    assert running(Home(tmp_path)) == {}
+
+
+@pytest.mark.parametrize("line", ["every day", "* * * *", "61 * * * *", ""])
+def test_what_is_no_cron_line_is_refused(line: str) -> None:
+    with pytest.raises(InputError, match="not a cron line"):
+        require_cron(line)
+
+
+def test_plots_are_pictures_of_their_own_with_escaped_text() -> None:
+    rows = [("<script>", {"before": 50.0, "after": 10.0}), ("wild", {"before": 1e9, "after": 5.0})]
+    angle = np.linspace(0.0, 360.0, 2000)
+    bars = _plots.bars("a & b", rows, floor=6.0, longest=100.0)
+    polar = _plots.polar("circle", {"CCW": (angle, 20.0 * np.sin(np.radians(2 * angle)))})
+    for svg in (bars, polar):
+        root = ElementTree.fromstring(svg)
+        width = float(root.attrib["width"])
+        for part in root.iter():
+            reach = float(part.attrib.get("x", 0)) + float(
+                part.attrib.get("width", "0").rstrip("%") if part.tag.endswith("rect") else 0
+            )
+            assert reach <= width
+    assert "<script>" not in bars
+    image = _plots.markdown("circle", polar)
+    data = image.partition("base64,")[2].rstrip(")")
+    assert base64.b64decode(data).decode() == polar

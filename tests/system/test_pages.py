@@ -1,0 +1,115 @@
+"""The pages of Prefect and MLflow in a real browser: what a reviewer sees."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from conftest import require_program
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+from running_servers import MACHINE, Up
+
+from dtwin.train.registry import Registry
+from flows._runtime import run
+from flows.diagnose import diagnose_flow
+from flows.train import train_flow
+
+pytest_plugins = ["scheduled_servers"]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PATIENCE_MS = 30_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = require_program("chromium", "chromium")
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=FLAGS)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    opened = browser.new_page(viewport={"width": 1400, "height": 1000})
+    opened.set_default_timeout(PATIENCE_MS)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def up(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
+    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
+    return scheduled_up
+
+
+def flow_run(up: Up, flow: str) -> dict[str, Any]:
+    return up.runs_of(flow)[-1]
+
+
+def test_prefect_shows_the_run_with_its_tables_and_plots(
+    up: Up, page: Page, tmp_path: Path
+) -> None:
+    run(diagnose_flow, campaign="quick")
+    shown = flow_run(up, "diagnose")
+    asked: set[str] = set()
+    page.on("request", lambda request: asked.add(urlsplit(request.url).hostname or ""))
+
+    page.goto(f"{up.addresses['prefect']}/runs/flow-run/{shown['id']}")
+    expect(page.get_by_text("diagnose quick").first).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_text("Completed").first).to_be_visible()
+    page.get_by_text("Artifacts", exact=True).first.click()
+    for key in ("findings-quick", "figures-quick", "curves-quick"):
+        expect(page.get_by_text(key).first).to_be_visible()
+    page.screenshot(path=tmp_path / "prefect-run.png")
+
+    left = up.artifacts_of(shown)
+    page.goto(f"{up.addresses['prefect']}/artifacts/artifact/{left['curves-quick']['id']}")
+    plot = page.locator("img[alt^='YZ R100']").first
+    expect(plot).to_be_visible(timeout=PATIENCE_MS)
+    assert plot.evaluate("picture => picture.naturalWidth") == 380
+    page.screenshot(path=tmp_path / "prefect-curves.png")
+
+    page.goto(f"{up.addresses['prefect']}/artifacts/artifact/{left['figures-quick']['id']}")
+    expect(page.get_by_text("t001-ccw").first).to_be_visible(timeout=PATIENCE_MS)
+    page.screenshot(path=tmp_path / "prefect-figures.png")
+    assert "127.0.0.1" in asked
+    assert asked <= {"127.0.0.1", ""}, "the page asks other computers"
+
+
+def test_mlflow_shows_a_version_as_a_reviewer_needs_it(up: Up, page: Page, tmp_path: Path) -> None:
+    registry = Registry(up.home)
+    if MACHINE not in registry.machines():
+        run(train_flow, campaign="quick")
+    candidate = registry.version(MACHINE, "candidate")
+    address = f"{up.addresses['mlflow']}/#/models/dtwin-{MACHINE}/versions/{candidate.version}"
+
+    page.goto(address)
+    expect(page.get_by_text("Offline gates:").first).to_be_visible(timeout=PATIENCE_MS)
+    expect(page.get_by_text("physics-library").first).to_be_visible()
+    expect(page.get_by_text("candidate").first).to_be_visible()
+    expect(page.locator("table").get_by_text("look-up").first).to_be_visible()
+    page.screenshot(path=tmp_path / "mlflow-version.png")
+
+    page.goto(f"{up.addresses['mlflow']}/#/models/dtwin-{MACHINE}")
+    expect(page.get_by_text("Versions are served only after").first).to_be_visible(
+        timeout=PATIENCE_MS
+    )
+    expect(page.get_by_text("@ candidate").first).to_be_visible()
+    page.screenshot(path=tmp_path / "mlflow-model.png")
+
+    page.goto(f"{up.addresses['mlflow']}/#/experiments/1/runs/{candidate.run_id}/artifacts")
+    expect(page.get_by_text("equation.tex").first).to_be_visible(timeout=PATIENCE_MS)
+    page.screenshot(path=tmp_path / "mlflow-run.png")

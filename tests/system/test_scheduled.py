@@ -1,0 +1,144 @@
+"""Scheduled training without Prefect: real lake, real MLflow store, a machine that wears."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+from pathlib import Path
+
+import pytest
+from running_servers import MACHINE, measured
+
+from dtwin.acquire.runner import run_campaign
+from dtwin.acquire.virtual import VirtualCobotBench
+from dtwin.config import Home
+from dtwin.pipeline.drift import champion_of, check_drift, trained_rows
+from dtwin.pipeline.measuring import ingest
+from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
+from dtwin.pipeline.scheduled import news, scheduled_training
+from dtwin.plan import training_plan
+from dtwin.store import Lake
+from dtwin.train.evidence import EvidencePlan
+from dtwin.train.registry import Registry
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+CIRCLES = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
+    """A champion that was trained on the sound machine."""
+    made = Home(tmp_path_factory.mktemp("scheduled"))
+    measured(made, "quick")
+    registered = train(made, "quick")
+    put_on_trial(made, registered.version)
+    geometry = registered.training.geometry
+    evidence = measure_evidence(made, registered.version, geometry, seed=0, plan=CIRCLES)
+    path, reason = make_champion(made, registered.version, evidence.as_dict())
+    assert path, reason
+    return made
+
+
+def test_an_empty_lake_is_skipped_with_the_reason(tmp_path: Path) -> None:
+    done = scheduled_training(Home(tmp_path / "empty"))
+    assert (done.outcome, done.registered) == ("skipped", None)
+    assert "no campaign" in done.reason
+
+
+def test_what_was_trained_on_is_not_new(home: Home) -> None:
+    done = scheduled_training(home)
+    assert (done.outcome, done.campaigns) == ("skipped", {"quick": "0 new runs"})
+    assert done.reason.endswith("since version 1 of virtual-cobot (quick)")
+
+
+def test_two_schedules_do_not_train_at_once(home: Home) -> None:
+    with (home.root / "locks" / "scheduled-training.lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        done = scheduled_training(home)
+    assert (done.outcome, done.reason) == ("skipped", "another scheduled training is at work")
+
+
+def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Home) -> None:
+    registry, lake = Registry(home), Lake(home.lake)
+    champion = champion_of(registry, MACHINE)
+    assert champion is not None
+    before = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
+    assert len(before) == 16
+    # More runs of the same campaign come in later: they are new, and the champion's are not.
+    plan = training_plan(
+        radii_mm=(100.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="grown"
+    )
+    run_campaign(plan, VirtualCobotBench(0), home.campaigns / "grown")
+    toml = home.campaigns / "grown" / "campaign.toml"
+    text = toml.read_text(encoding="utf-8").replace('name = "grown"', 'name = "quick"')
+    for number in (1, 2):
+        text = text.replace(f'id = "t{number:03d}', f'id = "later{number}')
+    toml.write_text(text, encoding="utf-8")
+    ingest(home.campaigns / "grown", home)
+    assert {row["content_sha256"] for row in trained_rows(registry, lake, champion)} == before
+    assert [item.new_runs for item in news(home, registry)] == [4]
+    check = check_drift(home, champion, "quick")
+    assert check.error is not None
+    assert check.error.n_runs == 4
+    assert not check.drifted, check.reason
+
+
+def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home) -> None:
+    measured(home, "sound", repeats_from=4)
+    champion = champion_of(Registry(home), MACHINE)
+    assert champion is not None
+    sound = check_drift(home, champion, "sound")
+    assert sound.error is not None
+    assert not sound.drifted, sound.reason
+    assert sound.finding is None
+
+    measured(home, "worn", repeats_from=8, worn=2.5)
+    done = scheduled_training(home)
+    assert done.outcome == "trained", done.reason
+    assert [check.campaign for check in done.drift] == ["worn"]
+    finding = done.drift[0].finding
+    assert finding is not None, done.drift[0].reason
+    assert finding.code == "champion.drift"
+    assert finding.numbers["excess_um"] > finding.numbers["noise_floor_um"]
+    assert done.drift[0].error is not None
+    assert sound.error.rms_um < done.drift[0].error.rms_um
+
+    found = done.comparison
+    assert found is not None
+    assert (found.champion, found.candidate) == ("1", "2")
+    assert (found.n_runs, found.seen_by_champion) == (16, 0)
+    assert found.champion_um == pytest.approx(done.drift[0].error.rms_um)
+    assert found.candidate_um < found.before_um
+
+    registry = Registry(home)
+    assert registry.version(MACHINE, "champion").version == "1", "the schedule promoted"
+    tags = registry.version(MACHINE, "1").tags
+    assert tags["drift.worn"].startswith("DRIFT: ")
+    assert registry.read_json(champion, "drift.worn.json")["drifted"] is True
+    candidate = registry.version(MACHINE, "candidate")
+    assert candidate.tags["against_champion"] == found.verdict
+    assert found.verdict in registry.description(candidate)
+    assert json.loads(json.dumps(done.as_dict()))["comparison"]["verdict"] == found.verdict
+
+    again = scheduled_training(home)
+    assert (again.outcome, again.drift) == ("skipped", ()), "the same runs were judged twice"
+    assert again.campaigns["worn"] == "0 new runs"
+    assert "older than" in again.campaigns["sound"]
+
+
+def test_a_campaign_that_cannot_train_still_judges_the_champion(
+    home: Home, real_recording: Path
+) -> None:
+    ingest(real_recording, home)
+    plan = training_plan(
+        radii_mm=(150.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="check"
+    )
+    run_campaign(plan, VirtualCobotBench(0), home.campaigns / "check")
+    ingest(home.campaigns / "check", home)
+    done = scheduled_training(home)
+    assert done.outcome == "checked", done.reason
+    assert [(check.campaign, check.drifted) for check in done.drift] == [("check", False)]
+    assert "one feed only" in done.campaigns["check"]
+    assert "no controller signals" in " ".join(done.campaigns.values())
+    tags = Registry(home).version(MACHINE, "champion").tags
+    assert "drift.check" in tags

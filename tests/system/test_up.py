@@ -1,0 +1,174 @@
+"""``dtwin up`` as a user runs it: healthy, alone, and gone without a trace."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+from running_servers import running_up, wait_for
+
+from dtwin.config import Home
+from dtwin.errors import StoreError
+from flows.servers import Child
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+
+def dtwin(home: Home, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "dtwin", *arguments],
+        env=dict(os.environ, DTWIN_HOME=str(home.root)),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+def descendants(pid: int) -> set[int]:
+    """All processes below one, by the kernel's own lists."""
+    found: set[int] = set()
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        for child in map(int, task.read_text().split()):
+            found |= {child} | descendants(child)
+    return found
+
+
+def fetched(url: str) -> str:
+    with urllib.request.urlopen(url, timeout=20) as reply:
+        assert reply.status == 200
+        return str(reply.read().decode())
+
+
+def listening(pids: set[int]) -> set[str]:
+    """Addresses on which processes listen, as the kernel lists them."""
+    inodes = set()
+    for pid in pids:
+        for link in Path(f"/proc/{pid}/fd").iterdir():
+            target = str(link.readlink())
+            if target.startswith("socket:["):
+                inodes.add(target[8:-1])
+    lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
+    lines += Path("/proc/net/tcp6").read_text().splitlines()[1:]
+    rows = [line.split() for line in lines]
+    return {row[1].split(":")[0] for row in rows if row[3] == "0A" and row[9] in inodes}
+
+
+def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Path) -> None:
+    home = Home(tmp_path / "state")
+    with running_up(home, "--no-schedule") as up:
+        children = descendants(up.process.pid)
+        assert len(children) >= 3
+        for page in (up.addresses["prefect"], up.addresses["mlflow"]):
+            assert "<html" in fetched(page).lower()
+        # 127.0.0.1 as the kernel writes it.
+        assert listening(children) == {"0100007F"}
+
+        served = wait_for(
+            lambda: len(up.ask("/deployments/filter", {})) == 6, 90, "not all flows are served"
+        )
+        assert served
+        times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
+        assert times == [[]] * 6, "--no-schedule has a schedule"
+
+        second = dtwin(home, "up")
+        assert second.returncode == 1
+        assert "up.twice" in second.stderr
+        assert up.addresses["prefect"] in second.stderr
+
+        assert up.stop() == 0
+    assert not [pid for pid in children if Path(f"/proc/{pid}").exists()]
+    assert not (home.root / "servers.json").exists()
+    logs = {path.name: path.read_text(errors="replace") for path in home.logs.iterdir()}
+    assert set(logs) == {"prefect-server.log", "mlflow-server.log", "flows.log"}
+    for name, text in logs.items():
+        assert "Traceback" not in text, f"{name}: {text[-2000:]}"
+
+
+def test_a_port_in_use_is_said_before_anything_starts(tmp_path: Path) -> None:
+    home = Home(tmp_path / "state")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        for option in ("--prefect-port", "--mlflow-port"):
+            done = dtwin(home, "up", option, str(port))
+            assert done.returncode == 1
+            assert "up.port" in done.stderr
+            assert f"{option} {port}" in done.stderr
+            assert "Traceback" not in done.stderr
+    assert not (home.root / "servers.json").exists()
+
+
+def test_a_bad_cron_line_is_said_before_anything_starts(tmp_path: Path) -> None:
+    done = dtwin(Home(tmp_path / "state"), "up", "--cron", "whenever")
+    assert done.returncode == 1
+    assert "schedule.cron" in done.stderr
+    assert not (tmp_path / "state" / "logs").exists()
+
+
+def test_a_server_that_dies_is_named_with_the_end_of_its_log(tmp_path: Path) -> None:
+    log = tmp_path / "logs" / "server.log"
+    log.parent.mkdir()
+    log.write_text("of an earlier day\n", encoding="utf-8")
+    script = "import sys; print('the database is locked'); sys.exit(3)"
+    child = Child("Prefect", [sys.executable, "-c", script], os.environ, log)
+    child.process.wait(30)
+    with pytest.raises(StoreError) as caught:
+        child.require_alive()
+    assert caught.value.got == "exit 3: the database is locked"
+    assert caught.value.where == str(log)
+
+
+def test_a_child_that_will_not_end_is_ended_with_what_it_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("flows.servers._STOP_S", 0.5)
+    script = (
+        "import signal, subprocess, sys, time; signal.signal(signal.SIGTERM, signal.SIG_IGN);"
+        "kid = subprocess.Popen([sys.executable, '-c', 'import signal, time;"
+        "signal.signal(signal.SIGTERM, signal.SIG_IGN); time.sleep(600)']);"
+        "print(kid.pid, flush=True); time.sleep(600)"
+    )
+    log = tmp_path / "stubborn.log"
+    child = Child("stubborn", [sys.executable, "-c", script], os.environ, log)
+    grandchild = int(wait_for(log.read_text, 30, "the child said nothing"))
+    child.stop()
+    assert child.process.returncode == -signal.SIGKILL
+    wait_for(lambda: _ended(grandchild), 10, "the grandchild lives")
+
+
+def test_children_end_when_up_is_killed(tmp_path: Path) -> None:
+    home = Home(tmp_path / "state")
+    program = (
+        "import os, sys, time; from pathlib import Path; from flows.servers import Child;"
+        "c = Child('x', [sys.executable, '-c', 'import time; time.sleep(600)'], os.environ,"
+        f"Path({str(tmp_path)!r}) / 'x.log'); print(c.process.pid, flush=True); time.sleep(600)"
+    )
+    parent = subprocess.Popen(
+        [sys.executable, "-c", program],
+        env=dict(os.environ, DTWIN_HOME=str(home.root)),
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    assert not _ended(child)
+    parent.kill()
+    parent.wait(30)
+    parent.stdout.close()
+    wait_for(lambda: _ended(child), 30, "the child outlived its killed parent")
+
+
+def _ended(pid: int) -> bool:
+    """Gone, or a zombie that only waits for a parent that is not ours to be."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
