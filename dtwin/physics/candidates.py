@@ -1,0 +1,287 @@
+"""What could be missing: every effect of the library, at the shape that suits the residual."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.library import campaign_instances
+from dtwin.physics.observations import N_BINS, Observations, bin_angle_rad
+from dtwin.physics.problem import Problem, Term
+from dtwin.physics.score import NoiseLevel, Score, score_test
+from dtwin.physics.state import AXES_OF
+from dtwin.physics.whitening import from_harmonics, to_harmonics
+from dtwin.schema import Floats
+
+_PITCH_MM = (2.0, 60.0)
+_PITCH_SHAPE = "pitch_mm"
+Complexes = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect that may be missing, tested against the residual.
+
+    Attributes
+    ----------
+    term : Term
+        Effect, axis and the shape that suits best.
+    visible : ndarray, shape (rows * 360, k)
+        Orthonormal columns that the known effects cannot imitate.
+    share : float
+        Visible share of its sum of squares.
+    score : Score
+        Test against the residual; the p-value counts the shapes that were tried.
+    """
+
+    term: Term
+    visible: Floats
+    share: float
+    score: Score
+
+
+@dataclass
+class Candidates:
+    """The library, evaluated once for a campaign.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    instances : sequence of Instance
+        Effects and axes to try.
+    """
+
+    obs: Observations
+    instances: Sequence[Instance]
+    _columns: dict[tuple[str, tuple[tuple[str, float], ...]], Floats] = field(default_factory=dict)
+
+    def tested(self, problem: Problem, level: NoiseLevel) -> tuple[list[Candidate], list[str]]:
+        """Test every effect against what the known ones leave.
+
+        Parameters
+        ----------
+        problem : Problem
+            Whitened campaign with its known effects.
+        level : NoiseLevel
+            Shared noise level.
+
+        Returns
+        -------
+        candidates : list of Candidate
+            Visible effects.
+        invisible : list of str
+            Labels of the effects that the set-up or the known effects absorb.
+        """
+        residual = problem.residual
+        found, invisible = [], []
+        for instance in self.instances:
+            candidate = self._test(problem, instance, residual, level)
+            if candidate is None:
+                invisible.append(instance.label)
+            else:
+                found.append(candidate)
+        return found, invisible
+
+    def _test(
+        self, problem: Problem, instance: Instance, residual: Floats, level: NoiseLevel
+    ) -> Candidate | None:
+        shapes = list(self._shapes(instance, residual))
+        tried = [self._visible(problem, Term(instance, shape)) for shape in shapes]
+        gains = [
+            float(((visible.T @ residual.ravel()) ** 2).sum()) if visible.size else -1.0
+            for visible, _ in tried
+        ]
+        best = int(np.argmax(gains))
+        if gains[best] < 0.0:
+            return None
+        visible, share = tried[best]
+        within = instance.effect.within_condition or bool(instance.effect.needs)
+        score = score_test(problem, visible, residual, level, within=within)
+        n_tried = _independent([v for v, _ in tried if v.size])
+        if any(shape.name == _PITCH_SHAPE for shape in instance.effect.shapes):
+            n_tried = max(n_tried, _independent_pitches(self.obs))
+        p_value = float(-np.expm1(n_tried * np.log1p(-min(score.p_value, 1.0 - 1e-12))))
+        score = Score(p_value, score.gain, score.expected, score.dof)
+        return Candidate(Term(instance, shapes[best]), visible, share, score)
+
+    def visible(self, problem: Problem, term: Term, given: Floats | None = None) -> Floats:
+        """Return the columns of a term that nothing known can imitate."""
+        return problem.visible(self.whitened(problem, term), given)[0]
+
+    def whitened(self, problem: Problem, term: Term) -> Floats:
+        """Return the whitened columns of a term, shape (rows * 360, k)."""
+        key = (term.label, tuple(sorted(term.shape.items())))
+        if key not in self._columns:
+            columns = self.obs.regressors(term.instance, term.shape)
+            self._columns[key] = to_harmonics(columns)
+        weighted = self._columns[key] * problem.weights[:, None]
+        return weighted.reshape(-1, weighted.shape[2])
+
+    def _visible(self, problem: Problem, term: Term) -> tuple[Floats, float]:
+        whitened = self.whitened(problem, term)
+        if not whitened.any():
+            return np.empty((len(whitened), 0)), 0.0
+        visible, share = problem.visible(whitened)
+        return visible, float(share.max())
+
+    def _shapes(self, instance: Instance, residual: Floats) -> Iterable[Mapping[str, float]]:
+        shapes = instance.effect.shapes
+        if not shapes:
+            return [{}]
+        if shapes[0].name == _PITCH_SHAPE and not shapes[0].grid:
+            return [{_PITCH_SHAPE: p} for p in likely_pitches(self.obs, residual, instance)]
+        grids = [shape.grid for shape in shapes]
+        return [
+            dict(zip((s.name for s in shapes), values, strict=True))
+            for values in itertools.product(*grids)
+        ]
+
+
+def applicable(
+    library: Mapping[str, Effect], obs: Observations, known: Sequence[Term]
+) -> tuple[list[Instance], dict[str, str]]:
+    """Return what may be missing, and why the rest of the library cannot be judged.
+
+    Parameters
+    ----------
+    library : mapping of str to Effect
+        Effects by name.
+    obs : Observations
+        The runs.
+    known : sequence of Term
+        Effects that the twin has.
+    """
+    have = {term.label for term in known}
+    geometry = obs.campaign.machine_geometry
+    untestable: dict[str, str] = {}
+    out = []
+    for instance in campaign_instances(library, "circular", obs.planes, obs.axes, geometry):
+        effect = instance.effect
+        absent = [name for name in effect.needs if name not in obs.logged]
+        if effect.setup or effect.on_spread or instance.label in have:
+            continue
+        if absent:
+            untestable[instance.label] = f"{', '.join(absent)} was not logged"
+        elif effect.needs and all(np.ptp(obs.centred_columns[n]) == 0.0 for n in effect.needs):
+            untestable[instance.label] = f"{', '.join(effect.needs)} did not change"
+        else:
+            out.append(instance)
+    return out, untestable
+
+
+def likely_pitches(
+    obs: Observations, residual: Floats, instance: Instance, n: int = 3
+) -> list[float]:
+    """Return the pitches at which the residual repeats most along an axis.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    residual : ndarray, shape (rows, 360)
+        Whitened coefficients of the residual.
+    instance : Instance
+        Effect and axis.
+    n : int
+        How many to return.
+    """
+    axis = instance.axis
+    odd = instance.effect.law.direction == "odd"
+    theta = bin_angle_rad()
+    angle_domain = from_harmonics(residual)
+    rate = _pitch_rates(obs)
+    total = np.zeros(len(rate), dtype=complex)
+    for plane, radius, sign_of_row, rows in _by_radius(obs):
+        if axis not in AXES_OF[plane]:
+            continue
+        along = np.cos(theta) if axis == AXES_OF[plane][0] else np.sin(theta)
+        across = np.sin(theta) if axis == AXES_OF[plane][0] else -np.cos(theta)
+        mean = np.zeros(N_BINS)
+        for row in rows:
+            # The first axis moves against its positive sense where sin is positive in CCW.
+            sense = -sign_of_row[row] * np.sign(across) if odd else 1.0
+            mean += sense * angle_domain[row]
+        total += (mean * along) @ _waves(
+            axis == AXES_OF[plane][0], radius, len(rate), rate[0], rate[-1]
+        )
+    power = np.abs(total)
+    peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
+    best = peaks[np.argsort(-power[peaks])[:n]]
+    return [float(1.0 / rate[i]) for i in best] or [10.0]
+
+
+@lru_cache(maxsize=32)
+def _waves(first: bool, radius_mm: float, n: int, slowest: float, fastest: float) -> Complexes:
+    """Return exp(-2 pi i x r) for every bin and rate; a campaign asks for few of them often."""
+    theta = bin_angle_rad()
+    along = np.cos(theta) if first else np.sin(theta)
+    rate = np.linspace(slowest, fastest, n)
+    return np.asarray(np.exp(-2j * np.pi * np.outer(radius_mm * along, rate)))
+
+
+def _by_radius(
+    obs: Observations,
+) -> list[tuple[str, float, dict[int, float], list[int]]]:
+    groups: dict[tuple[str, float], list[int]] = {}
+    for row, condition in enumerate(obs.condition_of):
+        c = obs.conditions[int(condition)]
+        groups.setdefault((c.plane, c.radius_mm), []).append(row)
+    sign = {
+        row: 1.0 if obs.conditions[int(c)].direction == "CCW" else -1.0
+        for row, c in enumerate(obs.condition_of)
+    }
+    return [(plane, radius, sign, rows) for (plane, radius), rows in groups.items()]
+
+
+def _pitch_rates(obs: Observations) -> Floats:
+    """Return the cycles per mm to try: an eighth of a turn apart at the largest radius."""
+    largest = max(c.radius_mm for c in obs.conditions)
+    return np.arange(1.0 / _PITCH_MM[1], 1.0 / _PITCH_MM[0], 1.0 / (16.0 * largest))
+
+
+def _independent_pitches(obs: Observations) -> float:
+    largest = max(c.radius_mm for c in obs.conditions)
+    return 2.0 * largest * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
+
+
+def _independent(visible: Sequence[Floats]) -> float:
+    """Return how many independent shapes were tried, by the overlap of their spaces."""
+    if len(visible) < 2:
+        return 1.0
+    overlap = np.array(
+        [
+            [float(((a.T @ b) ** 2).sum()) / min(a.shape[1], b.shape[1]) for b in visible]
+            for a in visible
+        ]
+    )
+    return float(max(1.0, len(visible) ** 2 / (overlap**2).sum()))
+
+
+def probes(problem: Problem) -> Floats:
+    """Return columns that stand for all that could be tested, shape (rows * 360, k).
+
+    Harmonics 0 to 8 and narrow windows round the circle, even and odd in direction.
+    """
+    obs = problem.obs
+    theta = bin_angle_rad()
+    sign = np.array([1.0 if m.direction == "CCW" else -1.0 for m in obs.runs])
+    waves = [f(h * theta) for h in range(2, 9) for f in (np.cos, np.sin)]
+    windows = [
+        np.exp(-(((np.degrees(theta) - centre + 180.0) % 360.0 - 180.0) ** 2) / 200.0)
+        for centre in range(0, 360, 30)
+    ]
+    out = []
+    for profile in (*waves, *windows):
+        for parity in (np.ones_like(sign), sign):
+            column = np.where(obs.mask, parity[:, None] * profile[None, :], 0.0)
+            visible, _ = problem.visible(problem.whitened(column[:, :, None]))
+            if visible.shape[1]:
+                out.append(visible)
+    return np.concatenate(out, axis=1) if out else np.empty((problem.y.size, 0))

@@ -1,0 +1,68 @@
+"""Gain of a candidate on conditions that were left out of the fit."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.observations import N_BINS
+from dtwin.physics.problem import Problem
+from dtwin.schema import Floats
+
+_RIDGE = 1e-9
+
+
+def left_out_gain(problem: Problem, whitened: Floats) -> float:
+    """Return the mean relative gain on left-out conditions.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign with everything known.
+    whitened : ndarray, shape (rows * 360, k)
+        Columns of the candidate.
+
+    Returns
+    -------
+    float
+        One when the residual vanishes, below zero when the candidate makes it worse. A whole
+        (plane, radius, feed) is left out at a time, or a run when there is only one; centre and
+        radius of the left-out runs are their own.
+    """
+    obs = problem.obs
+    groups = obs.place_of if len(set(obs.place_of.tolist())) > 1 else obs.run_of
+    n_setup = 3 * len(obs.setups)
+    size = np.sqrt((whitened**2).sum(axis=0))
+    both = np.concatenate([problem.raw, whitened / np.where(size > 0, size, 1.0)], axis=1)
+    columns = both.reshape(obs.n_rows, N_BINS, -1)
+    y = problem.y.reshape(obs.n_rows, N_BINS)
+    names = sorted(set(groups.tolist()))
+    grams = np.array([_gram(columns[groups == g], columns[groups == g]) for g in names])
+    rights = np.array([_gram(columns[groups == g], y[groups == g][:, :, None]) for g in names])
+    gains = []
+    for number, group in enumerate(names):
+        gram, right = grams.sum(axis=0) - grams[number], rights.sum(axis=0) - rights[number]
+        left = []
+        for k in (problem.raw.shape[1], columns.shape[2]):
+            fitted = _solved(gram[:k, :k], right[:k, 0])
+            fitted[:n_setup] = 0.0
+            rest = y[groups == group] - columns[groups == group][:, :, :k] @ fitted
+            left.append(_without_setup(rest, columns[groups == group][:, :, :n_setup]))
+        gains.append((left[0] - left[1]) / max(left[0], 1e-300))
+    return float(np.mean(gains))
+
+
+def _gram(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.tensordot(a, b, axes=([0, 1], [0, 1])))
+
+
+def _solved(gram: Floats, right: Floats) -> Floats:
+    ridge = _RIDGE * float(np.trace(gram)) * np.eye(len(gram))
+    return np.asarray(np.linalg.solve(gram + ridge, right))
+
+
+def _without_setup(rest: Floats, setup: Floats) -> float:
+    """Return the sum of squares once the left-out runs have their own centre and radius."""
+    used = setup.reshape(-1, setup.shape[2])
+    used = used[:, (used**2).sum(axis=0) > 0]
+    gram, right = used.T @ used, used.T @ rest.ravel()
+    return float((rest**2).sum() - right @ np.linalg.solve(gram, right))

@@ -1,0 +1,249 @@
+"""Name the effect that a twin lacks, or say that it cannot be named.
+
+The order: runs that are not like their repeats, logged channels, every effect of the library one
+by one until nothing significant is left, the laws of what was found, and at last the scaling law
+of what nothing explains. The unit of replication is always the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dtwin.physics import localise
+from dtwin.physics.candidates import Candidate, Candidates, applicable
+from dtwin.physics.cross_validation import left_out_gain
+from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Verdict
+from dtwin.physics.effect import Effect
+from dtwin.physics.law_search import search_laws
+from dtwin.physics.laws import LawTest, law_tests
+from dtwin.physics.observations import N_BINS, Observations, bin_angle_rad
+from dtwin.physics.outliers import odd_runs
+from dtwin.physics.problem import Problem, Term, set_up, unweighted
+from dtwin.physics.screen import Channel, screen_channels
+from dtwin.physics.search import Search, search
+from dtwin.physics.spread import spread_of
+from dtwin.schema import Floats
+
+LACK_OF_FIT = 0.01
+_EXPLAINED = 0.7
+_SHOWN = 8
+
+
+def diagnose(
+    obs: Observations,
+    known: Sequence[Term],
+    library: Mapping[str, Effect],
+    *,
+    seed: int = 0,
+) -> Diagnosis:
+    """Find out what a twin lacks.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    known : sequence of Term
+        Effects of the twin, without set-up terms.
+    library : mapping of str to Effect
+        Effects that may be missing.
+    seed : int
+        Seed of permutations.
+    """
+    tried, untestable = applicable(library, obs, known)
+    within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]
+    problem = set_up(obs, known, within)
+    dropped = odd_runs(problem)
+    outliers = tuple(obs.runs[i].run_id for i in dropped)
+    if dropped:
+        obs = obs.without(dropped)
+        problem = set_up(obs, known, within)
+    residual = localise.residual_um(obs, known)
+    blank = Diagnosis(
+        verdict="need_repeats",
+        headline="",
+        residual_rms_um=_rms(residual, obs),
+        systematic_rms_um=localise.systematic_rms_um(obs, residual),
+        noise_floor_um=float("nan"),
+        floor_kind="none",
+        lack_of_fit_p=float("nan"),
+        where=localise.worst_places(obs, residual),
+        untestable=untestable,
+        outlier_runs=outliers,
+    )
+    if problem.noise is None:
+        return replace(blank, headline="no condition was repeated: the noise floor is not known")
+    blank = replace(
+        blank,
+        noise_floor_um=problem.noise.floor_um,
+        floor_kind="repeats",
+        spread=spread_of(obs, residual, library),
+    )
+    channels = screen_channels(problem, seed)
+    problem = _with_foreign(problem, channels, library)
+    candidates = Candidates(obs, tried)
+    found = search(problem, candidates, seed=seed, shown_by_channel=bool(channels))
+    return _concluded(blank, found, candidates, known, channels, residual, library)
+
+
+def _concluded(
+    blank: Diagnosis,
+    found: Search,
+    candidates: Candidates,
+    known: Sequence[Term],
+    channels: Sequence[Channel],
+    residual: Floats,
+    library: Mapping[str, Effect],
+) -> Diagnosis:
+    obs = found.last.obs
+    words = localise.headline(obs, residual)
+    fit_p = found.lack_of_fit[0][0]
+    blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=found.invisible)
+    foreign = tuple(c for c in channels if _is_foreign(c.name, library))
+    if not found.steps:
+        laws = tuple(search_laws(found.last))
+        shown = _suspects(found, candidates, known, (), {})
+        unexplained = [c.name for c in channels]
+        if fit_p > LACK_OF_FIT and not laws and not unexplained:
+            verdict: Verdict = "variance_effect" if blank.spread else "nothing_missing"
+            said = "residual is at the noise floor"
+            if blank.spread:
+                said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
+            return replace(blank, verdict=verdict, headline=said, suspects=shown)
+        said = f"no known effect explains it: {words}"
+        if unexplained:
+            said += f"; it moves with {', '.join(unexplained)}"
+        return replace(
+            blank, verdict="unknown_effect", headline=said, suspects=shown, laws=laws,
+            closest=_closest(found.tested),
+        )  # fmt: skip
+    step = found.steps[0]
+    tests = {c.term.label: _laws_of(found, candidates, c) for c in step.group[:_SHOWN]}
+    group = [c for c in step.group if not _broken(tests.get(c.term.label, []))]
+    shown = _suspects(found, candidates, known, group, tests)
+    wrong_law = not group
+    much_left = found.lack_of_fit[-1][0] <= LACK_OF_FIT and found.explained < _EXPLAINED
+    if wrong_law or much_left:
+        return replace(
+            blank,
+            verdict="unknown_effect",
+            headline=f"no known effect explains it: {words}",
+            suspects=tuple(replace(s, in_group=False) for s in shown),
+            laws=tuple(search_laws(step.problem)),
+            closest=step.top.term.label,
+        )
+    verdict = "missing_effect" if len(group) == 1 else "ambiguous"
+    names = " or ".join(c.term.label for c in group)
+    said = f"{names} is missing: {words}" if len(group) == 1 else f"{names}: {words}"
+    if foreign:
+        said += f"; besides, something moves with {', '.join(c.name for c in foreign)}"
+    return replace(blank, verdict=verdict, headline=said, suspects=shown)
+
+
+def _laws_of(found: Search, candidates: Candidates, candidate: Candidate) -> list[LawTest]:
+    """Test the law of a candidate with all later effects taken out."""
+    first = found.steps[0]
+    problem = first.problem
+    for step in found.steps[1:]:
+        whitened = candidates.whitened(problem, step.top.term)
+        visible, _ = problem.visible(whitened)
+        problem = problem.extended(visible, whitened)
+    visible = candidates.visible(problem, candidate.term)
+    if not visible.shape[1]:
+        return []
+    return law_tests(problem, candidates, replace(candidate, visible=visible), first.level)
+
+
+def _broken(tests: Sequence[LawTest]) -> bool:
+    return any(test.broken for test in tests)
+
+
+def _grade(candidate: Candidate, tests: Sequence[LawTest], group: Sequence[Candidate]) -> Grade:
+    """Grade a name: its law counts as confirmed when every variable of it was tested."""
+    law = candidate.term.instance.effect.law
+    wanted = {"feed"} if law.feed is not None else set()
+    wanted |= {"direction"} if law.direction != "mixed" else set()
+    tested = {test.variable for test in tests}
+    enough = wanted <= tested and bool(wanted) and all(test.confirmed for test in tests)
+    return "law-confirmed" if enough and len(group) == 1 else "shape-consistent"
+
+
+def _suspects(
+    found: Search,
+    candidates: Candidates,
+    known: Sequence[Term],
+    group: Sequence[Candidate],
+    tests: Mapping[str, Sequence[LawTest]],
+) -> tuple[Suspect, ...]:
+    step = found.steps[0] if found.steps else None
+    tested = step.tested if step else found.tested
+    p_values = step.p_values if step else found.p_values
+    problem = step.problem if step else found.last
+    members = [c.term.label for c in group]
+    rivals = {c.term.label for c in step.group} if step else set()
+    rest = sorted((c for c in tested if c.term.label not in members), key=lambda c: -c.score.gain)
+    total = max(found.lack_of_fit[0][1], 1e-300)
+    plain = unweighted(problem.obs, known)
+    out = []
+    for candidate in [*group, *rest][:_SHOWN]:
+        label = candidate.term.label
+        effect = candidate.term.instance.effect
+        whitened = candidates.whitened(plain, candidate.term)
+        visible, _ = plain.visible(whitened)
+        after = plain.extended(visible, whitened)
+        gain = (step.gains if step else {}).get(label)
+        if gain is None:
+            gain = left_out_gain(problem, candidates.whitened(problem, candidate.term))
+        own = tests.get(label, ())
+        inside = label in members
+        out.append(
+            Suspect(
+                effect=effect.name,
+                axis=candidate.term.instance.axis,
+                rms_after_um=_rms(localise.in_angle(after), problem.obs),
+                cv_gain=gain,
+                p_value=p_values[label],
+                in_group=inside,
+                grade=_grade(candidate, own, group) if inside else None,
+                confounded_with=tuple(sorted(rivals - {label})) if label in rivals else (),
+                laws=tuple(own),
+                share=min(1.0, candidate.score.gain / total),
+                remedy=effect.remedy,
+            )
+        )
+    return tuple(out)
+
+
+def _with_foreign(
+    problem: Problem, channels: Sequence[Channel], library: Mapping[str, Effect]
+) -> Problem:
+    """Take out what moves with a channel that no effect knows, so that it is not noise."""
+    obs = problem.obs
+    theta = bin_angle_rad()
+    waves = [np.ones(N_BINS)] + [f(h * theta) for h in range(1, 5) for f in (np.cos, np.sin)]
+    for channel in channels:
+        if not _is_foreign(channel.name, library):
+            continue
+        values = obs.centred_columns[channel.name]
+        columns = np.stack([values * wave for wave in waves], axis=2) * obs.mask[:, :, None]
+        whitened = problem.whitened(columns)
+        visible, _ = problem.visible(whitened)
+        problem = problem.extended(visible, whitened)
+    return problem
+
+
+def _is_foreign(name: str, library: Mapping[str, Effect]) -> bool:
+    return name != "time_h" and all(name not in effect.needs for effect in library.values())
+
+
+def _closest(tested: Sequence[Candidate]) -> str | None:
+    if not tested:
+        return None
+    best = max(tested, key=lambda c: c.score.gain)
+    return best.term.label if best.score.gain > 0.0 else None
+
+
+def _rms(values: Floats, obs: Observations) -> float:
+    return float(np.sqrt((values[obs.mask] ** 2).mean()))

@@ -1,0 +1,179 @@
+"""What a diagnosis says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from dtwin.physics.law_search import ScalingLaw
+from dtwin.physics.laws import LawTest
+from dtwin.physics.screen import Channel
+
+Verdict = Literal[
+    "missing_effect",
+    "ambiguous",
+    "unknown_effect",
+    "nothing_missing",
+    "need_repeats",
+    "variance_effect",
+]
+Grade = Literal["shape-consistent", "law-confirmed", "intervention-confirmed"]
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """An effect that was considered.
+
+    Attributes
+    ----------
+    effect, axis : str
+        What, and where.
+    rms_after_um : float
+        Predicted RMS of the residual with the effect added.
+    cv_gain : float
+        Mean relative gain on conditions that were left out of the fit.
+    p_value : float
+        After Holm over the library.
+    in_group : bool
+        Member of the reported group.
+    grade : str or None
+        How well the name is confirmed.
+    confounded_with : tuple of str
+        Effects that these runs cannot tell from it.
+    laws : tuple of LawTest
+        Tests of its scaling.
+    share : float
+        Share of the systematic error that it explains.
+    remedy : str
+        What to do about it.
+    """
+
+    effect: str
+    axis: str
+    rms_after_um: float
+    cv_gain: float
+    p_value: float
+    in_group: bool
+    grade: Grade | None
+    confounded_with: tuple[str, ...]
+    laws: tuple[LawTest, ...]
+    share: float
+    remedy: str
+
+    @property
+    def label(self) -> str:
+        """Name with axis."""
+        return f"{self.effect} {self.axis}".rstrip()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        out = dict(vars(self))
+        out["confounded_with"] = list(self.confounded_with)
+        out["laws"] = [law.as_dict() for law in self.laws]
+        return out
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How the spread of repeats depends on the condition.
+
+    Attributes
+    ----------
+    depends_on : tuple of str
+        ``feed``, or an effect that acts on the spread.
+    p_value : float
+        Smallest, after Holm.
+    """
+
+    depends_on: tuple[str, ...]
+    p_value: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {"depends_on": list(self.depends_on), "p_value": self.p_value}
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What is missing in a twin, how sure that is, and what it could be instead.
+
+    Attributes
+    ----------
+    verdict : str
+        One of the six verdicts.
+    headline : str
+        In words.
+    residual_rms_um, systematic_rms_um, noise_floor_um : float
+        RMS of the residual, of what repeats agree on, and of one run about the mean of its
+        condition (unit of replication: the run).
+    floor_kind : {"repeats", "within_run", "none"}
+        Where the floor comes from; ``within_run`` is a lower bound.
+    lack_of_fit_p : float
+        Of the hypothesis that repeats agree on nothing more.
+    suspects : tuple of Suspect
+        Best first.
+    where : tuple of dict
+        Conditions and angles where the residual is largest.
+    channels : tuple of Channel
+        Logged channels that explain the spread between repeats.
+    laws : tuple of ScalingLaw
+        Laws of structure that no effect explains.
+    closest : str or None
+        The effect whose shape comes closest to unknown structure.
+    invisible : tuple of str
+        Effects that would hide in the set-up or in known effects.
+    untestable : dict of str to str
+        Effects that cannot be judged, and why.
+    outlier_runs : tuple of str
+        Runs that were left out.
+    spread : Spread or None
+        How the spread depends on the condition.
+    next_experiment : dict or None
+        The cheapest run that separates the leading candidates.
+    """
+
+    verdict: Verdict
+    headline: str
+    residual_rms_um: float
+    systematic_rms_um: float
+    noise_floor_um: float
+    floor_kind: Literal["repeats", "within_run", "none"]
+    lack_of_fit_p: float
+    suspects: tuple[Suspect, ...] = ()
+    where: tuple[Mapping[str, Any], ...] = ()
+    channels: tuple[Channel, ...] = ()
+    laws: tuple[ScalingLaw, ...] = ()
+    closest: str | None = None
+    invisible: tuple[str, ...] = ()
+    untestable: Mapping[str, str] = field(default_factory=dict)
+    outlier_runs: tuple[str, ...] = ()
+    spread: Spread | None = None
+    next_experiment: Mapping[str, Any] | None = None
+
+    @property
+    def group(self) -> tuple[Suspect, ...]:
+        """Members of the reported group, best first."""
+        return tuple(suspect for suspect in self.suspects if suspect.in_group)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {
+            "verdict": self.verdict,
+            "headline": self.headline,
+            "residual_rms_um": self.residual_rms_um,
+            "systematic_rms_um": self.systematic_rms_um,
+            "noise_floor_um": self.noise_floor_um,
+            "floor_kind": self.floor_kind,
+            "lack_of_fit_p": self.lack_of_fit_p,
+            "candidates": [suspect.as_dict() for suspect in self.suspects],
+            "where": [dict(place) for place in self.where],
+            "channels": [channel.as_dict() for channel in self.channels],
+            "laws": [law.as_dict() for law in self.laws],
+            "closest": self.closest,
+            "invisible": list(self.invisible),
+            "untestable": dict(self.untestable),
+            "outlier_runs": list(self.outlier_runs),
+            "variance": self.spread.as_dict() if self.spread else {},
+            "next_experiment": dict(self.next_experiment) if self.next_experiment else None,
+        }

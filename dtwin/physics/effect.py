@@ -1,0 +1,229 @@
+"""What an effect is: one physical cause, as a function of the machine's state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+Per = Literal["machine", "axis", "machine_and_axis", "plane", "plane_or_axis", "joint"]
+Shape = Mapping[str, float]
+Regressors = Callable[[State, str, Shape], Floats]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A number that the fit finds, and that the error is proportional to.
+
+    Attributes
+    ----------
+    name, unit : str
+        What it is, and its unit; the regressor is in um per this unit.
+    typical : float
+        Size on an ordinary machine, for planning.
+    """
+
+    name: str
+    unit: str
+    typical: float
+
+
+@dataclass(frozen=True)
+class ShapeParameter:
+    """A number that the error is not proportional to.
+
+    Attributes
+    ----------
+    name, unit : str
+        What it is.
+    start : float
+        Where the search begins.
+    grid : tuple of float
+        Values that diagnosis tries; the fit refines between the outermost.
+    """
+
+    name: str
+    unit: str
+    start: float
+    grid: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Law:
+    """How the amplitude of an effect changes with the condition.
+
+    Attributes
+    ----------
+    feed, radius : float or None
+        Exponents; None when the effect obeys no power law.
+    direction : {"even", "odd", "mixed"}
+        Whether the sign stays, changes, or neither when the motion is reversed.
+    """
+
+    feed: float | None
+    radius: float | None
+    direction: Literal["even", "odd", "mixed"]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One physical cause.
+
+    Attributes
+    ----------
+    name, title : str
+        Identifier, and name in words.
+    parameters : tuple of Parameter
+        One for each column of the regressors.
+    regressors : callable
+        ``regressors(state, axis, shape)`` returns columns of shape (n, parameters), in um per
+        unit of each parameter, as the reference instrument sees them.
+    law : Law
+        Scaling that is tested before a name counts as confirmed.
+    per : str
+        What there is one of: the machine, each axis, each plane, each joint.
+        ``plane_or_axis`` is for what only shows as a difference: each plane when one plane was
+        measured, else each axis.
+    kinds : tuple of str
+        Kinds of campaign in which it can be seen.
+    shapes : tuple of ShapeParameter
+        Parameters that the error is not proportional to.
+    needs : tuple of str
+        Logged columns without which it cannot be judged.
+    setup : bool
+        Belongs to the mounting of the instrument: always fitted, never a missing effect.
+    within_condition : bool
+        Differs between repeats of a condition, as heat and time do.
+    on_spread : bool
+        Shows in the spread of repeats and not in their mean.
+    meaning, formula, looks_like, separate_by, remedy, reference : str
+        For people: what it is, how it is computed, what the plot shows, which run tells it from
+        its confusables, what to do about it, where it is described.
+    confusables : tuple of str
+        Effects that it can be mistaken for.
+    correctable : str
+        Empty when offsets of position cannot correct it, else how they do.
+    """
+
+    name: str
+    title: str
+    parameters: tuple[Parameter, ...]
+    regressors: Regressors
+    law: Law
+    meaning: str
+    formula: str
+    looks_like: str
+    separate_by: str
+    remedy: str
+    reference: str
+    per: Per = "axis"
+    kinds: tuple[str, ...] = ("circular",)
+    shapes: tuple[ShapeParameter, ...] = ()
+    needs: tuple[str, ...] = ()
+    confusables: tuple[str, ...] = ()
+    correctable: str = ""
+    setup: bool = False
+    within_condition: bool = False
+    on_spread: bool = False
+    source: str = field(default="dtwin", compare=False)
+
+    @property
+    def start_shape(self) -> dict[str, float]:
+        """Shape parameters where their search begins."""
+        return {shape.name: shape.start for shape in self.shapes}
+
+    def columns(self, state: State, axis: str, shape: Shape) -> Floats:
+        """Return the checked regressors at every point of a run.
+
+        Parameters
+        ----------
+        state : State
+            State of the machine at n points.
+        axis : str
+            Axis, plane or joint; empty for effects of the machine.
+        shape : dict of str to float
+            Values of the shape parameters.
+
+        Returns
+        -------
+        ndarray, shape (n, parameters)
+            um per unit of each parameter.
+
+        Raises
+        ------
+        InputError
+            When the effect raises, or returns other than finite numbers of that shape.
+        """
+        wanted = (state.n, len(self.parameters))
+        try:
+            found = np.asarray(self.regressors(state, axis, shape), dtype=np.float64)
+        except InputError:
+            raise
+        except Exception as error:
+            raise InputError(
+                "an effect failed",
+                code="effect.raised",
+                where=f"{self.name} ({self.source})",
+                got=f"{type(error).__name__}: {error}",
+                allowed=f"an array of shape {wanted}",
+            ) from error
+        if found.shape != wanted:
+            raise InputError(
+                "an effect returned the wrong shape",
+                code="effect.shape",
+                where=f"{self.name} ({self.source})",
+                got=str(found.shape),
+                allowed=f"{wanted}: one row for each point, one column for each parameter",
+            )
+        if not np.isfinite(found).all():
+            raise InputError(
+                "an effect returned numbers that are not finite",
+                code="effect.not_finite",
+                where=f"{self.name} ({self.source})",
+                got=f"{int((~np.isfinite(found)).sum())} of {found.size}",
+                hint="guard divisions and logarithms, for example at standstill",
+            )
+        return found
+
+
+@dataclass(frozen=True)
+class Instance:
+    """An effect on one axis, plane or joint.
+
+    Attributes
+    ----------
+    effect : Effect
+        The cause.
+    axis : str
+        Where it acts; empty for effects of the machine.
+    """
+
+    effect: Effect
+    axis: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name with axis, for example ``backlash X``."""
+        return f"{self.effect.name} {self.axis}".rstrip()
+
+
+def stacked(*columns: Floats) -> Floats:
+    """Return columns of shape (n,) side by side, shape (n, k)."""
+    return np.stack(columns, axis=1)
+
+
+def moves(state: State, axis: str) -> bool:
+    """Tell whether an axis takes part in a run."""
+    return axis in state.axes
+
+
+def other_axis(state: State, axis: str) -> str:
+    """Return the second moving axis of a circle."""
+    first, second = state.axes
+    return second if axis == first else first

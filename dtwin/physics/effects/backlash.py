@@ -1,0 +1,39 @@
+"""An axis lags behind its command by a constant amount, on the side it comes from."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, moves
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+
+def _columns(state: State, axis: str, shape: Shape) -> Floats:
+    if not moves(state, axis):
+        return np.zeros((state.n, 1))
+    return (-0.5 * np.sign(state.velocity_mm_s[axis]) * state.sensitivity[axis])[:, None]
+
+
+EFFECT = Effect(
+    name="backlash",
+    title="Backlash",
+    parameters=(Parameter("backlash", "um", 5.0),),
+    regressors=_columns,
+    law=Law(0.0, 0.0, "odd"),
+    meaning="Lost motion in the drive: play in nut, coupling or gear, or wind-up of the screw.",
+    formula="-(B / 2) sgn(v) cos(t) for the X axis",
+    looks_like="Steps where the axis reverses, in or out; the same at all feeds.",
+    separate_by="Lower the feed: spikes shrink, a step stays.",
+    remedy=("Preload or renew nut and bearings; else enter backlash compensation in the control."),
+    reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
+    confusables=(
+        "friction",
+        "reversal_spike",
+        "lateral_play",
+    ),
+    correctable=(
+        "Backlash compensation of the control, or an offset that jumps with the direction "
+        "of the axis."
+    ),
+)

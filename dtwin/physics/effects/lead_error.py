@@ -1,0 +1,33 @@
+"""An axis moves a constant share too far."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, moves
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+
+def _columns(state: State, axis: str, shape: Shape) -> Floats:
+    if not moves(state, axis):
+        return np.zeros((state.n, 1))
+    return (1e-3 * state.position_mm[axis] * state.sensitivity[axis])[:, None]
+
+
+EFFECT = Effect(
+    name="lead_error",
+    title="Lead error",
+    parameters=(Parameter("lead", "ppm", 20.0),),
+    regressors=_columns,
+    law=Law(None, None, "even"),
+    meaning="The lead of screw or scale is off by a constant share.",
+    formula="s x",
+    looks_like="The error grows in proportion to the position.",
+    separate_by="Measure cold and warm: growth by heat follows temperature.",
+    remedy="Scale factor of the axis.",
+    reference="ISO 230-2",
+    kinds=("linear",),
+    confusables=("thermal_growth",),
+    correctable="A compensation value of the control, or an offset of position.",
+)

@@ -1,0 +1,42 @@
+"""A slow wave of the screw along its length."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, stacked
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+
+def _columns(state: State, axis: str, shape: Shape) -> Floats:
+    if not moves(state, axis):
+        return np.zeros((state.n, 2))
+    phase = 2.0 * np.pi * state.position_mm[axis] / shape["wave_mm"]
+    along = state.sensitivity[axis]
+    return stacked(along * np.cos(phase), along * np.sin(phase))
+
+
+EFFECT = Effect(
+    name="pitch_error",
+    title="Pitch error",
+    parameters=(
+        Parameter("cosine", "um", 5.0),
+        Parameter("sine", "um", 5.0),
+    ),
+    regressors=_columns,
+    law=Law(None, None, "even"),
+    meaning="The lead of the screw wanders along its length.",
+    formula="C cos(2 pi x / w + f)",
+    looks_like="A slow wave along the travel, the same in both directions.",
+    separate_by="Run in both directions: backlash separates the curves, a pitch error does not.",
+    remedy="Pitch error table of the control.",
+    reference="ISO 230-2",
+    kinds=("linear",),
+    shapes=(ShapeParameter("wave_mm", "mm", 200.0, (50.0, 100.0, 200.0, 400.0)),),
+    confusables=(
+        "lead_error",
+        "cyclic_error",
+    ),
+    correctable="Pitch error table of the control.",
+)

@@ -1,0 +1,47 @@
+"""The set-up drifts with time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+
+def _columns(state: State, axis: str, shape: Shape) -> Floats:
+    time_h = state.column("time_h")
+    shift = [time_h * state.sensitivity[a] if a in state.axes else np.zeros(state.n) for a in "XYZ"]
+    return stacked(*shift, time_h)
+
+
+EFFECT = Effect(
+    name="thermal_drift",
+    title="Drift",
+    parameters=(
+        Parameter("shift_x", "um/h", 5.0),
+        Parameter("shift_y", "um/h", 5.0),
+        Parameter("shift_z", "um/h", 5.0),
+        Parameter("radius", "um/h", 5.0),
+    ),
+    regressors=_columns,
+    law=Law(0.0, 0.0, "even"),
+    meaning=(
+        "Centre and radius move with time: heat of the structure, creep of the set-up, or "
+        "wear over days."
+    ),
+    formula="h (a cos(t) + b sin(t) + c), h in hours",
+    looks_like="The start and the end of the circle do not meet; repeats wander in one direction.",
+    separate_by=(
+        "Stop for twenty minutes and measure again: drift with time goes on, thermal growth "
+        "turns back."
+    ),
+    remedy="Warm up, wait for the set-up to settle, shorten the test.",
+    reference="ISO 230-3",
+    per="machine",
+    confusables=(
+        "thermal_growth",
+        "centre_offset",
+    ),
+    within_condition=True,
+)

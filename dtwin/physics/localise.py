@@ -1,0 +1,139 @@
+"""See where a twin fails: by condition, by angle, and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dtwin.physics.observations import N_BINS, Observations
+from dtwin.physics.problem import Problem, Term, unweighted
+from dtwin.physics.whitening import from_harmonics, harmonic_numbers, to_harmonics
+from dtwin.schema import Floats
+
+_SECTOR_DEG = 20
+_PLACES = 5
+
+
+def residual_um(obs: Observations, known: Sequence[Term]) -> Floats:
+    """Return what ordinary least squares leaves, shape (rows, 360), zero where not measured."""
+    return in_angle(unweighted(obs, known))
+
+
+def in_angle(problem: Problem) -> Floats:
+    """Return the residual of an unweighted problem over the angle, shape (rows, 360)."""
+    return from_harmonics(problem.residual) * problem.obs.mask
+
+
+def condition_means(obs: Observations, values: Floats) -> Floats:
+    """Return the mean over the repeats of each condition, shape (conditions, 360)."""
+    return np.array(
+        [values[obs.condition_of == c].mean(axis=0) for c in range(len(obs.conditions))]
+    )
+
+
+def systematic_rms_um(obs: Observations, residual: Floats) -> float:
+    """Return the RMS of what repeats agree on: residual minus noise, in quadrature.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    residual : ndarray, shape (rows, 360)
+        Residual of the twin.
+
+    Returns
+    -------
+    float
+        sqrt(max(0, MS_residual - MS_pure_error)); NaN without repeats.
+    """
+    count = np.bincount(obs.condition_of)
+    repeated = count[obs.condition_of] > 1
+    dof = int(repeated.sum()) - int((count > 1).sum())
+    if dof < 1:
+        return float("nan")
+    rows = residual[repeated]
+    mean = condition_means(obs, residual)[obs.condition_of[repeated]]
+    share = float(obs.mask[repeated].mean()) * N_BINS
+    pure = ((rows - mean) ** 2).sum() / dof / share
+    total = (rows**2).sum() / len(rows) / share
+    return float(np.sqrt(max(0.0, total - pure)))
+
+
+def worst_places(obs: Observations, residual: Floats) -> tuple[Mapping[str, Any], ...]:
+    """Return the sectors in which the mean residual of a condition is largest.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    residual : ndarray, shape (rows, 360)
+        Residual of the twin.
+    """
+    means = condition_means(obs, residual)
+    sectors = np.sqrt((means.reshape(len(means), -1, _SECTOR_DEG) ** 2).mean(axis=2))
+    order = np.argsort(-sectors, axis=None)[:_PLACES]
+    out = []
+    for condition, sector in zip(*np.unravel_index(order, sectors.shape), strict=True):
+        start = int(sector) * _SECTOR_DEG
+        out.append(
+            {
+                **obs.conditions[int(condition)].as_dict(),
+                "angle_deg": [start, start + _SECTOR_DEG],
+                "residual_rms_um": float(sectors[condition, sector]),
+            }
+        )
+    return tuple(out)
+
+
+def headline(obs: Observations, residual: Floats) -> str:
+    """Describe the systematic residual: direction, harmonic, feed, radius.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    residual : ndarray, shape (rows, 360)
+        Residual of the twin.
+    """
+    means = condition_means(obs, residual)
+    words = []
+    parity = _parity(obs, means)
+    if parity is not None:
+        words.append(f"{parity} in direction")
+    power = (to_harmonics(means) ** 2).sum(axis=0)
+    by_harmonic = np.bincount(harmonic_numbers(), power)[:61]
+    top = int(np.argmax(by_harmonic))
+    share = by_harmonic[top] / max(by_harmonic.sum(), 1e-300)
+    words.append(
+        f"harmonic {top} ({100 * share:.0f} %)" if share > 0.4 else "spread over many harmonics"
+    )
+    size = 0.5 * np.log(np.maximum((means**2).mean(axis=1), 1e-300))
+    for name, values in (
+        ("feed", [c.feed_mm_min for c in obs.conditions]),
+        ("radius", [c.radius_mm for c in obs.conditions]),
+    ):
+        if len(set(values)) > 1:
+            slope = float(np.polyfit(np.log(values), size, 1)[0])
+            words.append(f"{_trend(slope)} with {name}")
+    return ", ".join(words)
+
+
+def _parity(obs: Observations, means: Floats) -> str | None:
+    """Compare the sum and the difference of the two directions of a condition."""
+    index = {c: i for i, c in enumerate(obs.conditions)}
+    even = odd = 0.0
+    for condition, i in index.items():
+        other = type(condition)(condition.plane, condition.radius_mm, condition.feed_mm_min, "CW")
+        if condition.direction == "CCW" and other in index:
+            even += float(((means[i] + means[index[other]]) ** 2).sum())
+            odd += float(((means[i] - means[index[other]]) ** 2).sum())
+    if even + odd == 0.0:
+        return None
+    share = odd / (even + odd)
+    return "odd" if share > 0.75 else "even" if share < 0.25 else "mixed"
+
+
+def _trend(slope: float) -> str:
+    return "grows" if slope > 0.3 else "falls" if slope < -0.3 else "does not change"

@@ -1,0 +1,439 @@
+"""A campaign's measurements on one angle grid, with the state of the machine beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.errors import InputError
+from dtwin.physics.effect import Instance, Shape
+from dtwin.physics.state import AXES_OF, State, circular_state
+from dtwin.schema import Campaign, Floats, Run, RunMeta
+from dtwin.units import UM_PER_MM
+
+N_BINS = 360
+_POINTS_PER_BIN = 4
+_SAMPLE_COLUMNS = ("t_s", "angle_deg", "deviation_um")
+_MIN_BINS = 30
+_GAP_BINS = 3
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What is set for a run; repeats share it.
+
+    Attributes
+    ----------
+    plane, direction : str
+        Plane and sense of motion.
+    radius_mm, feed_mm_min : float
+        As programmed.
+    """
+
+    plane: str
+    radius_mm: float
+    feed_mm_min: float
+    direction: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return dict(vars(self))
+
+    def __str__(self) -> str:
+        """Return it as people write it."""
+        return f"{self.plane} R{self.radius_mm:g} F{self.feed_mm_min:g} {self.direction}"
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Runs of a campaign, averaged over bins of one degree.
+
+    Attributes
+    ----------
+    campaign : Campaign
+        Where they come from.
+    runs : tuple of RunMeta
+        One for each row.
+    y_um : ndarray, shape (rows, 360)
+        Mean deviation in each bin, zero where nothing was measured. The part of a centre
+        offset that is of second order is taken out.
+    mask : ndarray of bool, shape (rows, 360)
+        Where something was measured.
+    conditions : tuple of Condition
+        The distinct conditions.
+    condition_of, setup_of, run_of : ndarray of int, shape (rows,)
+        Condition, set-up and run of each row; a run of several turns has several rows.
+    setups : tuple of str
+        Names of the set-ups.
+    columns : tuple of dict
+        Logged columns of each row: a number, or an array of shape (360,).
+    feed_mm_s : ndarray, shape (rows,)
+        Path speed that was reached.
+    """
+
+    campaign: Campaign
+    runs: tuple[RunMeta, ...]
+    y_um: Floats
+    mask: NDArray[np.bool_]
+    conditions: tuple[Condition, ...]
+    condition_of: Indices
+    setups: tuple[str, ...]
+    setup_of: Indices
+    run_of: Indices
+    columns: tuple[Mapping[str, Any], ...]
+    feed_mm_s: Floats
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows."""
+        return len(self.runs)
+
+    @property
+    def planes(self) -> tuple[str, ...]:
+        """Planes that were measured."""
+        return tuple(sorted({c.plane for c in self.conditions}))
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes that were moved."""
+        return tuple(sorted({axis for plane in self.planes for axis in AXES_OF[plane]}))
+
+    @property
+    def logged(self) -> tuple[str, ...]:
+        """Columns that were logged for every row."""
+        common = set.intersection(*(set(c) for c in self.columns))
+        return tuple(sorted(common))
+
+    @cached_property
+    def clusters(self) -> Indices:
+        """Test of each row: the directions of one test share set-up, repeat and everything logged.
+
+        Shape (rows,).
+        """
+        keys = [
+            (
+                self.setup_of[i],
+                meta.feed_mm_min,
+                meta.repeat,
+                tuple(sorted(meta.covariates.items())),
+            )
+            for i, meta in enumerate(self.runs)
+        ]
+        numbers = {key: n for n, key in enumerate(dict.fromkeys(keys))}
+        return np.array([numbers[key] for key in keys])
+
+    @cached_property
+    def place_of(self) -> Indices:
+        """Condition of each row without its direction, shape (rows,)."""
+        keys = [(m.plane, m.radius_mm, m.feed_mm_min) for m in self.runs]
+        numbers = {key: n for n, key in enumerate(dict.fromkeys(keys))}
+        return np.array([numbers[key] for key in keys])
+
+    @cached_property
+    def centred_columns(self) -> Mapping[str, Floats]:
+        """Logged columns minus their mean over the campaign, shape (rows, 360) each."""
+        out = {}
+        for name in self.logged:
+            values = np.array([np.broadcast_to(c[name], N_BINS) for c in self.columns], dtype=float)
+            out[name] = values - values[self.mask].mean()
+        return out
+
+    def without(self, drop: Sequence[int]) -> Observations:
+        """Return the observations without some rows.
+
+        Parameters
+        ----------
+        drop : sequence of int
+            Rows to leave out.
+        """
+        keep = np.setdiff1d(np.arange(self.n_rows), np.asarray(drop, dtype=int))
+        return self.take(keep)
+
+    def take(self, rows: Indices) -> Observations:
+        """Return some rows, in the order given.
+
+        Parameters
+        ----------
+        rows : ndarray of int, shape (k,)
+            Rows to keep.
+        """
+        used = sorted(set(self.condition_of[rows].tolist()))
+        new = {old: i for i, old in enumerate(used)}
+        setups = sorted(set(self.setup_of[rows].tolist()))
+        new_setup = {old: i for i, old in enumerate(setups)}
+        return replace(
+            self,
+            runs=tuple(self.runs[i] for i in rows),
+            y_um=self.y_um[rows],
+            mask=self.mask[rows],
+            conditions=tuple(self.conditions[i] for i in used),
+            condition_of=np.array([new[int(i)] for i in self.condition_of[rows]]),
+            setups=tuple(self.setups[i] for i in setups),
+            setup_of=np.array([new_setup[int(i)] for i in self.setup_of[rows]]),
+            run_of=self.run_of[rows],
+            columns=tuple(self.columns[i] for i in rows),
+            feed_mm_s=self.feed_mm_s[rows],
+        )
+
+    def with_y(self, y_um: Floats) -> Observations:
+        """Return the same runs with other measurements, shape (rows, 360)."""
+        return replace(self, y_um=np.where(self.mask, y_um, 0.0))
+
+    def regressors(self, instance: Instance, shape: Shape) -> Floats:
+        """Return the columns of an effect, averaged over the bins.
+
+        Parameters
+        ----------
+        instance : Instance
+            Effect and axis.
+        shape : dict of str to float
+            Its shape parameters.
+
+        Returns
+        -------
+        ndarray, shape (rows, 360, parameters)
+            um per unit of each parameter, zero where nothing was measured.
+        """
+        effect = instance.effect
+        out = np.zeros((self.n_rows, N_BINS, len(effect.parameters)))
+        if effect.within_condition or effect.needs:
+            for row in range(self.n_rows):
+                out[row] = _averaged(effect.columns(self._row_state(row), instance.axis, shape))
+        else:
+            for number, state in enumerate(self._condition_states):
+                found = _averaged(effect.columns(state, instance.axis, shape))
+                out[self.condition_of == number] = found
+        return np.where(self.mask[:, :, None], out, 0.0)
+
+    @cached_property
+    def _condition_states(self) -> list[State]:
+        states: list[State] = []
+        for number in range(len(self.conditions)):
+            rows = np.flatnonzero(self.condition_of == number)
+            feed = float(self.feed_mm_s[rows].mean())
+            meta = self.runs[int(rows[0])]
+            states.append(
+                circular_state(
+                    meta, _fine_angle_rad(), feed_mm_s=feed, columns={},
+                    geometry=self.campaign.machine_geometry,
+                )
+            )  # fmt: skip
+        return states
+
+    def _row_state(self, row: int) -> State:
+        state = self._condition_states[int(self.condition_of[row])]
+        columns = {
+            name: np.repeat(np.broadcast_to(value, N_BINS).astype(float), _POINTS_PER_BIN)
+            for name, value in self.columns[row].items()
+        }
+        for name in [n for n in columns if n.endswith("_c")]:
+            rise = self.centred_columns[name][row] if name in self.centred_columns else None
+            if rise is not None:
+                columns[f"{name[:-2]}_rise_c"] = np.repeat(rise, _POINTS_PER_BIN)
+        return replace(state, columns=columns)
+
+
+def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
+    """Put runs on the grid.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Where the runs come from.
+    runs : sequence of Run
+        Circular runs with ``angle_deg`` and ``deviation_um``; outside a marked window samples
+        are left out.
+
+    Raises
+    ------
+    InputError
+        When there is no run, or a run is not circular or too short.
+    """
+    if not runs:
+        raise InputError("there is no run to look at", code="twin.no_runs", where=campaign.name)
+    times_h = _times_h(runs)
+    rows = [row for run, time_h in zip(runs, times_h, strict=True) for row in _rows(run, time_h)]
+    conditions = list(dict.fromkeys(_condition(row.run.meta) for row in rows))
+    keys = [(r.run.meta.setup, r.run.meta.plane, r.run.meta.radius_mm) for r in rows]
+    setups = list(dict.fromkeys(keys))
+    ids = list(dict.fromkeys(run.meta.run_id for run in runs))
+    made = Observations(
+        campaign=campaign,
+        runs=tuple(row.run.meta for row in rows),
+        y_um=np.array([row.y_um for row in rows]),
+        mask=np.array([row.mask for row in rows]),
+        conditions=tuple(conditions),
+        condition_of=np.array([conditions.index(_condition(row.run.meta)) for row in rows]),
+        setups=tuple(f"{name} {plane} R{radius:g}" for name, plane, radius in setups),
+        setup_of=np.array([setups.index(key) for key in keys]),
+        run_of=np.array([ids.index(row.run.meta.run_id) for row in rows]),
+        columns=tuple(row.columns for row in rows),
+        feed_mm_s=np.array([row.feed_mm_s for row in rows]),
+    )
+    return made.with_y(made.y_um + _second_order_um(made))
+
+
+@dataclass(frozen=True)
+class _Row:
+    run: Run
+    y_um: Floats
+    mask: NDArray[np.bool_]
+    columns: Mapping[str, Any]
+    feed_mm_s: float
+
+
+def _condition(meta: RunMeta) -> Condition:
+    radius, feed = meta.radius_mm, meta.feed_mm_min
+    if meta.plane is None or meta.direction is None or radius is None or feed is None:
+        raise InputError(
+            "a twin of circular tests needs plane, radius, feed and direction of every run",
+            code="twin.condition",
+            where=f"run {meta.run_id}",
+            got=f"plane {meta.plane}, radius {radius}, feed {feed}, direction {meta.direction}",
+        )
+    return Condition(meta.plane, radius, feed, meta.direction)
+
+
+def _rows(run: Run, time_h: float) -> list[_Row]:
+    """Average one run over the bins of each of its turns."""
+    condition = _condition(run.meta)
+    if not {"angle_deg", "deviation_um"} <= set(run.samples):
+        raise InputError(
+            "a circular run needs angle_deg and deviation_um",
+            code="twin.columns",
+            where=f"run {run.meta.run_id}",
+            got=", ".join(run.samples),
+        )
+    marked = slice(*run.window) if run.window else slice(None)
+    angle = np.asarray(run.samples["angle_deg"], dtype=float)[marked]
+    if len(angle) < _MIN_BINS:
+        raise _too_short(run, len(angle))
+    sign = 1.0 if condition.direction == "CCW" else -1.0
+    # A sample on the seam belongs to the turn that it ends, not to one of its own.
+    turn = np.floor((sign * (angle - angle[0]) - 1e-9) / 360.0).astype(int).clip(0)
+    bins = np.floor(angle).astype(int) % N_BINS
+    feed_mm_s = _reached_feed_mm_s(run, marked, angle, condition)
+    names = [
+        n for n in run.samples if n not in _SAMPLE_COLUMNS and not n.startswith(("cmd_", "act_"))
+    ]
+    out = []
+    for number in range(int(turn.max()) + 1):
+        here = turn == number
+        count = np.bincount(bins[here], minlength=N_BINS)
+        mask = count > 0
+        if mask.sum() < _MIN_BINS:
+            continue
+
+        gaps = _short_gaps(mask)
+        means = {
+            name: _filled(
+                np.asarray(run.samples[name], dtype=float)[marked][here], bins[here], count, gaps
+            )
+            for name in ("deviation_um", *names)
+        }
+        y_um = means.pop("deviation_um")
+        columns = {"time_h": time_h, **run.meta.covariates, **means}
+        out.append(_Row(run, y_um, mask | gaps, columns, feed_mm_s))
+    if not out:
+        raise _too_short(run, len(angle))
+    return out
+
+
+def _short_gaps(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the empty bins that have a neighbour with samples within two degrees."""
+    near = mask.copy()
+    for shift in range(1, _GAP_BINS + 1):
+        near |= np.roll(mask, shift) & np.roll(mask, shift - _GAP_BINS - 1)
+    return near & ~mask
+
+
+def _filled(values: Floats, bins: Indices, count: Indices, gaps: NDArray[np.bool_]) -> Floats:
+    """Return bin means, short gaps interpolated from their neighbours, else zero."""
+    mean = np.bincount(bins, values, N_BINS) / np.maximum(count, 1)
+    known = np.flatnonzero(count)
+    mean[gaps] = np.interp(np.flatnonzero(gaps), known, mean[known], period=N_BINS)
+    return np.asarray(mean)
+
+
+def _too_short(run: Run, n: int) -> InputError:
+    return InputError(
+        "a run is too short for a circle",
+        code="twin.short",
+        where=f"run {run.meta.run_id}",
+        got=f"{n} samples",
+        allowed=f"at least {_MIN_BINS} different degrees",
+    )
+
+
+def _reached_feed_mm_s(run: Run, marked: slice, angle_deg: Floats, condition: Condition) -> float:
+    """Return the mean path speed, from the clock when there is one."""
+    programmed = condition.feed_mm_min / 60.0
+    if "t_s" not in run.samples:
+        return programmed
+    t_s = np.asarray(run.samples["t_s"], dtype=float)[marked]
+    spent = float(t_s[-1] - t_s[0])
+    if spent <= 0.0:
+        return programmed
+    return abs(float(np.radians(angle_deg[-1] - angle_deg[0]))) * condition.radius_mm / spent
+
+
+def _times_h(runs: Sequence[Run]) -> list[float]:
+    """Return session times; without stated times the order of the runs counts."""
+    stated = [_stated_s(run.meta.started) for run in runs]
+    if any(time is None for time in stated):
+        lengths = [_length_s(run) for run in runs]
+        return [float(t) / 3600.0 for t in np.concatenate([[0.0], np.cumsum(lengths)[:-1]])]
+    known = [time for time in stated if time is not None]
+    return [(time - min(known)) / 3600.0 for time in known]
+
+
+def _stated_s(started: str) -> float | None:
+    try:
+        return datetime.fromisoformat(started).timestamp() if started else None
+    except ValueError:
+        return None
+
+
+def _length_s(run: Run) -> float:
+    t_s = run.samples.get("t_s")
+    return float(t_s[-1] - t_s[0]) if t_s is not None and len(t_s) else 1.0
+
+
+def _fine_angle_rad() -> Floats:
+    n = N_BINS * _POINTS_PER_BIN
+    return np.asarray((np.arange(n) + 0.5) * (2.0 * np.pi / n), dtype=np.float64)
+
+
+def _averaged(fine: Floats) -> Floats:
+    return np.asarray(fine.reshape(N_BINS, _POINTS_PER_BIN, -1).mean(axis=1))
+
+
+def bin_angle_rad() -> Floats:
+    """Return the middle of every bin, shape (360,)."""
+    return np.asarray((np.arange(N_BINS) + 0.5) * (np.pi / 180.0), dtype=np.float64)
+
+
+def _second_order_um(made: Observations) -> Floats:
+    """Return what a centre offset takes from the radius in second order.
+
+    The exact distance from a shifted centre is shorter than the first-order term by
+    (a sin t - b cos t)^2 / 2R.
+    """
+    theta = bin_angle_rad()
+    basis = np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1)
+    out: Floats = np.zeros(made.y_um.shape)
+    for setup in range(len(made.setups)):
+        rows = np.flatnonzero(made.setup_of == setup)
+        mask = made.mask[rows]
+        design = np.broadcast_to(basis, (len(rows), *basis.shape))[mask]
+        _, a_um, b_um = np.linalg.lstsq(design, made.y_um[rows][mask], rcond=None)[0]
+        radius_um = (made.runs[int(rows[0])].radius_mm or 1.0) * UM_PER_MM
+        out[rows] = (a_um * np.sin(theta) - b_um * np.cos(theta)) ** 2 / (2.0 * radius_um)
+    return out

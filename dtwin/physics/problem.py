@@ -1,0 +1,201 @@
+"""Everything in the whitened space of harmonics: measurements, known effects, candidates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dtwin.physics.effect import Instance
+from dtwin.physics.observations import N_BINS, Observations, bin_angle_rad
+from dtwin.physics.whitening import PureError, pure_error, to_harmonics
+from dtwin.schema import Floats
+
+INVISIBLE = 0.01
+_RANK = 1e-9
+
+
+@dataclass(frozen=True)
+class Term:
+    """An effect with values of its shape parameters.
+
+    Attributes
+    ----------
+    instance : Instance
+        Effect and axis.
+    shape : dict of str to float
+        Shape parameters.
+    """
+
+    instance: Instance
+    shape: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def label(self) -> str:
+        """Name with axis."""
+        return self.instance.label
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Measurements and known effects, whitened.
+
+    Attributes
+    ----------
+    obs : Observations
+        The runs.
+    y : ndarray, shape (rows * 360,)
+        Whitened coefficients of the measurements.
+    basis : ndarray, shape (rows * 360, p)
+        Orthonormal basis of the set-up terms and the effects that are taken as known.
+    noise : PureError or None
+        What repeats disagree by; None without repeats.
+    weights : ndarray, shape (360,)
+        Whitening.
+    raw : ndarray, shape (rows * 360, q)
+        Columns that the basis spans: three for each set-up, then the known effects.
+    """
+
+    obs: Observations
+    y: Floats
+    basis: Floats
+    noise: PureError | None
+    weights: Floats
+    raw: Floats
+
+    @property
+    def residual(self) -> Floats:
+        """What the known effects leave, shape (rows, 360)."""
+        left = self.y - self.basis @ (self.basis.T @ self.y)
+        return left.reshape(self.obs.n_rows, N_BINS)
+
+    def whitened(self, columns: Floats) -> Floats:
+        """Return columns of shape (rows, 360, k) as shape (rows * 360, k)."""
+        return (to_harmonics(columns) * self.weights[:, None]).reshape(-1, columns.shape[2])
+
+    def visible(self, whitened: Floats, given: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return the part of columns that the known effects cannot imitate.
+
+        Parameters
+        ----------
+        whitened : ndarray, shape (rows * 360, k)
+            Whitened columns.
+        given : ndarray, shape (rows * 360, q), optional
+            Orthonormal columns, orthogonal to the basis, that are taken out too.
+
+        Returns
+        -------
+        left : ndarray, shape (rows * 360, j)
+            Orthonormal columns, j <= k.
+        share : ndarray, shape (k,)
+            Share of each column's sum of squares that is visible.
+        """
+        left = whitened - self.basis @ (self.basis.T @ whitened)
+        if given is not None:
+            left = left - given @ (given.T @ left)
+        total = (whitened**2).sum(axis=0)
+        share = np.divide((left**2).sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
+        seen = share > INVISIBLE
+        return orthonormal(left[:, seen] / np.sqrt(total[seen])), share
+
+    def extended(self, visible: Floats, whitened: Floats) -> Problem:
+        """Return the problem with one more known effect.
+
+        Parameters
+        ----------
+        visible : ndarray, shape (rows * 360, j)
+            What ``visible`` returned for it.
+        whitened : ndarray, shape (rows * 360, k)
+            Its whitened columns.
+        """
+        return replace(
+            self,
+            basis=np.concatenate([self.basis, visible], axis=1),
+            raw=np.concatenate([self.raw, _scaled(whitened)], axis=1),
+        )
+
+
+def set_up(obs: Observations, known: Sequence[Term], within: Sequence[Term]) -> Problem:
+    """Whiten a campaign.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    known : sequence of Term
+        Effects that the twin has, without set-up terms.
+    within : sequence of Term
+        Effects that may act inside a condition: they are taken out before noise is estimated,
+        so that what they do does not count as noise.
+    """
+    plain = unweighted(obs, known)
+    noise = _noise(plain, within)
+    return plain if noise is None else _with_weights(obs, known, noise)
+
+
+def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
+    """Return the problem with all harmonics alike: ordinary least squares.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    known : sequence of Term
+        Effects that the twin has, without set-up terms.
+    """
+    flat = PureError(0.0, np.ones(N_BINS), np.ones(len(obs.conditions)), 0)
+    return replace(_with_weights(obs, known, flat), noise=None)
+
+
+def _with_weights(obs: Observations, known: Sequence[Term], noise: PureError) -> Problem:
+    columns = [setup_columns(obs)] + [obs.regressors(t.instance, t.shape) for t in known]
+    y = to_harmonics(obs.y_um) * noise.weights
+    empty = np.empty((obs.y_um.size, 0))
+    made = Problem(obs, y.ravel(), empty, noise, noise.weights, empty)
+    raw = _scaled(made.whitened(np.concatenate(columns, axis=2)))
+    return replace(made, basis=orthonormal(raw), raw=raw)
+
+
+def setup_columns(obs: Observations) -> Floats:
+    """Return centre and radius of every set-up, shape (rows, 360, 3 * set-ups)."""
+    theta = bin_angle_rad()
+    basis = np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1)
+    out = np.zeros((obs.n_rows, N_BINS, 3 * len(obs.setups)))
+    for row in range(obs.n_rows):
+        first = 3 * int(obs.setup_of[row])
+        out[row, :, first : first + 3] = basis
+    return np.where(obs.mask[:, :, None], out, 0.0)
+
+
+def orthonormal(columns: Floats) -> Floats:
+    """Return an orthonormal basis of columns of shape (n, k); dependent ones are dropped."""
+    if not columns.size:
+        return columns
+    gram = columns.T @ columns
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > _RANK * max(float(values[-1]), 1e-300)
+    basis = columns @ (vectors[:, keep] / np.sqrt(values[keep]))
+    # The second pass removes what the squared condition number cost.
+    upper = np.linalg.cholesky(basis.T @ basis).T
+    return np.asarray(np.linalg.solve(upper.T, basis.T).T)
+
+
+def _scaled(columns: Floats) -> Floats:
+    size = np.sqrt((columns**2).sum(axis=0))
+    return columns[:, size > 0] / size[size > 0]
+
+
+def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
+    obs = plain.obs
+    share = float(obs.mask.mean())
+    if within:
+        columns = np.concatenate([obs.regressors(t.instance, t.shape) for t in within], axis=2)
+        whitened = plain.whitened(columns)
+        moving, _ = plain.visible(whitened)
+        # Time and temperature: each costs one degree of freedom in the harmonics it touches.
+        extended = plain.extended(moving, whitened)
+        found = pure_error(extended.residual, obs.condition_of, share, 2)
+        if found is not None:
+            return found
+    return pure_error(plain.residual, obs.condition_of, share)

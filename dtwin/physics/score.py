@@ -1,0 +1,254 @@
+"""Tests whose unit of replication is the run: score test, lack of fit, shared noise level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.special import polygamma
+
+from dtwin.physics.observations import N_BINS, Indices
+from dtwin.physics.problem import Problem
+from dtwin.physics.whitening import harmonic_numbers, within_condition
+from dtwin.schema import Floats
+
+HIGHEST_HARMONIC = 60
+_FLIPS = 1999
+_FEW_DOF = 12
+_MOST_PRIOR = 3.0
+
+
+@dataclass(frozen=True)
+class Score:
+    """Result of a score test.
+
+    Attributes
+    ----------
+    p_value : float
+        Of the hypothesis that the columns explain nothing.
+    gain : float
+        Explained sum of squares beyond what noise would explain.
+    expected : float
+        Sum of squares that noise alone would explain.
+    dof : float
+        Degrees of freedom of the noise estimate.
+    """
+
+    p_value: float
+    gain: float
+    expected: float
+    dof: float
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """How well the noise level of each condition foretells the noise of a score.
+
+    Attributes
+    ----------
+    prior_dof : float
+        Weight of the level of the conditions, in degrees of freedom: large when the noise is
+        alike round the circle, zero when it is not. After Smyth (2004), moderated t-statistics.
+    ratio : float
+        Typical score variance over the one foretold.
+    """
+
+    prior_dof: float = 0.0
+    ratio: float = 1.0
+
+
+def score_test(
+    problem: Problem,
+    visible: Floats,
+    residual: Floats,
+    level: NoiseLevel,
+    *,
+    within: bool = False,
+) -> Score:
+    """Test whether columns explain the residual, the run being the unit of replication.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign.
+    visible : ndarray, shape (rows * 360, k)
+        Orthonormal columns, orthogonal to what is known.
+    residual : ndarray, shape (rows, 360)
+        Whitened residual.
+    level : NoiseLevel
+        What other scores tell of the noise.
+    within : bool
+        The columns differ between repeats of a condition.
+    """
+    obs = problem.obs
+    k = visible.shape[1]
+    z = visible.reshape(obs.n_rows, N_BINS, k)
+    total = visible.T @ residual.ravel()
+    noise = residual
+    if within:
+        noise = residual - (visible @ total).reshape(residual.shape)
+    deviation, count = within_condition(noise, obs.condition_of)
+    scores = np.einsum("nqk,nq->nk", z, deviation)
+    unit, group = (obs.clusters, obs.place_of) if within else (obs.run_of, obs.condition_of)
+    summed = np.zeros((int(unit.max()) + 1, k))
+    np.add.at(summed, unit, scores)
+    variance = summed.T @ summed
+    dof = _satterthwaite(summed, unit, group, count, lost=k if within else 0)
+    foretold = _foretold(problem, z)
+    variance, dof = _moderated(variance, dof, foretold, level)
+    expected = float(np.trace(variance))
+    if dof < 1.0 or expected <= 0.0:
+        return Score(1.0, 0.0, expected, dof)
+    f = float(total @ np.linalg.pinv(variance) @ total) / k
+    left = max(dof - k + 1.0, 1.0)
+    return Score(
+        p_value=float(stats.f.sf(f * left / dof, k, left)),
+        gain=max(0.0, float(total @ total) - expected),
+        expected=expected,
+        dof=dof,
+    )
+
+
+def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
+    """Learn from probes whether the noise is alike round the circle.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign.
+    probes : ndarray, shape (rows * 360, k)
+        Columns, constant inside a condition, orthogonal to what is known, each of length one.
+    """
+    obs = problem.obs
+    deviation, count = within_condition(problem.residual, obs.condition_of)
+    z = probes.reshape(obs.n_rows, N_BINS, -1)
+    scores = np.einsum("nqk,nq->nk", z, deviation)
+    summed = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
+    np.add.at(summed, obs.run_of, scores)
+    foretold = np.einsum("n,nqk,nqk->k", _variance_of_rows(problem), z, z)
+    found = (summed**2).sum(axis=0)
+    usable = (found > 0) & (foretold > 0)
+    if usable.sum() < 8:
+        return NoiseLevel()
+    dofs = np.array(
+        [
+            _satterthwaite(summed[:, [i]], obs.run_of, obs.condition_of, count, lost=0)
+            for i in np.flatnonzero(usable)
+        ]
+    )
+    logs = np.log(found[usable] / foretold[usable])
+    bias = np.log(dofs / 2.0) - polygamma(0, dofs / 2.0)
+    spread = float(np.var(logs, ddof=1) - np.mean(polygamma(1, dofs / 2.0)))
+    most = _MOST_PRIOR * float(np.median(dofs))
+    prior = most if spread <= 0.0 else min(most, 2.0 / max(spread, 1e-6) + 1.0)
+    return NoiseLevel(prior, float(np.exp(np.mean(logs + bias))))
+
+
+def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> tuple[float, float]:
+    """Test whether repeats agree on anything that the twin does not explain.
+
+    Products of different runs of one condition have mean zero under noise of any shape; runs
+    change sign at random for the comparison.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign.
+    residual : ndarray, shape (rows, 360)
+        Whitened residual.
+    seed : int
+        Seed of the signs.
+
+    Returns
+    -------
+    p_value : float
+    systematic : float
+        Sum of squares that repeats agree on, in whitened units.
+    """
+    obs = problem.obs
+    low = residual[:, harmonic_numbers() <= HIGHEST_HARMONIC]
+    pairs = _pairs(obs.condition_of, obs.run_of)
+    gram = (low @ low.T) * pairs
+    found = float(gram.sum())
+    rng = np.random.default_rng(seed)
+    runs = int(obs.run_of.max()) + 1
+    n_conditions = len(set(obs.condition_of.tolist()))
+    if runs - n_conditions >= _FEW_DOF:
+        signs = rng.choice([-1.0, 1.0], size=(_FLIPS, runs))[:, obs.run_of]
+        drawn = np.einsum("fi,ij,fj->f", signs, gram, signs, optimize=True)
+    else:
+        drawn = _gaussian_draws(problem, pairs, low.shape[1], rng)
+    return float((1 + (drawn >= found).sum()) / (len(drawn) + 1)), max(found, 0.0)
+
+
+def _gaussian_draws(
+    problem: Problem, pairs: Floats, n_low: int, rng: np.random.Generator
+) -> Floats:
+    """Draw the statistic under noise that is equal round the circle: few runs allow no signs."""
+    obs = problem.obs
+    noise = problem.noise
+    level = np.nanmean(noise.variance) if noise is not None else 1.0
+    out = np.empty(499)
+    for i in range(len(out)):
+        # The level itself is known from few repeats only.
+        scale = np.sqrt(level * _FEW_DOF / rng.chisquare(_FEW_DOF))
+        drawn = scale * rng.standard_normal(problem.y.size)
+        drawn -= problem.basis @ (problem.basis.T @ drawn)
+        low = drawn.reshape(obs.n_rows, N_BINS)[:, :n_low]
+        out[i] = ((low @ low.T) * pairs).sum()
+    return out
+
+
+def _pairs(condition_of: Indices, run_of: Indices) -> Floats:
+    """Return the weight of each pair of rows: same condition, different run."""
+    same = condition_of[:, None] == condition_of[None, :]
+    other = run_of[:, None] != run_of[None, :]
+    runs = np.array(
+        [len(set(run_of[condition_of == c].tolist())) for c in range(int(condition_of.max()) + 1)]
+    )
+    weight = 1.0 / np.maximum(runs - 1, 1)
+    return np.asarray((same & other) * weight[condition_of][:, None])
+
+
+def _variance_of_rows(problem: Problem) -> Floats:
+    noise = problem.noise
+    if noise is None:
+        return np.ones(problem.obs.n_rows)
+    typical = float(np.nanmean(noise.variance))
+    return np.nan_to_num(noise.variance, nan=typical)[problem.obs.condition_of]
+
+
+def _foretold(problem: Problem, z: Floats) -> Floats:
+    return np.asarray(np.einsum("n,nqj,nqk->jk", _variance_of_rows(problem), z, z))
+
+
+def _moderated(
+    variance: Floats, dof: float, foretold: Floats, level: NoiseLevel
+) -> tuple[Floats, float]:
+    """Blend the variance that the runs show with the one that the noise level foretells."""
+    if level.prior_dof <= 0.0 or dof <= 0.0:
+        return variance, dof
+    total = dof + level.prior_dof
+    return (dof * variance + level.prior_dof * level.ratio * foretold) / total, total
+
+
+def _satterthwaite(
+    summed: Floats, unit: Indices, condition_of: Indices, count: Indices, lost: int
+) -> float:
+    """Effective degrees of freedom of a variance that differs between conditions."""
+    power: dict[int, float] = {}
+    units: dict[int, set[int]] = {}
+    size = (summed**2).sum(axis=1)
+    for row in np.flatnonzero(count > 1):
+        condition = int(condition_of[row])
+        units.setdefault(condition, set()).add(int(unit[row]))
+    for condition, members in units.items():
+        power[condition] = sum(float(size[u]) for u in members)
+    shares = np.array(
+        [(power[c], len(units[c]) - 1) for c in units if len(units[c]) > 1 and power[c] > 0.0]
+    )
+    if not len(shares):
+        return 0.0
+    dof = float(shares[:, 0].sum() ** 2 / (shares[:, 0] ** 2 / shares[:, 1]).sum())
+    return max(dof - lost, 0.0)

@@ -1,0 +1,122 @@
+"""Which logged channel explains what repeats disagree by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.physics.observations import Indices
+from dtwin.physics.problem import Problem
+from dtwin.physics.whitening import harmonic_numbers, within_condition
+from dtwin.schema import Floats
+
+ALPHA = 0.005
+_DRAWS = 4999
+_HIGHEST_HARMONIC = 8
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A logged channel that moves with the error inside conditions.
+
+    Attributes
+    ----------
+    name : str
+        Column, with unit.
+    p_value : float
+        By permutation of tests inside set-ups, Holm over all channels.
+    share : float
+        Share of the spread between repeats that goes with it.
+    instead : tuple of str
+        Channels that would explain the same.
+    """
+
+    name: str
+    p_value: float
+    share: float
+    instead: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, object]:
+        """Return a JSON-ready mapping."""
+        return {**vars(self), "instead": list(self.instead)}
+
+
+def screen_channels(problem: Problem, seed: int) -> list[Channel]:
+    """Return the logged channels that explain the spread between repeats.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign with everything known.
+    seed : int
+        Seed of the permutations.
+
+    Notes
+    -----
+    Only what a channel does *inside* conditions is looked at, so that conditions cannot stand
+    for it. A bystander that is correlated with the channel found explains nothing more once
+    that one is taken out.
+    """
+    obs = problem.obs
+    low = (harmonic_numbers() <= _HIGHEST_HARMONIC) & (problem.weights > 0)
+    spread, count = within_condition(problem.residual[:, low], obs.condition_of)
+    rng = np.random.default_rng(seed)
+    channels = {}
+    for name in obs.logged:
+        per_run = obs.centred_columns[name].mean(axis=1)
+        inside, _ = within_condition(per_run[:, None], obs.condition_of)
+        if np.ptp(inside) > 1e-9 * max(1.0, float(np.abs(per_run).max())):
+            channels[name] = inside[:, 0]
+    if not channels or (count > 1).sum() < 8:
+        return []
+    found: list[Channel] = []
+    while channels:
+        tested = {
+            name: _test(spread, values, obs.clusters, rng) for name, values in channels.items()
+        }
+        ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
+        best = max(
+            (n for n in ranked if tested[n][0] == tested[ranked[0]][0]),
+            key=lambda name: tested[name][1],
+        )
+        p_value = min(1.0, tested[best][0] * len(channels))
+        if p_value > ALPHA:
+            break
+        chosen = channels.pop(best)
+        instead = tuple(name for name, values in channels.items() if _alike(values, chosen))
+        found.append(Channel(best, p_value, tested[best][1], instead))
+        spread = _without(spread, chosen)
+        channels = {
+            name: _without(values[:, None], chosen)[:, 0]
+            for name, values in channels.items()
+            if name not in instead
+        }
+    return found
+
+
+def _test(
+    spread: Floats, values: Floats, clusters: Indices, rng: np.random.Generator
+) -> tuple[float, float]:
+    """Return p-value and share of the spread; tests keep their runs together."""
+    gram = spread @ spread.T
+    found = float(values @ gram @ values / (values @ values))
+    names, of_row = np.unique(clusters, return_inverse=True)
+    size = np.bincount(of_row)
+    mean = np.bincount(of_row, values) / size
+    own = values - mean[of_row]
+    order = rng.permuted(np.tile(np.arange(len(names)), (_DRAWS, 1)), axis=1)
+    shuffled = mean[order][:, of_row] + own
+    power = np.einsum("di,ij,dj->d", shuffled, gram, shuffled, optimize=True)
+    drawn = power / np.maximum((shuffled**2).sum(axis=1), 1e-300)
+    share = found / max(float(np.trace(gram)), 1e-300)
+    return float((1 + (drawn >= found).sum()) / (_DRAWS + 1)), share
+
+
+def _alike(values: Floats, chosen: Floats) -> bool:
+    cosine = values @ chosen / np.sqrt((values @ values) * (chosen @ chosen))
+    return abs(float(cosine)) > 0.97
+
+
+def _without(values: Floats, chosen: Floats) -> Floats:
+    return np.asarray(values - np.outer(chosen, chosen @ values) / (chosen @ chosen))

@@ -1,0 +1,195 @@
+"""Find effects one by one until what is left is not significant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from dtwin.physics.candidates import Candidate, Candidates, probes
+from dtwin.physics.cross_validation import left_out_gain
+from dtwin.physics.problem import Problem
+from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
+from dtwin.schema import Floats
+
+ALPHA = 0.04
+_MOST_STEPS = 4
+_LEADING = 6
+_GROUP_GAIN = 0.5
+_GROUP_P = 0.05
+_FIT_IS_FINE = 0.05
+
+
+@dataclass(frozen=True)
+class Step:
+    """One effect that was found, with its rivals.
+
+    Attributes
+    ----------
+    problem : Problem
+        The campaign before it was added.
+    level : NoiseLevel
+        Shared noise level at that point.
+    top : Candidate
+        The effect with the largest gain.
+    group : tuple of Candidate
+        It, and what these runs cannot tell from it, best first.
+    p_values : dict of str to float
+        After Holm, by label.
+    tested : tuple of Candidate
+        Everything that was tested.
+    gains : dict of str to float
+        Gain on left-out conditions of the leading candidates, by label.
+    invisible : tuple of str
+        Labels of the effects that nothing here can show.
+    """
+
+    problem: Problem
+    level: NoiseLevel
+    top: Candidate
+    group: tuple[Candidate, ...]
+    p_values: Mapping[str, float]
+    tested: tuple[Candidate, ...]
+    gains: Mapping[str, float]
+    invisible: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Search:
+    """What a search found.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        Effects found, in order.
+    last : Problem
+        The campaign with all of them.
+    tested : tuple of Candidate
+        What was tested at the end, against what was left.
+    p_values : dict of str to float
+        Their p-values after Holm.
+    invisible : tuple of str
+        Labels of the effects that nothing here can show, at the start.
+    lack_of_fit : tuple of float
+        p-value and systematic sum of squares at the start and after every step.
+    """
+
+    steps: tuple[Step, ...]
+    last: Problem
+    tested: tuple[Candidate, ...]
+    p_values: Mapping[str, float]
+    invisible: tuple[str, ...]
+    lack_of_fit: tuple[tuple[float, float], ...]
+
+    @property
+    def explained(self) -> float:
+        """Share of the systematic sum of squares that the effects found explain."""
+        first, last = self.lack_of_fit[0][1], self.lack_of_fit[-1][1]
+        return 1.0 - last / first if first > 0.0 else 1.0
+
+
+def search(
+    problem: Problem, candidates: Candidates, *, seed: int, shown_by_channel: bool = False
+) -> Search:
+    """Add effects until nothing is significant or nothing is left to explain.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign with what the twin knows.
+    candidates : Candidates
+        The library.
+    seed : int
+        Seed of permutations.
+    shown_by_channel : bool
+        A logged channel was shown to move with the error: effects that act inside conditions
+        are then compared among themselves only.
+    """
+    steps: list[Step] = []
+    fits = [lack_of_fit(problem, problem.residual, seed)]
+    while True:
+        level = noise_level(problem, probes(problem))
+        tested, invisible = candidates.tested(problem, level)
+        p_values = holm(tested)
+        if shown_by_channel:
+            within = [c for c in tested if c.term.instance.effect.within_condition]
+            p_values |= holm(within)
+        step = _step(problem, candidates, level, tested, p_values, tuple(invisible))
+        if step is None or len(steps) == _MOST_STEPS:
+            break
+        steps.append(step)
+        whitened = candidates.whitened(problem, step.top.term)
+        problem = problem.extended(step.top.visible, whitened)
+        fits.append(lack_of_fit(problem, problem.residual, seed))
+        shown_by_channel = False
+        if fits[-1][0] > _FIT_IS_FINE:
+            tested, p_values = list(step.tested), dict(step.p_values)
+            break
+    first = steps[0].invisible if steps else tuple(invisible)
+    return Search(tuple(steps), problem, tuple(tested), p_values, first, tuple(fits))
+
+
+def holm(tested: list[Candidate]) -> dict[str, float]:
+    """Return Holm's adjusted p-values by label."""
+    ordered = sorted(tested, key=lambda c: c.score.p_value)
+    out: dict[str, float] = {}
+    worst = 0.0
+    for rank, candidate in enumerate(ordered):
+        worst = max(worst, min(1.0, candidate.score.p_value * (len(ordered) - rank)))
+        out[candidate.term.label] = worst
+    return out
+
+
+def _step(
+    problem: Problem,
+    candidates: Candidates,
+    level: NoiseLevel,
+    tested: list[Candidate],
+    p_values: Mapping[str, float],
+    invisible: tuple[str, ...],
+) -> Step | None:
+    significant = [c for c in tested if p_values[c.term.label] <= ALPHA]
+    leading = sorted(significant, key=lambda c: -c.score.gain)[:_LEADING]
+    gains = {
+        c.term.label: left_out_gain(problem, candidates.whitened(problem, c.term)) for c in leading
+    }
+    kept = [c for c in leading if gains[c.term.label] > 0.0]
+    if not kept:
+        return None
+    top = kept[0]
+    group = _group(problem, candidates, level, top, tested)
+    return Step(problem, level, top, group, p_values, tuple(tested), gains, invisible)
+
+
+def _group(
+    problem: Problem,
+    candidates: Candidates,
+    level: NoiseLevel,
+    top: Candidate,
+    tested: list[Candidate],
+) -> tuple[Candidate, ...]:
+    """Return what leaves the top one nothing significant to explain: a 95 % confidence set."""
+    group = [top]
+    columns = candidates.whitened(problem, top.term)
+    for other in sorted(tested, key=lambda c: -c.score.gain):
+        if other is top or other.score.gain < _GROUP_GAIN * top.score.gain:
+            continue
+        if _adds_nothing(problem, columns, top, other, candidates, level):
+            group.append(other)
+    return tuple(group)
+
+
+def _adds_nothing(
+    problem: Problem,
+    columns: Floats,
+    top: Candidate,
+    other: Candidate,
+    candidates: Candidates,
+    level: NoiseLevel,
+) -> bool:
+    given = problem.extended(other.visible, candidates.whitened(problem, other.term))
+    left, _ = given.visible(columns)
+    if not left.shape[1]:
+        return True
+    within = top.term.instance.effect.within_condition
+    score = score_test(given, left, given.residual, level, within=within)
+    return score.p_value > _GROUP_P

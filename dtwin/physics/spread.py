@@ -1,0 +1,79 @@
+"""Whether the spread of repeats depends on the condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from scipy import stats
+
+from dtwin.physics.diagnosis import Spread
+from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.library import campaign_instances
+from dtwin.physics.observations import Indices, Observations
+from dtwin.physics.whitening import within_condition
+from dtwin.schema import Floats
+
+_ALPHA = 0.01
+_MATERIAL_EXPONENT = 0.25
+
+
+def spread_of(
+    obs: Observations, residual_um: Floats, library: Mapping[str, Effect]
+) -> Spread | None:
+    """Return what the spread of repeats depends on, None when nothing shows.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    residual_um : ndarray, shape (rows, 360)
+        Residual of the twin.
+    library : mapping of str to Effect
+        Effects; those that act on the spread are tried.
+    """
+    deviation, count = within_condition(residual_um, obs.condition_of)
+    rows = np.flatnonzero(count > 1)
+    if len(rows) < 6:
+        return None
+    power = (deviation[rows] ** 2).sum(axis=1) / obs.mask[rows].sum(axis=1)
+    found: dict[str, float] = {}
+    feed = np.log(obs.feed_mm_s[rows])
+    if np.ptp(feed) > 0.05:
+        fitted = stats.linregress(feed, 0.5 * np.log(power))
+        if abs(fitted.slope) > _MATERIAL_EXPONENT:
+            found["feed"] = float(fitted.pvalue)
+    geometry = obs.campaign.machine_geometry
+    for instance in campaign_instances(library, "circular", obs.planes, obs.axes, geometry):
+        if instance.effect.on_spread:
+            found[instance.label] = _local(obs, deviation, rows, instance)
+    if not found:
+        return None
+    ranked = sorted(found, key=found.__getitem__)
+    named = [
+        label for rank, label in enumerate(ranked) if found[label] * (len(ranked) - rank) < _ALPHA
+    ]
+    if not named:
+        return None
+    return Spread(tuple(named), min(1.0, found[named[0]] * len(ranked)))
+
+
+def _local(obs: Observations, deviation: Floats, rows: Indices, instance: Instance) -> float:
+    """Return the p-value that the spread is larger where the effect says; the unit is the run."""
+    best = 1.0
+    shapes = instance.effect.shapes
+    for value in shapes[0].grid if shapes else (0.0,):
+        shape = {shapes[0].name: value} if shapes else {}
+        profile = obs.regressors(instance, shape)[:, :, 0]
+        scores = []
+        for row in rows:
+            mask = obs.mask[row]
+            wanted = profile[row][mask] - profile[row][mask].mean()
+            size = float(np.abs(wanted).sum())
+            if size > 0.0:
+                power = deviation[row][mask] ** 2
+                scores.append(float(wanted @ power) / (size * float(power.mean())))
+        if len(scores) > 5:
+            p = float(stats.ttest_1samp(scores, 0.0, alternative="greater").pvalue)
+            best = min(best, p * len(shapes[0].grid if shapes else (0.0,)))
+    return min(best, 1.0)

@@ -1,0 +1,148 @@
+"""Weights of the harmonics, from what repeats of the same condition disagree by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.physics.observations import N_BINS, Indices
+from dtwin.schema import Floats
+
+_SEPARATE = 5
+_FLOOR = 1e-4
+
+
+def to_harmonics(values: Floats) -> Floats:
+    """Return real, orthonormal Fourier coefficients along an axis of 360 angles.
+
+    Parameters
+    ----------
+    values : ndarray, shape (rows, 360, ...)
+        Values in every bin.
+
+    Returns
+    -------
+    ndarray, same shape
+        Harmonic 0, then cosine and sine of harmonics 1 to 179, then harmonic 180: an
+        orthonormal transform, so sums of squares are kept.
+    """
+    spectrum = np.fft.rfft(values, axis=1, norm="ortho")
+    out = np.empty(values.shape)
+    out[:, 0] = spectrum[:, 0].real
+    out[:, -1] = spectrum[:, -1].real
+    out[:, 1:-1:2] = np.sqrt(2.0) * spectrum[:, 1:-1].real
+    out[:, 2:-1:2] = np.sqrt(2.0) * spectrum[:, 1:-1].imag
+    return out
+
+
+def from_harmonics(coefficients: Floats) -> Floats:
+    """Return values over the angle from real Fourier coefficients, shape (rows, 360)."""
+    spectrum = np.empty((len(coefficients), N_BINS // 2 + 1), dtype=complex)
+    spectrum[:, 0], spectrum[:, -1] = coefficients[:, 0], coefficients[:, -1]
+    spectrum[:, 1:-1] = (coefficients[:, 1:-1:2] + 1j * coefficients[:, 2:-1:2]) / np.sqrt(2.0)
+    return np.asarray(np.fft.irfft(spectrum, N_BINS, axis=1, norm="ortho"))
+
+
+def harmonic_numbers() -> Indices:
+    """Return the harmonic that each coefficient belongs to, shape (360,)."""
+    return (np.arange(N_BINS) + 1) // 2
+
+
+@dataclass(frozen=True)
+class PureError:
+    """What repeats disagree by.
+
+    Attributes
+    ----------
+    floor_um : float
+        RMS of one run about the mean of its condition.
+    weights : ndarray, shape (360,)
+        Factors of the coefficients that make this noise white, with RMS one.
+    variance : ndarray, shape (conditions,)
+        Variance of a whitened coefficient in each condition, NaN without repeats.
+    dof : int
+        Runs minus conditions, over conditions that were repeated.
+    """
+
+    floor_um: float
+    weights: Floats
+    variance: Floats
+    dof: int
+
+
+def within_condition(rows: Floats, condition_of: Indices) -> tuple[Floats, Indices]:
+    """Return deviations from the mean of the condition, inflated to the variance of one run.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (rows, ...)
+        Values of each row.
+    condition_of : ndarray of int, shape (rows,)
+        Its condition.
+
+    Returns
+    -------
+    deviations : ndarray, shape (rows, ...)
+        Times sqrt(m / (m - 1)); zero where nothing was repeated.
+    count : ndarray of int, shape (rows,)
+        Number of rows of the condition.
+    """
+    count = np.bincount(condition_of)
+    mean = np.zeros((len(count), *rows.shape[1:]))
+    np.add.at(mean, condition_of, rows)
+    mean /= np.maximum(count, 1).reshape(-1, *[1] * (rows.ndim - 1))
+    m = count[condition_of]
+    scale = np.where(m > 1, np.sqrt(m / np.maximum(m - 1, 1)), 0.0)
+    return (rows - mean[condition_of]) * scale.reshape(-1, *[1] * (rows.ndim - 1)), m
+
+
+def pure_error(
+    residual: Floats, condition_of: Indices, mask_share: float, lost_dof: int = 0
+) -> PureError | None:
+    """Estimate the noise from repeats.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (rows, 360)
+        Harmonic coefficients of the residual.
+    condition_of : ndarray of int, shape (rows,)
+        Condition of each row.
+    mask_share : float
+        Share of the bins that was measured.
+    lost_dof : int
+        Degrees of freedom that a fit inside the conditions has used.
+
+    Returns
+    -------
+    PureError or None
+        None with fewer than two degrees of freedom.
+    """
+    deviation, m = within_condition(residual, condition_of)
+    repeated = m > 1
+    n_conditions = len(set(condition_of[repeated].tolist()))
+    full_dof = int(repeated.sum()) - n_conditions
+    dof = full_dof - lost_dof
+    if dof < 2:
+        return None
+    power = (deviation[repeated] ** 2).mean(axis=0) * full_dof / dof
+    floor_um = float(np.sqrt(power.sum() / (N_BINS * mask_share)))
+    smooth = _smoothed(power)
+    weights = 1.0 / np.sqrt(np.maximum(smooth, _FLOOR * np.median(smooth)))
+    weights /= np.sqrt(np.mean(weights**2))
+    white = deviation * weights
+    variance = np.full(int(condition_of.max()) + 1, np.nan)
+    for condition in sorted(set(condition_of[repeated].tolist())):
+        variance[condition] = (white[condition_of == condition] ** 2).mean()
+    return PureError(floor_um, weights, variance, dof)
+
+
+def _smoothed(power: Floats) -> Floats:
+    """Average over neighbouring harmonics; the lowest keep their own level."""
+    harmonic = harmonic_numbers()
+    level = np.bincount(harmonic, power) / np.bincount(harmonic)
+    out = level.copy()
+    for h in range(_SEPARATE, len(level)):
+        half = 2 if h < 12 else 6
+        out[h] = level[max(_SEPARATE, h - half) : h + half + 1].mean()
+    return out[harmonic]
