@@ -237,8 +237,9 @@ def main() -> int:
     chosen = _arguments()
     worker = Worker(chosen)
     try:
-        worker.connect()
+        # Before connecting: the threads that ur_rtde starts inherit priority and timers.
         realtime = _prepare(chosen.realtime)
+        worker.connect()
         worker.say(connected=True, realtime=realtime)
         worker.run()
     except Fault as fault:
