@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, Protocol
 
 from dtwin.atomic import write_text
 from dtwin.config import Home, sample_recording
-from dtwin.errors import DeviceError
 from dtwin.pipeline.integration_check import sample_check
-from dtwin.pipeline.measuring import compute_features, ingest, simulate
-from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
-from dtwin.pipeline.virtual_robot import virtual_controller
+from dtwin.pipeline.modelling import Registered
+from dtwin.pipeline.wall_clock import serving_numbers
+from dtwin.pipeline.work import PlainSteps, Result, Steps, Work
 from dtwin.plan import Plan, training_plan
 from dtwin.report.campaign import (
     comparison_table,
@@ -27,7 +22,7 @@ from dtwin.report.campaign import (
     recording_section,
     training_section,
 )
-from dtwin.report.checking import check_source, render_check
+from dtwin.report.checking import render_check
 from dtwin.report.html import Section, Table, page
 from dtwin.report.text import table
 from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
@@ -86,7 +81,9 @@ def quick_size() -> DemoSize:
     return DemoSize(plan, evidence, 3.0)
 
 
-def run_demo(home: Home, screen: Screen, size: DemoSize, *, seed: int = 0) -> dict[str, Any]:
+def run_demo(
+    home: Home, screen: Screen, size: DemoSize, *, seed: int = 0, steps: Steps | None = None
+) -> dict[str, Any]:
     """Run the five steps and return what they found.
 
     Parameters
@@ -99,6 +96,8 @@ def run_demo(home: Home, screen: Screen, size: DemoSize, *, seed: int = 0) -> di
         How much is measured.
     seed : int
         Seed of the virtual machine.
+    steps : Steps, optional
+        Does the steps; plain functions without.
 
     Returns
     -------
@@ -106,21 +105,33 @@ def run_demo(home: Home, screen: Screen, size: DemoSize, *, seed: int = 0) -> di
         JSON-ready: recording, campaign, comparison, gates, serving, evidence, champion, report,
         seconds by step.
     """
-    clock = _Clock(screen)
+    clock = _Clock(screen, steps or PlainSteps(home, screen.progress))
     sections: list[Section] = []
-    with clock.step("1 of 5  a real recording: what it says, and what is wrong with it"):
-        recording = _recording(home, screen, sections)
-    with clock.step(f"2 of 5  {len(size.plan.tests)} tests on the virtual cobot, machine clock"):
-        campaign = _measure(home, screen, size, seed)
-    with clock.step("3 of 5  features, candidates, comparison"):
-        registered = _train(home, screen, size, sections)
-    with clock.step("4 of 5  gates, trial, serving, evidence"):
-        outcome = _correct(home, screen, size, seed, registered, sections)
-    with clock.step("5 of 5  report"):
-        title = "dtwin: from a recording to a served correction"
-        content = page(title, f"machine {size.plan.machine}", sections)
-        path = write_text(home.reports / "demo.html", content, "the report")
-        screen.say(f"report: {path}")
+    recording = clock.step(
+        "1 of 5  a real recording: what it says, and what is wrong with it",
+        "recording",
+        lambda work: _recording(work, screen, sections),
+    )
+    campaign = clock.step(
+        f"2 of 5  {len(size.plan.tests)} tests on the virtual cobot, machine clock",
+        "campaign",
+        lambda work: _measure(work, home, screen, size, seed),
+    )
+    registered = clock.step(
+        "3 of 5  features, candidates, comparison",
+        "training",
+        lambda work: _train(work, screen, size, sections),
+    )
+    outcome = clock.step(
+        "4 of 5  gates, trial, serving, evidence",
+        "correction",
+        lambda work: _correct(work, screen, size, seed, registered, sections),
+    )
+    path = clock.step(
+        "5 of 5  report",
+        "report",
+        lambda work: _report(work, home, screen, size, outcome, sections),
+    )
     screen.say(_final(outcome, clock.seconds))
     return {
         "recording": recording,
@@ -132,10 +143,10 @@ def run_demo(home: Home, screen: Screen, size: DemoSize, *, seed: int = 0) -> di
     }
 
 
-def _recording(home: Home, screen: Screen, sections: list[Section]) -> dict[str, Any]:
+def _recording(work: Work, screen: Screen, sections: list[Section]) -> dict[str, Any]:
     path = sample_recording()
-    report = ingest(path, home)
-    result = check_source(path)
+    report = work.ingest(path)
+    result = work.check(path)
     screen.say(render_check(result))
     screen.say(
         f"in the lake as campaign {report.campaign}: {len(report.added)} runs added, "
@@ -149,10 +160,9 @@ def _recording(home: Home, screen: Screen, sections: list[Section]) -> dict[str,
     return {**result, "integration": seen.as_dict()}
 
 
-def _measure(home: Home, screen: Screen, size: DemoSize, seed: int) -> dict[str, Any]:
-    folder = home.campaigns / size.plan.name
-    done = simulate(size.plan, folder, seed=seed, progress=screen.progress("measure"))
-    report = ingest(folder, home, screen.progress("ingest"))
+def _measure(work: Work, home: Home, screen: Screen, size: DemoSize, seed: int) -> dict[str, Any]:
+    done = work.measure(size.plan, home.campaigns / size.plan.name, seed)
+    report = work.ingest(done.folder)
     codes = sorted({finding.code for _, finding in report.findings})
     screen.say(
         f"{done.measured} tests measured, {done.kept} kept from before, "
@@ -169,18 +179,13 @@ def _measure(home: Home, screen: Screen, size: DemoSize, seed: int) -> dict[str,
     }
 
 
-def _train(home: Home, screen: Screen, size: DemoSize, sections: list[Section]) -> Any:
-    features = compute_features(home, size.plan.name, screen.progress("features"))
+def _train(work: Work, screen: Screen, size: DemoSize, sections: list[Section]) -> Registered:
+    features = work.features(size.plan.name)
     screen.say(
         f"{features.windows} windows of {features.runs} runs, table version "
         f"{features.version}; {features.not_finite} not finite, {features.constant} constant"
     )
-    lines: dict[str, Callable[[int, int, str], None]] = {}
-
-    def tell(stage: str, done: int, total: int, what: str) -> None:
-        lines.setdefault(stage, screen.progress(stage))(done, total, what)
-
-    registered = train(home, size.plan.name, progress=tell)
+    registered = work.train(size.plan.name)
     report = registered.training.report
     head, rows = comparison_table(report.candidates)
     screen.say(table(head, rows))
@@ -194,28 +199,21 @@ def _train(home: Home, screen: Screen, size: DemoSize, sections: list[Section]) 
 
 
 def _correct(
-    home: Home, screen: Screen, size: DemoSize, seed: int, registered: Any,
+    work: Work, screen: Screen, size: DemoSize, seed: int, registered: Registered,
     sections: list[Section],
 ) -> dict[str, Any]:  # fmt: skip
     version, geometry = registered.version, registered.training.geometry
     screen.say("\n".join(verdict_lines(registered.verdicts)))
     if not all(v.passed for v in registered.verdicts):
         return _stopped(registered.verdicts, "an offline gate said no")
-    put_on_trial(home, version, "demo")
+    work.put_on_trial(version, "demo")
     screen.say(f"version {version.version} is on trial (a quarter of its clamp)")
-    serving = serve_wall_clock(home, version.machine, size, seed)
+    serving = work.serve(version.machine, size.evidence.conditions[0], size.serve_s, seed)
     screen.say(_serving_text(serving))
-    evidence = measure_evidence(
-        home,
-        version,
-        geometry,
-        seed=seed,
-        plan=size.evidence,
-        progress=screen.progress("circles"),
-    )
+    evidence = work.evidence(version, geometry, size.evidence, seed)
     found = evidence.as_dict()
     screen.say(table(*evidence_table(found)))
-    path, reason = make_champion(home, version, found, "demo")
+    path, reason = work.make_champion(version, found, "demo")
     screen.say(
         f"champion: version {version.version}, {path}" if path else f"not promoted\n{reason}"
     )
@@ -229,66 +227,16 @@ def _correct(
     }
 
 
-def serve_wall_clock(home: Home, machine: str, size: DemoSize, seed: int) -> dict[str, Any]:
-    """Serve the trial to the virtual controller over real RTDE, on the wall clock.
-
-    Serving runs in a process of its own, as it would beside a machine: no other thread may
-    hold its interpreter.
-
-    Parameters
-    ----------
-    home : Home
-        Bundles.
-    machine : str
-        The machine.
-    size : DemoSize
-        For how long, and on which circle.
-    seed : int
-        Seed of the machine.
-
-    Returns
-    -------
-    dict
-        What ``dtwin serve --json`` printed.
-
-    Raises
-    ------
-    DeviceError
-        When the process printed no status.
-    """
-    plane, radius, feed = size.evidence.conditions[0]
-    log = home.logs / "virtual-controller.log"
-    with virtual_controller(
-        plane=plane, radius_mm=radius, feed_mm_min=feed, seed=seed, log=log
-    ) as host:
-        done = subprocess.run(
-            [
-                sys.executable,
-                "-m",
-                "dtwin",
-                "serve",
-                "--model",
-                "trial",
-                "--machine",
-                machine,
-                "--host",
-                host,
-                "--duration",
-                str(size.serve_s),
-                "--json",
-            ],
-            env=dict(os.environ, DTWIN_HOME=str(home.root)),
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-    try:
-        found: dict[str, Any] = json.loads(done.stdout)
-    except ValueError as error:
-        raise DeviceError(
-            "serving printed no status", code="demo.serve", got=done.stderr[-400:] or "nothing"
-        ) from error
-    return found
+def _report(
+    work: Work, home: Home, screen: Screen, size: DemoSize, outcome: Mapping[str, Any],
+    sections: list[Section],
+) -> Path:  # fmt: skip
+    title = "dtwin: from a recording to a served correction"
+    content = page(title, f"machine {size.plan.machine}", sections)
+    path = write_text(home.reports / "demo.html", content, "the report")
+    work.reported(path, _conclusion(outcome))
+    screen.say(f"report: {path}")
+    return path
 
 
 def _stopped(verdicts: list[Verdict], reason: str) -> dict[str, Any]:
@@ -301,27 +249,9 @@ def _stopped(verdicts: list[Verdict], reason: str) -> dict[str, Any]:
     }
 
 
-def _serving_numbers(serving: Mapping[str, Any]) -> list[list[str]]:
-    if "timing" not in serving:
-        return [["error", str(serving.get("error", serving))[:200]]]
-    rows = [
-        ["ended", str(serving["ended"])],
-        ["corrections sent", str(serving["last_sequence"])],
-        ["correction released", "yes" if serving["released"] else "no"],
-    ]
-    for name, value in serving["timing"].items():
-        if isinstance(value, Mapping) and "p50" in value:
-            shown = ", ".join(f"{k} {v:.4g}" for k, v in value.items() if isinstance(v, float))
-            rows.append([name, shown])
-        elif isinstance(value, int | float):
-            rows.append([name, f"{value:.4g}"])
-    rows += [[f"real time: {k}", v] for k, v in serving["realtime"].items()]
-    return rows
-
-
 def _serving_text(serving: Mapping[str, Any]) -> str:
     head = "served over RTDE on the wall clock (trial: a quarter of the clamp)"
-    return head + "\n" + table(("what", "value"), _serving_numbers(serving))
+    return head + "\n" + table(("what", "value"), serving_numbers(serving))
 
 
 def _serving_section(serving: Mapping[str, Any]) -> Section:
@@ -332,11 +262,11 @@ def _serving_section(serving: Mapping[str, Any]) -> Section:
             "figures come from here, error figures from the machine clock below."
         ],
         [],
-        [Table(("what", "value"), _serving_numbers(serving))],
+        [Table(("what", "value"), serving_numbers(serving))],
     )
 
 
-def _comparison(registered: Any) -> list[dict[str, Any]]:
+def _comparison(registered: Registered) -> list[dict[str, Any]]:
     return [
         {
             "name": c.name,
@@ -351,29 +281,34 @@ def _comparison(registered: Any) -> list[dict[str, Any]]:
 
 
 def _final(outcome: Mapping[str, Any], seconds: Mapping[str, float]) -> str:
-    lines = []
+    return (
+        f"{_conclusion(outcome)}; {sum(seconds.values()):.0f} s in all\n"
+        "look further: dtwin models, dtwin runs, dtwin up (MLflow and Prefect pages)"
+    )
+
+
+def _conclusion(outcome: Mapping[str, Any]) -> str:
+    champion = f"champion: {outcome['champion'] or 'none'}"
     evidence = outcome["evidence"]
-    if evidence:
-        lines.append(
-            f"share of the oracle's reduction: "
-            f"{100 * evidence['share_of_oracle_unseen_feeds']:.0f} % on feeds never trained, "
-            f"{100 * evidence['share_of_oracle_trained_feeds']:.0f} % on trained ones"
-        )
-    lines.append(f"champion: {outcome['champion'] or 'none'}; {sum(seconds.values()):.0f} s in all")
-    lines.append("look further: dtwin models, dtwin runs, dtwin up (MLflow and Prefect pages)")
-    return "\n".join(lines)
+    if not evidence:
+        return champion
+    return (
+        f"share of the oracle's reduction: "
+        f"{100 * evidence['share_of_oracle_unseen_feeds']:.0f} % on feeds never trained, "
+        f"{100 * evidence['share_of_oracle_trained_feeds']:.0f} % on trained ones\n{champion}"
+    )
 
 
 class _Clock:
     """Announces steps and remembers how long they took."""
 
-    def __init__(self, screen: Screen) -> None:
-        self.screen = screen
+    def __init__(self, screen: Screen, steps: Steps) -> None:
+        self.screen, self.steps = screen, steps
         self.seconds: dict[str, float] = {}
 
-    @contextmanager
-    def step(self, title: str) -> Iterator[None]:
+    def step(self, title: str, name: str, do: Callable[[Work], Result]) -> Result:
         self.screen.say(f"\n== {title}")
         begun = time.monotonic()
-        yield
+        result = self.steps.step(name, title, do)
         self.seconds[title.split("  ")[0]] = round(time.monotonic() - begun, 1)
+        return result
