@@ -137,10 +137,15 @@ class Candidates:
             return [{}]
         if shapes[0].name == _PITCH_SHAPE and not shapes[0].grid:
             return [{_PITCH_SHAPE: p} for p in likely_pitches(self.obs, residual, instance)]
-        grids = [shape.grid for shape in shapes]
+        return self.grid(instance)
+
+    @staticmethod
+    def grid(instance: Instance) -> list[Mapping[str, float]]:
+        """Return every combination of the shape parameters' grids."""
+        shapes = instance.effect.shapes
         return [
             dict(zip((s.name for s in shapes), values, strict=True))
-            for values in itertools.product(*grids)
+            for values in itertools.product(*(s.grid for s in shapes))
         ]
 
 

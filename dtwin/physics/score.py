@@ -16,7 +16,7 @@ from dtwin.schema import Floats
 HIGHEST_HARMONIC = 60
 _FLIPS = 1999
 _FEW_DOF = 12
-_MOST_PRIOR = 3.0
+_MOST_PRIOR = 0.5
 
 
 @dataclass(frozen=True)

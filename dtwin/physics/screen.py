@@ -25,7 +25,7 @@ class Channel:
     name : str
         Column, with unit.
     p_value : float
-        By permutation of tests inside set-ups, Holm over all channels.
+        By permutation of tests inside conditions, Holm over all channels.
     share : float
         Share of the spread between repeats that goes with it.
     instead : tuple of str
@@ -61,7 +61,6 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     obs = problem.obs
     low = (harmonic_numbers() <= _HIGHEST_HARMONIC) & (problem.weights > 0)
     spread, count = within_condition(problem.residual[:, low], obs.condition_of)
-    rng = np.random.default_rng(seed)
     channels = {}
     for name in obs.logged:
         per_run = obs.centred_columns[name].mean(axis=1)
@@ -70,11 +69,11 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
             channels[name] = inside[:, 0]
     if not channels or (count > 1).sum() < 8:
         return []
+    _, of_row = np.unique(obs.clusters, return_inverse=True)
+    orders = _orders(problem, of_row, np.random.default_rng(seed))
     found: list[Channel] = []
     while channels:
-        tested = {
-            name: _test(spread, values, obs.clusters, rng) for name, values in channels.items()
-        }
+        tested = {name: _test(spread, values, orders, of_row) for name, values in channels.items()}
         ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
         best = max(
             (n for n in ranked if tested[n][0] == tested[ranked[0]][0]),
@@ -95,22 +94,30 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     return found
 
 
-def _test(
-    spread: Floats, values: Floats, clusters: Indices, rng: np.random.Generator
-) -> tuple[float, float]:
+def _test(spread: Floats, values: Floats, orders: Indices, of_row: Indices) -> tuple[float, float]:
     """Return p-value and share of the spread; tests keep their runs together."""
     gram = spread @ spread.T
     found = float(values @ gram @ values / (values @ values))
-    names, of_row = np.unique(clusters, return_inverse=True)
-    size = np.bincount(of_row)
-    mean = np.bincount(of_row, values) / size
+    mean = np.bincount(of_row, values) / np.bincount(of_row)
     own = values - mean[of_row]
-    order = rng.permuted(np.tile(np.arange(len(names)), (_DRAWS, 1)), axis=1)
-    shuffled = mean[order][:, of_row] + own
+    shuffled = mean[orders][:, of_row] + own
     power = np.einsum("di,ij,dj->d", shuffled, gram, shuffled, optimize=True)
     drawn = power / np.maximum((shuffled**2).sum(axis=1), 1e-300)
     share = found / max(float(np.trace(gram)), 1e-300)
-    return float((1 + (drawn >= found).sum()) / (_DRAWS + 1)), share
+    # The order that was measured is one of the permutations and must count as one.
+    reached = drawn >= found * (1.0 - 1e-9)
+    return float((1 + reached.sum()) / (len(drawn) + 1)), share
+
+
+def _orders(problem: Problem, of_row: Indices, rng: np.random.Generator) -> Indices:
+    """Draw permutations of the tests inside each condition, shape (draws, tests)."""
+    place = np.zeros(int(of_row.max()) + 1, dtype=int)
+    place[of_row] = problem.obs.place_of
+    out = np.tile(np.arange(len(place)), (_DRAWS, 1))
+    for number in sorted(set(place.tolist())):
+        members = np.flatnonzero(place == number)
+        out[:, members] = rng.permuted(np.tile(members, (_DRAWS, 1)), axis=1)
+    return out
 
 
 def _alike(values: Floats, chosen: Floats) -> bool:

@@ -1,0 +1,366 @@
+"""One global least squares over a campaign: parameters, uncertainty, and what cannot be told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+from scipy.optimize import least_squares
+
+from dtwin.errors import InputError
+from dtwin.physics import localise
+from dtwin.physics.candidates import Candidates, likely_pitches, probes
+from dtwin.physics.observations import N_BINS, Observations
+from dtwin.physics.problem import Problem, Term, set_up, setup_columns, unweighted
+from dtwin.physics.score import noise_level
+from dtwin.physics.solve import in_blocks, solve_blocks
+from dtwin.physics.whitening import from_harmonics, within_condition
+from dtwin.schema import Floats
+
+_ALIAS = 0.95
+_HIDDEN = 1e-6
+_COVERAGE = 0.9545
+_HUBER = 2.0
+_ROBUST_ROUNDS = 5
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted parameter.
+
+    Attributes
+    ----------
+    effect, axis, name, unit : str
+        Which.
+    value : float
+        Estimate.
+    uncertainty : float
+        Expanded, k = 2 (95 %), unit of replication: the run. NaN without repeats.
+    identifiable : bool
+        False when these runs do not determine it; the value is then the smallest that fits.
+    """
+
+    effect: str
+    axis: str
+    name: str
+    unit: str
+    value: float
+    uncertainty: float
+    identifiable: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return dict(vars(self))
+
+
+@dataclass(frozen=True)
+class Alias:
+    """Two effects that these runs cannot tell apart.
+
+    Attributes
+    ----------
+    first, second : str
+        Labels.
+    correlation : float
+        Largest correlation between what they would do, set-up taken out.
+    separate_by : str
+        The run that would tell them apart.
+    """
+
+    first: str
+    second: str
+    correlation: float
+    separate_by: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return dict(vars(self))
+
+    def __str__(self) -> str:
+        """Return it as a sentence."""
+        return (
+            f"{self.first} and {self.second} cannot be told apart by these runs "
+            f"(correlation {self.correlation:.3f}). {self.separate_by}"
+        )
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Result of a fit.
+
+    Attributes
+    ----------
+    terms : tuple of Term
+        Effects, with the shape parameters that were found.
+    estimates : tuple of Estimate
+        Their parameters, in the order of the terms.
+    setups : tuple of dict
+        Centre and radius of every set-up.
+    residual_um : ndarray, shape (rows, 360)
+        What is left.
+    rms_before_um, rms_after_um : float
+        RMS with set-up terms only, and with the effects.
+    systematic_rms_um : float
+        RMS of what repeats agree on; NaN without repeats.
+    noise_floor_um : float
+        RMS of one run about the mean of its condition; NaN without repeats.
+    rank, n_columns : int
+        Independent columns, of how many.
+    condition : float
+        Condition number of the scaled columns.
+    aliases : tuple of Alias
+        Pairs that cannot be told apart.
+    """
+
+    terms: tuple[Term, ...]
+    estimates: tuple[Estimate, ...]
+    setups: tuple[Mapping[str, Any], ...]
+    residual_um: Floats
+    rms_before_um: float
+    rms_after_um: float
+    systematic_rms_um: float
+    noise_floor_um: float
+    rank: int
+    n_columns: int
+    condition: float
+    aliases: tuple[Alias, ...]
+
+
+def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fit:
+    """Fit effects to a campaign.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    terms : sequence of Term
+        Effects; shape parameters are refined from where they are.
+    robust : bool
+        Give runs that are far off less weight (Huber, by run).
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    InputError
+        When an effect has nothing to act on in this campaign.
+    """
+    terms = _refined(obs, terms)
+    _require_visible(obs, terms)
+    problem = set_up(obs, terms, [])
+    columns = _columns(problem, terms)
+    weight = np.ones(obs.n_rows)
+    solution = solve_blocks(_weighted(columns, problem.y, weight))
+    for _ in range(_ROBUST_ROUNDS if robust else 0):
+        weight = _run_weights(problem, columns, solution.x)
+        solution = solve_blocks(_weighted(columns, problem.y, weight))
+    expanded = _expanded(problem, columns, solution.x)
+    n_setup = 3 * len(obs.setups)
+    hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
+    plain = _columns(unweighted(obs, terms), terms)
+    residual = _residual_um(obs, plain, solution.x)
+    before = localise.residual_um(obs, [])
+    return Fit(
+        terms=tuple(terms),
+        estimates=_estimates(terms, solution.x[n_setup:], expanded[n_setup:], hidden[n_setup:]),
+        setups=_setups(obs, solution.x[:n_setup], expanded[:n_setup]),
+        residual_um=residual,
+        rms_before_um=_rms(obs, before),
+        rms_after_um=_rms(obs, residual),
+        systematic_rms_um=localise.systematic_rms_um(obs, residual),
+        noise_floor_um=problem.noise.floor_um if problem.noise else float("nan"),
+        rank=solution.rank,
+        n_columns=columns.shape[1],
+        condition=solution.condition,
+        aliases=tuple(find_aliases(obs, terms)),
+    )
+
+
+def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
+    """Return the pairs of effects that the runs of a campaign cannot tell apart.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs; what was measured does not matter.
+    terms : sequence of Term
+        Effects.
+    """
+    problem = unweighted(obs, [])
+    seen = [
+        problem.visible(problem.whitened(obs.regressors(t.instance, t.shape)))[0] for t in terms
+    ]
+    found = []
+    for i, first in enumerate(terms):
+        for j in range(i + 1, len(terms)):
+            if not seen[i].shape[1] or not seen[j].shape[1]:
+                continue
+            largest = float(np.linalg.svd(seen[i].T @ seen[j], compute_uv=False)[0])
+            if largest > _ALIAS:
+                advice = first.instance.effect.separate_by
+                found.append(Alias(first.label, terms[j].label, largest, advice))
+    return found
+
+
+def _columns(problem: Problem, terms: Sequence[Term]) -> Floats:
+    """Return set-up columns and effects, in their units, shape (rows * 360, k)."""
+    parts = [setup_columns(problem.obs)]
+    parts += [problem.obs.regressors(t.instance, t.shape) for t in terms]
+    return problem.whitened(np.concatenate(parts, axis=2))
+
+
+def _weighted(columns: Floats, y: Floats, weight: Floats) -> Iterable[tuple[Floats, Floats]]:
+    if (weight == 1.0).all():
+        return in_blocks(columns, y)
+    root = np.repeat(np.sqrt(weight), N_BINS)
+    return in_blocks(columns * root[:, None], y * root)
+
+
+def _run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
+    left = (problem.y - columns @ x).reshape(problem.obs.n_rows, N_BINS)
+    size = np.sqrt((left**2).mean(axis=1))
+    limit = _HUBER * float(np.median(size))
+    return np.minimum(1.0, limit / np.maximum(size, 1e-300))
+
+
+def _expanded(problem: Problem, columns: Floats, x: Floats) -> Floats:
+    """Return expanded uncertainties, k = 2: run-clustered, from what repeats disagree by.
+
+    The spread of the scores of repeats is an estimate of the noise that holds whatever the
+    noise looks like round the circle; the few degrees of freedom widen the interval as Student's
+    t does (GUM, annex G).
+    """
+    if problem.noise is None:
+        return np.full(columns.shape[1], np.nan)
+    obs = problem.obs
+    size = np.sqrt((columns**2).sum(axis=0))
+    scaled = columns / np.where(size > 0.0, size, 1.0)
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)
+    influence = (scaled @ inverse).reshape(obs.n_rows, N_BINS, -1)
+    left = (problem.y - columns @ x).reshape(obs.n_rows, N_BINS)
+    deviation, count = within_condition(left, obs.condition_of)
+    scores = np.einsum("nqk,nq->nk", influence, deviation)
+    runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
+    np.add.at(runs, obs.run_of, scores)
+    # Conditions without repeats add no score: scale up for them.
+    share = (count > 1).sum() / obs.n_rows
+    clustered = (runs**2).sum(axis=0) / share
+    level = noise_level(problem, probes(problem))
+    variance = np.nan_to_num(problem.noise.variance, nan=float(np.nanmean(problem.noise.variance)))
+    foretold = level.ratio * np.einsum(
+        "n,nqk,nqk->k", variance[obs.condition_of], influence, influence
+    )
+    dof = float(problem.noise.dof)
+    blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)
+    factor = float(stats.t.ppf(0.5 + _COVERAGE / 2.0, dof + level.prior_dof))
+    return factor * np.sqrt(blended) / np.where(size > 0.0, size, np.nan)
+
+
+def _estimates(
+    terms: Sequence[Term], values: Floats, expanded: Floats, hidden: NDArray[np.bool_]
+) -> tuple[Estimate, ...]:
+    out = []
+    number = 0
+    for term in terms:
+        for parameter in term.instance.effect.parameters:
+            shown = bool(np.isfinite(expanded[number])) or not np.isfinite(expanded).any()
+            out.append(
+                Estimate(
+                    effect=term.instance.effect.name,
+                    axis=term.instance.axis,
+                    name=parameter.name,
+                    unit=parameter.unit,
+                    value=float(values[number]),
+                    uncertainty=float(expanded[number]),
+                    identifiable=shown and not bool(hidden[number]),
+                )
+            )
+            number += 1
+    return tuple(out)
+
+
+def _setups(obs: Observations, values: Floats, expanded: Floats) -> tuple[Mapping[str, Any], ...]:
+    names = ("radius_um", "centre_first_um", "centre_second_um")
+    return tuple(
+        {
+            "setup": name,
+            **{n: float(values[3 * i + j]) for j, n in enumerate(names)},
+            "uncertainty_um": [float(u) for u in expanded[3 * i : 3 * i + 3]],
+        }
+        for i, name in enumerate(obs.setups)
+    )
+
+
+def _residual_um(obs: Observations, columns: Floats, x: Floats) -> Floats:
+    fitted = from_harmonics((columns @ x).reshape(obs.n_rows, N_BINS))
+    return np.where(obs.mask, obs.y_um - fitted, 0.0)
+
+
+def _rms(obs: Observations, values: Floats) -> float:
+    return float(np.sqrt((values[obs.mask] ** 2).mean()))
+
+
+def _require_visible(obs: Observations, terms: Sequence[Term]) -> None:
+    for term in terms:
+        if not obs.regressors(term.instance, term.shape).any():
+            raise InputError(
+                "an effect has nothing to act on in this campaign",
+                code="fit.nothing_to_act_on",
+                got=term.label,
+                allowed=f"axes {', '.join(obs.axes)}, planes {', '.join(obs.planes)}",
+            )
+
+
+def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
+    """Refine shape parameters: variable projection, the linear part solved for each try."""
+    out = list(terms)
+    for index, term in enumerate(out):
+        shapes = term.instance.effect.shapes
+        if shapes:
+            others = [t for i, t in enumerate(out) if i != index]
+            out[index] = _refined_one(obs, others, term)
+    return out
+
+
+def _refined_one(obs: Observations, others: Sequence[Term], term: Term) -> Term:
+    problem = set_up(obs, others, [])
+    candidates = Candidates(obs, [term.instance])
+    names = [shape.name for shape in term.instance.effect.shapes]
+    start = _start(problem, candidates, term)
+
+    def left(logs: Floats) -> Floats:
+        shape = dict(zip(names, np.exp(logs), strict=True))
+        visible = candidates.visible(problem, replace(term, shape=shape))
+        residual = problem.residual.ravel()
+        return np.asarray(residual - visible @ (visible.T @ residual))
+
+    begun = np.log([start[name] for name in names])
+    found = least_squares(
+        left, begun, method="trf", x_scale=0.1, max_nfev=12, diff_step=[1e-4] * len(names)
+    )
+    best = found.x if found.cost < 0.5 * float((left(begun) ** 2).sum()) else begun
+    return replace(term, shape=dict(zip(names, np.exp(best).tolist(), strict=True)))
+
+
+def _start(problem: Problem, candidates: Candidates, term: Term) -> Mapping[str, float]:
+    """Return the best of the given shape, the grid, and the pitches that the residual shows."""
+    effect = term.instance.effect
+    residual = problem.residual
+    tries: list[Mapping[str, float]] = [term.shape or effect.start_shape]
+    if not all(shape.grid for shape in effect.shapes):
+        tries += [
+            {effect.shapes[0].name: p} for p in likely_pitches(problem.obs, residual, term.instance)
+        ]
+    else:
+        tries += list(candidates.grid(term.instance))
+    gains = []
+    for shape in tries:
+        visible = candidates.visible(problem, replace(term, shape=shape))
+        gains.append(float(((visible.T @ residual.ravel()) ** 2).sum()))
+    return tries[int(np.argmax(gains))]

@@ -1,0 +1,338 @@
+"""A twin: effects with fitted parameters, uncertainty, validity box and noise floor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.physics import localise
+from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.fit import Estimate, Fit
+from dtwin.physics.library import campaign_instances
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
+from dtwin.schema import Floats
+
+FORMAT = "dtwin-twin/1"
+
+
+@dataclass(frozen=True)
+class ValidityBox:
+    """Conditions that a twin was fitted to.
+
+    Attributes
+    ----------
+    planes, directions : tuple of str
+        What was measured.
+    radius_mm, feed_mm_min : tuple of float
+        Smallest and largest.
+    """
+
+    planes: tuple[str, ...]
+    directions: tuple[str, ...]
+    radius_mm: tuple[float, float]
+    feed_mm_min: tuple[float, float]
+
+    @classmethod
+    def of(cls, obs: Observations) -> ValidityBox:
+        """Return the box of a campaign."""
+        radii = [c.radius_mm for c in obs.conditions]
+        feeds = [c.feed_mm_min for c in obs.conditions]
+        return cls(
+            obs.planes,
+            tuple(sorted({c.direction for c in obs.conditions})),
+            (min(radii), max(radii)),
+            (min(feeds), max(feeds)),
+        )
+
+    def outside(self, obs: Observations) -> list[str]:
+        """Return the conditions of a campaign that lie outside the box, as text."""
+        return [
+            str(c)
+            for c in obs.conditions
+            if c.plane not in self.planes
+            or c.direction not in self.directions
+            or not self.radius_mm[0] <= c.radius_mm <= self.radius_mm[1]
+            or not self.feed_mm_min[0] <= c.feed_mm_min <= self.feed_mm_min[1]
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {name: list(value) for name, value in vars(self).items()}
+
+
+@dataclass(frozen=True)
+class Twin:
+    """Effects with fitted parameters.
+
+    Attributes
+    ----------
+    name : str
+        Identifier.
+    version : int
+        Counts from 1; every rung is a version.
+    machine, campaign : str
+        Where it was fitted.
+    action : str
+        What made this version, for example ``add backlash``.
+    terms : tuple of Term
+        Effects and shapes.
+    estimates : tuple of Estimate
+        Parameters.
+    setups : tuple of dict
+        Centre and radius of every set-up.
+    box : ValidityBox
+        Conditions that it was fitted to.
+    figures : dict of str to float
+        RMS before and after, systematic RMS and noise floor, um; condition number and rank.
+    by_condition : tuple of dict
+        RMS of every condition before and after.
+    aliases : tuple of dict
+        Pairs of effects that the runs cannot tell apart.
+    data : dict
+        Table versions and hash of the runs that were used.
+    effect_sources : dict of str to str
+        Where the effects that are not built in came from.
+    """
+
+    name: str
+    version: int
+    machine: str
+    campaign: str
+    action: str
+    terms: tuple[Term, ...]
+    estimates: tuple[Estimate, ...]
+    setups: tuple[Mapping[str, Any], ...]
+    box: ValidityBox
+    figures: Mapping[str, float]
+    by_condition: tuple[Mapping[str, Any], ...]
+    aliases: tuple[Mapping[str, Any], ...]
+    data: Mapping[str, Any]
+    effect_sources: Mapping[str, str]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of its effects."""
+        return tuple(term.label for term in self.terms)
+
+    def values(self, term: Term) -> Floats:
+        """Return the fitted parameters of an effect, shape (parameters,)."""
+        return np.array(
+            [
+                e.value
+                for e in self.estimates
+                if (e.effect, e.axis) == (term.instance.effect.name, term.instance.axis)
+            ]
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {
+            "format": FORMAT,
+            "twin": self.name,
+            "version": self.version,
+            "machine": self.machine,
+            "campaign": self.campaign,
+            "action": self.action,
+            "effects": [
+                {
+                    "effect": term.instance.effect.name,
+                    "axis": term.instance.axis,
+                    "shape": dict(term.shape),
+                }
+                for term in self.terms
+            ],
+            "parameters": [estimate.as_dict() for estimate in self.estimates],
+            "setups": [dict(setup) for setup in self.setups],
+            "box": self.box.as_dict(),
+            "figures": dict(self.figures),
+            "by_condition": [dict(row) for row in self.by_condition],
+            "aliases": [dict(alias) for alias in self.aliases],
+            "data": dict(self.data),
+            "effect_sources": dict(self.effect_sources),
+        }
+
+
+def twin_of(
+    fit: Fit,
+    obs: Observations,
+    *,
+    name: str,
+    version: int,
+    action: str,
+    data: Mapping[str, Any],
+) -> Twin:
+    """Freeze a fit as a version of a twin.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    obs : Observations
+        The runs.
+    name, version, action : str, int, str
+        Identity, and what made it.
+    data : dict
+        Where the runs came from.
+    """
+    before = localise.residual_um(obs, [])
+    return Twin(
+        name=name,
+        version=version,
+        machine=obs.campaign.machine,
+        campaign=obs.campaign.name,
+        action=action,
+        terms=fit.terms,
+        estimates=fit.estimates,
+        setups=fit.setups,
+        box=ValidityBox.of(obs),
+        figures={
+            "rms_before_um": fit.rms_before_um,
+            "rms_after_um": fit.rms_after_um,
+            "systematic_rms_um": fit.systematic_rms_um,
+            "noise_floor_um": fit.noise_floor_um,
+            "condition_number": fit.condition,
+            "rank": fit.rank,
+            "columns": fit.n_columns,
+        },
+        by_condition=by_condition(obs, before, fit.residual_um),
+        aliases=tuple(alias.as_dict() for alias in fit.aliases),
+        data=data,
+        effect_sources={
+            t.instance.effect.name: t.instance.effect.source
+            for t in fit.terms
+            if t.instance.effect.source != "dtwin"
+        },
+    )
+
+
+def by_condition(
+    obs: Observations, before_um: Floats, after_um: Floats
+) -> tuple[Mapping[str, Any], ...]:
+    """Return RMS before and after for every condition.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    before_um, after_um : ndarray, shape (rows, 360)
+        Residuals.
+    """
+    out = []
+    for number, condition in enumerate(obs.conditions):
+        rows = obs.condition_of == number
+        mask = obs.mask[rows]
+        out.append(
+            {
+                **condition.as_dict(),
+                "runs": len(set(obs.run_of[rows].tolist())),
+                "rms_before_um": float(np.sqrt((before_um[rows][mask] ** 2).mean())),
+                "rms_after_um": float(np.sqrt((after_um[rows][mask] ** 2).mean())),
+            }
+        )
+    return tuple(out)
+
+
+def predict_um(twin: Twin, obs: Observations) -> Floats:
+    """Return what a twin's effects do in the runs of a campaign, without set-up terms.
+
+    Parameters
+    ----------
+    twin : Twin
+        The twin.
+    obs : Observations
+        Runs; what was measured does not matter.
+
+    Returns
+    -------
+    ndarray, shape (rows, 360)
+    """
+    out = np.zeros(obs.y_um.shape)
+    for term in twin.terms:
+        out += obs.regressors(term.instance, term.shape) @ twin.values(term)
+    return out
+
+
+def frozen_residual_um(twin: Twin, obs: Observations) -> Floats:
+    """Return measured minus predicted, the parameters as they are, the set-ups fitted anew.
+
+    Parameters
+    ----------
+    twin : Twin
+        The twin.
+    obs : Observations
+        Runs, not necessarily those of the fit.
+
+    Returns
+    -------
+    ndarray, shape (rows, 360)
+    """
+    return localise.residual_um(obs.with_y(obs.y_um - predict_um(twin, obs)), [])
+
+
+def chosen_terms(
+    names: Sequence[str], library: Mapping[str, Effect], obs: Observations, axis: str = ""
+) -> list[Term]:
+    """Return effects by name, on every axis where they can act.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names; ``name:axis`` takes one axis. Set-up terms are always fitted and may be named.
+    library : mapping of str to Effect
+        Effects by name.
+    obs : Observations
+        The runs.
+    axis : str
+        Take this axis only.
+
+    Raises
+    ------
+    InputError
+        When there is no such effect, or it cannot act here.
+    """
+    geometry = obs.campaign.machine_geometry
+    possible = campaign_instances(library, obs.campaign.kind, obs.planes, obs.axes, geometry)
+    out: list[Term] = []
+    for wanted in names:
+        name, _, own = wanted.partition(":")
+        effect = library[name]
+        if effect.setup:
+            continue
+        where = own or axis
+        here = [i for i in possible if i.effect.name == name and (not where or i.axis == where)]
+        here = [i for i in here if _acts(obs, i)]
+        if where == "" and effect.per == "machine_and_axis":
+            here = here[:1]
+        if not here:
+            raise InputError(
+                "an effect cannot act in this campaign",
+                code="effect.where",
+                got=wanted,
+                allowed=_allowed(possible, name, effect, obs),
+            )
+        out += [Term(i, i.effect.start_shape) for i in here]
+    seen: dict[str, Term] = {}
+    for term in out:
+        seen.setdefault(term.label, term)
+    return list(seen.values())
+
+
+def _acts(obs: Observations, instance: Instance) -> bool:
+    if any(name not in obs.logged for name in instance.effect.needs):
+        return False
+    return bool(obs.regressors(instance, instance.effect.start_shape).any())
+
+
+def _allowed(possible: Sequence[Instance], name: str, effect: Effect, obs: Observations) -> str:
+    absent = [n for n in effect.needs if n not in obs.logged]
+    if absent:
+        return f"campaigns that log {', '.join(absent)}"
+    axes = [i.axis for i in possible if i.effect.name == name]
+    if not axes:
+        return f"campaigns of kind {', '.join(effect.kinds)}"
+    return "on " + ", ".join(a or "the machine" for a in axes)
