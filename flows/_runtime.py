@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from prefect import Flow
+from prefect.events.worker import EventsWorker
+from prefect.logging.handlers import APILogWorker
 from prefect.settings import temporary_settings
 
 from dtwin.config import Home, home
-from dtwin.errors import InputError
-from flows.reach import answers, running
+from flows.reach import running_server
+
+_DELIVER_S = 15.0
 
 
 def run(flow: Flow[..., Any], **parameters: Any) -> Any:
@@ -54,29 +56,14 @@ def runtime(state: Home) -> Iterator[str | None]:
         yield url
 
 
-def running_server(state: Home) -> str | None:
-    """Return the API address of the server to report to, None when there is none.
+@contextmanager
+def delivered() -> Iterator[None]:
+    """Wait at the end until the server has the logs and task states of the body's flows.
 
-    Parameters
-    ----------
-    state : Home
-        Where ``dtwin up`` says what is running.
-
-    Raises
-    ------
-    InputError
-        When ``PREFECT_API_URL`` names a server that does not answer.
+    They go out in the background, and the server may stop right after.
     """
-    named = os.environ.get("PREFECT_API_URL")
-    if named:
-        if answers(f"{named}/health"):
-            return named
-        raise InputError(
-            "the Prefect server does not answer",
-            code="prefect.absent",
-            where="PREFECT_API_URL",
-            got=named,
-            hint="dtwin up starts one; unset PREFECT_API_URL to run without",
-        )
-    url = running(state).get("prefect_api")
-    return url if url is not None and answers(f"{url}/health") else None
+    try:
+        yield
+    finally:
+        APILogWorker.drain_all(timeout=_DELIVER_S)
+        EventsWorker.drain_all(timeout=_DELIVER_S)

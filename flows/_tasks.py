@@ -5,7 +5,9 @@ One task is one file, one campaign, one training: what would be worth repeating 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +22,15 @@ from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import drift, measuring, modelling
 from dtwin.pipeline import scheduled as schedule
+from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
+from dtwin.pipeline.work import ProgressOf
 from dtwin.plan import Plan
+from dtwin.report.checking import check_source
+from dtwin.train.evidence import Evidence, EvidencePlan
 from dtwin.train.registry import RegisteredVersion, Registry
 
 _LOGGED_SHARE = 0.2
+_watching: ContextVar[ProgressOf | None] = ContextVar("watching", default=None)
 
 
 def _may_pass(_task: Task[..., Any], _run: TaskRun, state: State[Any]) -> bool:
@@ -42,6 +49,12 @@ _REPEATABLE: dict[str, Any] = {
     "cache_policy": NO_CACHE,
 }
 _ONCE: dict[str, Any] = {"cache_policy": NO_CACHE}
+
+
+@task(name="check", task_run_name="check {source}", **_REPEATABLE)
+def check(source: Path) -> dict[str, Any]:
+    """Say what one campaign folder or file shows, and what is wrong with it."""
+    return check_source(source, logged("check"))
 
 
 @task(name="measure", task_run_name="measure {plan.name}", **_REPEATABLE)
@@ -93,6 +106,22 @@ def evidence(version: RegisteredVersion, seed: int) -> dict[str, Any]:
     ).as_dict()
 
 
+@task(name="circles", task_run_name="circles with version {version.version}", **_ONCE)
+def measure_evidence(
+    version: RegisteredVersion, geometry: Mapping[str, Any], plan: EvidencePlan, seed: int
+) -> Evidence:
+    """Measure circles with and without a version on the virtual cobot."""
+    return modelling.measure_evidence(
+        home(), version, geometry, seed=seed, plan=plan, progress=logged("circles")
+    )
+
+
+@task(name="serve", task_run_name="serve {machine} for {duration_s} s", **_ONCE)
+def serve(machine: str, circle: Circle, duration_s: float, seed: int) -> dict[str, Any]:
+    """Serve the version on trial to the virtual controller, on the wall clock."""
+    return serve_wall_clock(home(), machine, circle, duration_s, seed)
+
+
 @task(name="promote", task_run_name="promote version {version.version}", **_ONCE)
 def make_champion(
     version: RegisteredVersion, found: Mapping[str, Any], comment: str
@@ -117,6 +146,22 @@ def champion_drift(machine: str, campaign: str) -> drift.DriftCheck | None:
     return drift.check_drift(home(), champion, campaign, logged("champion"))
 
 
+@contextmanager
+def watched(progress: ProgressOf) -> Iterator[None]:
+    """Show the progress of tasks elsewhere too while the body runs.
+
+    Parameters
+    ----------
+    progress : callable
+        Returns a progress callback for a title.
+    """
+    before = _watching.set(progress)
+    try:
+        yield
+    finally:
+        _watching.reset(before)
+
+
 def logged(title: str) -> Callable[[int, int, str], None]:
     """Return a progress callback that writes to the run's log, five times in all.
 
@@ -126,10 +171,14 @@ def logged(title: str) -> Callable[[int, int, str], None]:
         What is being done.
     """
     logger = get_run_logger()
+    watching = _watching.get()
+    watch = watching(title) if watching is not None else None
     reached = 0.0
 
     def tell(done: int, total: int, what: str) -> None:
         nonlocal reached
+        if watch is not None:
+            watch(done, total, what)
         share = done / max(total, 1)
         if share >= min(1.0, reached + _LOGGED_SHARE):
             reached = share

@@ -34,15 +34,7 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
         Campaign in the lake.
     """
     figures, curves = _tasks.campaign_figures(campaign)
-    findings = [("", f) for f in figures["findings"]]
-    findings += [(run["run"], f) for run in figures["runs"] for f in run["findings"]]
-    _artifacts.publish_findings(campaign, findings, f"Data quality of {campaign}. {WHAT_IT_IS}")
-    _artifacts.publish_table(
-        f"figures-{campaign}",
-        ("run", *(title for title, _ in _FIGURES)),
-        [_row(run) for run in figures["runs"]],
-        "Least-squares circle of every run, by the angles of its file",
-    )
+    findings = publish_figures(campaign, figures, f"Data quality of {campaign}. {WHAT_IT_IS}")
     if curves:
         images = [_plots.markdown(name, _plots.polar(name, ways)) for name, ways in curves.items()]
         _artifacts.publish_markdown(
@@ -63,6 +55,32 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
         "drift": check.as_dict() if check else None,
         "scope": WHAT_IT_IS,
     }
+
+
+def publish_figures(
+    campaign: str, figures: Mapping[str, Any], description: str
+) -> list[tuple[str, Mapping[str, Any]]]:
+    """Leave findings and standard figures, and return the findings with their runs.
+
+    Parameters
+    ----------
+    campaign : str
+        Name of the campaign or file.
+    figures : mapping
+        As ``check_source`` or ``campaign_figures`` gives them.
+    description : str
+        What to say of the findings.
+    """
+    findings = [("", f) for f in figures.get("findings", ())]
+    findings += [(run["run"], f) for run in figures["runs"] for f in run["findings"]]
+    _artifacts.publish_findings(campaign, findings, description)
+    _artifacts.publish_table(
+        f"figures-{campaign}",
+        ("run", *(title for title, _ in _FIGURES)),
+        [_row(run) for run in figures["runs"]],
+        "Least-squares circle of every run, by the angles of its file",
+    )
+    return findings
 
 
 def publish_drift(check: DriftCheck | None) -> None:

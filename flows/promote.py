@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from prefect import flow
@@ -11,7 +13,7 @@ from prefect.states import Completed
 from dtwin.config import home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.report.campaign import evidence_table
-from dtwin.train.registry import Registry
+from dtwin.train.registry import RegisteredVersion, Registry
 from flows import _artifacts, _tasks
 
 
@@ -50,29 +52,64 @@ def promote_flow(
     if only_trial:
         return result
     evidence = _tasks.evidence(found, seed)
-    _artifacts.publish_table(
-        f"evidence-{found.machine}",
-        *evidence_table(evidence),
-        f"Circles with and without version {found.version}: {evidence['kind']} evidence, "
-        f"{evidence['clock']}",
-    )
-    _artifacts.publish_evidence(found.machine, found.version, evidence)
+    publish_circles(found, evidence)
     bundle, reason = _tasks.make_champion(found, evidence, comment)
     if bundle is None:
         return _refused(result, reason)
-    _artifacts.publish_markdown(
-        f"promotion-{found.machine}",
-        f"Version {found.version} is the champion: `{bundle}`\n\n"
-        + _artifacts.model_link(found.machine, found.version),
-        "Promoted",
-    )
+    publish_champion(found, bundle)
     return result | {"champion": True, "bundle": str(bundle)}
 
 
-def _refused(result: dict[str, Any], reason: str) -> State[dict[str, Any]]:
-    _artifacts.publish_markdown(
-        f"promotion-{result['machine']}", f"```\n{reason}\n```", "Not promoted"
+def publish_circles(version: RegisteredVersion, evidence: Mapping[str, Any]) -> None:
+    """Leave table and plot of circles with and without a version.
+
+    Parameters
+    ----------
+    version : RegisteredVersion
+        The version.
+    evidence : mapping
+        As ``Evidence.as_dict`` gives it.
+    """
+    _artifacts.publish_table(
+        f"evidence-{version.machine}",
+        *evidence_table(evidence),
+        f"Circles with and without version {version.version}: {evidence['kind']} evidence, "
+        f"{evidence['clock']}",
     )
+    _artifacts.publish_evidence(version.machine, version.version, evidence)
+
+
+def publish_champion(version: RegisteredVersion, bundle: Path) -> None:
+    """Leave which version is served from now on.
+
+    Parameters
+    ----------
+    version : RegisteredVersion
+        The version.
+    bundle : Path
+        What is served.
+    """
+    _artifacts.publish_markdown(
+        f"promotion-{version.machine}",
+        f"Version {version.version} is the champion: `{bundle}`\n\n"
+        + _artifacts.model_link(version.machine, version.version),
+        "Promoted",
+    )
+
+
+def publish_refusal(machine: str, reason: str) -> None:
+    """Leave why a version was not promoted.
+
+    Parameters
+    ----------
+    machine, reason : str
+        Machine of the version, and the gates' reasons.
+    """
+    _artifacts.publish_markdown(f"promotion-{machine}", f"```\n{reason}\n```", "Not promoted")
+
+
+def _refused(result: dict[str, Any], reason: str) -> State[dict[str, Any]]:
+    publish_refusal(result["machine"], reason)
     return Completed(
         name="Refused", message=reason.splitlines()[0], data=result | {"reason": reason}
     )

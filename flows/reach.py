@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
 from pathlib import Path
 
 from dtwin.config import Home
+from dtwin.errors import InputError
 
 SERVERS_FILE = "servers.json"
 
@@ -47,3 +49,31 @@ def answers(url: str, timeout_s: float = 2.0) -> bool:
             return bool(reply.status == 200)
     except (OSError, ValueError, urllib.error.URLError):
         return False
+
+
+def running_server(state: Home) -> str | None:
+    """Return the API address of the server to report to, None when there is none.
+
+    Parameters
+    ----------
+    state : Home
+        Where ``dtwin up`` says what is running.
+
+    Raises
+    ------
+    InputError
+        When ``PREFECT_API_URL`` names a server that does not answer.
+    """
+    named = os.environ.get("PREFECT_API_URL")
+    if named:
+        if answers(f"{named}/health"):
+            return named
+        raise InputError(
+            "the Prefect server does not answer",
+            code="prefect.absent",
+            where="PREFECT_API_URL",
+            got=named,
+            hint="dtwin up starts one; unset PREFECT_API_URL to run without",
+        )
+    url = running(state).get("prefect_api")
+    return url if url is not None and answers(f"{url}/health") else None

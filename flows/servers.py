@@ -184,14 +184,59 @@ def servers(home: Home, request: UpRequest) -> Iterator[Servers]:
         try:
             _start_prefect(home, request.prefect_port, found)
             _start_mlflow(home, request.mlflow_port, found)
-            _await_healthy(found)
-            _write_addresses(home, found)
+            await_healthy(home, found)
             _start_flows(home, request.cron, found)
             yield found
         finally:
             (home.root / SERVERS_FILE).unlink(missing_ok=True)
             for child in reversed(found.children):
                 child.stop()
+
+
+@contextlib.contextmanager
+def prefect_alone(home: Home) -> Iterator[Servers]:
+    """Start a Prefect server without waiting for it, and stop it at the end.
+
+    It writes to the same database as the one of ``dtwin up``, which shows the runs afterwards.
+
+    Parameters
+    ----------
+    home : Home
+        Its state, log and ``servers.json``.
+
+    Raises
+    ------
+    InputError
+        When the servers of this home are up already, or are just being started.
+    """
+    with _only_one(home):
+        found = Servers()
+        try:
+            _start_prefect(home, None, found)
+            yield found
+        finally:
+            (home.root / SERVERS_FILE).unlink(missing_ok=True)
+            for child in found.children:
+                child.stop()
+
+
+def await_healthy(home: Home, found: Servers) -> None:
+    """Wait until servers answer, then tell other processes where they are.
+
+    Parameters
+    ----------
+    home : Home
+        Gets the file ``servers.json``.
+    found : Servers
+        What was started.
+
+    Raises
+    ------
+    StoreError
+        When a server does not come up.
+    """
+    _await_answers(found)
+    _write_addresses(home, found)
 
 
 def _start_prefect(home: Home, wanted: int | None, found: Servers) -> None:
@@ -238,10 +283,12 @@ def _start_flows(home: Home, cron: str | None, found: Servers) -> None:
     )
 
 
-def _await_healthy(found: Servers) -> None:
+def _await_answers(found: Servers) -> None:
+    named = {"Prefect": "prefect_api", "MLflow": "mlflow"}
     waiting = {
-        "Prefect": found.addresses["prefect_api"] + "/health",
-        "MLflow": found.addresses["mlflow"] + "/health",
+        name: f"{found.addresses[key]}/health"
+        for name, key in named.items()
+        if key in found.addresses
     }
     end_s = time.monotonic() + _HEALTHY_S
     while waiting:

@@ -28,11 +28,14 @@ def demo(
     if which != "cobot":
         raise InputError("no such demo", code="demo.unknown", got=which[:40], allowed="cobot")
     from dtwin.config import home
-    from dtwin.pipeline.demo import full_size, quick_size, run_demo
+    from flows.page import shown_steps
 
-    result = run_demo(
-        home(), _Terminal(quiet=as_json), quick_size() if quick else full_size(), seed=seed
-    )
+    screen = _Terminal(quiet=as_json)
+    with shown_steps(home(), screen.progress, screen.say) as steps:
+        from dtwin.pipeline.demo import full_size, quick_size, run_demo
+
+        size = quick_size() if quick else full_size()
+        result = run_demo(home(), screen, size, seed=seed, steps=steps)
     emit(result, lambda: "", as_json=as_json)
 
 
