@@ -14,7 +14,7 @@ from dtwin.schema import Floats
 
 MATERIAL = 0.35
 _CONFIRMED = 0.3
-_ALPHA = 0.01
+_ALPHA = 0.002
 
 
 @dataclass(frozen=True)

@@ -111,12 +111,15 @@ def _test(spread: Floats, values: Floats, orders: Indices, of_row: Indices) -> t
 
 def _orders(problem: Problem, of_row: Indices, rng: np.random.Generator) -> Indices:
     """Draw permutations of the tests inside each condition, shape (draws, tests)."""
-    place = np.zeros(int(of_row.max()) + 1, dtype=int)
-    place[of_row] = problem.obs.place_of
-    out = np.tile(np.arange(len(place)), (_DRAWS, 1))
-    for number in sorted(set(place.tolist())):
-        members = np.flatnonzero(place == number)
-        out[:, members] = rng.permuted(np.tile(members, (_DRAWS, 1)), axis=1)
+    obs = problem.obs
+    # Tests may change places when they were measured under the same conditions.
+    members: dict[frozenset[int], list[int]] = {}
+    for test in range(int(of_row.max()) + 1):
+        conditions = frozenset(obs.condition_of[of_row == test].tolist())
+        members.setdefault(conditions, []).append(test)
+    out = np.tile(np.arange(int(of_row.max()) + 1), (_DRAWS, 1))
+    for tests in members.values():
+        out[:, tests] = rng.permuted(np.tile(tests, (_DRAWS, 1)), axis=1)
     return out
 
 

@@ -85,7 +85,7 @@ class Registry:
     def training_run(self, report: TrainingReport, name: str) -> Iterator[str]:
         """Open an MLflow run for a training; it is marked failed when the body fails."""
         run = self.client.create_run(
-            self._experiment(),
+            self.experiment(),
             run_name=name,
             tags={"dtwin.machine": report.machine, "dtwin.campaign": report.campaign},
         )
@@ -117,8 +117,8 @@ class Registry:
         ids: dict[str, str] = {}
         with self.training_run(report, f"training {report.campaign} {stamp}") as parent:
             ids[""] = parent
-            self._log(parent, _report_params(report), _report_metrics(report), {})
-            self._log_files(parent, artifacts)
+            self.log(parent, _report_params(report), _report_metrics(report), {})
+            self.log_files(parent, artifacts)
             for candidate in report.candidates:
                 with self.training_run(report, candidate.name) as child:
                     ids[candidate.name] = child
@@ -142,14 +142,11 @@ class Registry:
             What the reviewer reads first, in Markdown.
         """
         name = model_name(report.machine)
-        try:
-            self.client.get_registered_model(name)
-        except MlflowException:
-            self.client.create_registered_model(
-                name,
-                description=f"Correction of the machine {report.machine}. Versions are served only "
-                "after `dtwin promote`; an alias moved by hand has no effect.",
-            )
+        self.ensure_model(
+            name,
+            f"Correction of the machine {report.machine}. Versions are served only "
+            "after `dtwin promote`; an alias moved by hand has no effect.",
+        )
         created = self.client.create_model_version(
             name,
             source=f"runs:/{run_id}/{BUNDLE_FOLDER}",
@@ -159,6 +156,13 @@ class Registry:
         )
         self.client.set_registered_model_alias(name, "candidate", created.version)
         return self.version(report.machine, str(created.version))
+
+    def ensure_model(self, name: str, description: str) -> None:
+        """Make a registered model unless it is there."""
+        try:
+            self.client.get_registered_model(name)
+        except MlflowException:
+            self.client.create_registered_model(name, description=description)
 
     def version(self, machine: str, wanted: str) -> RegisteredVersion:
         """Return a version by number or alias.
@@ -276,7 +280,7 @@ class Registry:
 
     def attach(self, found: RegisteredVersion, artifacts: Mapping[str, str | bytes]) -> None:
         """Add files to the run behind a version, for the reviewer."""
-        self._log_files(found.run_id, artifacts)
+        self.log_files(found.run_id, artifacts)
 
     def _log_candidate(
         self, run_id: str, parent: str, report: TrainingReport, candidate: Candidate
@@ -290,7 +294,7 @@ class Registry:
         tags = {"mlflow.parentRunId": parent, "dtwin.candidate": candidate.name}
         if candidate.equation:
             tags["mlflow.note.content"] = f"```\n{candidate.equation[:4000]}\n```"
-        self._log(run_id, params, _candidate_metrics(candidate), tags)
+        self.log(run_id, params, _candidate_metrics(candidate), tags)
         files: dict[str, str | bytes] = dict(candidate.exports)
         if candidate.findings:
             files["findings.txt"] = "\n".join(candidate.findings)
@@ -302,15 +306,16 @@ class Registry:
             files[f"{BUNDLE_FOLDER}/bundle.json"] = json.dumps(candidate.bundle)
         if candidate.onnx is not None:
             files["onnx/model.onnx"] = candidate.onnx
-        self._log_files(run_id, files)
+        self.log_files(run_id, files)
 
-    def _log(
+    def log(
         self,
         run_id: str,
         params: Mapping[str, Any],
         metrics: Mapping[str, float],
         tags: Mapping[str, str],
     ) -> None:
+        """Log parameters, metrics and tags of a run."""
         now = int(time.time() * 1000)
         self.client.log_batch(
             run_id,
@@ -319,7 +324,8 @@ class Registry:
             tags=[RunTag(k, v) for k, v in tags.items()],
         )
 
-    def _log_files(self, run_id: str, files: Mapping[str, str | bytes]) -> None:
+    def log_files(self, run_id: str, files: Mapping[str, str | bytes]) -> None:
+        """Log artifacts of a run, by name."""
         if not files:
             return
         with tempfile.TemporaryDirectory() as folder:
@@ -332,7 +338,8 @@ class Registry:
                     path.write_text(content, encoding="utf-8")
             self.client.log_artifacts(run_id, folder)
 
-    def _experiment(self) -> str:
+    def experiment(self) -> str:
+        """Return the id of dtwin's experiment, which is made when it is not there."""
         found = self.client.get_experiment_by_name(EXPERIMENT)
         if found is not None:
             return str(found.experiment_id)

@@ -1,0 +1,559 @@
+"""Twins of a lake's campaigns: fit, compare, diagnose, add, remove, discover, history."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.atomic import write_text
+from dtwin.config import Home
+from dtwin.errors import InputError, StoreError
+from dtwin.physics import localise
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.fit import Estimate, fit
+from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations, observe
+from dtwin.physics.problem import Term
+from dtwin.physics.twin import (
+    FORMAT,
+    Twin,
+    ValidityBox,
+    by_condition,
+    chosen_terms,
+    frozen_residual_um,
+    twin_of,
+)
+from dtwin.pipeline.measuring import ingest
+from dtwin.schema import Floats, Run, require_name
+from dtwin.store import Lake
+
+_MOST_RUNGS = 12
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Runs of a campaign, ready to look at.
+
+    Attributes
+    ----------
+    obs : Observations
+        The runs.
+    data : dict
+        Table versions and a hash of what was used.
+    left_out : dict of str to str
+        Runs that have errors, and which.
+    """
+
+    obs: Observations
+    data: Mapping[str, Any]
+    left_out: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Measured against predicted.
+
+    Attributes
+    ----------
+    twin : Twin
+        The twin, parameters as they are.
+    obs : Observations
+        The runs.
+    residual_um : ndarray, shape (rows, 360)
+        Measured minus predicted.
+    before_um : ndarray, shape (rows, 360)
+        Measured, set-ups taken out.
+    warnings : tuple of str
+        What a reader must know: another machine, outside the box.
+    """
+
+    twin: Twin
+    obs: Observations
+    residual_um: Floats
+    before_um: Floats
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        obs = self.obs
+        return {
+            "twin": self.twin.name,
+            "version": self.twin.version,
+            "campaign": obs.campaign.name,
+            "runs": len(set(obs.run_of.tolist())),
+            "rms_before_um": _rms(obs, self.before_um),
+            "residual_rms_um": _rms(obs, self.residual_um),
+            "systematic_rms_um": localise.systematic_rms_um(obs, self.residual_um),
+            "noise_floor_um": pure_rms_um(obs, self.residual_um),
+            "conditions": list(by_condition(obs, self.before_um, self.residual_um)),
+            "where": [dict(w) for w in localise.worst_places(obs, self.residual_um)],
+            "headline": localise.headline(obs, self.residual_um),
+            "warnings": list(self.warnings),
+        }
+
+
+def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
+    """Return the RMS of one run about the mean of its condition; NaN without repeats."""
+    total = _rms(obs, residual_um)
+    systematic = localise.systematic_rms_um(obs, residual_um)
+    return float(np.sqrt(max(0.0, total**2 - systematic**2)))
+
+
+def load(home: Home, campaign: str) -> Loaded:
+    """Return the usable runs of a campaign.
+
+    Parameters
+    ----------
+    home : Home
+        The lake.
+    campaign : str
+        Name in the lake, or a file or folder, which is ingested first.
+
+    Raises
+    ------
+    InputError
+        When there is no such campaign, or no usable run in it.
+    """
+    lake = Lake(home.lake)
+    name = campaign
+    if campaign not in lake.campaigns() and Path(campaign).exists():
+        name = ingest(Path(campaign), home).campaign
+    found = lake.campaign(name)
+    left_out: dict[str, str] = {}
+    runs: list[Run] = []
+    digest = hashlib.sha256()
+    for row in lake.runs(name):
+        run = lake.load(row, signals=False)
+        errors = [f.message for f in run.findings if f.severity == "error"]
+        if errors:
+            left_out[run.meta.run_id] = errors[0]
+            continue
+        runs.append(run)
+        digest.update(str(row["content_sha256"]).encode())
+    if not runs:
+        why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])
+        raise InputError(
+            "the campaign has no usable run",
+            code="twin.no_runs",
+            where=name,
+            got=why or "no runs",
+            hint=f"dtwin check {name}",
+        )
+    if found.kind != "circular":
+        raise InputError(
+            "twins are fitted to circular tests",
+            code="twin.kind",
+            where=name,
+            got=found.kind,
+            allowed="circular",
+        )
+    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(runs)}
+    return Loaded(observe(found, runs), data, left_out)
+
+
+class Twins:
+    """The twins of a home.
+
+    Parameters
+    ----------
+    home : Home
+        Where twins are kept.
+    library : mapping of str to Effect, optional
+        Effects; the built-in ones and those of entry points without.
+    """
+
+    def __init__(self, home: Home, library: Mapping[str, Effect] | None = None) -> None:
+        self.home = home
+        self.library: Mapping[str, Effect] = Library() if library is None else library
+
+    @property
+    def root(self) -> Path:
+        """Folder of all twins."""
+        return self.home.root / "twins"
+
+    def names(self) -> list[str]:
+        """Return the twins that exist."""
+        return sorted(p.name for p in self.root.glob("*") if p.is_dir())
+
+    def fit(
+        self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False
+    ) -> Twin:
+        """Fit a twin to a campaign; an existing twin of that name gets a new version.
+
+        Parameters
+        ----------
+        campaign : str
+            Name in the lake, or a file or folder.
+        effects : sequence of str
+            Names; ``name:axis`` takes one axis.
+        name : str
+            Name of the twin.
+        robust : bool
+            Give runs that are far off less weight.
+        """
+        require_name(name, "the twin")
+        loaded = load(self.home, campaign)
+        terms = chosen_terms(effects, self.library, loaded.obs)
+        return self._store(name, loaded, terms, "fit", robust=robust)
+
+    def compare(self, name: str, campaign: str | None = None) -> Comparison:
+        """Compare a twin with measurements.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        campaign : str, optional
+            Other measurements than those of the fit.
+
+        Raises
+        ------
+        InputError
+            When the campaign is of another machine.
+        """
+        twin = self.newest(name)
+        obs = load(self.home, campaign or twin.campaign).obs
+        if obs.campaign.machine != twin.machine:
+            raise InputError(
+                "the twin is of another machine",
+                code="twin.machine",
+                where=f"twin {name}, machine {twin.machine}",
+                got=f"campaign {obs.campaign.name}, machine {obs.campaign.machine}",
+                hint="fit a twin to that campaign",
+            )
+        outside = twin.box.outside(obs)
+        warnings = []
+        if outside:
+            shown = ", ".join(outside[:4]) + (" ..." if len(outside) > 4 else "")
+            warnings.append(f"outside the conditions of the fit: {shown}")
+        residual = frozen_residual_um(twin, obs)
+        return Comparison(twin, obs, residual, localise.residual_um(obs, []), tuple(warnings))
+
+    def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
+        """Find out what a twin lacks.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        seed : int
+            Seed of permutations.
+        """
+        twin = self.newest(name)
+        found = diagnose(load(self.home, twin.campaign).obs, twin.terms, self.library, seed=seed)
+        document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
+        document |= found.as_dict()
+        self._write(name, f"v{twin.version:03d}.diagnosis.json", document)
+        self._note(name, twin.version, document)
+        return twin, found
+
+    def add(self, name: str, effect: str, axis: str = "") -> Twin:
+        """Add an effect, refit, and store the new version.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        effect : str
+            Name of the effect, or ``name:axis``.
+        axis : str
+            One axis; all on which it can act without.
+
+        Raises
+        ------
+        InputError
+            When the twin has it already.
+        """
+        twin = self.newest(name)
+        loaded = load(self.home, twin.campaign)
+        new = chosen_terms([effect], self.library, loaded.obs, axis)
+        fresh = [term for term in new if term.label not in twin.labels]
+        if not fresh:
+            raise InputError(
+                "the twin has this effect already",
+                code="twin.has_effect",
+                where=f"twin {name} version {twin.version}",
+                got=effect,
+            )
+        added = ", ".join(term.label for term in fresh)
+        return self._store(name, loaded, [*twin.terms, *fresh], f"add {added}")
+
+    def remove(self, name: str, effect: str, axis: str = "") -> Twin:
+        """Take an effect out, refit, and store the new version.
+
+        Parameters
+        ----------
+        name, effect, axis : str
+            The twin, and what to take out.
+
+        Raises
+        ------
+        InputError
+            When the twin does not have it.
+        """
+        twin = self.newest(name)
+        wanted, _, own = effect.partition(":")
+        where = own or axis
+        kept = [
+            t
+            for t in twin.terms
+            if t.instance.effect.name != wanted or (where and t.instance.axis != where)
+        ]
+        if len(kept) == len(twin.terms):
+            raise InputError(
+                "the twin does not have this effect",
+                code="twin.no_effect",
+                where=f"twin {name} version {twin.version}",
+                got=effect,
+                allowed=", ".join(twin.labels) or "it has none",
+            )
+        loaded = load(self.home, twin.campaign)
+        return self._store(name, loaded, kept, f"remove {effect}")
+
+    def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[Diagnosis]]:
+        """Diagnose and add until nothing is missing, or nothing known would help.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        seed : int
+            Seed of permutations.
+
+        Returns
+        -------
+        twins : list of Twin
+            The versions that were made.
+        diagnoses : list of Diagnosis
+            One before each of them, and the last word.
+        """
+        made: list[Twin] = []
+        said: list[Diagnosis] = []
+        while len(made) < _MOST_RUNGS:
+            _, found = self.diagnose(name, seed=seed)
+            said.append(found)
+            if found.verdict not in ("missing_effect", "ambiguous"):
+                break
+            best = found.group[0]
+            made.append(self.add(name, best.effect, best.axis))
+        return made, said
+
+    def history(self, name: str) -> list[dict[str, Any]]:
+        """Return every rung of a twin, oldest first.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        """
+        folder = self._folder(name)
+        out = []
+        for path in sorted(folder.glob("v[0-9][0-9][0-9].json")):
+            document = _read(path)
+            diagnosis = path.with_suffix(".diagnosis.json")
+            verdict = _read(diagnosis) if diagnosis.exists() else {}
+            out.append(
+                {
+                    "version": document["version"],
+                    "action": document["action"],
+                    "campaign": document["campaign"],
+                    **document["figures"],
+                    "verdict": verdict.get("verdict"),
+                    "group": [
+                        f"{c['effect']} {c['axis']}".strip()
+                        for c in verdict.get("candidates", [])
+                        if c["in_group"]
+                    ],
+                    "lack_of_fit_p": verdict.get("lack_of_fit_p"),
+                    "mlflow": document.get("mlflow", {}),
+                }
+            )
+        return out
+
+    def newest(self, name: str, version: int | None = None) -> Twin:
+        """Return a version of a twin, the newest one without a number.
+
+        Raises
+        ------
+        InputError
+            When there is no such twin or version.
+        StoreError
+            When its file is damaged.
+        """
+        folder = self._folder(name)
+        paths = sorted(folder.glob("v[0-9][0-9][0-9].json"))
+        if version is not None:
+            paths = [p for p in paths if p.stem == f"v{version:03d}"]
+        if not paths:
+            raise InputError(
+                "no such version of the twin",
+                code="twin.version",
+                where=f"twin {name}",
+                got=str(version),
+            )
+        return twin_from(_read(paths[-1]), self.library, str(paths[-1]))
+
+    def _folder(self, name: str) -> Path:
+        require_name(name, "the twin")
+        folder = self.root / name
+        if not folder.is_dir():
+            raise InputError(
+                "no such twin",
+                code="twin.unknown",
+                got=name,
+                allowed=", ".join(self.names()) or "none yet",
+                hint="dtwin twin fit CAMPAIGN --effects ... --name NAME makes one",
+            )
+        return folder
+
+    def _store(
+        self, name: str, loaded: Loaded, terms: Sequence[Term], action: str, *, robust: bool = False
+    ) -> Twin:
+        found = fit(loaded.obs, terms, robust=robust)
+        folder = self.root / name
+        numbers = [int(p.stem[1:]) for p in folder.glob("v[0-9][0-9][0-9].json")]
+        version = max(numbers, default=0) + 1
+        twin = twin_of(
+            found, loaded.obs, name=name, version=version, action=action, data=loaded.data
+        )
+        document = twin.as_dict()
+        document["mlflow"] = self._registered(name, document, numbers)
+        self._write(name, f"v{version:03d}.json", document)
+        return twin
+
+    def _write(self, name: str, file: str, document: Mapping[str, Any]) -> None:
+        content = json.dumps(_finite(document), indent=1)
+        write_text(self.root / name / file, content, "the twin")
+
+    def _registered(
+        self, name: str, document: Mapping[str, Any], numbers: Sequence[int]
+    ) -> dict[str, str]:
+        """Log the version in MLflow; a twin also works where MLflow is not installed."""
+        try:
+            from dtwin.train.registry import Registry
+            from dtwin.train.twin_registry import log_twin
+        except ModuleNotFoundError:
+            return {}
+        parent = None
+        if numbers:
+            before = _read(self.root / name / f"v{max(numbers):03d}.json")
+            parent = before.get("mlflow", {}).get("parent_run_id")
+        figures = document["figures"]
+        description = (
+            f"**{document['action']}** on {document['campaign']}: RMS "
+            f"{figures['rms_before_um']:.2f} -> {figures['rms_after_um']:.2f} um, "
+            f"noise floor {figures['noise_floor_um']:.2f} um (unit of replication: the run)."
+        )
+        return log_twin(
+            Registry(self.home), _finite(document), description=description, parent=parent
+        )
+
+    def _note(self, name: str, version: int, diagnosis: Mapping[str, Any]) -> None:
+        stored = _read(self.root / name / f"v{version:03d}.json").get("mlflow", {})
+        if stored:
+            from dtwin.train.registry import Registry
+            from dtwin.train.twin_registry import note_diagnosis
+
+            registry = Registry(self.home)
+            note_diagnosis(registry, stored["model"], stored["model_version"], diagnosis)
+
+
+def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
+    """Return a twin from its stored form.
+
+    Parameters
+    ----------
+    document : dict
+        What ``Twin.as_dict`` returned.
+    library : mapping of str to Effect
+        Effects by name.
+    where : str
+        The file, for messages.
+
+    Raises
+    ------
+    StoreError
+        When the document is not a twin.
+    InputError
+        When it uses an effect that is not in the library.
+    """
+    if document.get("format") != FORMAT:
+        raise StoreError(
+            "this is not a twin", code="twin.format", where=where, allowed=FORMAT,
+            got=str(document.get("format"))[:40],
+        )  # fmt: skip
+    terms = []
+    for entry in document["effects"]:
+        if entry["effect"] not in library:
+            raise InputError(
+                "the twin uses an effect that is not known here",
+                code="twin.effect_source",
+                where=where,
+                got=entry["effect"],
+                hint="--effects-path "
+                + str(document["effect_sources"].get(entry["effect"], "FILE")),
+            )
+        effect = library[entry["effect"]]
+        terms.append(Term(Instance(effect, entry["axis"]), entry["shape"]))
+    estimates = tuple(
+        Estimate(**(e | {"uncertainty": _number(e["uncertainty"]), "value": _number(e["value"])}))
+        for e in document["parameters"]
+    )
+    box = document["box"]
+    return Twin(
+        name=document["twin"],
+        version=document["version"],
+        machine=document["machine"],
+        campaign=document["campaign"],
+        action=document["action"],
+        terms=tuple(terms),
+        estimates=estimates,
+        setups=tuple(document["setups"]),
+        box=ValidityBox(
+            tuple(box["planes"]), tuple(box["directions"]),
+            (box["radius_mm"][0], box["radius_mm"][1]),
+            (box["feed_mm_min"][0], box["feed_mm_min"][1]),
+        ),
+        figures=document["figures"],
+        by_condition=tuple(document["by_condition"]),
+        aliases=tuple(document["aliases"]),
+        data=document["data"],
+        effect_sources=document["effect_sources"],
+    )  # fmt: skip
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise StoreError(
+            "a twin cannot be read", code="twin.damaged", where=str(path), got=str(error)[:120]
+        ) from error
+    return dict(found)
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _finite(value: Any) -> Any:
+    """Return the value with NaN as null, which JSON knows."""
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    if isinstance(value, Mapping):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value
+
+
+def _rms(obs: Observations, values: Floats) -> float:
+    return float(np.sqrt((values[obs.mask] ** 2).mean()))
