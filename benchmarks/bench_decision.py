@@ -110,7 +110,7 @@ def main() -> None:
 
     result = {
         "nodes": len(bundle.tick_graph.nodes),
-        "equation": microseconds(lambda: model.tick(tick), 50_000),
+        "equation": microseconds(model.evaluate, 50_000),
         "features_and_equation": microseconds(features_and_equation, 5_000),
         "whole_decision_with_path_and_guard": microseconds(whole_decision, 5_000),
     }

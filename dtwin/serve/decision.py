@@ -154,10 +154,11 @@ class Decision:
         self._state[:] = state
         self._path.update(state)
         np.take(self._pool, self._take, out=self._tick, mode="clip")
+        self.compiled.tick_inputs[:] = self._tick
         pathed = perf_counter_ns()
-        outputs = self.compiled.tick(self._tick)
+        self.compiled.evaluate()
         evaluated = perf_counter_ns()
-        wanted = self.direction.apply(outputs, self._pool[0], state[layout.PLANE_ID])
+        wanted = self.direction.apply(self.compiled.outputs, self._pool[0], state[layout.PLANE_ID])
         device_ok = state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
         safe = self.guard.step(
             wanted, self._inputs, age_s=age_s, elapsed_s=elapsed_s,

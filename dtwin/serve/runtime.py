@@ -23,7 +23,7 @@ class CompiledBundle:
         ticks, held = len(bundle.tick_inputs), bundle.feature_inputs + bundle.intermediates
         outputs = tuple(o.name for o in bundle.outputs)
         self._tape = Tape(
-            bundle.tick_graph, bundle.tick_inputs + held, bundle.initial_state, outputs, ticks
+            bundle.tick_graph, bundle.tick_inputs + held, bundle.initial_state, outputs
         )
         self._window_tape = (
             Tape(bundle.window_graph, bundle.feature_inputs, {}, bundle.intermediates)
@@ -34,6 +34,12 @@ class CompiledBundle:
         self._inputs = self._tape.inputs
         self._features = self._inputs[ticks : ticks + len(bundle.feature_inputs)]
         self._held = self._inputs[ticks + len(bundle.feature_inputs) :]
+        self.tick_inputs = self._inputs[:ticks]
+        """Inputs of the next tick, in the order of ``Bundle.tick_inputs``; filled in place."""
+        self.outputs = self._tape.outputs
+        """Outputs of the newest tick; a view that the next one overwrites."""
+        self.evaluate = self._tape.evaluate
+        """Evaluate one tick from ``tick_inputs`` into ``outputs``."""
 
     def reset(self) -> None:
         """Return to the state before the first tick and forget the newest window."""
@@ -60,7 +66,11 @@ class CompiledBundle:
         inputs : ndarray, shape (n_tick_inputs,)
             In the order of ``Bundle.tick_inputs``.
         """
-        return self._tape.run(inputs)
+        if len(inputs) != self._n_tick:
+            raise ValueError(f"{len(inputs)} inputs given, {self._n_tick} wanted")
+        self.tick_inputs[:] = inputs
+        self.evaluate()
+        return self.outputs
 
     def run(self, inputs: Floats, features: Floats | None = None) -> Floats:
         """Evaluate successive ticks through the state; return outputs, shape (n, n_outputs).

@@ -6,21 +6,30 @@ No code is generated: a bundle can only ever choose among the operators below.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
+from numba import typeof
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.features.compiled import compiled
 from dtwin.schema import Floats
-from dtwin.serve.graph import Graph, Node
-from dtwin.serve.operators import FARTHEST, OPERATORS
+from dtwin.serve.graph import Graph
+from dtwin.serve.operators import FARTHEST
+from dtwin.serve.sine import sine_and_cosine
+from dtwin.serve.tape_program import (
+    MULTIPLY_ADD,
+    POWER_SHIFT,
+    SINE_AND_COSINE,
+    Instruction,
+    tape_runs,
+)
 
 Program = NDArray[np.uint64]
-_POWER_SHIFT = 64
-_MULTIPLY_ADD = 23
+_WORDS = 4
+_A, _B, _C, _STEP = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(_WORDS)
 
 
 @compiled
@@ -65,13 +74,7 @@ def _powered(x: float, n: int) -> float:
 @compiled
 def _operated(op: int, x: float, y: float) -> float:
     result = np.nan
-    if op == 1:
-        result = x + y
-    elif op == 2:
-        result = x - y
-    elif op == 3:
-        result = x * y
-    elif op == 4:
+    if op == 4:
         result = x / y
     elif op == 5:
         result = -x
@@ -85,10 +88,6 @@ def _operated(op: int, x: float, y: float) -> float:
         result = math.exp(x)
     elif op == 11:
         result = np.log(x)
-    elif op == 12:
-        result = math.sin(x)
-    elif op == 13:
-        result = math.cos(x)
     elif op == 14:
         result = math.tan(x)
     elif op == 15:
@@ -110,54 +109,90 @@ def _operated(op: int, x: float, y: float) -> float:
 
 
 @compiled
-def run_tape(program: Program, memory: Floats, inputs: Floats) -> None:
-    """Evaluate a tape once, and step its state.
+def _run_of_one(op: int, program: Program, memory: Floats, first: int, count: int) -> None:
+    """Do the instructions of one operator; the frequent ones have loops of their own."""
+    # Unsigned: a signed place would be looked at for counting from the end.
+    at, end = np.uint64(first), np.uint64(first + _WORDS * count)
+    if op == 1:
+        while at < end:
+            memory[program[at]] = memory[program[at + _A]] + memory[program[at + _B]]
+            at += _STEP
+    elif op == 2:
+        while at < end:
+            memory[program[at]] = memory[program[at + _A]] - memory[program[at + _B]]
+            at += _STEP
+    elif op == 3:
+        while at < end:
+            memory[program[at]] = memory[program[at + _A]] * memory[program[at + _B]]
+            at += _STEP
+    elif op == 12:
+        while at < end:
+            memory[program[at]] = math.sin(memory[program[at + _A]])
+            at += _STEP
+    elif op == 13:
+        while at < end:
+            memory[program[at]] = math.cos(memory[program[at + _A]])
+            at += _STEP
+    elif op == MULTIPLY_ADD:
+        while at < end:
+            product = memory[program[at + _A]] * memory[program[at + _B]]
+            memory[program[at]] = memory[program[at + _C]] + product
+            at += _STEP
+    elif op == SINE_AND_COSINE:
+        while at < end:
+            sine, cosine = sine_and_cosine(memory[program[at + _A]])
+            memory[program[at]], memory[program[at + _B]] = sine, cosine
+            at += _STEP
+    elif op == 9:
+        while at < end:
+            n = int(program[at + _B]) - POWER_SHIFT
+            memory[program[at]] = _powered(memory[program[at + _A]], n)
+            at += _STEP
+    elif op == 22:
+        while at < end:
+            table, x = int(program[at + _B]), memory[program[at + _A]]
+            memory[program[at]] = _looked_up(memory, table, x)
+            at += _STEP
+    else:
+        while at < end:
+            x, y = memory[program[at + _A]], memory[program[at + _B]]
+            memory[program[at]] = _operated(op, x, y)
+            at += _STEP
+
+
+@compiled
+def run_tape(program: Program, memory: Floats) -> None:
+    """Evaluate a tape once on the inputs in its memory, and step its state.
 
     Parameters
     ----------
     program : ndarray of uint64
-        Header (instructions, inputs, outputs, updates, place of outputs, place of staging),
-        then operator, target and three arguments per instruction, then the sources of the
-        outputs, then the sources and targets of the updates.
+        Header (runs, copies, place of outputs), then per run its operator, its number of
+        instructions, and target and three arguments of each, then source and target of the
+        copies.
     memory : ndarray of float64
         Inputs, state, constants, intermediate values, tables, outputs, staging.
-    inputs : ndarray, shape (n_inputs,)
-        Copied to the start of the memory.
     """
-    count, n_inputs = int(program[0]), int(program[1])
-    n_outputs, n_updates = int(program[2]), int(program[3])
-    first_output, first_staged = int(program[4]), int(program[5])
-    for i in range(n_inputs):
-        memory[i] = inputs[i]
-    at = 6
-    for _ in range(count):
-        op, target, a, b = program[at], program[at + 1], program[at + 2], program[at + 3]
-        if op == _MULTIPLY_ADD:
-            memory[target] = memory[program[at + 4]] + memory[a] * memory[b]
-        elif op == 9:
-            memory[target] = _powered(memory[a], int(b) - _POWER_SHIFT)
-        elif op == 22:
-            memory[target] = _looked_up(memory, int(b), memory[a])
-        else:
-            memory[target] = _operated(op, memory[a], memory[b])
-        at += 5
-    for i in range(n_outputs):
-        memory[first_output + i] = memory[program[at + i]]
-    at += n_outputs
-    for i in range(n_updates):
-        memory[first_staged + i] = memory[program[at + i]]
-    at += n_updates
-    for i in range(n_updates):
-        memory[program[at + i]] = memory[first_staged + i]
+    at = 3
+    for _ in range(int(program[0])):
+        count = int(program[at + 1])
+        _run_of_one(int(program[at]), program, memory, at + 2, count)
+        at += 2 + _WORDS * count
+    copy, end = np.uint64(at), np.uint64(at) + _B * program[1]
+    while copy < end:
+        memory[program[copy + _A]] = memory[program[copy]]
+        copy += _B
 
 
 @compiled
 def run_tape_many(program: Program, memory: Floats, inputs: Floats, out: Floats) -> None:
     """Evaluate a tape for successive rows of inputs (n, n_inputs) into rows of ``out``."""
     for n in range(inputs.shape[0]):
-        run_tape(program, memory, inputs[n])
+        for i in range(inputs.shape[1]):
+            memory[i] = inputs[n, i]
+        run_tape(program, memory)
         for i in range(out.shape[1]):
-            out[n, i] = memory[int(program[4]) + i]
+            out[n, i] = memory[int(program[2]) + i]
 
 
 class Tape:
@@ -173,8 +208,6 @@ class Tape:
         Initial values.
     outputs : sequence of str
         Order of the output vector.
-    n_given : int, optional
-        How many of the first inputs ``run`` is given; the others are held in ``inputs``.
 
     Raises
     ------
@@ -184,7 +217,7 @@ class Tape:
 
     def __init__(
         self, graph: Graph, inputs: Sequence[str], states: Mapping[str, float],
-        outputs: Sequence[str], n_given: int | None = None,
+        outputs: Sequence[str],
     ) -> None:  # fmt: skip
         _require(graph.inputs, inputs, "inputs")
         _require(graph.states, list(states), "states")
@@ -203,34 +236,25 @@ class Tape:
         for table in graph.tables:
             tables.append(free)
             free += 4 + len(table.values)
-        updates = list(graph.updates.items())
-        program = [len(graph.nodes), len(inputs), len(outputs), len(updates)]
-        program += [free, free + len(outputs)]
+        updates = [(slots[i], places[("state", name)]) for name, i in graph.updates.items()]
+        copies = [(slots[graph.outputs[name]], free + i) for i, name in enumerate(outputs)]
+        copies += _updates(updates, free + len(outputs))
         memory = np.zeros(free + len(outputs) + len(updates))
-        for place, table in zip(tables, graph.tables, strict=True):
-            n = len(table.values)
-            memory[place : place + 4] = table.start, table.spacing, n, table.periodic
-            memory[place + 4 : place + 4 + n] = table.values
-        for slot, node in zip(slots, graph.nodes, strict=True):
-            if node.op == "const":
-                memory[slot] = node.value
-        instructions = _instructions(graph, slots, tables)
-        program[0] = len(instructions)
-        program += [word for instruction in instructions for word in instruction]
-        program += [slots[graph.outputs[name]] for name in outputs]
-        program += [slots[i] for _, i in updates]
-        program += [places[("state", name)] for name, _ in updates]
-        self._all_given = np.array(program, dtype=np.uint64)
-        self.program = self._all_given.copy()
-        self._n_given = len(inputs) if n_given is None else n_given
-        self.program[1] = self._n_given
+        _fill(memory, graph, slots, tables)
+        self.program = _assembled(tape_runs(graph, slots, tables), copies, free)
         self.inputs = memory[: len(inputs)]
-        """The newest inputs; the held ones may be set here."""
+        """What is evaluated next; to be filled in place."""
         self.memory = memory
         self.outputs = memory[free : free + len(outputs)]
         """The newest outputs; a view that the next run overwrites."""
         self.state = memory[self._first_state : self._first_state + len(states)]
+        run_tape(self.program, memory)
         self.reset()
+        # What numba's dispatcher would find again at every call, for twice the time of the call.
+        compiled_for = typeof(self.program), typeof(memory)
+        entry = run_tape.overloads[compiled_for].entry_point  # type: ignore[attr-defined]
+        self.evaluate: Callable[[], None] = partial(entry, self.program, memory)
+        """Evaluate ``inputs`` once, into ``outputs``, and step the state."""
 
     def reset(self) -> None:
         """Return the state to its initial values and the outputs to zero."""
@@ -242,12 +266,13 @@ class Tape:
 
         Parameters
         ----------
-        inputs : ndarray of float64, shape (n_given,)
+        inputs : ndarray, shape (n_inputs,)
             In the order given at the start.
         """
-        if len(inputs) != self._n_given:
-            raise ValueError(f"{len(inputs)} inputs given, {self._n_given} wanted")
-        run_tape(self.program, self.memory, inputs)
+        if len(inputs) != len(self.inputs):
+            raise ValueError(f"{len(inputs)} inputs given, {len(self.inputs)} wanted")
+        self.inputs[:] = inputs
+        self.evaluate()
         return self.outputs
 
     def run_many(self, inputs: Floats) -> Floats:
@@ -256,42 +281,43 @@ class Tape:
         if rows.ndim != 2 or rows.shape[1] != len(self.inputs):
             raise ValueError(f"rows of shape {rows.shape}, {len(self.inputs)} inputs wanted")
         out = np.empty((len(rows), len(self.outputs)))
-        run_tape_many(self._all_given, self.memory, rows, out)
+        run_tape_many(self.program, self.memory, rows, out)
         return out
 
 
-def _instructions(
-    graph: Graph, slots: Sequence[int], tables: Sequence[int]
-) -> list[tuple[int, int, int, int, int]]:
-    """Return one instruction per operation; a product that only a sum uses joins that sum."""
-    uses = [*graph.outputs.values(), *graph.updates.values()]
-    uses += [a for node in graph.nodes for a in node.args]
-    once = {i for i, count in Counter(uses).items() if count == 1}
-    kept = set(graph.outputs.values()) | set(graph.updates.values())
-    found: dict[int, tuple[int, int, int, int, int]] = {}
-    for i, node in enumerate(graph.nodes):
-        if node.op not in OPERATORS:
-            continue
-        if node.op == "add":
-            product = next(
-                (a for a in node.args if graph.nodes[a].op == "mul" and a in once - kept), None
-            )
-            if product is not None:
-                other = node.args[0] if node.args[1] == product else node.args[1]
-                p, q = graph.nodes[product].args
-                found[i] = (_MULTIPLY_ADD, slots[i], slots[p], slots[q], slots[other])
-                found.pop(product, None)
-                continue
-        b = _second(node, tables, slots[node.args[-1]])
-        found[i] = (OPERATORS[node.op].code, slots[i], slots[node.args[0]], b, 0)
-    return [found[i] for i in sorted(found)]
+def _fill(memory: Floats, graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> None:
+    """Write constants and tables to their places."""
+    for slot, node in zip(slots, graph.nodes, strict=True):
+        if node.op == "const":
+            memory[slot] = node.value
+    for place, table in zip(tables, graph.tables, strict=True):
+        n = len(table.values)
+        memory[place : place + 4] = table.start, table.spacing, n, table.periodic
+        memory[place + 4 : place + 4 + n] = table.values
 
 
-def _second(node: Node, tables: Sequence[int], slot: int) -> int:
-    """Return the second argument of an instruction; unsigned, so exponents are shifted."""
-    if node.op == "pow_int":
-        return node.n + _POWER_SHIFT
-    return tables[node.n] if node.op == "lookup" else slot
+def _assembled(
+    runs: Sequence[tuple[int, Sequence[Instruction]]],
+    copies: Sequence[tuple[int, int]],
+    first_output: int,
+) -> Program:
+    """Return the words that ``run_tape`` reads."""
+    words = [len(runs), len(copies), first_output]
+    for op, instructions in runs:
+        words += [op, len(instructions)]
+        for one in instructions:
+            words += [one.target, *one.arguments]
+    words += [place for copy in copies for place in copy]
+    return np.array(words, dtype=np.uint64)
+
+
+def _updates(pairs: Sequence[tuple[int, int]], staging: int) -> list[tuple[int, int]]:
+    """Return copies from sources to states; a source that is itself a state waits apart."""
+    states = {target for _, target in pairs}
+    staged = [(pair, staging + i) for i, pair in enumerate(pairs) if pair[0] in states]
+    copies = [(source, place) for (source, _), place in staged]
+    copies += [pair for pair in pairs if pair[0] not in states]
+    return copies + [(place, target) for (_, target), place in staged]
 
 
 def _require(used: Sequence[str], given: Sequence[str], what: str) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
@@ -17,6 +18,7 @@ JOINTS = range(1, 7)
 # Wider than any play worth modelling, far narrower than any motion: gives the loaded flank.
 FLANK_RAD = 1e-4
 MOVING_MM_S = 0.5
+_ECCENTRICITIES = (1.0, 2.0, 3.0)
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Atom:
 
 
 class Library:
-    """Terms that are linear in their coefficients, as nodes of one graph.
+    """Terms that are linear in their coefficients, as products in one graph.
 
     Parameters
     ----------
@@ -87,12 +89,15 @@ class Library:
     ) -> None:
         self.gears, self.modes, self.horizon_s = tuple(gears), tuple(modes), horizon_s
         self.builder = GraphBuilder()
-        self.atoms: dict[Atom, Expression] = {}
+        self.atoms: dict[Atom, tuple[Expression, ...]] = {}
         self.initial: dict[str, float] = {}
         self.updates: dict[str, Expression] = {}
         self._q = {j: self._ahead(j) for j in JOINTS}
         self._lever = {j: self.builder.input(f"lever_{j}_mm_rad") for j in JOINTS}
         self._flank = {j: self._loaded_flank(j) for j in JOINTS}
+        self._orders = {(j, order) for j in JOINTS for order in _ECCENTRICITIES}
+        self._orders |= {(gear.joint, gear.order) for gear in gears}
+        self._waves: dict[tuple[int, float], tuple[Expression, Expression]] = {}
         self._calibration()
         self._compliance()
         for gear in gears:
@@ -120,7 +125,7 @@ class Library:
         """
         terms = list(self.atoms.values())
         wanted = range(len(terms)) if only is None else only
-        outputs = {f"t{i}": terms[i] for i in wanted}
+        outputs = {f"t{i}": prod(terms[i][1:], start=terms[i][0]) for i in wanted}
         graph = self.builder.graph(outputs, self.updates)
         tape = Tape(graph, PATH_INPUTS, self.initial, list(outputs))
         values = tape.run_many(run.inputs.astype(float))[run.arc]
@@ -139,19 +144,41 @@ class Library:
         dragged = b.apply("min", b.apply("max", b.state(name), q - FLANK_RAD), q + FLANK_RAD)
         self.initial[name] = 0.0
         self.updates[name] = dragged
-        return (q - dragged) / FLANK_RAD
+        return (q - dragged) * (1.0 / FLANK_RAD)
+
+    def _wave(self, joint: int, order: float) -> tuple[Expression, Expression]:
+        """Return cosine and sine of a multiple of a joint's angle.
+
+        Multiples of a wave that is there come from it by the addition theorems, at a few
+        products instead of two more transcendental functions.
+        """
+        key = joint, order
+        if key not in self._waves:
+            self._waves[key] = self._multiple(joint, order)
+        return self._waves[key]
+
+    def _multiple(self, joint: int, order: float) -> tuple[Expression, Expression]:
+        if (joint, order / 2.0) in self._orders:
+            cos, sin = self._wave(joint, order / 2.0)
+            twice = 2.0 * sin
+            return 1.0 - twice * sin, twice * cos
+        if order == 3.0:
+            (cos_1, sin_1), (cos_2, sin_2) = self._wave(joint, 1.0), self._wave(joint, 2.0)
+            return cos_2 * cos_1 - sin_2 * sin_1, sin_2 * cos_1 + cos_2 * sin_1
+        q = self._q[joint]
+        angle = q if order == 1.0 else order * q
+        return self.builder.apply("cos", angle), self.builder.apply("sin", angle)
 
     def _calibration(self) -> None:
-        b = self.builder
         for j in JOINTS:
-            lever, q = self._lever[j], self._q[j]
+            lever, flank = self._lever[j], self._flank[j]
             self._atom(f"lever{j}", "mm/rad", "zero error", lever)
-            self._atom(f"lever{j}*flank{j}", "mm/rad", "joint backlash", lever * self._flank[j])
-            for order in (1, 2, 3):
-                for function in ("cos", "sin"):
-                    term = lever * b.apply(function, float(order) * q)
-                    name = f"lever{j}*{function}({order}*q{j})"
-                    self._atom(name, "mm/rad", "bearing and encoder eccentricity", term)
+            self._atom(f"lever{j}*flank{j}", "mm/rad", "joint backlash", lever, flank)
+            for order in _ECCENTRICITIES:
+                for function, wave in zip(("cos", "sin"), self._wave(j, order), strict=True):
+                    name = f"lever{j}*{function}({order:g}*q{j})"
+                    cause = "bearing and encoder eccentricity"
+                    self._atom(name, "mm/rad", cause, lever, wave)
 
     def _compliance(self) -> None:
         b = self.builder
@@ -159,16 +186,17 @@ class Library:
         for j in (2, 3, 4):
             for label, angle in (("q2+q3", upper), ("q2+q3+q4", upper + self._q[4])):
                 for function in ("cos", "sin"):
-                    term = self._lever[j] * b.apply(function, angle)
-                    self._atom(f"lever{j}*{function}({label})", "mm/rad", "gravity", term)
+                    name = f"lever{j}*{function}({label})"
+                    term = self._lever[j], b.apply(function, angle)
+                    self._atom(name, "mm/rad", "gravity", *term)
 
     def _transmission(self, gear: Gear) -> None:
-        j, flank = gear.joint, self._flank[gear.joint]
-        for function in ("cos", "sin"):
-            wave = self._lever[j] * self.builder.apply(function, gear.order * self._q[j])
+        j, cause = gear.joint, "transmission ripple"
+        lever, flank = self._lever[j], self._flank[j]
+        for function, wave in zip(("cos", "sin"), self._wave(j, gear.order), strict=True):
             name = f"lever{j}*{function}({gear.order:g}*q{j})"
-            self._atom(name, "mm/rad", "transmission ripple", wave)
-            self._atom(f"{name}*flank{j}", "mm/rad", "transmission ripple", wave * flank)
+            self._atom(name, "mm/rad", cause, lever, wave)
+            self._atom(f"{name}*flank{j}", "mm/rad", cause, lever, flank, wave)
 
     def _structure(self, mode: Mode, events: Mapping[str, Expression]) -> None:
         """Add a mode that rings after each start and stop, seen in the frame of joint 1.
@@ -177,29 +205,32 @@ class Library:
         much of it the mode takes up, and in which direction it moves, is left to the fit.
         """
         b = self.builder
-        cos, sin = b.apply("cos", self._q[1]), b.apply("sin", self._q[1])
+        cos, sin = self._wave(1, 1.0)
 
         def turned(prefix: str) -> tuple[Expression, Expression, Expression]:
             x, y, z = (b.input(f"{prefix}_{axis}_1") for axis in "xyz")
             return x * cos + y * sin, y * cos - x * sin, z
 
         seen, travel = turned("radial"), turned("tangent")
-        feed = b.input("programmed_feed_mm_min") / 1000.0
+        feed = 0.001 * b.input("programmed_feed_mm_min")
         a = free_step(mode, 1.0 / TICK_HZ)
         w = 2.0 * np.pi * mode.frequency_hz
         for event, happened in events.items():
+            kick = happened * feed
             for push, along in zip("rtz", travel, strict=True):
                 place, speed = (f"mode{mode.frequency_hz:g}_{event}_{push}_{k}" for k in "xv")
                 x, v = b.state(place), b.state(speed)
-                kicked = v + happened * along * feed
-                moved = a[0][0] * x + a[0][1] * kicked
-                moving = a[1][0] * x + a[1][1] * kicked
+                kicked = v + kick * along
+                # The place is kept times w, so that it is a speed as well.
+                moved = a[0][0] * x + a[0][1] * w * kicked
+                moving = a[1][0] / w * x + a[1][1] * kicked
                 self.initial |= {place: 0.0, speed: 0.0}
                 self.updates |= {place: moved, speed: moving}
                 for show, toward in zip("rtz", seen, strict=True):
                     name = f"mode{mode.frequency_hz:g}Hz_{event}_{push}->{show}"
-                    self._atom(f"{name}_sin", "m/min", "ringing after stops", toward * moved * w)
-                    self._atom(f"{name}_cos", "m/min", "ringing after stops", toward * moving)
+                    cause = "ringing after stops"
+                    self._atom(f"{name}_sin", "m/min", cause, toward, moved)
+                    self._atom(f"{name}_cos", "m/min", cause, toward, moving)
 
     def _events(self) -> dict[str, Expression]:
         """Return what is 1 for the one tick in which the path starts, or stops."""
@@ -210,8 +241,39 @@ class Library:
         self.updates["was_moving_1"] = moving
         return {"start": moving * (1.0 - before), "stop": before * (1.0 - moving)}
 
-    def _atom(self, name: str, unit: str, cause: str, term: Expression) -> None:
-        self.atoms[Atom(name, unit, cause)] = term
+    def _atom(self, name: str, unit: str, cause: str, *factors: Expression) -> None:
+        self.atoms[Atom(name, unit, cause)] = factors
+
+
+def weighted_sum(
+    builder: GraphBuilder, terms: Sequence[tuple[float, tuple[Expression, ...]]]
+) -> Expression:
+    """Return the sum of weighted products, with what they share taken out of the brackets.
+
+    Parameters
+    ----------
+    builder : GraphBuilder
+        Builder of all factors.
+    terms : sequence of (weight, factors)
+        Products; terms whose factors begin alike share one bracket.
+    """
+    brackets: dict[Expression, list[tuple[float, tuple[Expression, ...]]]] = {}
+    parts: list[Expression] = []
+    for weight, factors in terms:
+        if factors:
+            brackets.setdefault(factors[0], []).append((weight, factors[1:]))
+        else:
+            parts.append(builder.constant(weight))
+    parts += [weighted_sum(builder, inner) * factor for factor, inner in brackets.items()]
+    return _balanced(builder, parts)
+
+
+def _balanced(builder: GraphBuilder, parts: Sequence[Expression]) -> Expression:
+    """Return a sum in which no addition waits for many others."""
+    if len(parts) < 3:
+        return builder.total(parts)
+    half = len(parts) // 2
+    return _balanced(builder, parts[:half]) + _balanced(builder, parts[half:])
 
 
 def free_step(mode: Mode, dt_s: float) -> list[list[float]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from dtwin import __version__
@@ -18,7 +16,7 @@ from dtwin.train.candidates import HELD_OUT, score
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.gram import solve, sums_of
 from dtwin.train.latency import bundle_latency
-from dtwin.train.library import Library, equation_text
+from dtwin.train.library import Library, equation_text, weighted_sum
 from dtwin.train.physics_fit import DEAD_SHARE, RIDGE, PhysicsFit
 from dtwin.train.results import Candidate
 from dtwin.train.rows import Rows
@@ -96,14 +94,10 @@ def physics_bundle(
     """
     library = Library(fit.library.gears, fit.library.modes, horizon_s=horizon_s)
     terms = list(library.atoms.values())
-    weighted = [w * terms[i] for i, w in zip(fit.chosen, fit.weights.tolist(), strict=True)]
-    graph = library.builder.graph({"radial_um": _sum(library, weighted)}, library.updates)
-    # Updates of states that the chosen terms never read are dead weight.
-    read = {n.name for n in graph.nodes if n.op == "state"}
-    live = _reachable(library, weighted, read)
-    graph = library.builder.graph(
-        {"radial_um": _sum(library, weighted)}, {k: library.updates[k] for k in live}
-    )
+    chosen = zip(fit.weights.tolist(), (terms[i] for i in fit.chosen), strict=True)
+    outputs = {"radial_um": weighted_sum(library.builder, list(chosen))}
+    live = _live_states(library, outputs)
+    graph = library.builder.graph(outputs, {k: library.updates[k] for k in live})
     low, high = _box(fit.rows)
     used = set(graph.inputs)
     inputs = [
@@ -125,35 +119,21 @@ def physics_bundle(
     )
 
 
-def _sum(library: Library, terms: Sequence[Expression]) -> Expression:
-    """Add in a tree, so that the graph stays shallow."""
-    level = list(terms)
-    while len(level) > 1:
-        pairs = [level[i : i + 2] for i in range(0, len(level), 2)]
-        level = [p[0] + p[1] if len(p) == 2 else p[0] for p in pairs]
-    return level[0] if level else library.builder.constant(0.0)
-
-
-def _reachable(library: Library, terms: Sequence[Expression], read: set[str]) -> list[str]:
-    """Return the states that the terms read, directly or through other states."""
-    plain = library.builder.graph({"radial_um": _sum(library, terms)})
-    wanted = {n.name for n in plain.nodes if n.op == "state"}
+def _live_states(library: Library, outputs: dict[str, Expression]) -> list[str]:
+    """Return the states that the outputs read, directly or through other states."""
+    wanted: set[str] = set()
     while True:
-        graph = library.builder.graph(
-            {"radial_um": _sum(library, terms)}, {k: library.updates[k] for k in wanted}
-        )
-        found = {n.name for n in graph.nodes if n.op == "state"} & read
-        if found <= wanted:
+        graph = library.builder.graph(outputs, {k: library.updates[k] for k in wanted})
+        read = {n.name for n in graph.nodes if n.op == "state"}
+        if read <= wanted:
             return sorted(wanted)
-        wanted |= found
+        wanted |= read
 
 
 def _state_unit(name: str) -> str:
     if name.startswith("flank"):
         return "rad"
-    if name.startswith("was"):
-        return "1"
-    return "m s/min" if name.endswith("_x") else "m/min"
+    return "1" if name.startswith("was") else "m/min"
 
 
 def _left_out(fit: PhysicsFit, design: Floats, group: str) -> Floats:
