@@ -13,6 +13,7 @@ from dtwin.commands import demo as demo_command
 from dtwin.commands import modelling as modelling_commands
 from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
+from dtwin.commands import twins as twin_commands
 from dtwin.config import quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError, MissingPart
 
@@ -27,6 +28,7 @@ demo_command.register(app)
 data_commands.register(app)
 modelling_commands.register(app)
 serving_commands.register(app)
+twin_commands.register(app)
 server_commands.register(app)
 
 

@@ -74,7 +74,7 @@ def polar_figure(
             "angularaxis": {"rotation": 0, "direction": "counterclockwise"},
         },
     )
-    return _styled(figure)
+    return styled(figure)
 
 
 def error_figure(traces: Mapping[str, tuple[Floats, Floats]], *, title: str) -> go.Figure:
@@ -99,7 +99,7 @@ def error_figure(traces: Mapping[str, tuple[Floats, Floats]], *, title: str) -> 
             )
         )
     figure.update_layout(title=title, xaxis_title="path angle, deg", yaxis_title="error, um")
-    return _styled(figure)
+    return styled(figure)
 
 
 def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
@@ -157,7 +157,7 @@ def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
         yaxis_title="um",
         barmode="group",
     )
-    return _styled(figure)
+    return styled(figure)
 
 
 def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
@@ -197,7 +197,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
         xaxis={"title": "median time of one row, us", "type": "log"},
         yaxis={"title": "held-out RMS, um", "rangemode": "tozero"},
     )
-    return _styled(figure)
+    return styled(figure)
 
 
 def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
@@ -233,7 +233,7 @@ def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figu
         xaxis_title="terms",
         yaxis={"title": "RMS, um", "rangemode": "tozero"},
     )
-    return _styled(figure)
+    return styled(figure)
 
 
 def magnification_for(largest_um: float, radius_mm: float) -> float:
@@ -249,10 +249,11 @@ def magnification_for(largest_um: float, radius_mm: float) -> float:
     return _round_factor(0.35 * radius_mm * 1000.0 / max(largest_um, 1e-9))
 
 
-def _styled(figure: go.Figure) -> go.Figure:
+def styled(figure: go.Figure) -> go.Figure:
+    """Give a figure the look of all dtwin's figures; a height that was chosen stays."""
     figure.update_layout(
         template="plotly_white",
-        height=460,
+        height=figure.layout.height or 460,
         margin={"l": 60, "r": 30, "t": 95, "b": 60},
         font={"family": "system-ui, sans-serif", "size": 13},
         legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"},

@@ -1,0 +1,279 @@
+"""Commands about twins and effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import emit
+from dtwin.errors import InputError
+
+if TYPE_CHECKING:
+    from dtwin.physics.effect import Effect
+    from dtwin.pipeline.twins import Twins
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+Name = Annotated[str, typer.Argument(help="Name of the twin.")]
+Paths = Annotated[
+    list[Path] | None,
+    typer.Option("--effects-path", help="Your own effect file or folder; its code is run."),
+]
+Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
+Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
+Seed = Annotated[int, typer.Option(help="Seed of permutations.")]
+
+twin_app = typer.Typer(
+    help="Compare with measurements, see where it fails, add what is missing.",
+    no_args_is_help=True,
+)
+effects_app = typer.Typer(help="Physical causes of error.", no_args_is_help=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(twin_app, name="twin")
+    app.add_typer(effects_app, name="effects")
+
+
+@twin_app.command("fit")
+def fit_twin(
+    campaign: Annotated[str, typer.Argument(help="Campaign in the lake, or a file or folder.")],
+    effects: Annotated[str, typer.Option(help="Names with commas; backlash:X takes one axis.")],
+    name: Annotated[str, typer.Option(help="Name of the twin.")],
+    robust: Annotated[bool, typer.Option("--robust", help="Less weight for odd runs.")] = False,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Fit effects to a campaign."""
+    from dtwin.report.twins import twin_text
+
+    names = [part.strip() for part in effects.split(",") if part.strip()]
+    twin = _twins(effects_path).fit(campaign, names, name, robust=robust)
+    emit(twin.as_dict(), lambda: twin_text(twin), as_json=as_json)
+
+
+@twin_app.command("compare")
+def compare_twin(
+    name: Name,
+    campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
+    html: Report = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Compare a twin with measurements, condition by condition."""
+    from dtwin.report.twins import comparison_section, comparison_text
+
+    found = _twins(effects_path).compare(name, campaign)
+    result = found.as_dict()
+    if html is not None:
+        section = comparison_section(found.obs, found.before_um, found.residual_um, result)
+        _write_page(html, found.twin.name, [section])
+    emit(result, lambda: comparison_text(result), as_json=as_json)
+
+
+@twin_app.command("diagnose")
+def diagnose_twin(
+    name: Name,
+    seed: Seed = 0,
+    html: Report = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Name the effect that is missing, or say why it cannot be named."""
+    from dtwin.report.twins import diagnosis_section, diagnosis_text
+
+    twin, found = _twins(effects_path).diagnose(name, seed=seed)
+    result = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
+    if html is not None:
+        _write_page(html, name, [diagnosis_section(name, result)])
+    emit(result, lambda: diagnosis_text(name, result), as_json=as_json)
+
+
+@twin_app.command("add")
+def add_effect(
+    name: Name,
+    effect: Annotated[str, typer.Argument(help="Name of the effect.")],
+    axis: Axis = "",
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Add an effect and refit: a new version."""
+    twins = _twins(effects_path)
+    before = twins.newest(name)
+    _show_rung(twins, before.figures, twins.add(name, effect, axis), as_json=as_json)
+
+
+@twin_app.command("remove")
+def remove_effect(
+    name: Name,
+    effect: Annotated[str, typer.Argument(help="Name of the effect.")],
+    axis: Axis = "",
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Take an effect out and refit: a new version."""
+    twins = _twins(effects_path)
+    before = twins.newest(name)
+    _show_rung(twins, before.figures, twins.remove(name, effect, axis), as_json=as_json)
+
+
+@twin_app.command("discover")
+def discover_effects(
+    name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False
+) -> None:
+    """Diagnose and add until nothing is missing, or nothing known would help."""
+    from dtwin.report.twins import diagnosis_text, history_text
+
+    twins = _twins(effects_path)
+    made, said = twins.discover(name, seed=seed)
+    last = said[-1].as_dict()
+    payload = {
+        "twin": name,
+        "added": [twin.action.removeprefix("add ") for twin in made],
+        "groups": [[s.label for s in found.group] for found in said[: len(made)]],
+        "history": twins.history(name),
+        "final": last,
+    }
+    emit(
+        payload,
+        lambda: f"{history_text(twins.history(name))}\n\n{diagnosis_text(name, last)}",
+        as_json=as_json,
+    )
+
+
+@twin_app.command("history")
+def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) -> None:
+    """Every rung of a twin, with error before and after."""
+    from dtwin.report.twins import history_text
+
+    rungs = _twins(effects_path).history(name)
+    emit({"twin": name, "rungs": rungs}, lambda: history_text(rungs), as_json=as_json)
+
+
+@twin_app.command("show")
+def show_twin(
+    name: Name,
+    version: Annotated[int | None, typer.Option(help="The newest one without.")] = None,
+    html: Report = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Show a twin with its parameters; --html writes the whole story as one page."""
+    from dtwin.report.twins import (
+        comparison_section,
+        diagnosis_section,
+        history_section,
+        twin_section,
+        twin_text,
+    )
+
+    twins = _twins(effects_path)
+    twin = twins.newest(name, version)
+    if html is not None:
+        found = twins.compare(name)
+        _, diagnosis = twins.diagnose(name)
+        _write_page(
+            html,
+            name,
+            [
+                twin_section(twin),
+                comparison_section(found.obs, found.before_um, found.residual_um, found.as_dict()),
+                diagnosis_section(name, diagnosis.as_dict()),
+                history_section(twins.history(name)),
+            ],
+        )
+    emit(twin.as_dict(), lambda: twin_text(twin), as_json=as_json)
+
+
+@effects_app.command("list")
+def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
+    """List what dtwin knows."""
+    from dtwin.report.text import table
+
+    library = _library(effects_path)
+    rows = [
+        (e.name, e.title, e.per.replace("_", " "), ", ".join(e.kinds)) for e in _sorted(library)
+    ]
+    emit(
+        {"effects": [_effect_dict(e) for e in _sorted(library)]},
+        lambda: table(("effect", "what", "one for each", "campaigns"), rows),
+        as_json=as_json,
+    )
+
+
+@effects_app.command("show")
+def show_effect(
+    name: Annotated[str, typer.Argument(help="Name of the effect.")],
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Show what an effect is, what it is confused with, and what to do about it."""
+    from dtwin.report.twins import effect_text
+
+    effect = _library(effects_path)[name]
+    emit(_effect_dict(effect), lambda: effect_text(effect), as_json=as_json)
+
+
+@effects_app.command("template")
+def effect_template(
+    name: Annotated[str, typer.Argument(help="Name of your effect, in lower case.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; NAME.py without.")] = None,
+) -> None:
+    """Write an effect file to start from."""
+    from dtwin.atomic import write_text
+    from dtwin.physics.template import template
+
+    path = out or Path(f"{name}.py")
+    if path.exists():
+        raise InputError("the file is there already", code="effect.exists", where=str(path))
+    write_text(path, template(name), "the effect")
+    print(f"{path} written\nnext: edit it, then dtwin effects show {name} --effects-path {path}")
+
+
+def _sorted(library: Mapping[str, Effect]) -> list[Effect]:
+    return [library[name] for name in sorted(library)]
+
+
+def _effect_dict(effect: Effect) -> dict[str, Any]:
+    out = {k: v for k, v in vars(effect).items() if k != "regressors"}
+    out["parameters"] = [vars(p) for p in effect.parameters]
+    out["shapes"] = [{**vars(s), "grid": list(s.grid)} for s in effect.shapes]
+    out["law"] = vars(effect.law)
+    return out
+
+
+def _show_rung(twins: Twins, before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:
+    from dtwin.report.twins import twin_text
+
+    payload = {**twin.as_dict(), "before": dict(before)}
+    emit(
+        payload,
+        lambda: (
+            f"{twin_text(twin)}\nthis step: {before['rms_after_um']:.2f} -> "
+            f"{twin.figures['rms_after_um']:.2f} um RMS\nnext: dtwin twin diagnose {twin.name}"
+        ),
+        as_json=as_json,
+    )
+
+
+def _library(paths: list[Path] | None) -> Mapping[str, Effect]:
+    from dtwin.physics.library import Library
+
+    return Library(paths or [])
+
+
+def _twins(paths: list[Path] | None) -> Twins:
+    from dtwin.config import home
+    from dtwin.pipeline.twins import Twins
+
+    return Twins(home(), _library(paths))
+
+
+def _write_page(path: Path, name: str, sections: list[Any]) -> None:
+    from dtwin.atomic import write_text
+    from dtwin.report.html import page
+
+    write_text(path, page(f"Twin {name}", "dtwin", sections), "the report")

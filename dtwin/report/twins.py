@@ -1,0 +1,287 @@
+"""Sections of a twin's report, and the same as text."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dtwin.physics import localise
+from dtwin.physics.effect import Effect
+from dtwin.physics.observations import Observations
+from dtwin.physics.twin import Twin
+from dtwin.report.html import Section, Table
+from dtwin.report.text import table
+from dtwin.report.twin_plots import overlay_figure, ranked_figure, residual_map, waterfall_figure
+from dtwin.schema import Floats
+
+_OVERLAYS = 4
+_SEVERITY = {
+    "nothing_missing": "info",
+    "missing_effect": "warning",
+    "ambiguous": "warning",
+    "unknown_effect": "error",
+    "need_repeats": "error",
+    "variance_effect": "warning",
+}
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number for people; absent ones as a dash."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.{digits}g}"
+
+
+def parameter_table(twin: Twin) -> Table:
+    """Return the parameters of a twin with their uncertainty."""
+    rows = [
+        (
+            f"{e.effect} {e.axis}".strip(),
+            e.name.replace("_", " "),
+            f"{number(e.value, 4)} ± {number(e.uncertainty, 2)}" if e.identifiable else "not told",
+            e.unit,
+        )
+        for e in twin.estimates
+    ]
+    for term in twin.terms:
+        rows += [
+            (
+                term.label,
+                shape.name.replace("_", " "),
+                number(term.shape[shape.name], 4),
+                shape.unit,
+            )
+            for shape in term.instance.effect.shapes
+        ]
+    return Table(("effect", "parameter", "value (k = 2)", "unit"), rows)
+
+
+def twin_text(twin: Twin) -> str:
+    """Return a twin for the terminal."""
+    figures = twin.figures
+    head = (
+        f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, "
+        f"campaign {twin.campaign}\n"
+        f"error {figures['rms_before_um']:.2f} -> {figures['rms_after_um']:.2f} um RMS, of which "
+        f"repeats agree on {number(figures['systematic_rms_um'])} um; noise floor "
+        f"{number(figures['noise_floor_um'])} um (unit of replication: the run)\n"
+    )
+    shown = parameter_table(twin)
+    lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
+    lines += [f"cannot be told apart: {_alias(alias)}" for alias in twin.aliases]
+    return "\n".join(lines)
+
+
+def comparison_text(result: Mapping[str, Any]) -> str:
+    """Return a comparison for the terminal."""
+    head = ("condition", "runs", "before, um", "after, um")
+    rows = [
+        (
+            f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g} {c['direction']}",
+            c["runs"],
+            f"{c['rms_before_um']:.2f}",
+            f"{c['rms_after_um']:.2f}",
+        )
+        for c in result["conditions"]
+    ]
+    lines = [
+        f"twin {result['twin']} version {result['version']} against campaign "
+        f"{result['campaign']} ({result['runs']} runs)",
+        table(head, rows),
+        f"residual {result['residual_rms_um']:.2f} um RMS, of which repeats agree on "
+        f"{number(result['systematic_rms_um'])} um; noise floor "
+        f"{number(result['noise_floor_um'])} um",
+        f"in words: {result['headline']}",
+        "largest:",
+        *(f"  {_place(place)}" for place in result["where"]),
+        *(f"warning: {warning}" for warning in result["warnings"]),
+    ]
+    return "\n".join(lines)
+
+
+def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
+    """Return a diagnosis for the terminal."""
+    lines = [
+        f"{result['verdict']}: {result['headline']}",
+        f"residual {result['residual_rms_um']:.2f} um RMS, repeats agree on "
+        f"{number(result['systematic_rms_um'])} um of it; noise floor "
+        f"{number(result['noise_floor_um'])} um; lack of fit p = {number(result['lack_of_fit_p'], 2)}",
+    ]
+    if result["candidates"]:
+        head = ("effect", "after, um", "left-out gain", "p", "grade", "in group")
+        rows = [
+            (
+                f"{c['effect']} {c['axis']}".strip(),
+                f"{c['rms_after_um']:.2f}",
+                f"{100 * c['cv_gain']:.1f} %",
+                number(c["p_value"], 2),
+                c["grade"] or "",
+                "yes" if c["in_group"] else "",
+            )
+            for c in result["candidates"]
+        ]
+        lines.append(table(head, rows))
+    lines += [f"law: {law['equation']}" for law in result["laws"][:3]]
+    lines += [
+        f"channel: {c['name']} explains {100 * c['share']:.0f} % of the spread between repeats "
+        f"(p = {c['p_value']:.2g})"
+        for c in result["channels"]
+    ]
+    if result["outlier_runs"]:
+        lines.append(f"left out, not like their repeats: {', '.join(result['outlier_runs'])}")
+    if result["invisible"]:
+        lines.append(f"invisible in these runs: {', '.join(result['invisible'])}")
+    if result["next_experiment"]:
+        lines.append(f"next: {result['next_experiment']['text']}")
+    lines.append(_advice(name, result))
+    return "\n".join(lines)
+
+
+def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
+    """Return the rungs of a twin for the terminal."""
+    head = ("version", "action", "before, um", "after, um", "floor, um", "verdict", "group")
+    rows = [
+        (
+            r["version"],
+            r["action"],
+            f"{r['rms_before_um']:.2f}",
+            f"{r['rms_after_um']:.2f}",
+            number(r["noise_floor_um"]),
+            r["verdict"] or "",
+            ", ".join(r["group"]),
+        )
+        for r in rungs
+    ]
+    return table(head, rows)
+
+
+def effect_text(effect: Effect) -> str:
+    """Return what an effect is, for the terminal."""
+    law = effect.law
+    exponents = [
+        f"feed^{law.feed:g}" if law.feed is not None else "feed: no power law",
+        f"radius^{law.radius:g}" if law.radius is not None else "radius: no power law",
+        f"{law.direction} in direction",
+    ]
+    parameters = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
+    shapes = ", ".join(f"{s.name} ({s.unit})" for s in effect.shapes)
+    lines = [
+        f"{effect.name}: {effect.title}",
+        effect.meaning,
+        f"looks like: {effect.looks_like}",
+        f"formula: {effect.formula}",
+        f"scaling: {', '.join(exponents)}",
+        f"parameters: {parameters}" + (f"; shape: {shapes}" if shapes else ""),
+        f"one for each: {effect.per.replace('_', ' ')}",
+        f"needs: {', '.join(effect.needs)}" if effect.needs else "",
+        f"confused with: {', '.join(effect.confusables)}" if effect.confusables else "",
+        f"told apart by: {effect.separate_by}",
+        f"remedy: {effect.remedy}",
+        f"correction: {effect.correctable or 'cannot be corrected by offsets of position'}",
+        f"reference: {effect.reference}",
+        f"from: {effect.source}" if effect.source != "dtwin" else "",
+    ]
+    return "\n".join(line for line in lines if line)
+
+
+def comparison_section(obs: Observations, before_um: Floats, residual_um: Floats,
+                       result: Mapping[str, Any]) -> Section:  # fmt: skip
+    """Return measured against predicted, with overlays and the residual map."""
+    means = localise.condition_means(obs, residual_um)
+    measured = localise.condition_means(obs, before_um)
+    worst = np.argsort(-np.sqrt((means**2).mean(axis=1)))[:_OVERLAYS]
+    figures = [
+        overlay_figure(
+            {
+                "measured": measured[c],
+                "predicted": measured[c] - means[c],
+                "residual": means[c],
+            },
+            obs.conditions[int(c)].radius_mm,
+            title=str(obs.conditions[int(c)]),
+        )
+        for c in worst
+    ]
+    names = [str(c) for c in obs.conditions]
+    floor = float(result["noise_floor_um"])
+    figures.insert(0, residual_map(means, names, floor_um=floor, title="Mean residual"))
+    text = comparison_text(result).split("\n")
+    return Section(
+        "Measured against predicted",
+        [text[0], f"In words: {result['headline']}", *result["warnings"]],
+        [],
+        [_condition_table(result)],
+        figures,
+    )
+
+
+def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
+    """Return what is missing."""
+    findings = [(_SEVERITY[result["verdict"]], f"{result['verdict']}: {result['headline']}")]
+    figures = [ranked_figure(result)] if result["candidates"] else []
+    return Section("What is missing", [], findings, [], figures, [diagnosis_text(name, result)])
+
+
+def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
+    """Return how the error fell."""
+    return Section(
+        "From version to version", [], [], [], [waterfall_figure(rungs)], [history_text(rungs)]
+    )
+
+
+def twin_section(twin: Twin) -> Section:
+    """Return the twin and its parameters."""
+    figures = twin.figures
+    said = (
+        f"Version {twin.version} ({twin.action}): {figures['rms_before_um']:.2f} -> "
+        f"{figures['rms_after_um']:.2f} um RMS, noise floor {number(figures['noise_floor_um'])} um. "
+        "Uncertainties are expanded (k = 2); the unit of replication is the run."
+    )
+    warnings = [("warning", f"cannot be told apart: {_alias(alias)}") for alias in twin.aliases]
+    return Section("The twin", [said], warnings, [parameter_table(twin)])
+
+
+def _condition_table(result: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g} {c['direction']}",
+            str(c["runs"]),
+            f"{c['rms_before_um']:.2f}",
+            f"{c['rms_after_um']:.2f}",
+        )
+        for c in result["conditions"]
+    ]
+    return Table(("condition", "runs", "before, um", "after, um"), rows)
+
+
+def _alias(alias: Mapping[str, Any]) -> str:
+    return (
+        f"{alias['first']} and {alias['second']} (correlation {alias['correlation']:.3f}). "
+        f"{alias['separate_by']}"
+    )
+
+
+def _place(place: Mapping[str, Any]) -> str:
+    low, high = place["angle_deg"]
+    return (
+        f"{place['plane']} R{place['radius_mm']:g} F{place['feed_mm_min']:g} "
+        f"{place['direction']}, {low} to {high} deg: {place['residual_rms_um']:.2f} um"
+    )
+
+
+def _advice(name: str, result: Mapping[str, Any]) -> str:
+    group = [c for c in result["candidates"] if c["in_group"]]
+    if result["verdict"] == "missing_effect":
+        best = group[0]
+        axis = f" --axis {best['axis']}" if best["axis"] else ""
+        return f"try: dtwin twin add {name} {best['effect']}{axis}\nremedy: {best['remedy']}"
+    if result["verdict"] == "ambiguous":
+        return "these runs cannot tell them apart; adding one would only be a guess"
+    if result["verdict"] == "unknown_effect":
+        return "write your own effect: dtwin effects template NAME"
+    if result["verdict"] == "need_repeats":
+        return "measure conditions at least twice, better three times"
+    return "nothing to add"
