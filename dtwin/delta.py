@@ -95,9 +95,8 @@ class DeltaFiles:
         int
             Table version after the commit.
         """
-        self._require_columns(schema)
+        table = self._with_columns(schema)
         for attempt in range(_COMMIT_TRIES):
-            table = self._open()
             live = set(_live_files(table))
             now_ms = int(time.time() * 1000)
             actions: list[AddAction | RemoveAction] = [
@@ -111,6 +110,7 @@ class DeltaFiles:
                 table.create_write_transaction(actions, "append", table.schema(), [])
             except CommitFailedError:
                 time.sleep(0.02 * (attempt + 1))
+                table = self._open()
                 continue
             except (DeltaError, OSError) as error:
                 raise self._refused(error) from error
@@ -176,15 +176,10 @@ class DeltaFiles:
                 got=str(error)[:200],
             ) from error
 
-    def _require_columns(self, schema: pa.Schema) -> None:
+    def _with_columns(self, schema: pa.Schema) -> DeltaTable:
+        """Return the newest table, made or extended so that it has these columns."""
         wanted = {field.name: field for field in schema}
-        if not self.exists():
-            try:
-                self.folder.mkdir(parents=True, exist_ok=True)
-                DeltaTable.create(self.folder, schema=schema, mode="ignore")
-            except (DeltaError, OSError) as error:
-                raise self._refused(error) from error
-        table = self._open()
+        table = self._open() if self.exists() else self._create(schema)
         present = {field.name: field.type for field in table.schema().fields}
         for name, field in wanted.items():
             kind = PrimitiveType(_delta_type(field.type, name, self.folder))
@@ -201,6 +196,15 @@ class DeltaFiles:
             table.alter.add_columns(
                 [_delta_field(name, wanted[name], self.folder) for name in fresh]
             )
+            return self._open()
+        return table
+
+    def _create(self, schema: pa.Schema) -> DeltaTable:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            return DeltaTable.create(self.folder, schema=schema, mode="ignore")
+        except (DeltaError, OSError) as error:
+            raise self._refused(error) from error
 
     def _refused(self, error: Exception) -> StoreError:
         return StoreError(

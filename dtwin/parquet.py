@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 from dtwin.errors import StoreError
 from dtwin.units import unit_of
 
+# A column that lies in one group is read without being copied together.
+_ROW_GROUP_ROWS = 2**22
+
 
 def table_of(columns: Mapping[str, NDArray[Any] | Sequence[Any]]) -> pa.Table:
     """Return an Arrow table whose fields carry their units.
@@ -63,6 +66,7 @@ def write_parquet(path: Path, table: pa.Table) -> int:
             column_encoding=_encodings(table.schema) or None,
             write_page_checksum=True,
             write_statistics=True,
+            row_group_size=_ROW_GROUP_ROWS,
         )
         with partial.open("rb") as written:
             os.fsync(written.fileno())
