@@ -56,7 +56,7 @@ class FlowSteps:
         if self._lost:
             return self._plain.step(name, title, do)
 
-        @flow(name=f"demo-{name}", flow_run_name=f"demo, {title}")
+        @flow(name=f"demo-{name}", flow_run_name=" ".join(title.split()))
         def run() -> Result:
             return do(TaskWork())
 

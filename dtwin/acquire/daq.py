@@ -43,13 +43,16 @@ class AccelerometerChannel:
     sensitivity_mv_g : float
         From the sensor's certificate; 1000 mV/g for a PCB 356B18.
     excitation_a : float
-        Constant current that feeds the sensor (IEPE).
+        Constant current that feeds the sensor (IEPE); 0 for a sensor with a supply of its own.
+    range_g : float or None
+        Largest acceleration to expect; None for the module's full scale.
     """
 
     name: str
     physical: str
     sensitivity_mv_g: float = 1000.0
     excitation_a: float = 0.002
+    range_g: float | None = None
 
     @property
     def full_scale_g(self) -> float:
@@ -121,7 +124,12 @@ class AccelerometerTask(OpenAndClose):
         notes = {
             "rate_asked_hz": self.asked_hz,
             "channels": {
-                c.name: {"physical": c.physical, "sensitivity_mv_g": c.sensitivity_mv_g}
+                c.name: {
+                    "physical": c.physical,
+                    "sensitivity_mv_g": c.sensitivity_mv_g,
+                    "iepe_ma": 1000.0 * c.excitation_a,
+                    "range_g": c.range_g or c.full_scale_g,
+                }
                 for c in self.channels
             },
         }
@@ -226,10 +234,12 @@ class AccelerometerTask(OpenAndClose):
             added = task.ai_channels.add_ai_accel_chan(
                 channel.physical,
                 channel.name,
-                min_val=-channel.full_scale_g,
-                max_val=channel.full_scale_g,
+                min_val=-(channel.range_g or channel.full_scale_g),
+                max_val=channel.range_g or channel.full_scale_g,
                 sensitivity=channel.sensitivity_mv_g,
-                current_excit_source=ExcitationSource.INTERNAL,
+                current_excit_source=ExcitationSource.INTERNAL
+                if channel.excitation_a > 0
+                else ExcitationSource.NONE,
                 current_excit_val=channel.excitation_a,
             )
             added.ai_coupling = Coupling.AC
@@ -326,6 +336,8 @@ def _require_sense(
         problem = "one input twice"
     elif not all(c.sensitivity_mv_g > 0 for c in channels):
         problem = "a sensitivity that is not positive"
+    elif not all(0 < (c.range_g or c.full_scale_g) <= c.full_scale_g for c in channels):
+        problem = "a range beyond the module's full scale of 5 V"
     elif not slowest * 0.999 <= rate_hz <= MASTER_HZ * 1.001:
         problem = f"{rate_hz:g} Hz; an NI-9234 samples at 1651.6 to 51200 Hz"
     elif not 0.001 <= block_s <= 10.0:

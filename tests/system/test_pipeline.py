@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from running_servers import running_up
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
@@ -19,6 +22,8 @@ from dtwin.serve.pointer import resolve
 from dtwin.train.evidence import EvidencePlan, virtual_evidence
 from dtwin.train.promotion import history, promote, rollback
 from dtwin.train.registry import Registry
+from flows._artifacts import slug
+from flows.page import shown_steps
 
 pytestmark = pytest.mark.system
 MACHINE = "virtual-cobot"
@@ -226,3 +231,56 @@ def test_commands_speak_json_and_nothing_else(
         done = dtwin(root, *arguments)
         assert done.returncode == code, (arguments, done.stderr)
         assert "Traceback" not in done.stderr
+
+
+def test_the_prefect_page_shows_the_five_steps(demo: tuple[Home, dict[str, Any]]) -> None:
+    home, found = demo
+    assert not (home.root / "servers.json").exists(), "the demo left its server behind"
+    with running_up(home, "--no-schedule") as up:
+        left: dict[str, dict[str, Any]] = {}
+        for name in ("recording", "campaign", "training", "correction", "report"):
+            (run,) = up.runs_of(f"demo-{name}")
+            assert run["state"]["type"] == "COMPLETED", run["state"]
+            left[name] = up.artifacts_of(run)
+        states = {t["name"]: t["state_type"] for t in up.ask("/task_runs/filter", {"limit": 200})}
+    assert states["measure training-quick"] == states["train training-quick"] == "COMPLETED"
+    assert set(states.values()) == {"COMPLETED"}
+    file = slug(found["recording"]["campaign"])
+    findings = json.loads(left["recording"][f"findings-{file}"]["data"])
+    assert findings[0]["severity"] == "error"
+    assert left["campaign"]["measured-training-quick"]["type"] == "table"
+    rows = json.loads(left["training"]["comparison-training-quick"]["data"])
+    assert len(rows) == len(found["comparison"])
+    assert "data:image/svg+xml" in left["correction"][f"before-and-after-{MACHINE}"]["data"]
+    assert "on feeds never trained" in left["report"]["demo-report"]["data"]
+
+
+def test_a_demo_without_a_page_says_so_and_goes_on(tmp_path: Path) -> None:
+    home = Home(tmp_path / "home")
+    said: list[str] = []
+    lock = home.root / "locks" / "up.lock"
+    lock.parent.mkdir(parents=True)
+    with lock.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with shown_steps(home, lambda title: lambda done, total, what: None, said.append) as steps:
+            assert steps.step("one", "1 of 1", lambda work: type(work).__name__) == "PlainWork"
+    assert "no Prefect page" in said[0]
+
+
+def test_a_server_that_dies_on_the_way_does_not_end_the_demo(tmp_path: Path) -> None:
+    home = Home(tmp_path / "home")
+    said: list[str] = []
+    with shown_steps(home, lambda title: lambda done, total, what: None, said.append) as steps:
+        assert steps.step("one", "1 of 2", lambda work: type(work).__name__) == "TaskWork"
+        os.kill(_prefect_server(), signal.SIGKILL)
+        assert steps.step("two", "2 of 2", lambda work: type(work).__name__) == "PlainWork"
+    assert "is gone" in said[-1]
+
+
+def _prefect_server() -> int:
+    """The child of this process that is a Prefect server."""
+    for task in Path("/proc/self/task").glob("*/children"):
+        for child in task.read_text().split():
+            if "prefect" in Path(f"/proc/{child}/cmdline").read_text():
+                return int(child)
+    raise AssertionError("no Prefect server was started")
