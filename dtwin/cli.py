@@ -11,6 +11,7 @@ import typer
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import modelling as modelling_commands
+from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
 from dtwin.commands import twins as twin_commands
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 demo_command.register(app)
 data_commands.register(app)
+record_command.register(app)
 modelling_commands.register(app)
 serving_commands.register(app)
 twin_commands.register(app)

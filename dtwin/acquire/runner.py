@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from dtwin.acquire.b5r import write_b5r
+from dtwin.acquire.recovery import recover_folder
 from dtwin.acquire.signal_files import write_signals
 from dtwin.atomic import write_text
 from dtwin.errors import Interrupted, StoreError
@@ -95,6 +96,8 @@ def run_campaign(
     """
     folder.mkdir(parents=True, exist_ok=True)
     _claim(folder, plan)
+    # Streams of a killed process; their tests are not in the manifest and are measured again.
+    recover_folder(folder)
     done = _done(folder)
     kept = sum(test.test_id in done for test in plan.tests)
     measured = 0

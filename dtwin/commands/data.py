@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.record import run_text
+from dtwin.errors import InputError
 from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.acquire.ingest import IngestReport
+    from dtwin.acquire.run_recording import RecordedRun
     from dtwin.plan import Plan
     from dtwin.schema import Finding
 
@@ -124,13 +127,34 @@ def plan(
     emit(payload, lambda: _plan_text(planned, payload, findings, check_only), as_json=as_json)
 
 
-def repair(as_json: Json = False) -> None:
-    """Drop what a killed ingest left behind in the lake."""
+def repair(
+    folder: Annotated[
+        Path | None, typer.Argument(help="Campaign folder whose killed recordings to recover.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Drop what a killed ingest left behind in the lake; recover a folder's killed recordings."""
     from dtwin.config import home
     from dtwin.store import Lake
 
+    found = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()
-    emit({"dropped": dropped}, lambda: f"dropped orphans: {dropped}", as_json=as_json)
+    payload = {"dropped": dropped, "recovered": [run.run_id for run in found]}
+
+    def text() -> str:
+        return "\n".join(
+            [f"dropped orphans: {dropped}", *(f"recovered {run_text(r)}" for r in found)]
+        )
+
+    emit(payload, text, as_json=as_json)
+
+
+def _recovered(folder: Path) -> list[RecordedRun]:
+    from dtwin.acquire.run_recording import recover_runs
+
+    if folder.is_dir():
+        return recover_runs(folder)
+    raise InputError("no such folder", code="repair.folder", where=str(folder))
 
 
 def _write_programs(planned: Plan, out: Path) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -14,7 +15,7 @@ from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.serve.loop import Mode
-    from dtwin.serve.session import Served
+    from dtwin.serve.session import OpenSensors, Served
 
 _BAR_WIDTH = 40
 
@@ -40,6 +41,10 @@ def serve(
     trial: Annotated[
         bool, typer.Option("--trial", help="Limit the correction to a quarter of its clamp.")
     ] = False,
+    sensors: Annotated[
+        Path | None,
+        typer.Option(help="Channel file (TOML), for a model that needs accelerometers."),
+    ] = None,
     priority: Annotated[int, typer.Option(help="Real-time priority; 0 for none.")] = 60,
     covariate: Annotated[
         list[str] | None, typer.Option(help="Value of a covariate input, as NAME=NUMBER.")
@@ -55,7 +60,7 @@ def serve(
         model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
         _covariates(covariate or []),
     )  # fmt: skip
-    served = serve_session(request, home(), _announce)
+    served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
     if served.status.fault is not None:
         _announce(DtwinError(**served.status.fault).render())
@@ -138,6 +143,15 @@ def _mode(shadow: bool, dry_run: bool) -> Mode:
             allowed="--shadow (send nothing) or --dry-run (send zeros)",
         )
     return "shadow" if shadow else "dry-run" if dry_run else "live"
+
+
+def _sensors(file: Path | None) -> OpenSensors | None:
+    if file is None:
+        return None
+    # A file that is wrong is said before anything is connected.
+    from dtwin.acquire.sensor_file import read_sensors
+
+    return read_sensors(file).windows
 
 
 def _covariates(pairs: list[str]) -> dict[str, float]:

@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.errors import InputError
+from dtwin.errors import DtwinError, InputError
 from dtwin.features.catalogue import feature_column
 from dtwin.features.motion import PATH_INPUTS, PathInputs
 from dtwin.features.windows import WindowContract
@@ -34,6 +34,10 @@ class SensorSource(Protocol):
         The age in s is that of the newest sample of the newest window, new or not;
         infinite before the first.
         """
+        ...
+
+    def fault(self) -> DtwinError | None:
+        """Return why no more windows come, or None."""
         ...
 
 
@@ -104,6 +108,7 @@ class Decision:
                 code="serve.sensors",
                 got="no sensors" if sensors is None else str(sensors.contract.to_dict())[:300],
                 allowed=str(contract.to_dict())[:300],
+                hint="name the channel file of the sensors: dtwin serve --sensors FILE",
             )
         shape = len(contract.channels), len(contract.features)
         self._kernel, self._samples = contract.kernel(), np.zeros((shape[0], contract.n_samples))

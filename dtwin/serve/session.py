@@ -268,6 +268,7 @@ class _Stops:
 
     def __init__(self, asked: Callable[[], bool], decision: Decision, newest: Any) -> None:
         self._asked, self._guard, self._newest = asked, decision.guard, newest
+        self._sensors = decision.sensors
         self.why = ""
 
     def __call__(self) -> bool:
@@ -289,11 +290,12 @@ class _Stops:
                 hint="clear the stop at the robot, find its cause, then serve again",
             )
         if self.why == "latched":
+            broken = self._sensors.fault() if self._sensors is not None else None
             return DeviceError(
                 "too many faults; the correction was released and stays so",
                 code="serve.latched",
                 where=f"robot at {host}",
-                got=f"{self._guard.trips} faults",
+                got=f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else ""),
                 hint="the reasons in the status say which; serve again to arm it",
             )
         return None

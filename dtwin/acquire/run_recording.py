@@ -1,0 +1,315 @@
+"""Record one run into a campaign folder; what a killed process had recorded is not lost.
+
+Before anything is recorded the folder learns of the run in ``<run>.intent.json``. The run enters
+``campaign.toml`` when its streams are sealed: at the end, or when the folder is recovered.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from dtwin.acquire.campaign_folder import open_campaign
+from dtwin.acquire.instrument import Instrument, record
+from dtwin.acquire.recording import SUFFIX, Recorder
+from dtwin.acquire.recovery import Sealed, recover_folder, seal
+from dtwin.atomic import write_text
+from dtwin.errors import DtwinError, InputError, StoreError
+from dtwin.schema import Finding, require_name
+
+INTENT = ".intent.json"
+LOCK = ".recording.lock"
+_JOIN_S = 30.0
+_WATCH_S = 0.1
+
+
+@dataclass(frozen=True)
+class RunRequest:
+    """What to record, and where.
+
+    Attributes
+    ----------
+    folder : Path
+        Campaign folder; created.
+    campaign, machine : str
+        Names for ``campaign.toml``, when the folder has none yet.
+    run_id : str
+        Name of the run.
+    duration_s : float or None
+        Time to record in s; None until stopped.
+    reference : str
+        Name, inside the folder, of the reference instrument's file of this run.
+    stated : mapping
+        Further settings of the ``[[run]]``, such as plane and radius.
+    """
+
+    folder: Path
+    campaign: str
+    machine: str
+    run_id: str
+    duration_s: float | None
+    reference: str
+    stated: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """A run that is in its campaign folder.
+
+    Attributes
+    ----------
+    run_id : str
+        Its name.
+    sealed : tuple of Sealed
+        One signal file per instrument.
+    findings : tuple of Finding
+        About the set-up of the instruments; gaps are in ``sealed``.
+    reference : Path
+        Where the reference instrument's file belongs.
+    """
+
+    run_id: str
+    sealed: tuple[Sealed, ...]
+    findings: tuple[Finding, ...]
+    reference: Path
+
+
+def record_run(
+    instruments: Sequence[Instrument], request: RunRequest, asked_to_stop: Callable[[], bool]
+) -> RecordedRun:
+    """Record instruments at the same time, each by its own clock, and seal what came.
+
+    Parameters
+    ----------
+    instruments : sequence of Instrument
+        Closed; opened and closed here.
+    request : RunRequest
+        What and where.
+    asked_to_stop : callable
+        Asked ten times a second; true ends the recording in order.
+
+    Raises
+    ------
+    InputError
+        When the run exists already, or a name is unusable.
+    DeviceError
+        When a device is absent, or fails; what came before is sealed and marked incomplete.
+    StoreError
+        When the folder cannot be written.
+    """
+    with _alone(request.folder), ExitStack() as opened:
+        _require_new(request)
+        for instrument in instruments:
+            opened.enter_context(instrument)
+        findings = tuple(f for instrument in instruments for f in instrument.check())
+        _write_intent(request)
+        try:
+            _record_all(instruments, request, asked_to_stop)
+        finally:
+            sealed = _finish(request.folder, request.run_id)
+    return RecordedRun(request.run_id, sealed, findings, request.folder / request.reference)
+
+
+def recover_runs(folder: Path) -> list[RecordedRun]:
+    """Seal what dead processes left in a folder, and enter their runs in ``campaign.toml``.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder; one that does not exist holds nothing.
+
+    Raises
+    ------
+    StoreError
+        When somebody records into the folder, or a stream is damaged.
+    """
+    if not folder.is_dir():
+        return []
+    with _alone(folder):
+        found = []
+        for path in sorted(folder.glob(f"*{INTENT}")):
+            run_id = path.name.removesuffix(INTENT)
+            intent = _read_intent(path)
+            sealed = _finish(folder, run_id)
+            found.append(RecordedRun(run_id, sealed, (), folder / intent["reference"]))
+        # Streams of other programs, which have no run of ours.
+        recover_folder(folder)
+    return found
+
+
+def _record_all(
+    instruments: Sequence[Instrument], request: RunRequest, asked_to_stop: Callable[[], bool]
+) -> None:
+    ending = threading.Event()
+    errors: list[DtwinError] = []
+    threads = [
+        threading.Thread(
+            target=_record_one, args=(instrument, request, ending, errors), name=instrument.name
+        )
+        for instrument in instruments
+    ]
+    for thread in threads:
+        thread.start()
+    try:
+        while any(thread.is_alive() for thread in threads):
+            if asked_to_stop():
+                ending.set()
+            time.sleep(_WATCH_S)
+    finally:
+        ending.set()
+        for thread in threads:
+            thread.join(_JOIN_S)
+    if errors:
+        raise errors[0]
+
+
+def _record_one(
+    instrument: Instrument, request: RunRequest, ending: threading.Event, errors: list[DtwinError]
+) -> None:
+    what = instrument.describe()
+    stream = request.folder / f"{request.run_id}.{what.group}{SUFFIX}"
+    limit = None if request.duration_s is None else request.duration_s * what.rate_hz
+
+    def wanted(n_samples: int) -> bool:
+        return not ending.is_set() and (limit is None or n_samples < limit)
+
+    try:
+        with Recorder(stream, what.group, what.rate_hz, what.columns, notes=what.notes) as recorder:
+            instrument.start()
+            record(instrument, recorder, wanted)
+            instrument.stop()
+    except DtwinError as error:
+        errors.append(error)
+        ending.set()
+
+
+def _finish(folder: Path, run_id: str) -> tuple[Sealed, ...]:
+    """Seal the streams of a run, enter it in ``campaign.toml``, and forget the intent."""
+    intent_path = folder / f"{run_id}{INTENT}"
+    intent = _read_intent(intent_path)
+    sealed = []
+    for path in sorted(folder.glob(f"{run_id}.*{SUFFIX}")):
+        try:
+            sealed.append(seal(path, path.with_suffix(".parquet")))
+        except StoreError as error:
+            if error.code != "recording.empty":
+                raise
+            path.unlink()
+    # Sealed by a process that died before it came here.
+    names = sorted(path.name for path in folder.glob(f"{run_id}.*.parquet"))
+    if names and run_id not in _known_runs(folder):
+        _enter(folder, intent, names)
+    intent_path.unlink()
+    return tuple(sealed)
+
+
+def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str]) -> None:
+    path = folder / "campaign.toml"
+    head = (
+        path.read_text(encoding="utf-8").rstrip()
+        if path.exists()
+        else "\n".join(
+            [
+                "[campaign]",
+                f"name = {_toml(intent['campaign'])}",
+                f"machine = {_toml(intent['machine'])}",
+                'kind = "circular"',
+                f"started = {_toml(intent['started'])}",
+            ]
+        )
+    )
+    run = {
+        "id": intent["run"],
+        "file": intent["reference"],
+        "started": intent["started"],
+        "signals": list(signals),
+        **intent["stated"],
+    }
+    lines = [head, "", "[[run]]", *(f"{key} = {_toml(value)}" for key, value in run.items()), ""]
+    write_text(path, "\n".join(lines), "the campaign file")
+
+
+def _require_new(request: RunRequest) -> None:
+    folder, run_id = request.folder, require_name(request.run_id, "the run")
+    require_name(request.campaign, "the campaign")
+    require_name(request.machine, "the machine")
+    left = [path.name for path in folder.glob(f"{run_id}.*") if path.name != request.reference]
+    if run_id in _known_runs(folder) or left:
+        raise InputError(
+            "there is a run of this name already",
+            code="record.exists",
+            where=str(folder),
+            got=", ".join([run_id, *left])[:200],
+            hint="name another run, or record into another folder",
+        )
+
+
+def _known_runs(folder: Path) -> set[str]:
+    if not (folder / "campaign.toml").exists():
+        return set()
+    return {entry.run_id for entry in open_campaign(folder).entries}
+
+
+def _write_intent(request: RunRequest) -> None:
+    intent = {
+        "run": request.run_id,
+        "campaign": request.campaign,
+        "machine": request.machine,
+        "reference": request.reference,
+        "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
+        "stated": dict(request.stated),
+    }
+    path = request.folder / f"{request.run_id}{INTENT}"
+    write_text(path, json.dumps(intent, indent=1), "the run's intent")
+
+
+def _read_intent(path: Path) -> dict[str, Any]:
+    try:
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return {key: found[key] for key in
+                ("run", "campaign", "machine", "reference", "started", "stated")}  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise StoreError(
+            "what a recording was meant for cannot be read",
+            code="record.intent",
+            where=str(path),
+            got=str(error)[:200],
+            hint="remove the file; the signals stay, enter them in campaign.toml yourself",
+        ) from error
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Hold the folder against another recording."""
+    path = folder / LOCK
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = path.open("w")
+    except OSError as error:
+        raise StoreError(
+            "the folder cannot be written", code="record.folder", where=str(folder), got=str(error)
+        ) from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise StoreError(
+                "another process records into this folder",
+                code="record.busy",
+                where=str(folder),
+                hint="wait for it, or use another folder",
+            ) from error
+        yield
+
+
+def _toml(value: Any) -> str:
+    # JSON strings, numbers, booleans and lists are valid TOML.
+    return json.dumps(value)

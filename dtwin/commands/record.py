@@ -1,0 +1,174 @@
+"""The command that records sensors and a controller: record."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import emit
+from dtwin.errors import EXIT_INTERRUPTED, InputError
+
+if TYPE_CHECKING:
+    from dtwin.acquire.instrument import Instrument
+    from dtwin.acquire.run_recording import RecordedRun, RunRequest
+
+_TEXT_SETTINGS = ("plane", "direction", "setup")
+_NUMBER_SETTINGS = ("radius_mm", "feed_mm_min", "repeat", "sample_rate_hz")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(record)
+
+
+def record(
+    out: Annotated[Path, typer.Option(help="Campaign folder; the run is added to it.")],
+    sensors: Annotated[
+        Path | None, typer.Option(help="Channel file of the accelerometers (TOML).")
+    ] = None,
+    robot: Annotated[str | None, typer.Option(help="Address of a UR controller to record.")] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.1, help="Seconds; without it until Ctrl-C.")
+    ] = None,
+    run: Annotated[str | None, typer.Option(help="Name of the run; without it r001 on.")] = None,
+    machine: Annotated[str, typer.Option(help="Name of the machine.")] = "machine",
+    reference: Annotated[
+        Path | None,
+        typer.Option(help="File that the ball bar's program writes; copied when recording ends."),
+    ] = None,
+    setting: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="Setting of the run, for example plane=XY or radius_mm=100."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+) -> None:
+    """Record accelerometers and a robot's controller as a run of a campaign folder.
+
+    What a killed recording left in the folder is recovered first.
+    """
+    from dtwin.acquire.run_recording import record_run, recover_runs
+    from dtwin.serve.signals import stop_on_signals
+
+    stated = _stated(setting or [])
+    instruments = _instruments(sensors, robot)
+    for found in recover_runs(out):
+        print(f"recovered what a killed recording left: {run_text(found)}", file=sys.stderr)
+    request = _request(out, run, machine, duration, reference, stated)
+    with stop_on_signals() as asked:
+        print(f"recording {request.run_id}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        done = record_run(instruments, request, asked)
+        early = asked() and duration is not None
+    if reference is not None:
+        _take_reference(reference, done.reference)
+    emit(_payload(done, out), lambda: _text(done, out), as_json=as_json)
+    if early:
+        raise typer.Exit(EXIT_INTERRUPTED)
+
+
+def _request(
+    out: Path, run: str | None, machine: str, duration: float | None, reference: Path | None,
+    stated: dict[str, Any],
+) -> RunRequest:  # fmt: skip
+    from dtwin.acquire.run_recording import RunRequest
+
+    run_id = run or _next_run(out)
+    suffix = ".b5r" if reference is None else reference.suffix.lower()
+    # Signal files are Parquet, too, and begin with the run's name and a dot.
+    name = f"{run_id}-reference.parquet" if suffix == ".parquet" else f"{run_id}{suffix}"
+    return RunRequest(out, out.resolve().name, machine, run_id, duration, name, stated)
+
+
+def _next_run(out: Path) -> str:
+    taken = {path.name.split(".")[0] for path in out.glob("r*.*")}
+    return next(name for n in range(1, 100_000) if (name := f"r{n:03d}") not in taken)
+
+
+def _instruments(sensors: Path | None, robot: str | None) -> list[Instrument]:
+    found: list[Instrument] = []
+    if sensors is not None:
+        from dtwin.acquire.sensor_file import read_sensors
+
+        found.append(read_sensors(sensors).task())
+    if robot is not None:
+        from dtwin.acquire.robot import RobotRecorder
+
+        found.append(RobotRecorder(robot))
+    if not found:
+        raise InputError(
+            "there is nothing to record",
+            code="record.nothing",
+            hint="name a channel file with --sensors, a controller with --robot, or both",
+        )
+    return found
+
+
+def _stated(pairs: list[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            if name in _TEXT_SETTINGS and value:
+                found[name] = value
+            elif name in _NUMBER_SETTINGS:
+                found[name] = int(value) if name == "repeat" else float(value)
+            else:
+                raise ValueError(name)
+        except ValueError:
+            raise InputError(
+                "not a setting of a run",
+                code="record.setting",
+                got=pair[:80],
+                allowed=", ".join((*_TEXT_SETTINGS, *_NUMBER_SETTINGS)) + ", as NAME=VALUE",
+            ) from None
+    return found
+
+
+def _take_reference(source: Path, target: Path) -> None:
+    try:
+        if source.resolve() != target.resolve():
+            shutil.copyfile(source, target)
+    except OSError as error:
+        raise InputError(
+            "the signals are recorded, but the reference instrument's file is not there",
+            code="record.reference",
+            where=str(source),
+            got=error.strerror or str(error),
+            hint=f"copy it to {target} when it is written",
+        ) from error
+
+
+def _payload(done: RecordedRun, out: Path) -> dict[str, Any]:
+    return {
+        "folder": str(out),
+        "run": done.run_id,
+        "reference": str(done.reference),
+        "reference_there": done.reference.exists(),
+        "signals": [
+            {"file": str(s.path), "samples": s.n_samples, "bytes": s.n_bytes,
+             "complete": s.complete, "findings": [f.as_dict() for f in s.findings]}
+            for s in done.sealed
+        ],
+        "findings": [f.as_dict() for f in done.findings],
+    }  # fmt: skip
+
+
+def _text(done: RecordedRun, out: Path) -> str:
+    lines = [run_text(done), *(f"  {f.severity}: {f.message}" for f in done.findings)]
+    if done.reference.exists():
+        return "\n".join([*lines, f"next: dtwin ingest {out}"])
+    return "\n".join(
+        [*lines, f"next: copy the ball bar's file to {done.reference}, then: dtwin ingest {out}"]
+    )
+
+
+def run_text(done: RecordedRun) -> str:
+    """Return the files of a recorded run, and what is wrong with them, for people."""
+    lines = [done.run_id]
+    for file in done.sealed:
+        lines.append(f"  {file.path.name}: {file.n_samples} samples, {file.n_bytes / 1e6:.2f} MB")
+        lines += [f"    {f.severity}: {f.message}" for f in file.findings]
+    return "\n".join(lines)
