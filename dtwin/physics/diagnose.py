@@ -28,6 +28,7 @@ from dtwin.physics.spread import spread_of
 from dtwin.schema import Floats
 
 LACK_OF_FIT = 0.01
+_FIT_IS_DOUBTFUL = 0.05
 _EXPLAINED = 0.7
 _SHOWN = 8
 
@@ -103,7 +104,7 @@ def _concluded(
     blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=found.invisible)
     foreign = tuple(c for c in channels if _is_foreign(c.name, library))
     if not found.steps:
-        laws = tuple(search_laws(found.last))
+        laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
         shown = _suspects(found, candidates, known, (), {})
         unexplained = [c.name for c in channels]
         if fit_p > LACK_OF_FIT and not laws and not unexplained:

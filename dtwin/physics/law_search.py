@@ -113,7 +113,8 @@ class _Tester:
     def __init__(self, problem: Problem) -> None:
         obs = problem.obs
         self.weights = problem.weights
-        self.dof = problem.noise.dof if problem.noise is not None else 0
+        self.condition_of = obs.condition_of
+        self.repeats = np.maximum(np.bincount(obs.condition_of) - 1, 0)
         self.residual = problem.residual
         self.deviation, _ = within_condition(self.residual, obs.condition_of)
         self.basis = problem.basis.reshape(obs.n_rows, N_BINS, -1)
@@ -137,8 +138,17 @@ class _Tester:
         inverse = np.linalg.pinv(gram, rcond=1e-6)
         explained = float(total @ inverse @ total)
         expected = float(np.trace(inverse @ variance))
-        left = max(self.dof - k + 1.0, 1.0)
-        f = float(total @ np.linalg.pinv(variance) @ total) / k * left / max(self.dof, 1)
+        dof = self._dof(scores)
+        left = max(dof - k + 1.0, 1.0)
+        f = float(total @ np.linalg.pinv(variance) @ total) / k * left / max(dof, 1.0)
         fitted = inverse @ total
         amplitude = float(np.linalg.norm(fitted)) * np.sqrt((2.0 if harmonic else 1.0) / N_BINS)
         return float(stats.f.sf(f, k, left)), max(0.0, explained - expected), expected, amplitude
+
+    def _dof(self, scores: Floats) -> float:
+        """Return Satterthwaite's degrees of freedom: steep laws live on few conditions."""
+        power = np.bincount(self.condition_of, (scores**2).sum(axis=1))
+        used = (self.repeats > 0) & (power > 0.0)
+        if not used.any():
+            return 0.0
+        return float(power[used].sum() ** 2 / (power[used] ** 2 / self.repeats[used]).sum())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.state import AXES_OF, State, circular_state
-from dtwin.schema import Campaign, Floats, Run, RunMeta
+from dtwin.schema import Campaign, Direction, Floats, Plane, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
 N_BINS = 360
@@ -37,10 +37,10 @@ class Condition:
         As programmed.
     """
 
-    plane: str
+    plane: Plane
     radius_mm: float
     feed_mm_min: float
-    direction: str
+    direction: Direction
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

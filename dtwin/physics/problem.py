@@ -131,7 +131,7 @@ def set_up(obs: Observations, known: Sequence[Term], within: Sequence[Term]) -> 
     """
     plain = unweighted(obs, known)
     noise = _noise(plain, within)
-    return plain if noise is None else _with_weights(obs, known, noise)
+    return plain if noise is None else weighted_like(obs, known, noise)
 
 
 def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
@@ -145,10 +145,21 @@ def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
         Effects that the twin has, without set-up terms.
     """
     flat = PureError(0.0, np.ones(N_BINS), np.ones(len(obs.conditions)), 0)
-    return replace(_with_weights(obs, known, flat), noise=None)
+    return replace(weighted_like(obs, known, flat), noise=None)
 
 
-def _with_weights(obs: Observations, known: Sequence[Term], noise: PureError) -> Problem:
+def weighted_like(obs: Observations, known: Sequence[Term], noise: PureError) -> Problem:
+    """Return the problem in a given whitening, perhaps that of another campaign.
+
+    Parameters
+    ----------
+    obs : Observations
+        The runs.
+    known : sequence of Term
+        Effects that the twin has, without set-up terms.
+    noise : PureError
+        The whitening.
+    """
     columns = [setup_columns(obs)] + [obs.regressors(t.instance, t.shape) for t in known]
     y = to_harmonics(obs.y_um) * noise.weights
     empty = np.empty((obs.y_um.size, 0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from dtwin.physics import localise
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import Estimate, fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
@@ -248,7 +249,10 @@ class Twins:
             Seed of permutations.
         """
         twin = self.newest(name)
-        found = diagnose(load(self.home, twin.campaign).obs, twin.terms, self.library, seed=seed)
+        obs = load(self.home, twin.campaign).obs
+        found = diagnose(obs, twin.terms, self.library, seed=seed)
+        proposed = next_experiment(obs, twin.terms, found, self.library)
+        found = replace(found, next_experiment=proposed)
         document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
         document |= found.as_dict()
         self._write(name, f"v{twin.version:03d}.diagnosis.json", document)

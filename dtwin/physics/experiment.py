@@ -1,0 +1,364 @@
+"""Which run to measure next, and what a plan could detect before it is measured."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import optimize, stats
+
+from dtwin.physics.candidates import applicable
+from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.effect import Effect
+from dtwin.physics.observations import N_BINS, Condition, Observations
+from dtwin.physics.problem import Term, set_up, unweighted, weighted_like
+from dtwin.plan import Plan
+from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta
+
+REPEATS = 3
+POWER = 0.8
+_ALPHA = 0.04
+_TURN_OVERHEAD_S = 20.0
+_SETUP_S = 600.0
+_BOTH: tuple[Direction, Direction] = ("CCW", "CW")
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """Runs that would separate two candidates.
+
+    Attributes
+    ----------
+    text : str
+        What to do, in words.
+    conditions : tuple of Condition
+        What to measure, each ``REPEATS`` times.
+    minutes : float
+        Estimated time on the machine.
+    power : float
+        Probability that they are told apart.
+    """
+
+    text: str
+    conditions: tuple[Condition, ...]
+    minutes: float
+    power: float
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """What a plan could detect of one effect.
+
+    Attributes
+    ----------
+    label : str
+        Effect with axis.
+    amplitude : float
+        Size of its first parameter that is detected with a power of 80 %, inf when invisible.
+    unit : str
+        Unit of the parameter.
+    rms_um : float
+        Visible RMS at that size.
+    typical : float
+        Size on an ordinary machine.
+    """
+
+    label: str
+    amplitude: float
+    unit: str
+    rms_um: float
+    typical: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return dict(vars(self))
+
+
+def next_experiment(
+    obs: Observations,
+    known: Sequence[Term],
+    diagnosis: Diagnosis,
+    library: Mapping[str, Effect],
+) -> dict[str, Any] | None:
+    """Return the cheapest runs that would separate the leading candidates.
+
+    Parameters
+    ----------
+    obs : Observations
+        What was measured.
+    known : sequence of Term
+        Effects of the twin.
+    diagnosis : Diagnosis
+        What was found.
+    library : mapping of str to Effect
+        Effects by name.
+
+    Returns
+    -------
+    dict or None
+        ``text``, ``separates``, ``conditions``, ``repeats``, ``minutes``, ``expected_power``
+        and ``advice``; None when there is nothing to separate.
+    """
+    if diagnosis.verdict == "need_repeats":
+        minutes = sum(_seconds(c) for c in obs.conditions) * (REPEATS - 1) / 60.0
+        return {
+            "text": f"measure every condition {REPEATS} times, in random order",
+            "separates": [],
+            "conditions": [c.as_dict() for c in obs.conditions],
+            "repeats": REPEATS - 1,
+            "minutes": minutes,
+            "expected_power": None,
+            "advice": "repeats show the noise floor; without them nothing can be named",
+        }
+    group = diagnosis.group
+    if len(group) < 2:
+        return None
+    terms = _terms(obs, known, library, [suspect.label for suspect in group[:2]])
+    if len(terms) < 2:
+        return None
+    advice = terms[0].instance.effect.separate_by
+    tried = [
+        replace(p, power=_power(obs, known, terms[0], terms[1], p.conditions))
+        for p in _proposals(obs)
+    ]
+    useful = [p for p in tried if p.power >= POWER]
+    best = (
+        min(useful, key=lambda p: p.minutes)
+        if useful
+        else max(tried, key=lambda p: p.power, default=None)
+    )
+    labels = [term.label for term in terms]
+    if best is None or best.power < 0.5:
+        return {
+            "text": advice, "separates": labels, "conditions": [], "repeats": 0, "minutes": None,
+            "expected_power": best.power if best else 0.0, "advice": advice,
+        }  # fmt: skip
+    return {
+        "text": f"{best.text}, {REPEATS} times: tells {labels[0]} from {labels[1]} with a "
+        f"probability of {100 * best.power:.0f} %, about {best.minutes:.0f} min",
+        "separates": labels,
+        "conditions": [c.as_dict() for c in best.conditions],
+        "repeats": REPEATS,
+        "minutes": best.minutes,
+        "expected_power": best.power,
+        "advice": advice,
+    }
+
+
+def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None) -> Observations:
+    """Return the runs of a plan as if they had been measured, with nothing in them.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    columns : dict of str to ndarray, shape (runs,), optional
+        Logged columns to assume; ``time_h`` follows from the plan.
+    """
+    rows = [
+        (test, direction, Condition(test.plane, test.radius_mm, test.feed_mm_min, direction))
+        for test in plan.tests
+        for direction in plan.directions
+    ]
+    seconds = np.array([_seconds(c) for _, _, c in rows])
+    time_h = np.concatenate([[0.0], np.cumsum(seconds)[:-1]]) / 3600.0
+    logged = {"time_h": time_h, **(columns or {})}
+    metas = tuple(
+        RunMeta(
+            f"{test.test_id}-{direction.lower()}",
+            plane=test.plane,
+            direction=direction,
+            radius_mm=test.radius_mm,
+            feed_mm_min=test.feed_mm_min,
+            repeat=test.repeat,
+            setup=test.setup,
+        )
+        for test, direction, _ in rows
+    )
+    per_row = tuple({k: float(v[i]) for k, v in logged.items()} for i in range(len(rows)))
+    campaign = Campaign(plan.name, plan.machine)
+    return _empty(campaign, metas, [c for _, _, c in rows], per_row)
+
+
+def detectable(
+    obs: Observations, library: Mapping[str, Effect], *, noise_um: float
+) -> list[Detectable]:
+    """Return the size of each effect that a design would detect with a power of 80 %.
+
+    Parameters
+    ----------
+    obs : Observations
+        Runs; what was measured does not matter.
+    library : mapping of str to Effect
+        Effects by name.
+    noise_um : float
+        RMS of one run about the mean of its condition, assumed alike at all harmonics: low
+        harmonics usually repeat less well, so the truth is somewhat worse.
+    """
+    problem = unweighted(obs, [])
+    tried, _ = applicable(library, obs, [])
+    dof = float(obs.n_rows - len(obs.conditions))
+    out = []
+    for instance in tried:
+        effect = instance.effect
+        columns = obs.regressors(instance, effect.start_shape)
+        first = problem.whitened(columns)[:, :1]
+        visible, share = problem.visible(first)
+        parameter = effect.parameters[0]
+        size = math.inf
+        rms_um = math.nan
+        if visible.shape[1] and dof >= 2.0:
+            unit = math.sqrt(float((first**2).sum() * share[0]))
+            needed = math.sqrt(_needed(dof, len(tried))) * noise_um
+            size = needed / unit
+            rms_um = needed / math.sqrt(obs.mask.sum())
+        out.append(Detectable(instance.label, size, parameter.unit, rms_um, parameter.typical))
+    return sorted(out, key=lambda d: d.amplitude / d.typical)
+
+
+def _needed(dof: float, n_tests: int) -> float:
+    """Return the noncentrality that a test of one column detects with a power of 80 %."""
+    limit = float(stats.f.isf(_ALPHA / n_tests, 1, dof))
+
+    def missing(noncentrality: float) -> float:
+        return float(stats.ncf.sf(limit, 1, dof, noncentrality)) - POWER
+
+    return float(optimize.brentq(missing, 0.01, 500.0 + 5.0 * limit))
+
+
+def _terms(
+    obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], labels: Sequence[str]
+) -> list[Term]:
+    tried, _ = applicable(library, obs, known)
+    by_label = {instance.label: instance for instance in tried}
+    return [
+        Term(by_label[label], by_label[label].effect.start_shape)
+        for label in labels
+        if label in by_label
+    ]
+
+
+def _proposals(obs: Observations) -> list[Proposal]:
+    """Return what could be measured besides: direction, feeds, a radius, planes."""
+    out = []
+    conditions = list(obs.conditions)
+    places = list(dict.fromkeys((c.plane, c.radius_mm, c.feed_mm_min) for c in conditions))
+    missing = [
+        Condition(plane, radius, feed, direction)
+        for plane, radius, feed in places
+        for direction in _BOTH
+        if Condition(plane, radius, feed, direction) not in conditions
+    ]
+    if missing:
+        out.append(_proposal("measure the other direction too", missing, new_setup=False))
+    feeds = sorted({c.feed_mm_min for c in conditions})
+    radii = sorted({c.radius_mm for c in conditions})
+    plane = conditions[0].plane
+    for feed, words in (
+        (2 * feeds[-1], "double the highest feed"),
+        (feeds[0] / 2, "halve the feed"),
+    ):
+        here = [Condition(plane, radii[0], feed, d) for d in _BOTH]
+        out.append(_proposal(f"{words} ({feed:g} mm/min)", here, new_setup=False))
+    for radius in (2 * radii[-1], radii[0] / 2):
+        here = [Condition(plane, radius, feed, d) for feed in (feeds[0], feeds[-1]) for d in _BOTH]
+        text = f"another radius ({radius:g} mm)"
+        out.append(_proposal(text, list(dict.fromkeys(here)), new_setup=True))
+    for other in sorted(set(PLANES) - {c.plane for c in conditions}):
+        here = [
+            Condition(other, radii[0], feed, d) for feed in (feeds[0], feeds[-1]) for d in _BOTH
+        ]
+        text = f"another plane ({other})"
+        out.append(_proposal(text, list(dict.fromkeys(here)), new_setup=True))
+    return out
+
+
+def _proposal(text: str, conditions: list[Condition], *, new_setup: bool) -> Proposal:
+    seconds = REPEATS * sum(_seconds(c) for c in conditions) + (_SETUP_S if new_setup else 0.0)
+    return Proposal(text, tuple(conditions), seconds / 60.0, 0.0)
+
+
+def _seconds(condition: Condition) -> float:
+    length_mm = 4.0 * np.pi * condition.radius_mm
+    return float(length_mm / (condition.feed_mm_min / 60.0)) + _TURN_OVERHEAD_S
+
+
+def _power(
+    obs: Observations,
+    known: Sequence[Term],
+    wanted: Term,
+    rival: Term,
+    conditions: Sequence[Condition],
+) -> float:
+    """Return the probability that the rival is rejected when the wanted effect is the truth."""
+    problem = set_up(obs, known, [])
+    if problem.noise is None:
+        return 0.0
+    columns = problem.whitened(obs.regressors(wanted.instance, wanted.shape))
+    left = columns - problem.basis @ (problem.basis.T @ columns)
+    size = np.linalg.lstsq(left, problem.residual.ravel(), rcond=1e-8)[0]
+    grown = _grown(obs, conditions)
+    design = weighted_like(grown, known, problem.noise)
+    profile = design.whitened(grown.regressors(wanted.instance, wanted.shape)) @ size
+    other = design.whitened(grown.regressors(rival.instance, rival.shape))
+    imitated, _ = design.visible(other)
+    seen, share = design.visible(profile[:, None], imitated)
+    if not seen.shape[1]:
+        return 0.0
+    variance = float(np.nanmean(problem.noise.variance))
+    noncentrality = float((profile**2).sum() * share[0]) / variance
+    dof = float(grown.n_rows - len(grown.conditions))
+    limit = float(stats.f.isf(0.05, 1, dof))
+    return float(stats.ncf.sf(limit, 1, dof, min(noncentrality, 1e4)))
+
+
+def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
+    """Return the runs with more of them, empty, in the set-ups that they would have."""
+    means = {name: float(np.mean([np.mean(c[name]) for c in obs.columns])) for name in obs.logged}
+    setups = {
+        (obs.conditions[int(c)].plane, obs.conditions[int(c)].radius_mm): meta.setup
+        for meta, c in zip(obs.runs, obs.condition_of, strict=True)
+    }
+    metas, cells = list(obs.runs), [obs.conditions[i] for i in obs.condition_of]
+    columns = list(obs.columns)
+    for condition in conditions:
+        for repeat in range(REPEATS):
+            setup = setups.get((condition.plane, condition.radius_mm), "new")
+            metas.append(
+                RunMeta(
+                    f"next-{len(metas)}", plane=condition.plane, direction=condition.direction,
+                    radius_mm=condition.radius_mm, feed_mm_min=condition.feed_mm_min,
+                    repeat=100 + repeat, setup=setup,
+                )
+            )  # fmt: skip
+            cells.append(condition)
+            columns.append(means)
+    return _empty(obs.campaign, tuple(metas), cells, tuple(columns))
+
+
+def _empty(
+    campaign: Campaign,
+    metas: tuple[RunMeta, ...],
+    cells: Sequence[Condition],
+    columns: tuple[Mapping[str, Any], ...],
+) -> Observations:
+    conditions = list(dict.fromkeys(cells))
+    keys = [(m.setup, m.plane, m.radius_mm) for m in metas]
+    setups = list(dict.fromkeys(keys))
+    n = len(metas)
+    return Observations(
+        campaign=campaign,
+        runs=metas,
+        y_um=np.zeros((n, N_BINS)),
+        mask=np.ones((n, N_BINS), dtype=bool),
+        conditions=tuple(conditions),
+        condition_of=np.array([conditions.index(c) for c in cells]),
+        setups=tuple(f"{name} {plane} R{radius:g}" for name, plane, radius in setups),
+        setup_of=np.array([setups.index(key) for key in keys]),
+        run_of=np.arange(n),
+        columns=columns,
+        feed_mm_s=np.array([c.feed_mm_min / 60.0 for c in cells]),
+    )
