@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -106,16 +107,18 @@ class NotedLink:
         self._link.send(offset_um, sequence)
 
 
-def run_loop(host: str, seconds: float, first: int, priority: int) -> tuple[np.ndarray, Any]:
+def run_loop(
+    host: str, seconds: float, first: int, priority: int
+) -> tuple[np.ndarray, np.ndarray, Any]:
     decision = Decision(model(), np.array([0.0, 0.0, 158.3]), sensors=PacedSensors())
     with UrLink(host, realtime=priority > 0) as link:
         noted = NotedLink(link, int(seconds * 800) + 5000)
         loop = ServingLoop(decision, noted, first_sequence=first)
         status = loop.run(seconds, priority=priority)
-    return noted.notes[: noted.n], status.as_dict()
+    return noted.notes[: noted.n], loop.timing.late_stamps_s(), status.as_dict()
 
 
-def run_naive(host: str, seconds: float, first: int) -> tuple[np.ndarray, Any]:
+def run_naive(host: str, seconds: float, first: int) -> tuple[np.ndarray, np.ndarray, Any]:
     """What is usually written: everything in one script, sleeping for a period at the end."""
     from rtde_io import RTDEIOInterface
     from rtde_receive import RTDEReceiveInterface
@@ -142,18 +145,19 @@ def run_naive(host: str, seconds: float, first: int) -> tuple[np.ndarray, Any]:
     io.setInputIntRegister(18, sequence)
     io.disconnect()
     receive.disconnect()
-    return np.array(notes), None
+    return np.array(notes), np.zeros(0), None
 
 
 def client(name: str, host: str, seconds: float, out: Path) -> None:
     if name == "naive":
-        notes, status = run_naive(host, seconds, FIRST[name])
+        notes, late_s, status = run_naive(host, seconds, FIRST[name])
     else:
-        notes, status = run_loop(host, seconds, FIRST[name], 60 if name.endswith("priority") else 0)
-    np.savez(out, notes=notes, status=np.array(json.dumps(status)))
+        priority = 60 if name.endswith("priority") else 0
+        notes, late_s, status = run_loop(host, seconds, FIRST[name], priority)
+    np.savez(out, notes=notes, late_s=late_s, status=np.array(json.dumps(status)))
 
 
-def judge(notes: np.ndarray, log: Any) -> dict[str, Any]:
+def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
     """Compare what was computed from which state with what arrived when, per controller tick."""
     arrived_s = dict(zip(log["sequence"].tolist(), log["arrived_s"].tolist(), strict=True))
     answered: dict[int, float] = {}
@@ -165,14 +169,19 @@ def judge(notes: np.ndarray, log: Any) -> dict[str, Any]:
     first, last = min(answered) + 250, max(answered) - 5
     ticks = range(first, last)
     delays_s = np.array([answered[t] for t in ticks if t in answered])
-    late = int(np.sum(delays_s > 2 * PERIOD_S))
-    never = len(ticks) - len(delays_s)
+    late = {t for t in ticks if answered.get(t, 0.0) > 2 * PERIOD_S}
+    never = set(ticks) - set(answered)
+    # What the loop itself can know: what it marked late, and states that it never saw.
+    seen = {round(stamp_s / PERIOD_S) for stamp_s in notes[:, 1].tolist()}
+    marked = {round(stamp_s / PERIOD_S) for stamp_s in late_s.tolist()} | (set(ticks) - seen)
     p50, p99, p999 = np.percentile(delays_s, [50, 99, 99.9]) * 1e3
     return {
         "ticks": len(ticks),
-        "answered_late": late,
-        "never_answered": never,
-        "late_share": (late + never) / len(ticks),
+        "answered_late": len(late),
+        "never_answered": len(never),
+        "late_share": len(late | never) / len(ticks),
+        "not_noticed_by_the_loop": len((late | never) - marked),
+        "only_in_the_loop": len((marked & set(ticks)) - late - never),
         "stamp_to_controller_ms": {
             "p50": round(float(p50), 3), "p99": round(float(p99), 3),
             "p99.9": round(float(p999), 3), "max": round(float(delays_s.max()) * 1e3, 3),
@@ -205,7 +214,7 @@ def measure(seconds: float, host: str, folder: Path) -> dict[str, Any]:
             after = _ask(controller, "status")
             _ask(controller, "latency_log", path=str(log))
             with np.load(out) as client_file, np.load(log) as log_file:
-                found[name] = judge(client_file["notes"], log_file)
+                found[name] = judge(client_file["notes"], client_file["late_s"], log_file)
                 found[name]["own_status"] = json.loads(str(client_file["status"]))
             found[name]["controller_late_ticks"] = after["late_ticks"] - before["late_ticks"]
     finally:
@@ -223,7 +232,7 @@ def _ask(controller: subprocess.Popen[str], action: str, **more: Any) -> dict[st
 
 
 def show(result: dict[str, Any]) -> None:
-    print(f"{result['seconds']:g} s per client at 500 Hz; controller with real-time priority: "
+    print(f"{result['seconds']:g} s per client at 500 Hz; load before {result['load_before']:.2f}; controller with real-time priority: "
           f"{result['controller_realtime']}")  # fmt: skip
     head = ("client", "ticks", "late", "never", "share %", "p50 ms", "p99 ms", "p99.9", "max")
     print("  ".join(f"{h:>9s}" for h in head))
@@ -242,6 +251,9 @@ def show(result: dict[str, Any]) -> None:
                   f"{timing['missed_states']}, share {100 * timing['late_share']:.3f} %; "
                   f"real-time: {own['realtime']['priority']}, memory lock: "
                   f"{own['realtime']['memory_lock']}")  # fmt: skip
+            print(f"           late or unanswered by the controller's notes and not by the loop's: "
+                  f"{one['not_noticed_by_the_loop']}; the other way round: "
+                  f"{one['only_in_the_loop']}")  # fmt: skip
             print(f"           sensor age (made windows, modelled): filter {filter_ms:.2f} ms, "
                   f"block p50 {age['p50'] - filter_ms:.1f} p99 {age['p99'] - filter_ms:.1f} ms, "
                   f"half a window {5e2 * CONTRACT.n_samples / CONTRACT.rate_hz:.1f} ms")  # fmt: skip
@@ -262,8 +274,9 @@ def main() -> None:
     if chosen.client:
         client(chosen.client, chosen.host, chosen.seconds, chosen.out)
         return
+    load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
-        result = measure(chosen.seconds, chosen.host, Path(folder))
+        result = {"load_before": load} | measure(chosen.seconds, chosen.host, Path(folder))
     if chosen.json:
         print(json.dumps(result))
     else:

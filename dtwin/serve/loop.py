@@ -206,9 +206,11 @@ class ServingLoop:
         done_ns = time.perf_counter_ns()
         row[4], row[5] = done_ns - before_ns, done_ns - start_ns
         stamp_s = float(state[layout.TIMESTAMP])
+        self.timing.applied(int(state[layout.APPLIED_SEQUENCE]), stamp_s)
         self.timing.tick(
             interval_s, stamp_s - self._last_stamp_s, time.monotonic() - self.link.received_s,
-            self.decision.window_age_s,
+            self.decision.window_age_s, stamp_s=stamp_s,
+            sequence=0 if self.mode == "shadow" else self._sequence,
         )  # fmt: skip
         self._last_s, self._last_stamp_s = now_s, stamp_s
 

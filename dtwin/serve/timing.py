@@ -32,15 +32,47 @@ class LoopTiming:
         self._interval_s = np.zeros(capacity)
         self._age_s = np.zeros(capacity)
         self._window_age_s = np.zeros(capacity)
+        self._answer_s = np.full(capacity, np.nan)
+        self._stamp_s = np.full(capacity, np.nan)
+        self._was_late: NDArray[np.bool_] = np.zeros(capacity, dtype=bool)
+        self._sequence: NDArray[np.int64] = np.full(capacity, -1, dtype=np.int64)
+        self._place: NDArray[np.int64] = np.zeros(capacity, dtype=np.int64)
+        self._applied = 0
 
     def stages(self) -> NDArray[np.int64]:
         """Return the row (stages,) of nanoseconds that the current tick fills."""
         row: NDArray[np.int64] = self._stages[self.ticks % len(self._stages)]
         return row
 
+    def applied(self, sequence: int, stamp_s: float) -> None:
+        """Take from a state which correction it was made with.
+
+        A correction that the controller first used more than two of its periods after the state
+        that it was computed from is late, whatever held it up on the way.
+
+        Parameters
+        ----------
+        sequence : int
+            Number of the correction in force; 0 when there is none.
+        stamp_s : float
+            The controller's stamp of the state.
+        """
+        if sequence == self._applied:
+            return
+        capacity = len(self._sequence)
+        news = min(max(sequence - self._applied, 1), self.ticks, capacity)
+        for number in range(sequence - news + 1, sequence + 1):
+            if self._sequence[number % capacity] == number:
+                place = int(self._place[number % capacity])
+                self._answer_s[place] = stamp_s - self._stamp_s[place]
+                if self._answer_s[place] > 2.5 * self.period_s:
+                    self._count_late(place)
+        self._applied = sequence
+
     def tick(
-        self, interval_s: float, state_step_s: float, age_s: float, window_age_s: float
-    ) -> None:
+        self, interval_s: float, state_step_s: float, age_s: float, window_age_s: float,
+        *, stamp_s: float = np.nan, sequence: int = 0,
+    ) -> None:  # fmt: skip
         """Close a tick; late is a correction that was ready more than a period after its state.
 
         Parameters
@@ -51,16 +83,34 @@ class LoopTiming:
             Step of the controller's own stamp since the tick before; NaN for the first.
         age_s, window_age_s : float
             Age of the state when its correction was ready, and of the newest window.
+        stamp_s : float
+            The controller's stamp of the state.
+        sequence : int
+            Number of the correction that was sent, for ``applied``; 0 when none was.
         """
         place = self.ticks % len(self._interval_s)
+        self._stamp_s[place], self._answer_s[place] = stamp_s, np.nan
+        self._was_late[place] = False
+        if sequence:
+            at = sequence % len(self._sequence)
+            self._sequence[at], self._place[at] = sequence, place
         self._interval_s[place] = interval_s
         self._age_s[place] = age_s
         self._window_age_s[place] = window_age_s
         if state_step_s > 1.5 * self.period_s:
             self.missed += round(state_step_s / self.period_s) - 1
         if age_s > self.period_s:
-            self.late += 1
+            self._count_late(place)
         self.ticks += 1
+
+    def late_stamps_s(self) -> NDArray[np.float64]:
+        """Return the controller's stamps of the late ticks that are remembered."""
+        return self._stamp_s[self._was_late]
+
+    def _count_late(self, place: int) -> None:
+        if not self._was_late[place]:
+            self._was_late[place] = True
+            self.late += 1
 
     @property
     def late_share(self) -> float:
@@ -86,6 +136,7 @@ class LoopTiming:
                 name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(STAGES)
             },
             "state_age_ms": _percentiles(self._age_s[:n] * 1e3),
+            "answer_ms": _percentiles(self._answer_s[np.isfinite(self._answer_s)] * 1e3),
             "window_age_ms": _percentiles(self._window_age_s[:n] * 1e3),
             "jitter_us_histogram": {
                 label: int(count) for label, count in zip(labels, counts, strict=True)

@@ -27,6 +27,41 @@ def test_late_and_missed_ticks_are_counted() -> None:
     json.dumps(timing.summary(), allow_nan=False)
 
 
+def test_a_correction_is_late_by_the_state_that_it_first_acts_in() -> None:
+    timing = LoopTiming(0.002)
+    for k in range(6):
+        timing.tick(0.002, 0.002, 0.0005, 0.0, stamp_s=0.002 * k, sequence=100 + k)
+    timing.applied(0, 0.002)
+    timing.applied(101, 0.006)
+    assert timing.late == 1
+    timing.applied(101, 0.012)
+    timing.applied(105, 0.012)
+    assert timing.late == 3
+    assert timing.late_stamps_s() == pytest.approx([0.000, 0.004, 0.006])
+    assert timing.summary()["answer_ms"]["max"] == pytest.approx(8.0)
+
+
+def test_a_tick_that_is_late_twice_counts_once() -> None:
+    timing = LoopTiming(0.002, capacity=4)
+    timing.applied(7, 0.0)
+    timing.tick(0.002, 0.002, 0.003, 0.0, stamp_s=0.0, sequence=8)
+    timing.applied(8, 0.02)
+    assert timing.late == 1
+    for k in range(5):
+        timing.tick(0.002, 0.002, 0.0, 0.0, stamp_s=0.02 + 0.002 * k, sequence=9 + k)
+    timing.applied(13, 0.03)
+    assert timing.late == 3
+
+
+def test_numbers_of_another_session_are_not_taken_for_ours() -> None:
+    timing = LoopTiming(0.002)
+    timing.tick(0.002, 0.002, 0.0, 0.0, stamp_s=0.0, sequence=5)
+    timing.applied(2_000_000_000, 1.0)
+    timing.applied(5, 0.004)
+    assert timing.late == 0
+    assert timing.summary()["answer_ms"]["max"] == pytest.approx(4.0)
+
+
 def test_empty_and_overflowing_buffers() -> None:
     empty = LoopTiming(0.002).summary()
     assert (empty["ticks"], empty["period_ms"]) == (0, None)
