@@ -144,6 +144,19 @@ def discover_effects(
     )
 
 
+@twin_app.command("learn")
+def learn_effect(
+    name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False
+) -> None:
+    """Add a law for structure that no effect explains: a description, provisional."""
+    twins = _twins(effects_path)
+    before = twins.newest(name)
+    twin, gain = twins.learn(name, seed=seed)
+    if not as_json:
+        print(f"gain on left-out conditions: {100 * gain:.1f} %")
+    _show_rung(twins, before.figures, twin, as_json=as_json)
+
+
 @twin_app.command("history")
 def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) -> None:
     """Every rung of a twin, with error before and after."""

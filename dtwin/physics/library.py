@@ -14,6 +14,7 @@ from types import ModuleType
 from dtwin.errors import InputError
 from dtwin.physics import effects
 from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.learned import PREFIX, learned_effect
 from dtwin.physics.state import has_joints
 from dtwin.schema import require_name
 
@@ -55,6 +56,8 @@ class Library(Mapping[str, Effect]):
         """
         if name in self._effects:
             return self._effects[name]
+        if name.startswith(PREFIX):
+            return learned_effect(name)
         raise InputError(
             "no such effect",
             code="effect.unknown",
@@ -65,7 +68,7 @@ class Library(Mapping[str, Effect]):
 
     def __contains__(self, name: object) -> bool:
         """Tell whether there is an effect of that name."""
-        return name in self._effects
+        return name in self._effects or str(name).startswith(PREFIX)
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names."""

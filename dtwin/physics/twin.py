@@ -205,7 +205,7 @@ def twin_of(
         effect_sources={
             t.instance.effect.name: t.instance.effect.source
             for t in fit.terms
-            if t.instance.effect.source != "dtwin"
+            if t.instance.effect.source not in ("dtwin", "learned")
         },
     )
 
@@ -296,7 +296,9 @@ def chosen_terms(
         When there is no such effect, or it cannot act here.
     """
     geometry = obs.campaign.machine_geometry
-    possible = campaign_instances(library, obs.campaign.kind, obs.planes, obs.axes, geometry)
+    named = {name.partition(":")[0] for name in names}
+    wanted_here = {name: library[name] for name in named}
+    possible = campaign_instances(wanted_here, obs.campaign.kind, obs.planes, obs.axes, geometry)
     out: list[Term] = []
     for wanted in names:
         name, _, own = wanted.partition(":")

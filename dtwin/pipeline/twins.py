@@ -2,162 +2,36 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dtwin.atomic import write_text
 from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
+from dtwin.errors import GateRefusal, InputError
 from dtwin.physics import localise
+from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.experiment import next_experiment
-from dtwin.physics.fit import Estimate, fit
+from dtwin.physics.fit import fit
+from dtwin.physics.learned import learned_effect, learned_name
 from dtwin.physics.library import Library
-from dtwin.physics.observations import Observations, observe
-from dtwin.physics.problem import Term
+from dtwin.physics.problem import Term, set_up
 from dtwin.physics.twin import (
-    FORMAT,
     Twin,
-    ValidityBox,
-    by_condition,
     chosen_terms,
     frozen_residual_um,
     twin_of,
 )
-from dtwin.pipeline.measuring import ingest
-from dtwin.schema import Floats, Run, require_name
-from dtwin.store import Lake
+from dtwin.pipeline.twin_data import Comparison, Loaded, load
+from dtwin.pipeline.twin_files import finite, read_document, twin_from
+from dtwin.schema import require_name
 
 _MOST_RUNGS = 12
-
-
-@dataclass(frozen=True)
-class Loaded:
-    """Runs of a campaign, ready to look at.
-
-    Attributes
-    ----------
-    obs : Observations
-        The runs.
-    data : dict
-        Table versions and a hash of what was used.
-    left_out : dict of str to str
-        Runs that have errors, and which.
-    """
-
-    obs: Observations
-    data: Mapping[str, Any]
-    left_out: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Measured against predicted.
-
-    Attributes
-    ----------
-    twin : Twin
-        The twin, parameters as they are.
-    obs : Observations
-        The runs.
-    residual_um : ndarray, shape (rows, 360)
-        Measured minus predicted.
-    before_um : ndarray, shape (rows, 360)
-        Measured, set-ups taken out.
-    warnings : tuple of str
-        What a reader must know: another machine, outside the box.
-    """
-
-    twin: Twin
-    obs: Observations
-    residual_um: Floats
-    before_um: Floats
-    warnings: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
-        obs = self.obs
-        return {
-            "twin": self.twin.name,
-            "version": self.twin.version,
-            "campaign": obs.campaign.name,
-            "runs": len(set(obs.run_of.tolist())),
-            "rms_before_um": _rms(obs, self.before_um),
-            "residual_rms_um": _rms(obs, self.residual_um),
-            "systematic_rms_um": localise.systematic_rms_um(obs, self.residual_um),
-            "noise_floor_um": pure_rms_um(obs, self.residual_um),
-            "conditions": list(by_condition(obs, self.before_um, self.residual_um)),
-            "where": [dict(w) for w in localise.worst_places(obs, self.residual_um)],
-            "headline": localise.headline(obs, self.residual_um),
-            "warnings": list(self.warnings),
-        }
-
-
-def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
-    """Return the RMS of one run about the mean of its condition; NaN without repeats."""
-    total = _rms(obs, residual_um)
-    systematic = localise.systematic_rms_um(obs, residual_um)
-    return float(np.sqrt(max(0.0, total**2 - systematic**2)))
-
-
-def load(home: Home, campaign: str) -> Loaded:
-    """Return the usable runs of a campaign.
-
-    Parameters
-    ----------
-    home : Home
-        The lake.
-    campaign : str
-        Name in the lake, or a file or folder, which is ingested first.
-
-    Raises
-    ------
-    InputError
-        When there is no such campaign, or no usable run in it.
-    """
-    lake = Lake(home.lake)
-    name = campaign
-    if campaign not in lake.campaigns() and Path(campaign).exists():
-        name = ingest(Path(campaign), home).campaign
-    found = lake.campaign(name)
-    left_out: dict[str, str] = {}
-    runs: list[Run] = []
-    digest = hashlib.sha256()
-    for row in lake.runs(name):
-        run = lake.load(row, signals=False)
-        errors = [f.message for f in run.findings if f.severity == "error"]
-        if errors:
-            left_out[run.meta.run_id] = errors[0]
-            continue
-        runs.append(run)
-        digest.update(str(row["content_sha256"]).encode())
-    if not runs:
-        why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])
-        raise InputError(
-            "the campaign has no usable run",
-            code="twin.no_runs",
-            where=name,
-            got=why or "no runs",
-            hint=f"dtwin check {name}",
-        )
-    if found.kind != "circular":
-        raise InputError(
-            "twins are fitted to circular tests",
-            code="twin.kind",
-            where=name,
-            got=found.kind,
-            allowed="circular",
-        )
-    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(runs)}
-    return Loaded(observe(found, runs), data, left_out)
 
 
 class Twins:
@@ -322,6 +196,51 @@ class Twins:
         loaded = load(self.home, twin.campaign)
         return self._store(name, loaded, kept, f"remove {effect}")
 
+    def learn(self, name: str, *, seed: int = 0) -> tuple[Twin, float]:
+        """Add the scaling law that describes unknown structure best, as a provisional effect.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        seed : int
+            Seed of permutations.
+
+        Returns
+        -------
+        twin : Twin
+            The new version.
+        gain : float
+            Mean relative gain on conditions that were left out of its fit.
+
+        Raises
+        ------
+        GateRefusal
+            When nothing is unknown, or no law holds on left-out conditions.
+        """
+        twin, found = self.diagnose(name, seed=seed)
+        if found.verdict != "unknown_effect" or not found.laws:
+            raise GateRefusal(
+                "there is no unknown structure that a scaling law describes",
+                code="twin.nothing_to_learn",
+                where=f"twin {name} version {twin.version}",
+                got=f"{found.verdict}: {found.headline}",
+            )
+        obs = load(self.home, twin.campaign).obs
+        problem = set_up(obs, twin.terms, [])
+        for law in found.laws:
+            effect = learned_effect(learned_name(law))
+            gain = left_out_gain(problem, problem.whitened(obs.regressors(Instance(effect), {})))
+            if gain > 0.0:
+                return self.add(name, effect.name), gain
+        raise GateRefusal(
+            "no law holds on conditions that were left out",
+            code="twin.law_does_not_hold",
+            where=f"twin {name} version {twin.version}",
+            got=found.laws[0].equation,
+            hint="measure more feeds or radii, or write the effect yourself",
+        )
+
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[Diagnosis]]:
         """Diagnose and add until nothing is missing, or nothing known would help.
 
@@ -361,9 +280,9 @@ class Twins:
         folder = self._folder(name)
         out = []
         for path in sorted(folder.glob("v[0-9][0-9][0-9].json")):
-            document = _read(path)
+            document = read_document(path)
             diagnosis = path.with_suffix(".diagnosis.json")
-            verdict = _read(diagnosis) if diagnosis.exists() else {}
+            verdict = read_document(diagnosis) if diagnosis.exists() else {}
             out.append(
                 {
                     "version": document["version"],
@@ -403,7 +322,7 @@ class Twins:
                 where=f"twin {name}",
                 got=str(version),
             )
-        return twin_from(_read(paths[-1]), self.library, str(paths[-1]))
+        return twin_from(read_document(paths[-1]), self.library, str(paths[-1]))
 
     def _folder(self, name: str) -> Path:
         require_name(name, "the twin")
@@ -434,7 +353,7 @@ class Twins:
         return twin
 
     def _write(self, name: str, file: str, document: Mapping[str, Any]) -> None:
-        content = json.dumps(_finite(document), indent=1)
+        content = json.dumps(finite(document), indent=1)
         write_text(self.root / name / file, content, "the twin")
 
     def _registered(
@@ -448,7 +367,7 @@ class Twins:
             return {}
         parent = None
         if numbers:
-            before = _read(self.root / name / f"v{max(numbers):03d}.json")
+            before = read_document(self.root / name / f"v{max(numbers):03d}.json")
             parent = before.get("mlflow", {}).get("parent_run_id")
         figures = document["figures"]
         description = (
@@ -457,107 +376,14 @@ class Twins:
             f"noise floor {figures['noise_floor_um']:.2f} um (unit of replication: the run)."
         )
         return log_twin(
-            Registry(self.home), _finite(document), description=description, parent=parent
+            Registry(self.home), finite(document), description=description, parent=parent
         )
 
     def _note(self, name: str, version: int, diagnosis: Mapping[str, Any]) -> None:
-        stored = _read(self.root / name / f"v{version:03d}.json").get("mlflow", {})
+        stored = read_document(self.root / name / f"v{version:03d}.json").get("mlflow", {})
         if stored:
             from dtwin.train.registry import Registry
             from dtwin.train.twin_registry import note_diagnosis
 
             registry = Registry(self.home)
             note_diagnosis(registry, stored["model"], stored["model_version"], diagnosis)
-
-
-def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
-    """Return a twin from its stored form.
-
-    Parameters
-    ----------
-    document : dict
-        What ``Twin.as_dict`` returned.
-    library : mapping of str to Effect
-        Effects by name.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    StoreError
-        When the document is not a twin.
-    InputError
-        When it uses an effect that is not in the library.
-    """
-    if document.get("format") != FORMAT:
-        raise StoreError(
-            "this is not a twin", code="twin.format", where=where, allowed=FORMAT,
-            got=str(document.get("format"))[:40],
-        )  # fmt: skip
-    terms = []
-    for entry in document["effects"]:
-        if entry["effect"] not in library:
-            raise InputError(
-                "the twin uses an effect that is not known here",
-                code="twin.effect_source",
-                where=where,
-                got=entry["effect"],
-                hint="--effects-path "
-                + str(document["effect_sources"].get(entry["effect"], "FILE")),
-            )
-        effect = library[entry["effect"]]
-        terms.append(Term(Instance(effect, entry["axis"]), entry["shape"]))
-    estimates = tuple(
-        Estimate(**(e | {"uncertainty": _number(e["uncertainty"]), "value": _number(e["value"])}))
-        for e in document["parameters"]
-    )
-    box = document["box"]
-    return Twin(
-        name=document["twin"],
-        version=document["version"],
-        machine=document["machine"],
-        campaign=document["campaign"],
-        action=document["action"],
-        terms=tuple(terms),
-        estimates=estimates,
-        setups=tuple(document["setups"]),
-        box=ValidityBox(
-            tuple(box["planes"]), tuple(box["directions"]),
-            (box["radius_mm"][0], box["radius_mm"][1]),
-            (box["feed_mm_min"][0], box["feed_mm_min"][1]),
-        ),
-        figures=document["figures"],
-        by_condition=tuple(document["by_condition"]),
-        aliases=tuple(document["aliases"]),
-        data=document["data"],
-        effect_sources=document["effect_sources"],
-    )  # fmt: skip
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise StoreError(
-            "a twin cannot be read", code="twin.damaged", where=str(path), got=str(error)[:120]
-        ) from error
-    return dict(found)
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else float(value)
-
-
-def _finite(value: Any) -> Any:
-    """Return the value with NaN as null, which JSON knows."""
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {k: _finite(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(v) for v in value]
-    return value
-
-
-def _rms(obs: Observations, values: Floats) -> float:
-    return float(np.sqrt((values[obs.mask] ** 2).mean()))

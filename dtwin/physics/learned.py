@@ -1,0 +1,84 @@
+"""A provisional effect made from a scaling law that a search found."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
+from dtwin.physics.law_search import ScalingLaw
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+PREFIX = "learned_"
+REFERENCE_FEED_MM_S = 50.0
+REFERENCE_RADIUS_MM = 100.0
+_NAME = re.compile(r"learned_(even|odd)_h(\d+)_f(m?\d+(?:p\d)?)_r(m?\d+(?:p\d)?)")
+
+
+def learned_name(law: ScalingLaw) -> str:
+    """Return the name of the effect, which says everything about it."""
+    parity = "odd" if law.odd else "even"
+    return f"{PREFIX}{parity}_h{law.harmonic}_f{_coded(law.feed)}_r{_coded(law.radius)}"
+
+
+def learned_effect(name: str) -> Effect:
+    """Return the effect that a name describes.
+
+    Parameters
+    ----------
+    name : str
+        ``learned_odd_h3_f1_r0``: odd in direction, third harmonic, feed to the power of one.
+
+    Raises
+    ------
+    InputError
+        When the name describes no law.
+    """
+    found = _NAME.fullmatch(name)
+    if found is None:
+        raise InputError(
+            "this is not the name of a learned effect",
+            code="effect.learned",
+            got=name[:60],
+            allowed="learned_(even|odd)_hN_fA_rB, as dtwin twin learn makes them",
+        )
+    parity, harmonic = found[1], int(found[2])
+    feed, radius = _decoded(found[3]), _decoded(found[4])
+    n = 2 if harmonic else 1
+    names = ("cosine", "sine") if harmonic else ("radius",)
+
+    def columns(state: State, axis: str, shape: Shape) -> Floats:
+        size = (state.feed_mm_s / REFERENCE_FEED_MM_S) ** feed
+        size *= (state.radius_mm / REFERENCE_RADIUS_MM) ** radius
+        size *= state.direction if parity == "odd" else 1.0
+        phase = harmonic * state.angle_rad
+        return size * stacked(*(np.cos(phase), np.sin(phase))[:n])
+
+    law_text = f"F^{feed:g} R^{radius:g}, {parity} in direction"
+    return Effect(
+        name=name,
+        title=f"Learned: harmonic {harmonic}, {law_text}",
+        parameters=tuple(Parameter(f"{n}_at_50_mm_s_100_mm", "um", 1.0) for n in names),
+        regressors=columns,
+        law=Law(feed, radius, "odd" if parity == "odd" else "even"),
+        per="machine",
+        meaning="Found in the residual, not understood: a description, no cause.",
+        formula=f"(a cos({harmonic}t) + b sin({harmonic}t)) (F / 50 mm/s)^{feed:g} "
+        f"(R / 100 mm)^{radius:g}" + (" d" if parity == "odd" else ""),
+        looks_like=f"{harmonic} waves per turn",
+        separate_by="Measure at feeds and radii that were not used to find it.",
+        remedy="Find the cause before correcting for it.",
+        reference="Learned from the residual of this twin; provisional.",
+        source="learned",
+    )
+
+
+def _coded(exponent: float) -> str:
+    return f"{exponent:g}".replace("-", "m").replace(".", "p")
+
+
+def _decoded(text: str) -> float:
+    return float(text.replace("m", "-").replace("p", "."))

@@ -1,0 +1,145 @@
+"""Measurements for a twin, and how it compares with them."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.physics import localise
+from dtwin.physics.observations import Observations, observe
+from dtwin.physics.twin import Twin, by_condition
+from dtwin.pipeline.measuring import ingest
+from dtwin.schema import Floats, Run
+from dtwin.store import Lake
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """Runs of a campaign, ready to look at.
+
+    Attributes
+    ----------
+    obs : Observations
+        The runs.
+    data : dict
+        Table versions and a hash of what was used.
+    left_out : dict of str to str
+        Runs that have errors, and which.
+    """
+
+    obs: Observations
+    data: Mapping[str, Any]
+    left_out: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Measured against predicted.
+
+    Attributes
+    ----------
+    twin : Twin
+        The twin, parameters as they are.
+    obs : Observations
+        The runs.
+    residual_um : ndarray, shape (rows, 360)
+        Measured minus predicted.
+    before_um : ndarray, shape (rows, 360)
+        Measured, set-ups taken out.
+    warnings : tuple of str
+        What a reader must know: another machine, outside the box.
+    """
+
+    twin: Twin
+    obs: Observations
+    residual_um: Floats
+    before_um: Floats
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        obs = self.obs
+        return {
+            "twin": self.twin.name,
+            "version": self.twin.version,
+            "campaign": obs.campaign.name,
+            "runs": len(set(obs.run_of.tolist())),
+            "rms_before_um": _rms(obs, self.before_um),
+            "residual_rms_um": _rms(obs, self.residual_um),
+            "systematic_rms_um": localise.systematic_rms_um(obs, self.residual_um),
+            "noise_floor_um": pure_rms_um(obs, self.residual_um),
+            "conditions": list(by_condition(obs, self.before_um, self.residual_um)),
+            "where": [dict(w) for w in localise.worst_places(obs, self.residual_um)],
+            "headline": localise.headline(obs, self.residual_um),
+            "warnings": list(self.warnings),
+        }
+
+
+def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
+    """Return the RMS of one run about the mean of its condition; NaN without repeats."""
+    total = _rms(obs, residual_um)
+    systematic = localise.systematic_rms_um(obs, residual_um)
+    return float(np.sqrt(max(0.0, total**2 - systematic**2)))
+
+
+def load(home: Home, campaign: str) -> Loaded:
+    """Return the usable runs of a campaign.
+
+    Parameters
+    ----------
+    home : Home
+        The lake.
+    campaign : str
+        Name in the lake, or a file or folder, which is ingested first.
+
+    Raises
+    ------
+    InputError
+        When there is no such campaign, or no usable run in it.
+    """
+    lake = Lake(home.lake)
+    name = campaign
+    if campaign not in lake.campaigns() and Path(campaign).exists():
+        name = ingest(Path(campaign), home).campaign
+    found = lake.campaign(name)
+    left_out: dict[str, str] = {}
+    runs: list[Run] = []
+    digest = hashlib.sha256()
+    for row in lake.runs(name):
+        run = lake.load(row, signals=False)
+        errors = [f.message for f in run.findings if f.severity == "error"]
+        if errors:
+            left_out[run.meta.run_id] = errors[0]
+            continue
+        runs.append(run)
+        digest.update(str(row["content_sha256"]).encode())
+    if not runs:
+        why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])
+        raise InputError(
+            "the campaign has no usable run",
+            code="twin.no_runs",
+            where=name,
+            got=why or "no runs",
+            hint=f"dtwin check {name}",
+        )
+    if found.kind != "circular":
+        raise InputError(
+            "twins are fitted to circular tests",
+            code="twin.kind",
+            where=name,
+            got=found.kind,
+            allowed="circular",
+        )
+    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(runs)}
+    return Loaded(observe(found, runs), data, left_out)
+
+
+def _rms(obs: Observations, values: Floats) -> float:
+    return float(np.sqrt((values[obs.mask] ** 2).mean()))
