@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
 import shutil
 import subprocess
@@ -76,15 +77,24 @@ def sealing(folder: Path) -> None:
     seal(folder / "r1.arrows", folder / "sealed.parquet")
 
 
+def commit(columns: dict[str, np.ndarray], folder: Path) -> None:
+    """Hash signals that are in memory, write them into a new lake and commit them."""
+    _commit(SignalGroup("accelerometers", RATE_HZ, columns), folder / "from-memory")
+
+
 def lake(folder: Path) -> None:
-    """Read a signal file, check it, hash it and commit it."""
+    """Read a signal file with its checksums verified, then as ``commit``."""
     (group,) = read_signals(folder / "r1.parquet")
+    _commit(group, folder / "lake")
+
+
+def _commit(group: SignalGroup, root: Path) -> None:
     samples = {"t_s": np.arange(2.0), "angle_deg": np.arange(2.0), "deviation_um": np.zeros(2)}
     meta = RunMeta("r1", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2000.0)
-    Lake(folder / "lake").commit(Campaign("bench", "bench"), [Run(meta, samples, None, (group,))])
+    Lake(root).commit(Campaign("bench", "bench"), [Run(meta, samples, None, (group,))])
 
 
-STEPS = ("plain", "signal_file", "recording", "sealing", "lake")
+STEPS = ("plain", "signal_file", "recording", "sealing", "commit", "lake")
 
 
 def status_bytes(field: str) -> int:
@@ -98,7 +108,7 @@ def status_bytes(field: str) -> int:
 def step(name: str, folder: Path) -> dict[str, float]:
     """Do one step in this process and say what it took."""
     warm_up(name)
-    writes = name in ("plain", "signal_file", "recording")
+    writes = name in ("plain", "signal_file", "recording", "commit")
     columns = dict(np.load(folder / "columns.npz")) if writes else {}
     raw = len(CHANNELS) * SECONDS * RATE_HZ * 4
     # The columns that a writing step is given count as well: somebody holds them.
@@ -124,6 +134,8 @@ def warm_up(name: str) -> None:
         signal_file(little, folder)
         recording(little, folder)
         sealing(folder)
+        if name == "commit":
+            commit(little, folder)
         if name == "lake":
             lake(folder)
 
@@ -133,7 +145,8 @@ def measured(folder: Path, repeats: int) -> dict[str, dict[str, float]]:
     best: dict[str, dict[str, float]] = {}
     np.savez(folder / "columns.npz", **signals())
     for _ in range(repeats):
-        shutil.rmtree(folder / "lake", ignore_errors=True)
+        for root in ("lake", "from-memory"):
+            shutil.rmtree(folder / root, ignore_errors=True)
         for name in STEPS:
             out = subprocess.run(
                 [sys.executable, __file__, "--step", name, "--folder", str(folder)],
@@ -174,6 +187,7 @@ def main() -> None:
     if arguments.step:
         print(json.dumps(step(arguments.step, arguments.folder)))
         return
+    load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         steps = measured(folder, arguments.repeats)
@@ -182,9 +196,14 @@ def main() -> None:
     for got in steps.values():
         got["x_plain"] = got["seconds"] / steps["plain"]["seconds"]
     if arguments.json:
-        print(json.dumps({"steps": steps, "bit_flips": flips, "signal_file_mb": size_mb}))
+        print(
+            json.dumps(
+                {"load_before": load, "steps": steps, "bit_flips": flips, "signal_file_mb": size_mb}
+            )
+        )
         return
-    print(f"{SECONDS} s x {len(CHANNELS)} channels x {RATE_HZ / 1e3:g} kS/s, file {size_mb:.1f} MB")
+    print(f"{SECONDS} s x {len(CHANNELS)} channels x {RATE_HZ / 1e3:g} kS/s, file {size_mb:.1f} MB; "
+          f"load before {load:.2f}")  # fmt: skip
     print(f"  {'step':12s} {'seconds':>8s} {'x plain':>8s} {'peak / raw':>11s}")
     for name, got in steps.items():
         line = f"  {name:12s} {got['seconds']:8.3f} {got['x_plain']:8.2f}"
