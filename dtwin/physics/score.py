@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import polygamma
 
@@ -14,6 +16,15 @@ from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
 
 HIGHEST_HARMONIC = 60
+# All together, in ranges, and one by one where most effects live.
+_BANDS = (
+    (0, HIGHEST_HARMONIC),
+    (0, 4),
+    (5, 12),
+    (13, 30),
+    (31, HIGHEST_HARMONIC),
+    *((h, h) for h in range(13)),
+)
 _FLIPS = 1999
 _FEW_DOF = 12
 _MOST_PRIOR = 0.5
@@ -167,36 +178,41 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> tuple[float, f
         Sum of squares that repeats agree on, in whitened units.
     """
     obs = problem.obs
-    low = residual[:, harmonic_numbers() <= HIGHEST_HARMONIC]
     pairs = _pairs(obs.condition_of, obs.run_of)
-    gram = (low @ low.T) * pairs
-    found = float(gram.sum())
+    bands = [(harmonic_numbers() >= a) & (harmonic_numbers() <= b) for a, b in _BANDS]
+    grams = np.array([(residual[:, band] @ residual[:, band].T) * pairs for band in bands])
+    found = grams.sum(axis=(1, 2))
     rng = np.random.default_rng(seed)
     runs = int(obs.run_of.max()) + 1
     n_conditions = len(set(obs.condition_of.tolist()))
     if runs - n_conditions >= _FEW_DOF:
         signs = rng.choice([-1.0, 1.0], size=(_FLIPS, runs))[:, obs.run_of]
-        drawn = np.einsum("fi,ij,fj->f", signs, gram, signs, optimize=True)
+        drawn = np.array([((signs @ gram) * signs).sum(axis=1) for gram in grams]).T
     else:
-        drawn = _gaussian_draws(problem, pairs, low.shape[1], rng)
-    return float((1 + (drawn >= found).sum()) / (len(drawn) + 1)), max(found, 0.0)
+        drawn = _gaussian_draws(problem, pairs, bands, rng)
+    # The largest of the standardised bands, against the same of the draws.
+    centre, scale = drawn.mean(axis=0), np.maximum(drawn.std(axis=0), 1e-300)
+    most = float(((found - centre) / scale).max())
+    drawn_most = ((drawn - centre) / scale).max(axis=1)
+    p_value = float((1 + (drawn_most >= most).sum()) / (len(drawn_most) + 1))
+    return p_value, max(float(found[0]), 0.0)
 
 
 def _gaussian_draws(
-    problem: Problem, pairs: Floats, n_low: int, rng: np.random.Generator
+    problem: Problem, pairs: Floats, bands: Sequence[NDArray[np.bool_]], rng: np.random.Generator
 ) -> Floats:
     """Draw the statistic under noise that is equal round the circle: few runs allow no signs."""
     obs = problem.obs
     noise = problem.noise
     level = np.nanmean(noise.variance) if noise is not None else 1.0
-    out = np.empty(499)
+    out = np.empty((499, len(bands)))
     for i in range(len(out)):
         # The level itself is known from few repeats only.
         scale = np.sqrt(level * _FEW_DOF / rng.chisquare(_FEW_DOF))
         drawn = scale * rng.standard_normal(problem.y.size)
         drawn -= problem.basis @ (problem.basis.T @ drawn)
-        low = drawn.reshape(obs.n_rows, N_BINS)[:, :n_low]
-        out[i] = ((low @ low.T) * pairs).sum()
+        rows = drawn.reshape(obs.n_rows, N_BINS)
+        out[i] = [((rows[:, band] @ rows[:, band].T) * pairs).sum() for band in bands]
     return out
 
 
