@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
+from dtwin.acquire.recording import Recorder
 from dtwin.acquire.runner import MANIFEST, Bench, run_campaign
+from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest, training_plan
@@ -87,6 +89,7 @@ _CHILD = """
 import sys
 from pathlib import Path
 from dtwin.acquire.runner import run_campaign
+from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.plan import training_plan
 plan = training_plan(radii_mm=(100.0,), feeds_mm_min=(4000.0, 6000.0), planes=("YZ",), repeats=4)
@@ -120,3 +123,14 @@ def test_a_killed_campaign_continues_and_ends_the_same(tmp_path: Path) -> None:
         .read(open_campaign(tmp_path / "a").entries[0])[0][0]
         .samples["deviation_um"]
     ).all()
+
+
+def test_a_resumed_campaign_seals_what_a_dead_recorder_left(tmp_path: Path) -> None:
+    folder = tmp_path / "c"
+    recorder = Recorder(folder / "t001.extra.arrows", "extra", 100.0, {"x_g": np.float32})
+    recorder.append({"x_g": np.ones(50, np.float32)})
+    recorder.abandon()
+    run_campaign(small_plan(), VirtualCobotBench(), folder)
+    (group,) = read_signals(folder / "t001.extra.parquet")
+    assert group.n_samples == 50
+    assert not list(folder.glob("*.arrows"))
