@@ -198,11 +198,17 @@ def _finish(folder: Path, run_id: str) -> tuple[Sealed, ...]:
     sealed = []
     for path in sorted(folder.glob(f"{run_id}.*{SUFFIX}")):
         try:
-            sealed.append(seal(path, path.with_suffix(".parquet")))
+            done = seal(path, path.with_suffix(".parquet"))
         except StoreError as error:
             if error.code != "recording.empty":
                 raise
             path.unlink()
+            continue
+        if done.n_samples:
+            sealed.append(done)
+        else:
+            # The device never started: there is no run to keep.
+            done.path.unlink()
     # Sealed by a process that died before it came here.
     names = sorted(path.name for path in folder.glob(f"{run_id}.*.parquet"))
     if names and run_id not in _known_runs(folder):
