@@ -26,6 +26,8 @@ _HIDDEN = 1e-6
 _COVERAGE = 0.9545
 _HUBER = 2.0
 _ROBUST_ROUNDS = 5
+_ROUNDS = 8
+_SETTLED = 1e-4
 
 
 @dataclass(frozen=True)
@@ -318,21 +320,37 @@ def _require_visible(obs: Observations, terms: Sequence[Term]) -> None:
 
 
 def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
-    """Refine shape parameters: variable projection, the linear part solved for each try."""
+    """Refine shape parameters: variable projection, the linear part solved for each try.
+
+    First one after the other, each without those whose shape is still a guess; once more with
+    all the others in place; then in rounds, until nothing moves.
+    """
+    shaped = [i for i, term in enumerate(terms) if term.instance.effect.shapes]
     out = list(terms)
-    for index, term in enumerate(out):
-        shapes = term.instance.effect.shapes
-        if shapes:
+    guessed = set(shaped)
+    for index in shaped:
+        guessed.discard(index)
+        others = [t for i, t in enumerate(out) if i != index and i not in guessed]
+        out[index] = _refined_one(obs, others, out[index], search=True)
+    for number in range(_ROUNDS if len(shaped) > 1 else 0):
+        before = [dict(out[i].shape) for i in shaped]
+        for index in shaped:
             others = [t for i, t in enumerate(out) if i != index]
-            out[index] = _refined_one(obs, others, term)
+            out[index] = _refined_one(obs, others, out[index], search=number == 0)
+        if all(_settled(old, out[i].shape) for old, i in zip(before, shaped, strict=True)):
+            break
     return out
 
 
-def _refined_one(obs: Observations, others: Sequence[Term], term: Term) -> Term:
+def _settled(old: Mapping[str, float], new: Mapping[str, float]) -> bool:
+    return all(abs(new[name] / old[name] - 1.0) < _SETTLED for name in new)
+
+
+def _refined_one(obs: Observations, others: Sequence[Term], term: Term, *, search: bool) -> Term:
     problem = set_up(obs, others, [])
     candidates = Candidates(obs, [term.instance])
     names = [shape.name for shape in term.instance.effect.shapes]
-    start = _start(problem, candidates, term)
+    start = _start(problem, candidates, term) if search else term.shape
 
     def left(logs: Floats) -> Floats:
         shape = dict(zip(names, np.exp(logs), strict=True))

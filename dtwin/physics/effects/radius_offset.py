@@ -23,7 +23,7 @@ EFFECT = Effect(
         "The length of the bar differs from the nominal radius; a scale error common to all "
         "axes looks the same."
     ),
-    formula="c",
+    formula="c, the same at every angle",
     looks_like="The circle is larger or smaller everywhere.",
     separate_by="Calibrate the bar, or use two bar lengths.",
     remedy="None: it belongs to the set-up.",

@@ -27,7 +27,7 @@ EFFECT = Effect(
         Parameter("sine_at_100_mm_s", "um", 3.0),
     ),
     regressors=_columns,
-    law=Law(1.0, None, "even"),
+    law=Law(None, None, "even"),
     meaning=(
         "The jerk of the reversal excites a mode of the structure or of the servo, which dies out."
     ),
