@@ -17,13 +17,34 @@ from dtwin.schema import Direction, Floats, Plane, RunMeta
 
 LIBRARY = Library()
 ROBOT = {"type": "ur10e", "centre_mm": [-550.0, 0.0, 300.0], "tcp_mm": [0.0, 0.0, 158.3]}
-CANONICAL = (
-    "centre_offset radius_offset scale_mismatch squareness straightness backlash lateral_play "
-    "reversal_spike servo_mismatch servo_lag cyclic_error thermal_growth thermal_drift "
-    "structural_resonance gravity_sag joint_reversal pitch_error lead_error inertial_compliance "
-    "friction measurement_delay angular_error reversal_ringing axis_changeover stick_slip "
-    "instrument_artefact"
-).split()
+CANONICAL = [
+    "centre_offset",
+    "radius_offset",
+    "scale_mismatch",
+    "squareness",
+    "straightness",
+    "backlash",
+    "lateral_play",
+    "reversal_spike",
+    "servo_mismatch",
+    "servo_lag",
+    "cyclic_error",
+    "thermal_growth",
+    "thermal_drift",
+    "structural_resonance",
+    "gravity_sag",
+    "joint_reversal",
+    "pitch_error",
+    "lead_error",
+    "inertial_compliance",
+    "friction",
+    "measurement_delay",
+    "angular_error",
+    "reversal_ringing",
+    "axis_changeover",
+    "stick_slip",
+    "instrument_artefact",
+]
 
 
 def state(

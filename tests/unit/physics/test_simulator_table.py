@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -94,5 +95,5 @@ def test_the_error_falls_from_rung_to_rung_down_to_the_floor(name: str) -> None:
     for rung in LADDER:
         effects += rung
         errors.append(fit(obs, chosen_terms(effects, library, obs)).rms_after_um)
-    assert all(after <= before * 1.0001 for before, after in zip(errors, errors[1:], strict=False))
+    assert all(after <= before * 1.0001 for before, after in itertools.pairwise(errors))
     assert errors[-1] < 0.05 * errors[0]
