@@ -22,6 +22,8 @@ _SLOWEST_FIRST = (
     "test_pipeline",
     "test_scheduled",
     "test_serve_command",
+    "test_readme",
+    "test_flow_run",
 )
 
 
