@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,8 +102,11 @@ def plan(
         Path | None, typer.Option(help="Write G-code and URScript of every test here.")
     ] = None,
     check_only: Annotated[
-        bool, typer.Option("--check", help="Say what the plan could not tell.")
+        bool, typer.Option("--check", help="Say what the plan could tell, and what not.")
     ] = False,
+    noise_um: Annotated[
+        float, typer.Option(help="RMS by which repeats disagree, for --check.")
+    ] = 1.0,
     as_json: Json = False,
 ) -> None:
     """Expand a campaign before anything moves: order, limits, time, programs."""
@@ -120,7 +124,10 @@ def plan(
         "total_s": total_s,
         "findings": [finding.as_dict() for finding in findings],
     }
-    if not check_only:
+    if check_only:
+        payload["noise_um"] = noise_um
+        payload["detectable"] = _detectable(planned, noise_um)
+    else:
         payload["order"] = [vars(test) for test in planned.tests]
     if out is not None:
         payload["programs"] = _write_programs(planned, out)
@@ -183,13 +190,44 @@ def _plan_text(
     lines = [head, *(f"  {f.severity}: {f.message}" for f in findings)]
     if "programs" in payload:
         lines.append(f"  {len(payload['programs'])} programs written")
-    if not check_only:
+    if check_only:
+        lines.append(_detectable_text(payload))
+    else:
         rows = [
             [t.test_id, t.setup, t.plane, t.radius_mm, t.feed_mm_min, t.repeat]
             for t in planned.tests
         ]
         lines.append(table(("test", "setup", "plane", "radius_mm", "feed_mm_min", "repeat"), rows))
     return "\n".join(lines)
+
+
+def _detectable(planned: Plan, noise_um: float) -> list[dict[str, Any]]:
+    from dtwin.physics.experiment import detectable, planned_observations
+    from dtwin.physics.library import Library
+
+    if noise_um <= 0.0:
+        raise InputError(
+            "the noise must be positive", code="plan.noise", got=f"{noise_um:g} um", allowed="> 0"
+        )
+    obs = planned_observations(planned)
+    return [found.as_dict() for found in detectable(obs, Library(), noise_um=noise_um)]
+
+
+def _detectable_text(payload: Mapping[str, Any]) -> str:
+    rows = [
+        [
+            d["label"],
+            f"{d['amplitude']:.3g} {d['unit']}" if math.isfinite(d["amplitude"]) else "invisible",
+            f"{d['typical']:g} {d['unit']}",
+            "" if not math.isfinite(d["amplitude"]) else f"{d['rms_um']:.3f}",
+        ]
+        for d in payload["detectable"]
+    ]
+    head = ("effect", "detected from (power 80 %)", "typical size", "visible RMS, um")
+    return (
+        f"what this plan could detect when repeats disagree by {payload['noise_um']:g} um RMS, "
+        "alike at all harmonics:\n" + table(head, rows)
+    )
 
 
 def _report_dict(report: IngestReport) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from dtwin.schema import Floats
 LACK_OF_FIT = 0.01
 _FIT_IS_DOUBTFUL = 0.05
 _EXPLAINED = 0.7
+_IMMATERIAL = 0.15
 _SHOWN = 8
 
 
@@ -85,7 +86,8 @@ def diagnose(
     channels = screen_channels(problem, seed)
     problem = _with_foreign(problem, channels, library)
     candidates = Candidates(obs, tried)
-    found = search(problem, candidates, seed=seed, shown_by_channel=bool(channels))
+    plain = unweighted(obs, known)
+    found = search(problem, plain, candidates, seed=seed, shown_by_channel=bool(channels))
     return _concluded(blank, found, candidates, known, channels, residual, library)
 
 
@@ -100,14 +102,15 @@ def _concluded(
 ) -> Diagnosis:
     obs = found.last.obs
     words = localise.headline(obs, residual)
-    fit_p = found.lack_of_fit[0][0]
+    fit_p = found.lack_of_fit[0]
     blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=found.invisible)
     foreign = tuple(c for c in channels if _is_foreign(c.name, library))
     if not found.steps:
         laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
         shown = _suspects(found, candidates, known, (), {})
         unexplained = [c.name for c in channels]
-        if fit_p > LACK_OF_FIT and not laws and not unexplained:
+        immaterial = found.systematic_um[0] < _IMMATERIAL * blank.noise_floor_um
+        if ((fit_p > LACK_OF_FIT and not laws) or immaterial) and not unexplained:
             verdict: Verdict = "variance_effect" if blank.spread else "nothing_missing"
             said = "residual is at the noise floor"
             if blank.spread:
@@ -125,7 +128,7 @@ def _concluded(
     group = [c for c in step.group if not _broken(tests.get(c.term.label, []))]
     shown = _suspects(found, candidates, known, group, tests)
     wrong_law = not group
-    much_left = found.lack_of_fit[-1][0] <= LACK_OF_FIT and found.explained < _EXPLAINED
+    much_left = found.lack_of_fit[-1] <= LACK_OF_FIT and found.explained < _EXPLAINED
     if wrong_law or much_left:
         return replace(
             blank,
@@ -185,7 +188,7 @@ def _suspects(
     members = [c.term.label for c in group]
     rivals = {c.term.label for c in step.group} if step else set()
     rest = sorted((c for c in tested if c.term.label not in members), key=lambda c: -c.score.gain)
-    total = max(found.lack_of_fit[0][1], 1e-300)
+    total = max(found.systematic_um[0] ** 2 * float(problem.obs.mask.sum()), 1e-300)
     plain = unweighted(problem.obs, known)
     out = []
     for candidate in [*group, *rest][:_SHOWN]:
@@ -210,7 +213,7 @@ def _suspects(
                 grade=_grade(candidate, own, group) if inside else None,
                 confounded_with=tuple(sorted(rivals - {label})) if label in rivals else (),
                 laws=tuple(own),
-                share=min(1.0, candidate.score.gain / total),
+                share=min(1.0, float(((visible.T @ plain.residual.ravel()) ** 2).sum()) / total),
                 remedy=effect.remedy,
             )
         )

@@ -15,7 +15,7 @@ from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches, probes
 from dtwin.physics.observations import N_BINS, Observations
-from dtwin.physics.problem import Problem, Term, set_up, setup_columns, unweighted
+from dtwin.physics.problem import Problem, Term, set_up, setup_columns, unweighted, weighted_like
 from dtwin.physics.score import noise_level
 from dtwin.physics.solve import in_blocks, solve_blocks
 from dtwin.physics.whitening import from_harmonics, within_condition
@@ -155,18 +155,19 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
     """
     terms = _refined(obs, terms)
     _require_visible(obs, terms)
-    problem = set_up(obs, terms, [])
+    # Unweighted: weights by the noise would let the edges of steps decide, where shapes are
+    # never quite those of the library.
+    problem = replace(unweighted(obs, terms), noise=set_up(obs, terms, []).noise)
     columns = _columns(problem, terms)
     weight = np.ones(obs.n_rows)
     solution = solve_blocks(_weighted(columns, problem.y, weight))
     for _ in range(_ROBUST_ROUNDS if robust else 0):
         weight = _run_weights(problem, columns, solution.x)
         solution = solve_blocks(_weighted(columns, problem.y, weight))
-    expanded = _expanded(problem, columns, solution.x)
+    expanded = _expanded(problem, terms, columns, solution.x)
     n_setup = 3 * len(obs.setups)
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
-    plain = _columns(unweighted(obs, terms), terms)
-    residual = _residual_um(obs, plain, solution.x)
+    residual = _residual_um(obs, columns, solution.x)
     before = localise.residual_um(obs, [])
     return Fit(
         terms=tuple(terms),
@@ -231,7 +232,7 @@ def _run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
     return np.minimum(1.0, limit / np.maximum(size, 1e-300))
 
 
-def _expanded(problem: Problem, columns: Floats, x: Floats) -> Floats:
+def _expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats) -> Floats:
     """Return expanded uncertainties, k = 2: run-clustered, from what repeats disagree by.
 
     The spread of the scores of repeats is an estimate of the noise that holds whatever the
@@ -253,10 +254,12 @@ def _expanded(problem: Problem, columns: Floats, x: Floats) -> Floats:
     # Conditions without repeats add no score: scale up for them.
     share = (count > 1).sum() / obs.n_rows
     clustered = (runs**2).sum(axis=0) / share
-    level = noise_level(problem, probes(problem))
+    white = weighted_like(obs, terms, problem.noise)
+    level = noise_level(white, probes(white))
     variance = np.nan_to_num(problem.noise.variance, nan=float(np.nanmean(problem.noise.variance)))
+    coloured = influence / problem.noise.weights[:, None]
     foretold = level.ratio * np.einsum(
-        "n,nqk,nqk->k", variance[obs.condition_of], influence, influence
+        "n,nqk,nqk->k", variance[obs.condition_of], coloured, coloured
     )
     dof = float(problem.noise.dof)
     blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)

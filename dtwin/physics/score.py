@@ -12,7 +12,7 @@ from scipy.special import polygamma
 
 from dtwin.physics.observations import N_BINS, Indices
 from dtwin.physics.problem import Problem
-from dtwin.physics.whitening import harmonic_numbers, within_condition
+from dtwin.physics.whitening import from_harmonics, harmonic_numbers, within_condition
 from dtwin.schema import Floats
 
 HIGHEST_HARMONIC = 60
@@ -28,6 +28,7 @@ _BANDS = (
 _FLIPS = 1999
 _FEW_DOF = 12
 _MOST_PRIOR = 0.5
+_NEIGHBOURS = 6
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,9 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     scores = np.einsum("nqk,nq->nk", z, deviation)
     summed = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
     np.add.at(summed, obs.run_of, scores)
-    foretold = np.einsum("n,nqk,nqk->k", _variance_of_rows(problem), z, z)
+    local = _local_variance(problem)
+    angle = from_harmonics(z)
+    foretold = np.einsum("nq,nqk,nqk->k", local, angle, angle)
     found = (summed**2).sum(axis=0)
     usable = (found > 0) & (foretold > 0)
     if usable.sum() < 8:
@@ -156,7 +159,7 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     return NoiseLevel(prior, float(np.exp(np.mean(logs + bias))))
 
 
-def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> tuple[float, float]:
+def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
     """Test whether repeats agree on anything that the twin does not explain.
 
     Products of different runs of one condition have mean zero under noise of any shape; runs
@@ -173,9 +176,8 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> tuple[float, f
 
     Returns
     -------
-    p_value : float
-    systematic : float
-        Sum of squares that repeats agree on, in whitened units.
+    float
+        p-value.
     """
     obs = problem.obs
     pairs = _pairs(obs.condition_of, obs.run_of)
@@ -194,8 +196,7 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> tuple[float, f
     centre, scale = drawn.mean(axis=0), np.maximum(drawn.std(axis=0), 1e-300)
     most = float(((found - centre) / scale).max())
     drawn_most = ((drawn - centre) / scale).max(axis=1)
-    p_value = float((1 + (drawn_most >= most).sum()) / (len(drawn_most) + 1))
-    return p_value, max(float(found[0]), 0.0)
+    return float((1 + (drawn_most >= most).sum()) / (len(drawn_most) + 1))
 
 
 def _gaussian_draws(
@@ -227,16 +228,29 @@ def _pairs(condition_of: Indices, run_of: Indices) -> Floats:
     return np.asarray((same & other) * weight[condition_of][:, None])
 
 
-def _variance_of_rows(problem: Problem) -> Floats:
-    noise = problem.noise
+def _local_variance(problem: Problem) -> Floats:
+    """Return the variance of whitened noise at every angle of every row, shape (rows, 360).
+
+    The level of the condition times a profile round the circle that all conditions share:
+    noise is often larger at reversals.
+    """
+    noise, obs = problem.noise, problem.obs
     if noise is None:
-        return np.ones(problem.obs.n_rows)
+        return np.ones((obs.n_rows, N_BINS))
     typical = float(np.nanmean(noise.variance))
-    return np.nan_to_num(noise.variance, nan=typical)[problem.obs.condition_of]
+    level = np.nan_to_num(noise.variance, nan=typical)[obs.condition_of]
+    deviation, count = within_condition(from_harmonics(problem.residual), obs.condition_of)
+    rows = count > 1
+    raw = (deviation[rows] ** 2 / level[rows][:, None]).mean(axis=0)
+    kernel = np.hanning(2 * _NEIGHBOURS + 3)[1:-1]
+    padded = np.concatenate([raw[-_NEIGHBOURS:], raw, raw[:_NEIGHBOURS]])
+    profile = np.convolve(padded, kernel / kernel.sum(), mode="valid")
+    return np.asarray(level[:, None] * profile[None, :] / profile.mean())
 
 
 def _foretold(problem: Problem, z: Floats) -> Floats:
-    return np.asarray(np.einsum("n,nqj,nqk->jk", _variance_of_rows(problem), z, z))
+    angle = from_harmonics(z)
+    return np.asarray(np.einsum("nq,nqj,nqk->jk", _local_variance(problem), angle, angle))
 
 
 def _moderated(

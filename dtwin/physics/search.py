@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from dtwin.physics.candidates import Candidate, Candidates, probes
 from dtwin.physics.cross_validation import left_out_gain
+from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.problem import Problem
 from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
 from dtwin.schema import Floats
@@ -70,7 +71,9 @@ class Search:
     invisible : tuple of str
         Labels of the effects that nothing here can show, at the start.
     lack_of_fit : tuple of float
-        p-value and systematic sum of squares at the start and after every step.
+        p-value at the start and after every step.
+    systematic_um : tuple of float
+        RMS of what repeats agree on, at the start and after every step.
     """
 
     steps: tuple[Step, ...]
@@ -78,17 +81,23 @@ class Search:
     tested: tuple[Candidate, ...]
     p_values: Mapping[str, float]
     invisible: tuple[str, ...]
-    lack_of_fit: tuple[tuple[float, float], ...]
+    lack_of_fit: tuple[float, ...]
+    systematic_um: tuple[float, ...]
 
     @property
     def explained(self) -> float:
-        """Share of the systematic sum of squares that the effects found explain."""
-        first, last = self.lack_of_fit[0][1], self.lack_of_fit[-1][1]
-        return 1.0 - last / first if first > 0.0 else 1.0
+        """Share of the systematic mean square, in um^2, that the effects found explain."""
+        first, last = self.systematic_um[0], self.systematic_um[-1]
+        return 1.0 - (last / first) ** 2 if first > 0.0 else 1.0
 
 
 def search(
-    problem: Problem, candidates: Candidates, *, seed: int, shown_by_channel: bool = False
+    problem: Problem,
+    plain: Problem,
+    candidates: Candidates,
+    *,
+    seed: int,
+    shown_by_channel: bool = False,
 ) -> Search:
     """Add effects until nothing is significant or nothing is left to explain.
 
@@ -96,6 +105,8 @@ def search(
     ----------
     problem : Problem
         Whitened campaign with what the twin knows.
+    plain : Problem
+        The same without weights.
     candidates : Candidates
         The library.
     seed : int
@@ -106,6 +117,7 @@ def search(
     """
     steps: list[Step] = []
     fits = [lack_of_fit(problem, problem.residual, seed)]
+    systematic = [systematic_rms_um(problem.obs, in_angle(plain))]
     while True:
         level = noise_level(problem, probes(problem))
         tested, invisible = candidates.tested(problem, level)
@@ -119,13 +131,18 @@ def search(
         steps.append(step)
         whitened = candidates.whitened(problem, step.top.term)
         problem = problem.extended(step.top.visible, whitened)
+        unweighted = candidates.whitened(plain, step.top.term)
+        plain = plain.extended(plain.visible(unweighted)[0], unweighted)
         fits.append(lack_of_fit(problem, problem.residual, seed))
+        systematic.append(systematic_rms_um(problem.obs, in_angle(plain)))
         shown_by_channel = False
-        if fits[-1][0] > _FIT_IS_FINE:
+        if fits[-1] > _FIT_IS_FINE:
             tested, p_values = list(step.tested), dict(step.p_values)
             break
     first = steps[0].invisible if steps else tuple(invisible)
-    return Search(tuple(steps), problem, tuple(tested), p_values, first, tuple(fits))
+    return Search(
+        tuple(steps), problem, tuple(tested), p_values, first, tuple(fits), tuple(systematic)
+    )
 
 
 def holm(tested: list[Candidate]) -> dict[str, float]:

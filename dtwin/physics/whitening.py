@@ -37,8 +37,9 @@ def to_harmonics(values: Floats) -> Floats:
 
 
 def from_harmonics(coefficients: Floats) -> Floats:
-    """Return values over the angle from real Fourier coefficients, shape (rows, 360)."""
-    spectrum = np.empty((len(coefficients), N_BINS // 2 + 1), dtype=complex)
+    """Return values over the angle from real Fourier coefficients, shape (rows, 360, ...)."""
+    shape = (len(coefficients), N_BINS // 2 + 1, *coefficients.shape[2:])
+    spectrum = np.empty(shape, dtype=complex)
     spectrum[:, 0], spectrum[:, -1] = coefficients[:, 0], coefficients[:, -1]
     spectrum[:, 1:-1] = (coefficients[:, 1:-1:2] + 1j * coefficients[:, 2:-1:2]) / np.sqrt(2.0)
     return np.asarray(np.fft.irfft(spectrum, N_BINS, axis=1, norm="ortho"))

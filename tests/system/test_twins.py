@@ -1,0 +1,290 @@
+"""The heart: compare, see where it fails, learn what is missing, add it, watch the error fall."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.physics.library import Library
+from dtwin.pipeline.twin_data import load
+from dtwin.pipeline.twins import Twins
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+NOISE_UM = 0.3
+KNOWN = ["centre_offset", "radius_offset", "scale_mismatch", "squareness"]
+
+
+def deviation_um(
+    theta: np.ndarray, radius_mm: float, feed_mm_min: float, sign: float, hidden: str
+) -> np.ndarray:
+    """Push points of a circle and measure the distance: no formula of the library."""
+    x, y = radius_mm * np.cos(theta), radius_mm * np.sin(theta)
+    ex = x * 30e-3 - y * 25e-3 + 8.0
+    ey = np.full_like(theta, -5.0)
+    if hidden == "backlash":
+        ex = ex + np.where(sign * np.sin(theta) > 0, 3.0, -3.0)
+    if hidden == "strange":
+        # A wobble with five waves that grows with the feed: in nobody's library.
+        ex = ex + 1.5 * feed_mm_min / 2000.0 * np.cos(5 * theta + 0.3) * np.cos(theta)
+        ey = ey + 1.5 * feed_mm_min / 2000.0 * np.cos(5 * theta + 0.3) * np.sin(theta)
+    return (np.hypot(x + ex / 1000, y + ey / 1000) - radius_mm) * 1000
+
+
+def write_campaign(
+    folder: Path,
+    hidden: str,
+    *,
+    name: str = "mill-march",
+    machine: str = "mill-a",
+    feeds: tuple[float, ...] = (1000.0, 2000.0, 4000.0),
+    radii: tuple[float, ...] = (100.0, 150.0),
+    repeats: int = 3,
+    directions: tuple[str, ...] = ("CCW", "CW"),
+) -> Path:
+    rng = np.random.default_rng(7)
+    folder.mkdir(parents=True)
+    lines = ["[campaign]", f'name = "{name}"', f'machine = "{machine}"', 'kind = "circular"']
+    number = 0
+    for radius in radii:
+        for repeat in range(1, repeats + 1):
+            for feed in feeds:
+                for direction in directions:
+                    number += 1
+                    sign = 1.0 if direction == "CCW" else -1.0
+                    angle = (np.linspace(0.0, 360.0, 721) + 0.13)[:: int(sign)]
+                    theta = np.radians(angle)
+                    clean = deviation_um(theta, radius, feed, sign, hidden)
+                    wave = 0.2 * rng.standard_normal() + 0.2 * rng.standard_normal() * np.cos(
+                        2 * theta + rng.uniform(0, 6)
+                    )
+                    noisy = clean + wave + NOISE_UM * rng.standard_normal(len(angle))
+                    t_s = np.radians(np.arange(721) / 2.0) * radius / (feed / 60.0)
+                    table = np.column_stack([t_s, angle, noisy])
+                    file = f"r{number:03d}.csv"
+                    np.savetxt(folder / file, table, delimiter=",", fmt="%.5f", comments="",
+                               header="t_s,angle_deg,deviation_um")  # fmt: skip
+                    lines += [
+                        "[[run]]", f'id = "r{number:03d}"', f'file = "{file}"', 'plane = "XY"',
+                        f"radius_mm = {radius}", f"feed_mm_min = {feed}",
+                        f'direction = "{direction}"', f"repeat = {repeat}",
+                        f'setup = "s{radius:g}"',
+                    ]  # fmt: skip
+    (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
+    made = Home(tmp_path_factory.mktemp("twins") / "home")
+    folder = write_campaign(made.root.parent / "mill", "backlash")
+    load(made, str(folder))
+    return made
+
+
+@pytest.fixture
+def twins(home: Home) -> Twins:
+    shutil.rmtree(home.root / "twins", ignore_errors=True)
+    return Twins(home)
+
+
+def test_the_missing_effect_is_named_added_and_the_error_falls(twins: Twins) -> None:
+    first = twins.fit("mill-march", KNOWN, "mill-a")
+    assert first.figures["systematic_rms_um"] > 4 * first.figures["noise_floor_um"]
+    by_name = {(e.effect, e.axis): e for e in first.estimates}
+    assert by_name["scale_mismatch", "XY"].value == pytest.approx(30.0, abs=2.0)
+
+    compared = twins.compare("mill-a").as_dict()
+    assert "odd in direction" in compared["headline"]
+    assert compared["noise_floor_um"] == pytest.approx(first.figures["noise_floor_um"], rel=0.15)
+
+    _, found = twins.diagnose("mill-a")
+    assert found.verdict == "missing_effect"
+    (named,) = found.group
+    assert (named.effect, named.axis, named.grade) == ("backlash", "X", "law-confirmed")
+    assert named.rms_after_um < 1.2 * found.noise_floor_um
+    assert named.cv_gain > 0.8
+    assert named.p_value < 1e-4
+
+    second = twins.add("mill-a", named.effect, named.axis)
+    (play,) = [e for e in second.estimates if e.effect == "backlash"]
+    # The backlash pulls against the motion in the library, with it in this mill.
+    assert abs(play.value) == pytest.approx(6.0, abs=play.uncertainty + 0.05)
+    assert second.figures["rms_after_um"] < 0.35 * first.figures["rms_after_um"]
+    _, after = twins.diagnose("mill-a")
+    assert after.verdict == "nothing_missing"
+
+    history = twins.history("mill-a")
+    assert [r["action"] for r in history] == ["fit", "add backlash X"]
+    assert [r["verdict"] for r in history] == ["missing_effect", "nothing_missing"]
+    assert history[0]["group"] == ["backlash X"]
+
+
+def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None:
+    from dtwin.train.registry import Registry
+
+    twins.fit("mill-march", KNOWN, "logged")
+    twins.diagnose("logged")
+    twins.add("logged", "backlash", "X")
+    rungs = twins.history("logged")
+    client = Registry(twins.home).client
+    parents = set()
+    for rung in rungs:
+        run = client.get_run(rung["mlflow"]["run_id"])
+        parents.add(run.data.tags["mlflow.parentRunId"])
+        assert run.data.metrics["rms_after_um"] == pytest.approx(rung["rms_after_um"])
+        version = client.get_model_version("twin-logged", rung["mlflow"]["model_version"])
+        assert version.tags["twin_version"] == str(rung["version"])
+    assert len(parents) == 1
+    first = client.get_model_version("twin-logged", rungs[0]["mlflow"]["model_version"])
+    assert (first.tags["verdict"], first.tags["group"]) == ("missing_effect", "backlash X")
+
+
+def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> None:
+    twins.fit("mill-march", ["centre_offset"], "mill-a")
+    made, said = twins.discover("mill-a")
+    names = {label for twin in made for label in twin.labels}
+    assert names == {"scale_mismatch XY", "squareness XY", "backlash X"}
+    assert said[-1].verdict == "nothing_missing"
+    before = made[-1].figures["rms_after_um"]
+    assert twins.remove("mill-a", "backlash").figures["rms_after_um"] > 2 * before
+    with pytest.raises(InputError, match="does not have"):
+        twins.remove("mill-a", "backlash")
+    with pytest.raises(InputError, match="has this effect already"):
+        twins.add("mill-a", "squareness")
+
+
+def test_an_unknown_effect_is_said_to_be_unknown_until_a_law_or_a_file_explains_it(
+    home: Home, tmp_path: Path
+) -> None:
+    folder = write_campaign(tmp_path / "odd", "strange", name="odd-mill", machine="odd")
+    twins = Twins(home)
+    twins.fit(str(folder), KNOWN, "odd")
+    _, found = twins.diagnose("odd")
+    assert found.verdict == "unknown_effect"
+    assert not found.group
+    assert (found.laws[0].harmonic, found.laws[0].odd, found.laws[0].feed) == (5, False, 1.0)
+
+    learned, gain = twins.learn("odd")
+    assert learned.labels[-1] == "learned_even_h5_f1_r0"
+    assert gain > 0.5
+    _, after = twins.diagnose("odd")
+    assert after.verdict == "nothing_missing"
+    with pytest.raises(GateRefusal):
+        twins.learn("odd")
+
+    own = tmp_path / "wobble.py"
+    own.write_text(
+        (Path(__file__).parents[2] / "docs" / "tutorials" / "wobble.py").read_text("utf-8"),
+        encoding="utf-8",
+    )
+    mine = Twins(home, Library([own]))
+    mine.fit("odd-mill", KNOWN, "own")
+    _, named = mine.diagnose("own")
+    assert [s.label for s in named.group] == ["wobble"]
+    added = mine.add("own", "wobble")
+    assert added.figures["rms_after_um"] < 1.1 * added.figures["noise_floor_um"]
+    with pytest.raises(InputError, match="not known here"):
+        Twins(home).newest("own")
+
+
+def test_poor_data_get_an_honest_verdict(home: Home, tmp_path: Path) -> None:
+    twins = Twins(home)
+    folder = write_campaign(tmp_path / "once", "backlash", name="once", repeats=1)
+    twins.fit(str(folder), KNOWN, "once")
+    _, once = twins.diagnose("once")
+    assert once.verdict == "need_repeats"
+    assert once.next_experiment is not None
+    assert once.next_experiment["repeats"] >= 2
+    assert np.isnan(twins.newest("once").estimates[0].uncertainty)
+
+    folder = write_campaign(
+        tmp_path / "one-way", "none", name="one-way", feeds=(2000.0,), radii=(100.0,),
+        directions=("CCW",),
+    )  # fmt: skip
+    twins.fit(str(folder), ["scale_mismatch"], "one-way")
+    _, group = twins.diagnose("one-way")
+    assert group.verdict == "ambiguous"
+    assert {"squareness XY", "servo_mismatch XY"} <= {s.label for s in group.group}
+    assert group.next_experiment is not None
+    assert "direction" in json.dumps(group.next_experiment)
+
+    both = twins.fit("one-way", ["squareness", "servo_mismatch"], "aliased")
+    assert len(both.aliases) == 1
+    assert not any(e.identifiable for e in both.estimates)
+    assert "Reverse the direction" in both.aliases[0]["separate_by"]
+
+
+def test_a_twin_stays_on_its_machine_and_says_where_it_is_outside(
+    twins: Twins, home: Home, tmp_path: Path
+) -> None:
+    twins.fit("mill-march", KNOWN, "mill-a")
+    other = write_campaign(tmp_path / "b", "none", name="other", machine="mill-b")
+    with pytest.raises(InputError, match="another machine"):
+        twins.compare("mill-a", str(other))
+    fast = write_campaign(tmp_path / "f", "backlash", name="fast", feeds=(8000.0,), repeats=2)
+    found = twins.compare("mill-a", str(fast))
+    assert "outside the conditions of the fit" in found.warnings[0]
+
+
+def test_mistakes_are_named(twins: Twins, home: Home) -> None:
+    with pytest.raises(InputError, match="no such effect"):
+        twins.fit("mill-march", ["backlush"], "mill-a")
+    with pytest.raises(InputError, match="cannot act"):
+        twins.fit("mill-march", ["backlash:Z"], "mill-a")
+    with pytest.raises(InputError, match="cannot act"):
+        twins.fit("mill-march", ["thermal_growth"], "mill-a")
+    with pytest.raises(InputError, match="no such twin"):
+        twins.compare("mill-z")
+    with pytest.raises(InputError):
+        twins.fit("mill-march", KNOWN, "../escape")
+    assert not (home.root / "twins" / "mill-a").exists(), "half a twin was left"
+    twins.fit("mill-march", KNOWN, "damaged")
+    (home.root / "twins" / "damaged" / "v001.json").write_text("{", encoding="utf-8")
+    with pytest.raises(StoreError):
+        twins.compare("damaged")
+
+
+def dtwin(home: Home, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "dtwin", *arguments],
+        env=dict(os.environ, DTWIN_HOME=str(home.root), OMP_NUM_THREADS="1"),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=200,
+    )
+
+
+def test_the_command_line_says_the_same(home: Home, twins: Twins, tmp_path: Path) -> None:
+    made = dtwin(home, "twin", "fit", "mill-march", "--effects", ",".join(KNOWN), "--name", "cli")
+    assert made.returncode == 0, made.stderr
+    assert "noise floor" in made.stdout
+    told = dtwin(home, "twin", "diagnose", "cli", "--json")
+    result: dict[str, Any] = json.loads(told.stdout)
+    assert {
+        "twin", "version", "campaign", "verdict", "residual_rms_um", "noise_floor_um",
+        "lack_of_fit_p", "candidates", "where", "next_experiment",
+    } <= set(result)  # fmt: skip
+    assert {"effect", "axis", "rms_after_um", "cv_gain", "p_value", "in_group", "grade",
+            "confounded_with"} <= set(result["candidates"][0])  # fmt: skip
+    page = tmp_path / "twin.html"
+    shown = dtwin(home, "twin", "show", "cli", "--html", str(page))
+    assert shown.returncode == 0, shown.stderr
+    content = page.read_text(encoding="utf-8")
+    for heading in ("The twin", "Measured against predicted", "What is missing"):
+        assert heading in content
+    assert 'src="http' not in content, "the page needs the network"
+    wrong = dtwin(home, "twin", "add", "cli", "warp_drive")
+    assert wrong.returncode == 1
+    assert "effect.unknown" in wrong.stderr
