@@ -64,13 +64,13 @@ def compare_twin(
     as_json: Json = False,
 ) -> None:
     """Compare a twin with measurements, condition by condition."""
-    from dtwin.report.twins import comparison_section, comparison_text
+    from dtwin.report.twins import comparison_sections, comparison_text
 
     found = _twins(effects_path).compare(name, campaign)
     result = found.as_dict()
     if html is not None:
-        section = comparison_section(found.obs, found.before_um, found.residual_um, result)
-        _write_page(html, found.twin.name, [section])
+        parts = comparison_sections(found.obs, found.before_um, found.residual_um, result)
+        _write_page(html, found.twin.name, parts)
     emit(result, lambda: comparison_text(result), as_json=as_json)
 
 
@@ -176,7 +176,7 @@ def show_twin(
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.report.twins import (
-        comparison_section,
+        comparison_sections,
         diagnosis_section,
         history_section,
         twin_section,
@@ -193,7 +193,9 @@ def show_twin(
             name,
             [
                 twin_section(twin),
-                comparison_section(found.obs, found.before_um, found.residual_um, found.as_dict()),
+                *comparison_sections(
+                    found.obs, found.before_um, found.residual_um, found.as_dict()
+                ),
                 diagnosis_section(name, diagnosis.as_dict()),
                 history_section(twins.history(name)),
             ],

@@ -187,9 +187,10 @@ def effect_text(effect: Effect) -> str:
     return "\n".join(line for line in lines if line)
 
 
-def comparison_section(obs: Observations, before_um: Floats, residual_um: Floats,
-                       result: Mapping[str, Any]) -> Section:  # fmt: skip
-    """Return measured against predicted, with overlays and the residual map."""
+def comparison_sections(
+    obs: Observations, before_um: Floats, residual_um: Floats, result: Mapping[str, Any]
+) -> list[Section]:
+    """Return measured against predicted: by condition, as a map, and overlaid."""
     means = localise.condition_means(obs, residual_um)
     measured = localise.condition_means(obs, before_um)
     worst = np.argsort(-np.sqrt((means**2).mean(axis=1)))[:_OVERLAYS]
@@ -205,17 +206,21 @@ def comparison_section(obs: Observations, before_um: Floats, residual_um: Floats
         )
         for c in worst
     ]
-    names = [str(c) for c in obs.conditions]
     floor = float(result["noise_floor_um"])
-    figures.insert(0, residual_map(means, names, floor_um=floor, title="Mean residual"))
-    text = comparison_text(result).split("\n")
-    return Section(
-        "Measured against predicted",
-        [text[0], f"In words: {result['headline']}", *result["warnings"]],
-        [],
-        [_condition_table(result)],
-        figures,
-    )
+    names = [str(c) for c in obs.conditions]
+    overview = residual_map(means, names, floor_um=floor, title="Mean residual")
+    return [
+        Section(
+            "Measured against predicted",
+            [comparison_text(result).split("\n")[0], f"In words: {result['headline']}"],
+            [("warning", warning) for warning in result["warnings"]],
+            [_condition_table(result)],
+        ),
+        Section("Where it fails", [_place(p) for p in result["where"]], [], [], [overview]),
+        Section(
+            "The worst conditions", ["Choose the magnification below each plot."], [], [], figures
+        ),
+    ]
 
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:

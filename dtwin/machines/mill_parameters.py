@@ -1,0 +1,209 @@
+"""What can be wrong with the virtual mill; every default is a machine without that fault."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from dtwin.errors import InputError
+from dtwin.schema import Direction, Plane
+
+AXES = ("X", "Y", "Z")
+
+
+@dataclass(frozen=True)
+class AxisParameters:
+    """Drive, guideway, screw and structure of one axis.
+
+    Attributes
+    ----------
+    position_gain_1_s, velocity_gain_1_s : float
+        Gains of the position loop and of the velocity loop inside it.
+    integral_time_ms : float
+        Of the velocity loop; 0 switches the integral off.
+    feed_forward : float
+        Share of the commanded speed that is fed forward; 1 follows without lag.
+    play_um, play_taper_um : float
+        Lost motion between screw and table at the middle, and its change over 100 mm.
+    play_curve_um : float
+        Further change of the lost motion, quadratic in position, at 100 mm.
+    lateral_um, lateral_taper_um : float
+        Sideways step of the carriage on reversal at the middle, and its change over 100 mm.
+    lateral_travel_mm : float
+        Travel over which the carriage moves over.
+    friction_mm_s2 : float
+        Friction as the acceleration that it costs the drive.
+    presliding_mm : float
+        Travel over which friction reverses.
+    stribeck_mm_s2, stribeck_mm_s : float
+        Extra friction near standstill, and the speed by which it has faded.
+    pitch_error_um, pitch_mm, pitch_phase_rad : float
+        Once-per-turn error of the screw.
+    pitch_flank_um : float
+        Part of it that changes sign with the flank that is in contact.
+    mode_hz, mode_damping : float
+        First mode of the axis.
+    mode_share : float
+        Share of the axis's acceleration that bends the mode.
+    breakaway_mm : float
+        Error that builds up before a stuck axis breaks away; the jolt rings the mode.
+    scale_ppm, scale_cubic_um : float
+        Error of the scale: in proportion to position, and with its cube (at 100 mm).
+    bow_um : float
+        Rise of the bent guideway 100 mm from the middle of the circle.
+    tilt_urad : float
+        Rotation of the carriage per 100 mm of travel, at the height of the tool.
+    growth_um_m_k : float
+        Thermal expansion.
+    slip_um, slip_mm_s : float
+        Size of random stick-slip steps and the speed below which they occur.
+    """
+
+    position_gain_1_s: float = 40.0
+    velocity_gain_1_s: float = 300.0
+    integral_time_ms: float = 0.0
+    feed_forward: float = 1.0
+    play_um: float = 0.0
+    play_taper_um: float = 0.0
+    play_curve_um: float = 0.0
+    lateral_um: float = 0.0
+    lateral_taper_um: float = 0.0
+    lateral_travel_mm: float = 0.05
+    friction_mm_s2: float = 0.0
+    presliding_mm: float = 0.01
+    stribeck_mm_s2: float = 0.0
+    stribeck_mm_s: float = 2.0
+    pitch_error_um: float = 0.0
+    pitch_mm: float = 10.0
+    pitch_phase_rad: float = 0.0
+    pitch_flank_um: float = 0.0
+    mode_hz: float = 25.0
+    mode_damping: float = 0.05
+    mode_share: float = 0.0
+    breakaway_mm: float = 0.0
+    scale_ppm: float = 0.0
+    scale_cubic_um: float = 0.0
+    bow_um: float = 0.0
+    tilt_urad: float = 0.0
+    growth_um_m_k: float = 0.0
+    slip_um: float = 0.0
+    slip_mm_s: float = 1.0
+
+
+@dataclass(frozen=True)
+class HeatParameters:
+    """One body that the running machine warms.
+
+    Attributes
+    ----------
+    rise_c : float
+        Temperature above the room that lasting work at ``feed_mm_min`` leads to.
+    feed_mm_min : float
+        Reference feed.
+    feed_share : float
+        Share of the heat that is in proportion to the feed; the spindle gives the rest.
+    time_constant_min : float
+        Of warming and cooling.
+    lag_share : float
+        Share of the growth that follows a second body of three times the time constant; the
+        growth then forms a loop over temperature.
+    sensor_noise_c : float
+        Of the logged temperature.
+    """
+
+    rise_c: float = 4.0
+    feed_mm_min: float = 2000.0
+    feed_share: float = 0.5
+    time_constant_min: float = 25.0
+    lag_share: float = 0.0
+    sensor_noise_c: float = 0.02
+
+
+@dataclass(frozen=True)
+class MillParameters:
+    """The whole machine.
+
+    Attributes
+    ----------
+    x, y, z : AxisParameters
+        The axes.
+    squareness_um_m : dict of str to float
+        Angle missing to 90 degrees, by plane.
+    changeover_um : float
+        Step of the commanded radius where the leading axis changes.
+    shift_um_h : tuple of float
+        Drift of the table along X, Y, Z.
+    bar_growth_um_h : float
+        Drift of the measured length.
+    delay_ms : float
+        By which the bar's reading is older than the angle written beside it.
+    cup_lobe_um, cup_phase_rad : float
+        Three-lobed error of ball and cup.
+    heat : HeatParameters
+        Warming.
+    """
+
+    x: AxisParameters = field(default_factory=AxisParameters)
+    y: AxisParameters = field(default_factory=AxisParameters)
+    z: AxisParameters = field(default_factory=AxisParameters)
+    squareness_um_m: dict[str, float] = field(default_factory=dict)
+    changeover_um: float = 0.0
+    shift_um_h: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    bar_growth_um_h: float = 0.0
+    delay_ms: float = 0.0
+    cup_lobe_um: float = 0.0
+    cup_phase_rad: float = 0.0
+    heat: HeatParameters = field(default_factory=HeatParameters)
+
+    def axis(self, letter: str) -> AxisParameters:
+        """Return the parameters of axis X, Y or Z."""
+        return {"X": self.x, "Y": self.y, "Z": self.z}[letter]
+
+    def with_axis(self, letter: str, **changes: float) -> MillParameters:
+        """Return the machine with some parameters of one axis changed."""
+        changed = replace(self.axis(letter), **changes)
+        return replace(
+            self,
+            x=changed if letter == "X" else self.x,
+            y=changed if letter == "Y" else self.y,
+            z=changed if letter == "Z" else self.z,
+        )
+
+
+@dataclass(frozen=True)
+class CircularTest:
+    """One circle to be measured.
+
+    Attributes
+    ----------
+    plane, direction : str
+        Plane and sense of motion.
+    radius_mm, feed_mm_min : float
+        As programmed.
+    repeat : int
+        Counts from 1.
+    setup : str
+        Mounting of the bar.
+    pause_s : float
+        Standstill before this test, in which the machine cools.
+    abbe_offset_mm : float or None
+        Height of the bar above the scales; logged when given.
+    """
+
+    plane: Plane = "XY"
+    direction: Direction = "CCW"
+    radius_mm: float = 100.0
+    feed_mm_min: float = 2000.0
+    repeat: int = 1
+    setup: str = "s1"
+    pause_s: float = 0.0
+    abbe_offset_mm: float | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what the machine cannot drive."""
+        if not (1.0 <= self.radius_mm <= 1000.0 and 10.0 <= self.feed_mm_min <= 30000.0):
+            raise InputError(
+                "the virtual mill cannot drive this circle",
+                code="mill.circle",
+                got=f"radius {self.radius_mm:g} mm, feed {self.feed_mm_min:g} mm/min",
+                allowed="radius 1 to 1000 mm, feed 10 to 30000 mm/min",
+            )
