@@ -60,7 +60,10 @@ def circle(radius_mm: float, feed_mm_s: float, sense: float, changeover_mm: floa
     phase = sense * (speed * travelled - _LEAD_IN_RAD)
     rate = sense * speed * 0.5 * (1.0 - np.cos(np.pi * ramp))
     gain = sense * speed * 0.5 * np.pi / _RAMP_S * np.sin(np.pi * ramp)
-    along, across = np.stack([np.cos(phase), np.sin(phase)]), np.stack([-np.sin(phase), np.cos(phase)])
+    along, across = (
+        np.stack([np.cos(phase), np.sin(phase)]),
+        np.stack([-np.sin(phase), np.cos(phase)]),
+    )
     leads = np.abs(across[1]) > np.abs(across[0])
     r = radius_mm + np.where(leads, -0.5, 0.5) * changeover_mm
     return Command(
@@ -172,11 +175,9 @@ def _drive_kernel(
         nut = motor + wave * np.cos(turn) + flank * contact * np.cos(turn)
         # Lost motion: the table moves only when pushed.
         half = 0.5 * (play + play_slope * motor + play_curve * motor * motor)
-        if half > 0.0:
-            table = max(nut - half, min(nut + half, table))
-        else:
-            # Preload beyond zero play winds up the other way round.
-            table = nut - half * contact
+        # A width below zero is a screw that winds up the other way round.
+        pushed = max(nut - half, min(nut + half, table))
+        table = pushed if half > 0.0 else nut - half * contact
         carriage = sense + (carriage - sense) * np.exp(-travel / side_travel)
         sideways[i] = 0.5 * (side + side_slope * motor) * carriage
         # Structure: bent by acceleration, struck when a stuck axis breaks away.
