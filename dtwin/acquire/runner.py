@@ -205,7 +205,7 @@ def _write_toml(
         f'started = "{done[tests[0].test_id]["started"]}"',
     ]
     for name, content in bench.describe().items():
-        lines += ["", f"[campaign.{name}]", *(f"{k} = {_toml(v)}" for k, v in content.items())]
+        lines += ["", f"[campaign.{name}]", *(f"{k} = {toml_value(v)}" for k, v in content.items())]
     for test in tests:
         entry = done[test.test_id]
         signals = sorted(f for f in entry["files"] if f.endswith(".parquet"))
@@ -220,7 +220,7 @@ def _write_toml(
             f"repeat = {test.repeat}",
             f'setup = "{test.setup}"',
             f'started = "{entry["started"]}"',
-            f"signals = {_toml(signals)}",
+            f"signals = {toml_value(signals)}",
         ]
         if entry["covariates"]:
             lines += ["[run.covariates]"]
@@ -228,8 +228,8 @@ def _write_toml(
     write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
 
 
-def _toml(value: Any) -> str:
-    # JSON strings, numbers, booleans and lists are valid TOML.
+def toml_value(value: Any) -> str:
+    """Return a value as TOML: JSON strings, numbers, booleans and lists are valid TOML."""
     return json.dumps(value)
 
 

@@ -29,20 +29,29 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[str, typer.Option(help="Virtual machine: cobot.")] = "cobot",
+    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill.")] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Eight tests instead.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
+    hidden: Annotated[
+        str, typer.Option(help="Fault of the mill that nobody is told of: backlash, wobble, none.")
+    ] = "backlash",
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
+    if machine == "mill":
+        _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
+        return
     from dtwin.pipeline.demo import quick_size
     from dtwin.pipeline.measuring import simulate as measure
     from dtwin.plan import read_plan, training_plan
 
     if machine != "cobot":
         raise InputError(
-            "no such virtual machine", code="simulate.machine", got=machine[:40], allowed="cobot"
+            "no such virtual machine",
+            code="simulate.machine",
+            got=machine[:40],
+            allowed="cobot, mill",
         )
     if plan is not None:
         planned = read_plan(plan)
@@ -62,6 +71,19 @@ def simulate(
             f"{done.measured} tests measured, {done.kept} kept from before, in "
             f"{done.folder}\nnext: dtwin ingest {done.folder}"
         ),
+        as_json=as_json,
+    )
+
+
+def _simulate_mill(out: Path, *, seed: int, quick: bool, hidden: str, as_json: bool) -> None:
+    from dtwin.acquire.virtual_mill import simulate_mill
+
+    progress = ProgressLine("measure", quiet=as_json)
+    runs = simulate_mill(out, seed=seed, quick=quick, hidden=hidden, progress=progress)
+    payload = {"folder": str(out), "runs": len(runs), "campaign": f"mill-{hidden}"}
+    emit(
+        payload,
+        lambda: f"{len(runs)} runs in {out}\nnext: dtwin ingest {out}",
         as_json=as_json,
     )
 

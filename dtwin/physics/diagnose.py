@@ -105,17 +105,20 @@ def _concluded(
     fit_p = found.lack_of_fit[0]
     blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=found.invisible)
     foreign = tuple(c for c in channels if _is_foreign(c.name, library))
+    left_um = found.systematic_um[0]
+    if left_um < _IMMATERIAL * blank.noise_floor_um and not channels:
+        shown = _suspects(found, candidates, known, (), {})
+        said = f"what repeats agree on ({left_um:.2g} um) is small beside the noise floor"
+        return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
     if not found.steps:
         laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
         shown = _suspects(found, candidates, known, (), {})
         unexplained = [c.name for c in channels]
-        immaterial = found.systematic_um[0] < _IMMATERIAL * blank.noise_floor_um
-        if ((fit_p > LACK_OF_FIT and not laws) or immaterial) and not unexplained:
-            verdict: Verdict = "variance_effect" if blank.spread else "nothing_missing"
+        if fit_p > LACK_OF_FIT and not laws and not unexplained:
             said = "residual is at the noise floor"
             if blank.spread:
                 said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
-            return replace(blank, verdict=verdict, headline=said, suspects=shown)
+            return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
         said = f"no known effect explains it: {words}"
         if unexplained:
             said += f"; it moves with {', '.join(unexplained)}"
@@ -138,12 +141,16 @@ def _concluded(
             laws=tuple(search_laws(step.problem)),
             closest=step.top.term.label,
         )
-    verdict = "missing_effect" if len(group) == 1 else "ambiguous"
+    verdict: Verdict = "missing_effect" if len(group) == 1 else "ambiguous"
     names = " or ".join(c.term.label for c in group)
     said = f"{names} is missing: {words}" if len(group) == 1 else f"{names}: {words}"
     if foreign:
         said += f"; besides, something moves with {', '.join(c.name for c in foreign)}"
     return replace(blank, verdict=verdict, headline=said, suspects=shown)
+
+
+def _quiet(blank: Diagnosis) -> Verdict:
+    return "variance_effect" if blank.spread else "nothing_missing"
 
 
 def _laws_of(found: Search, candidates: Candidates, candidate: Candidate) -> list[LawTest]:
@@ -170,7 +177,7 @@ def _grade(candidate: Candidate, tests: Sequence[LawTest], group: Sequence[Candi
     wanted = {"feed"} if law.feed is not None else set()
     wanted |= {"direction"} if law.direction != "mixed" else set()
     tested = {test.variable for test in tests}
-    enough = wanted <= tested and bool(wanted) and all(test.confirmed for test in tests)
+    enough = law.feed is not None and wanted <= tested and all(t.confirmed for t in tests)
     return "law-confirmed" if enough and len(group) == 1 else "shape-consistent"
 
 
