@@ -30,7 +30,7 @@ from dtwin.schema import Floats
 LACK_OF_FIT = 0.01
 _FIT_IS_DOUBTFUL = 0.05
 _EXPLAINED = 0.7
-_IMMATERIAL = 0.15
+_IMMATERIAL = 0.08
 _SHOWN = 8
 
 

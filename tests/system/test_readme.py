@@ -36,8 +36,11 @@ def test_links_lead_somewhere() -> None:
         assert (ROOT / target).exists(), target
 
 
-def test_the_step_by_step_block_works(tmp_path: Path) -> None:
-    steps = next(b for b in blocks() if b[0].startswith("dtwin check"))
+@pytest.mark.parametrize(
+    ("first", "ends_with"), [("dtwin check", "champion"), ("dtwin simulate", "reference")]
+)
+def test_a_block_of_commands_works(tmp_path: Path, first: str, ends_with: str) -> None:
+    steps = next(b for b in blocks() if b[0].startswith(first))
     environment = dict(
         os.environ,
         DTWIN_HOME=str(tmp_path / "home"),
@@ -55,4 +58,4 @@ def test_the_step_by_step_block_works(tmp_path: Path) -> None:
             check=False,
         )
         assert done.returncode == 0, f"{step}\n{done.stdout}\n{done.stderr}"
-    assert "champion" in done.stdout
+    assert ends_with in done.stdout
