@@ -1,0 +1,139 @@
+"""Put one case to the tool and mark the answer."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from cases import Case
+
+from dtwin.physics import localise
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.fit import fit
+from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations, observe
+from dtwin.physics.problem import Term
+from dtwin.physics.twin import chosen_terms, frozen_residual_um, twin_of
+
+NAMING = ("missing_effect", "ambiguous")
+ALARMS = (*NAMING, "unknown_effect")
+LIBRARY = Library()
+
+
+def answer(case: Case) -> dict[str, Any]:
+    """Return the tool's answer to a case and the mark."""
+    obs = observe(case.campaign, case.runs)
+    known = chosen_terms(case.known, LIBRARY, obs)
+    began = time.perf_counter()
+    found = diagnose(obs, known, LIBRARY, seed=case.number)
+    spent = time.perf_counter() - began
+    out: dict[str, Any] = {
+        "truth": [cause.label for cause in case.hidden],
+        "known": list(case.known),
+        "verdict": found.verdict,
+        "group": [s.label for s in found.group],
+        "channels": [c.name for c in found.channels],
+        "closest": found.closest,
+        "lack_of_fit_p": found.lack_of_fit_p,
+        "floor_um": found.noise_floor_um,
+        "outliers": list(found.outlier_runs),
+        "seconds": spent,
+    }
+    if case.row.right == "all":
+        out["added"] = _discovered(obs, known, found, case)
+    out["right"] = _is_right(case, found, out)
+    out["wrong_name"] = _is_wrong_name(case, found)
+    if case.row.held_out and found.group:
+        out["held_out"] = _held_out(obs, known, found)
+    if case.row.right == "name" and case.truths and obs.n_rows > 3:
+        out["coverage"] = _coverage(case, obs, known)
+    return out
+
+
+def accepted(case: Case) -> list[set[str]]:
+    """Return, for each hidden effect, the labels that are right."""
+    return [{cause.label} for cause in case.hidden]
+
+
+def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
+    group = {s.label for s in found.group}
+    effects = {s.effect for s in found.group}
+    truths = [cause.label for cause in case.hidden]
+    checks = {
+        "nothing": found.verdict not in ALARMS,
+        "absorbed": found.verdict not in ALARMS,
+        "name": found.verdict in NAMING and all(t in group for t in truths),
+        "all": all(t in out.get("added", ()) for t in truths),
+        "unknown": found.verdict == "unknown_effect",
+        "channel": found.verdict == "unknown_effect" and "coolant_v" in out["channels"],
+        "group": {"squareness", "servo_mismatch"} <= effects and found.verdict == "ambiguous",
+        "confounded": found.verdict == "ambiguous" and {"thermal_growth", "thermal_drift"} <= effects,
+        "need_repeats": found.verdict == "need_repeats",
+        "spread": found.verdict == "variance_effect" or found.spread is not None,
+    }  # fmt: skip
+    if truths == ["thermal_growth"] and case.row.right == "name":
+        return found.verdict in NAMING and "thermal_growth" in effects
+    return bool(checks[case.row.right])
+
+
+def _is_wrong_name(case: Case, found: Diagnosis) -> bool:
+    if found.verdict not in NAMING:
+        return False
+    group = {s.label for s in found.group}
+    return not group & {cause.label for cause in case.hidden}
+
+
+def _discovered(
+    obs: Observations, known: Sequence[Term], found: Diagnosis, case: Case
+) -> list[str]:
+    """Return what the loop of diagnose and add ends with; any member of a group counts."""
+    named: list[str] = []
+    terms = list(known)
+    for _ in range(len(case.hidden) + 1):
+        if found.verdict not in NAMING or not found.group:
+            break
+        named += [s.label for s in found.group]
+        terms = _with_added(obs, terms, found)
+        found = diagnose(obs, terms, LIBRARY, seed=case.number)
+    return named
+
+
+def _with_added(obs: Observations, terms: Sequence[Term], found: Diagnosis) -> list[Term]:
+    best = found.group[0]
+    name = f"{best.effect}:{best.axis}" if best.axis else best.effect
+    return list(fit(obs, [*terms, *chosen_terms([name], LIBRARY, obs)]).terms)
+
+
+def _held_out(obs: Observations, known: Sequence[Term], found: Diagnosis) -> list[float]:
+    """Return systematic RMS on the middle feed before and after, fitted to the other feeds."""
+    feeds = np.array([m.feed_mm_min for m in obs.runs], dtype=float)
+    middle = np.isclose(feeds, np.median(feeds))
+    train, held = obs.take(np.flatnonzero(~middle)), obs.take(np.flatnonzero(middle))
+    out = []
+    for terms in (list(known), [*known, *_added(train, found)]):
+        twin = twin_of(fit(train, terms), train, name="t", version=1, action="exam", data={})
+        out.append(float(localise.systematic_rms_um(held, frozen_residual_um(twin, held))))
+    return out
+
+
+def _added(obs: Observations, found: Diagnosis) -> list[Term]:
+    best = found.group[0]
+    return chosen_terms([f"{best.effect}:{best.axis}" if best.axis else best.effect], LIBRARY, obs)
+
+
+def _coverage(case: Case, obs: Observations, known: Sequence[Term]) -> list[list[Any]]:
+    """Return name, truth, estimate and stated uncertainty where a truth is defined."""
+    names = []
+    for cause in case.hidden:
+        effect, _, axis = cause.label.partition(" ")
+        names.append(f"{effect}:{axis}" if axis else effect)
+    result = fit(obs, [*known, *chosen_terms(names, LIBRARY, obs)])
+    out: list[list[Any]] = []
+    for e in result.estimates:
+        key = f"{e.effect}|{e.axis}|{e.name}"
+        if key in case.truths and e.identifiable:
+            out.append([key, float(case.truths[key]), e.value, e.uncertainty])
+    return out

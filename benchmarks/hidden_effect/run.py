@@ -1,0 +1,155 @@
+"""The hidden-effect exam: what is missing in the twin of a machine that shares no formula with it?
+
+Run: OMP_NUM_THREADS=1 python benchmarks/hidden_effect/run.py [--short] [--rows a,b] [--cases N]
+     [--jobs 2] [--minutes M] [--out FILE] [--table-only]
+
+One JSON line for each case is added to FILE; cases that are there are skipped, so that an
+interrupted run goes on where it stopped. Each line carries a check sum of ``dtwin/physics``; cases
+that were marked with other code are put again. The seed of a case is derived from its row and number.
+Cases are taken in rounds over all rows, so that a run that is cut short has some of every row.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from cases import ROWS, make_case
+from controls import answers
+from judge import answer
+from table import table_text
+
+import dtwin.physics
+
+SHORT_ROWS = ("null_plain", "single_one", "unknown_gear_harmonic", "one_repeat")
+SHORT_CASES = 3
+WITH_CONTROLS = 20
+Key = tuple[str, int]
+
+
+def _check_sum() -> str:
+    """Return what identifies the code that is examined."""
+    root = Path(dtwin.physics.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+CODE = _check_sum()
+
+
+def main() -> None:
+    given = _arguments()
+    rows = [name for name in given.rows.split(",") if name] or list(ROWS)
+    if given.short:
+        rows = list(SHORT_ROWS)
+    unknown = sorted(set(rows) - set(ROWS))
+    if unknown:
+        raise SystemExit(f"no such row: {', '.join(unknown)}; there are {', '.join(ROWS)}")
+    most = given.cases or (SHORT_CASES if given.short else None)
+    done = _done(given.out)
+    if not given.table_only:
+        _run(list(_wanted(rows, most, done)), given)
+    records = [r for r in _done(given.out).values() if r["row"] in rows]
+    codes = Counter(r["code"] for r in records)
+    print("cases by check sum of dtwin/physics:", ", ".join(f"{c} {n}" for c, n in codes.items()))
+    failed = [r for r in records if "failed" in r]
+    print(table_text([r for r in records if "failed" not in r]))
+    for record in failed:
+        print(f"FAILED {record['row']} {record['case']}: {record['failed']}")
+    sys.exit(1 if failed else 0)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--short", action="store_true", help="a few cases of four rows")
+    parser.add_argument("--rows", default="", help="names with commas")
+    parser.add_argument("--cases", type=int, default=0, help="at most so many cases of a row")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--minutes", type=float, default=0.0, help="begin no case after that")
+    parser.add_argument("--out", type=Path, default=Path("hidden-effect-cases.jsonl"))
+    parser.add_argument("--table-only", action="store_true")
+    return parser.parse_args()
+
+
+def _done(path: Path) -> dict[Key, dict[str, Any]]:
+    """Return the cases of earlier runs; a line that was cut off does not count."""
+    out: dict[Key, dict[str, Any]] = {}
+    if path.exists():
+        for line in path.read_text().splitlines():
+            try:
+                record = json.loads(line)
+            except json.JSONDecodeError:
+                continue
+            out[record["row"], record["case"]] = record
+    return out
+
+
+def _wanted(rows: list[str], most: int | None, done: dict[Key, Any]) -> Iterator[Key]:
+    """Yield cases in rounds: the share of each row that is done grows alike."""
+    counts = {name: min(ROWS[name].cases, most or ROWS[name].cases) for name in rows}
+    every = [
+        ((n + 1) / min(counts[name], 200), n, name) for name in rows for n in range(counts[name])
+    ]
+    for _, number, name in sorted(every, key=lambda e: e[0]):
+        if done.get((name, number), {}).get("code") != CODE:
+            yield name, number
+
+
+def _run(wanted: list[Key], given: argparse.Namespace) -> None:
+    began = time.monotonic()
+    limit_s = 60.0 * given.minutes or float("inf")
+    with given.out.open("a") as out:
+        for n, record in enumerate(_marked(wanted, given.jobs, began + limit_s)):
+            out.write(json.dumps(record) + "\n")
+            out.flush()
+            spent = time.monotonic() - began
+            said = record.get("verdict", "FAILED")
+            mark = "right" if record.get("right") else "wrong"
+            print(
+                f"{n + 1}/{len(wanted)} {spent:6.0f} s  {record['row']} {record['case']}: {said} {mark}",
+                file=sys.stderr,
+            )
+
+
+def _marked(wanted: list[Key], jobs: int, until: float) -> Iterator[dict[str, Any]]:
+    if jobs <= 1:
+        for key in wanted:
+            if time.monotonic() > until:
+                return
+            yield one(key)
+        return
+    with ProcessPoolExecutor(jobs) as pool:
+        for first in range(0, len(wanted), jobs):
+            if time.monotonic() > until:
+                return
+            yield from pool.map(one, wanted[first : first + jobs])
+
+
+def one(key: Key) -> dict[str, Any]:
+    """Make, put and mark one case; what goes wrong is part of the result."""
+    name, number = key
+    record: dict[str, Any] = {"row": name, "case": number, "code": CODE}
+    try:
+        case = make_case(ROWS[name], number)
+        record |= {"runs": len(case.runs), "sizes": list(case.sizes), **answer(case)}
+        if number < WITH_CONTROLS and name.startswith(("null", "single", "unknown_")):
+            record["controls"] = answers(case)
+    except Exception as error:
+        traceback.print_exc()
+        record["failed"] = f"{type(error).__name__}: {error}"
+    return record
+
+
+if __name__ == "__main__":
+    main()

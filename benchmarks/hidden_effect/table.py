@@ -1,0 +1,208 @@
+"""The table of the exam from the marked cases."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from cases import ROWS
+from controls import CONTROLS
+
+Record = Mapping[str, Any]
+
+
+def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
+    """Return the 95 % interval of a share."""
+    if n == 0:
+        return 0.0, 1.0
+    share, extra = hits / n, z * z / n
+    middle = (share + extra / 2) / (1 + extra)
+    half = z * math.sqrt(share * (1 - share) / n + extra / n / 4) / (1 + extra)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def table_text(records: Sequence[Record]) -> str:
+    """Return the whole table as Markdown."""
+    by_row: dict[str, list[Record]] = defaultdict(list)
+    for record in records:
+        by_row[record["row"]].append(record)
+    parts = ["## Figures that must be reached", _figures(by_row), "", "## Every row", _rows(by_row)]
+    parts += ["", "## By hidden effect (full design)", _by_effect(by_row)]
+    parts += ["", "## Controls, on the same cases", _controls(by_row)]
+    return "\n".join(parts) + "\n"
+
+
+def _share(records: Sequence[Record], what: str) -> tuple[int, int]:
+    return sum(bool(r[what]) for r in records), len(records)
+
+
+def _pooled(by_row: Mapping[str, list[Record]], *names: str) -> list[Record]:
+    return [r for name in names for r in by_row.get(name, [])]
+
+
+def _figures(by_row: Mapping[str, list[Record]]) -> str:
+    lines = ["| figure | must reach | reached | cases | reached? |", "|---|---|---|---|---|"]
+    nulls = [name for name in by_row if name.startswith("null")]
+    if nulls:
+        worst = max(nulls, key=lambda n: 1 - _ratio(by_row[n]))
+        wrong, n = len(by_row[worst]) - _share(by_row[worst], "right")[0], len(by_row[worst])
+        low, high = wilson(wrong, n)
+        lines.append(
+            f"| false alarm, worst noise row ({worst}) | upper bound <= 8 % | "
+            f"{wrong / n:.1%} ({low:.1%} to {high:.1%}) | {n} | {_said(high <= 0.08)} |"
+        )
+    shares = [
+        ("truth in the group, single, k = 1/2", ("single_half",), 0.95),
+        ("truth in the group, single, k = 1/4", ("single_quarter",), 0.90),
+        ("outside the library called unknown", tuple(n for n in by_row if n.startswith("unknown_")), 0.95),
+        ("both of a pair found, k = 1", ("pair_one",), 0.95),
+        ("thermal growth named with a cool-down, k = 1", ("heat_cool_down",), 0.90),
+        ("lateral play named, k = 1/2", ("lateral_play_half",), 0.95),
+    ]  # fmt: skip
+    for label, names, limit in shares:
+        lines.append(_share_line(label, _pooled(by_row, *names), limit))
+    single = _pooled(by_row, "single_half", "single_quarter")
+    if single:
+        wrong = _share(single, "wrong_name")[0]
+        share = wrong / len(single)
+        lines.append(f"| wrong name though the truth is in the library | <= 2 % | {share:.1%} "
+                     f"{_interval(wrong, len(single))} | {len(single)} | {_said(share <= 0.02)} |")  # fmt: skip
+        sizes = [len(r["group"]) for r in single if r["group"]]
+        if sizes:
+            lines.append(f"| mean size of the group | <= 1.5 | {np.mean(sizes):.2f} | {len(sizes)} "
+                         f"| {_said(np.mean(sizes) <= 1.5)} |")  # fmt: skip
+    lines += _held_out(by_row) + _coverage(by_row) + _times(by_row)
+    return "\n".join(lines)
+
+
+def _ratio(records: Sequence[Record]) -> float:
+    hits, n = _share(records, "right")
+    return hits / max(n, 1)
+
+
+def _said(reached: bool) -> str:
+    return "yes" if reached else "**no**"
+
+
+def _interval(hits: int, n: int) -> str:
+    low, high = wilson(hits, n)
+    return f"({low:.1%} to {high:.1%})"
+
+
+def _share_line(label: str, records: Sequence[Record], limit: float) -> str:
+    if not records:
+        return f"| {label} | >= {limit:.2f} | not run | 0 | - |"
+    hits, n = _share(records, "right")
+    return (f"| {label} | >= {limit:.2f} | {hits / n:.3f} {_interval(hits, n)} | {n} "
+            f"| {_said(hits / n >= limit)} |")  # fmt: skip
+
+
+def _held_out(by_row: Mapping[str, list[Record]]) -> list[str]:
+    pairs = [r["held_out"] for rs in by_row.values() for r in rs if r.get("held_out")]
+    if not pairs:
+        return []
+    before, after = np.sqrt((np.array(pairs) ** 2).mean(axis=0))
+    return [f"| systematic RMS on held-out conditions, after / before, k >= 1 | <= 0.3 | "
+            f"{after / before:.2f} | {len(pairs)} | {_said(after <= 0.3 * before)} |"]  # fmt: skip
+
+
+def _coverage(by_row: Mapping[str, list[Record]]) -> list[str]:
+    cases = [r for rs in by_row.values() for r in rs if r.get("coverage")]
+    inside = [abs(v - t) <= u for r in cases for _, t, v, u in r["coverage"]]
+    if not inside:
+        return []
+    share = float(np.mean(inside))
+    return [f"| stated uncertainty covers the truth | 93 to 97 % | {share:.1%} "
+            f"{_interval(sum(inside), len(inside))} | {len(inside)} parameters of {len(cases)} cases "
+            f"| {_said(0.93 <= share <= 0.97)} |"]  # fmt: skip
+
+
+def _times(by_row: Mapping[str, list[Record]]) -> list[str]:
+    spent = [r["seconds"] for rs in by_row.values() for r in rs if r.get("runs") == 36]
+    if not spent:
+        return []
+    return [f"| time of one diagnosis of 36 runs, median | <= 2 s | {np.median(spent):.2f} s "
+            f"(90 %: {np.quantile(spent, 0.9):.2f} s) | {len(spent)} | {_said(np.median(spent) <= 2)} |"]  # fmt: skip
+
+
+def _rows(by_row: Mapping[str, list[Record]]) -> str:
+    lines = ["| row | design | k | right answer | right | 95 % | cases (full table) | wrong name | answers |",
+             "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    for name, row in ROWS.items():
+        records = by_row.get(name, [])
+        if not records:
+            lines.append(
+                f"| {name} | {row.design} | {row.k:g} | {row.right} | not run | | 0 ({row.cases}) | | |"
+            )
+            continue
+        hits, n = _share(records, "right")
+        wrong = _share(records, "wrong_name")[0]
+        said = ", ".join(
+            f"{v} {c}" for v, c in Counter(r["verdict"] for r in records).most_common()
+        )
+        lines.append(f"| {name} | {row.design} | {row.k:g} | {row.right} | {hits / n:.2f} | "
+                     f"{_interval(hits, n)} | {n} ({row.cases}) | {wrong / n:.2f} | {said} |")  # fmt: skip
+    return "\n".join(lines)
+
+
+def _by_effect(by_row: Mapping[str, list[Record]]) -> str:
+    lines = [
+        "| effect | k = 1/4 | k = 1/2 | k = 1 | k = 2 | most frequent other answer |",
+        "|---|---|---|---|---|---|",
+    ]
+    rows = ("single_quarter", "single_half", "single_one", "single_two")
+    seen = _pooled(by_row, *rows)
+    for effect in sorted({r["truth"][0].split()[0] for r in seen}):
+        mine = [[r for r in by_row.get(n, []) if r["truth"][0].split()[0] == effect] for n in rows]
+        cells = [f"{_share(rs, 'right')[0]}/{len(rs)}" if rs else "-" for rs in mine]
+        wrong = Counter(_short(r) for rs in mine for r in rs if not r["right"])
+        often = ", ".join(f"{a} {c}" for a, c in wrong.most_common(2))
+        lines.append(f"| {effect} | {' | '.join(cells)} | {often} |")
+    return "\n".join(lines)
+
+
+def _short(record: Record) -> str:
+    if record["group"]:
+        return str(record["group"][0])
+    return str(record["verdict"]) + (f" ({record['closest']})" if record["closest"] else "")
+
+
+def _controls(by_row: Mapping[str, list[Record]]) -> str:
+    nulls = [r for n, rs in by_row.items() if n.startswith("null") for r in rs if r.get("controls")]
+    single = [
+        r for n in ("single_half", "single_quarter") for r in by_row.get(n, []) if r.get("controls")
+    ]
+    foreign = [
+        r for n, rs in by_row.items() if n.startswith("unknown_") for r in rs if r.get("controls")
+    ]
+    lines = [f"| selector | names something when nothing is hidden (n = {len(nulls)}) | truth among its names, "
+             f"k <= 1/2 (n = {len(single)}) | names | and nothing else | unknown called unknown (n = {len(foreign)}) |",
+             "|---|---|---|---|---|---|"]  # fmt: skip
+    for name in ("dtwin", *CONTROLS):
+        lines.append(_control_line(name, nulls, single, foreign))
+    return "\n".join(lines)
+
+
+def _names(record: Record, selector: str) -> list[str]:
+    if selector != "dtwin":
+        return list(record["controls"][selector])
+    return list(record["group"]) or (["?"] if record["verdict"] == "unknown_effect" else [])
+
+
+def _control_line(
+    name: str, nulls: Sequence[Record], single: Sequence[Record], foreign: Sequence[Record]
+) -> str:
+    alarms = [bool(_names(r, name)) for r in nulls]
+    hits = [r["truth"][0] in _names(r, name) for r in single]
+    alone = [_names(r, name) == [r["truth"][0]] for r in single]
+    sizes = [len(_names(r, name)) for r in single]
+    unknown = [_names(r, name) == ["?"] for r in foreign]
+
+    def mean(values: Sequence[float], form: str = "{:.2f}") -> str:
+        return form.format(float(np.mean(values))) if len(values) else "-"
+
+    return (f"| {name} | {mean(alarms)} | {mean(hits)} | {mean(sizes, '{:.1f}')} | {mean(alone)} "
+            f"| {mean(unknown)} |")  # fmt: skip
