@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from causes import BASE, LIBRARY, Cause, foreign, thermal_drift, thermal_growth
 from designs import DESIGNS
+from robot import GEOMETRY, JOINTS, joint_cause
 
 from dtwin.machines.mill import Moment, SetupErrors, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
@@ -86,6 +87,7 @@ def _rows() -> list[Row]:
         Row("two_repeats_half", "name", 40, 0.5, every, design="two_repeats"),
         Row("three_planes_half", "name", 40, 0.5, plain, design="three_planes", base=few),
     ]
+    rows.append(Row("robot_joint_one", "name", 40, 1.0, tuple(JOINTS), base=()))
     return rows
 
 
@@ -160,12 +162,13 @@ def make_case(row: Row, number: int) -> Case:
         mill, seed, NoiseParameters(NOISE_UM, row.noise), SetupErrors(), _sum_of(extra)
     )
     runs = [_with_channels(r, channels, i) for i, r in enumerate(made.measure(tests))]
+    campaign = made.campaign(f"{row.name}-{number}")
+    if hidden and hidden[0].label.split()[0] in JOINTS:
+        campaign = replace(campaign, machine="virtual-robot", machine_geometry=GEOMETRY)
     truths: dict[str, float] = {}
     for cause, size in [*base, *zip(hidden, sizes, strict=True)]:
         truths.update(cause.truths(size))
-    return Case(
-        row, number, runs, made.campaign(f"{row.name}-{number}"), base_names, hidden, sizes, truths
-    )
+    return Case(row, number, runs, campaign, base_names, hidden, sizes, truths)
 
 
 def _hidden(row: Row, number: int, rng: np.random.Generator) -> tuple[Cause, ...]:
@@ -181,6 +184,8 @@ def _hidden(row: Row, number: int, rng: np.random.Generator) -> tuple[Cause, ...
         return (thermal_growth("", rng),)
     if row.hidden[0] == "thermal_drift":
         return (thermal_drift("", rng),)
+    if row.hidden[0] in JOINTS:
+        return (joint_cause(row.hidden[number % len(row.hidden)], rng),)
     return (foreign(row.hidden[0], rng),)
 
 
