@@ -227,3 +227,8 @@ def other_axis(state: State, axis: str) -> str:
     """Return the second moving axis of a circle."""
     first, second = state.axes
     return second if axis == first else first
+
+
+def travelled_mm(state: State, axis: str) -> Floats:
+    """Return how far an axis has moved since it last reversed, shape (n,)."""
+    return np.abs(state.last_end[axis] * state.radius_mm - state.position_mm[axis])

@@ -232,7 +232,14 @@ def test_a_model_on_accelerometers_is_served_from_a_channel_file(
     promote_level_model()
     options = ["serve", "--host", robot.host, "--priority", "0", "--duration", "3"]
     assert "--sensors FILE" in dtwin(*options, code=1)
-    found = dtwin(*options, "--sensors", sensors)
+    for _ in range(5):
+        # On a busy host the guard may trip for lateness, as it should; then it is served again.
+        out, err = started(*options, "--sensors", sensors, "--json").communicate(timeout=120)
+        assert "Traceback" not in err
+        found = json.loads(out)
+        if found["ended"] != "latched":
+            break
+    assert found["ended"] == "duration", found
     truth = Sensors(PHYSICAL).felt_g("cDAQ1Mod1/ai1", 0, int(2 * RATE_HZ), RATE_HZ)
     level = 100.0 * np.sqrt(np.mean(truth**2))
     assert found["largest_um"] == pytest.approx(level, rel=0.5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, moves
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, travelled_mm
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -12,7 +12,10 @@ from dtwin.schema import Floats
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 1))
-    return (-0.5 * np.sign(state.velocity_mm_s[axis]) * state.sensitivity[axis])[:, None]
+    # The table stands still until the drive has taken up the play.
+    taken_up = np.minimum(1e3 * travelled_mm(state, axis) / shape["standstill_um"], 1.0)
+    step = -np.sign(state.velocity_mm_s[axis]) * (taken_up - 0.5)
+    return (step * state.sensitivity[axis])[:, None]
 
 
 EFFECT = Effect(
@@ -22,7 +25,8 @@ EFFECT = Effect(
     regressors=_columns,
     law=Law(0.0, 0.0, "odd"),
     meaning="Lost motion in the drive: play in nut, coupling or gear, or wind-up of the screw.",
-    formula="-(B / 2) sgn(v) cos(t) for the X axis",
+    formula="-(B / 2) sgn(v) cos(t) for the X axis, once the play is taken up",
+    shapes=(ShapeParameter("standstill_um", "um", 3.0, (1.0, 4.0, 12.0)),),
     looks_like="Steps where the axis reverses, in or out; the same at all feeds.",
     separate_by="Lower the feed: spikes shrink, a step stays.",
     remedy=("Preload or renew nut and bearings; else enter backlash compensation in the control."),

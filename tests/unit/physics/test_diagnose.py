@@ -1,0 +1,144 @@
+"""Verdicts on campaigns of the virtual mill, whose mechanisms share nothing with the library."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.virtual_mill import standard_tests
+from dtwin.machines.mill import Moment, VirtualMill
+from dtwin.machines.mill_noise import NoiseParameters
+from dtwin.machines.mill_parameters import HeatParameters, MillParameters
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations, observe
+from dtwin.physics.twin import chosen_terms
+from dtwin.schema import Floats, Run
+
+LIBRARY = Library()
+KNOWN = ["scale_mismatch", "squareness"]
+SOUND = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0)
+
+
+def measured(mill: VirtualMill) -> list[Run]:
+    return mill.measure(standard_tests(mill.seed, planes=("XY",)))
+
+
+def observed(runs: list[Run]) -> Observations:
+    return observe(VirtualMill(SOUND).campaign(), runs)
+
+
+def verdict(runs: list[Run]) -> Diagnosis:
+    obs = observed(runs)
+    return diagnose(obs, chosen_terms(KNOWN, LIBRARY, obs), LIBRARY)
+
+
+@pytest.mark.parametrize("kind", ["plain", "tails", "lobes"])
+def test_nothing_is_missing_in_a_sound_mill(kind: str) -> None:
+    found = verdict(measured(VirtualMill(SOUND, seed=1, noise=NoiseParameters(kind=kind))))
+    assert found.verdict == "nothing_missing", found.headline
+    assert not found.group
+    assert found.floor_kind == "repeats"
+    assert found.noise_floor_um == pytest.approx(found.residual_rms_um, rel=0.2)
+
+
+def test_noise_that_grows_with_the_feed_is_a_finding_of_its_own() -> None:
+    found = verdict(measured(VirtualMill(SOUND, seed=1, noise=NoiseParameters(kind="feed"))))
+    assert found.verdict == "variance_effect"
+    assert found.spread is not None
+    assert "feed" in found.spread.depends_on
+
+
+@pytest.mark.parametrize(
+    ("axis", "change", "name"),
+    [
+        ("X", {"play_um": 1.5}, "backlash X"),
+        ("Y", {"play_um": -1.5}, "backlash Y"),
+        ("Y", {"lateral_um": 1.5}, "lateral_play Y"),
+        ("X", {"bow_um": 2.0}, "straightness X"),
+        ("X", {"pitch_error_um": 1.0, "pitch_mm": 8.0}, "cyclic_error X"),
+    ],
+)
+def test_a_mechanism_is_named(axis: str, change: dict[str, float], name: str) -> None:
+    found = verdict(measured(VirtualMill(SOUND.with_axis(axis, **change), seed=2)))
+    assert found.verdict in ("missing_effect", "ambiguous"), found.headline
+    assert name in [s.label for s in found.group]
+    assert len(found.group) <= 2
+
+
+def test_a_bad_run_is_left_out_and_named() -> None:
+    runs = measured(VirtualMill(SOUND, seed=3))
+    samples = dict(runs[7].samples)
+    angle = np.radians(samples["angle_deg"])
+    samples["deviation_um"] = samples["deviation_um"] + 20.0 * np.cos(3 * angle)
+    runs[7] = replace(runs[7], samples=samples)
+    found = verdict(runs)
+    assert found.outlier_runs == (runs[7].meta.run_id,)
+    assert found.verdict == "nothing_missing", found.headline
+
+
+def test_a_logged_channel_is_named_and_its_bystander_is_not() -> None:
+    rng = np.random.default_rng(5)
+    pressure = rng.normal(6.0, 1.0, 36)
+    bystander = 2.0 * pressure + rng.normal(0.0, 2.0, 36)
+
+    def pushed(moment: Moment) -> Floats:
+        return 1.5 * (pressure[moment.number] - 6.0) * np.cos(2 * moment.angle_rad)
+
+    runs = measured(VirtualMill(SOUND, seed=4, disturbance=pushed))
+    logged = [
+        replace(
+            run,
+            meta=replace(
+                run.meta,
+                covariates={
+                    **run.meta.covariates,
+                    "coolant_bar_1": float(pressure[i]),
+                    "flow_1": float(bystander[i]),
+                },
+            ),
+        )
+        for i, run in enumerate(runs)
+    ]
+    found = verdict(logged)
+    assert found.verdict == "unknown_effect"
+    assert [channel.name for channel in found.channels] == ["coolant_bar_1"]
+    assert "coolant_bar_1" in found.headline
+
+
+def test_heat_is_told_with_drift_as_its_rival() -> None:
+    hot = replace(
+        SOUND.with_axis("X", growth_um_m_k=12.0).with_axis("Y", growth_um_m_k=12.0),
+        heat=HeatParameters(rise_c=3.0),
+    )
+    found = verdict(measured(VirtualMill(hot, seed=6)))
+    labels = {s.effect for s in found.group}
+    assert labels & {"thermal_growth", "thermal_drift"}, found.headline
+
+
+def test_a_temperature_that_never_changes_is_no_reason_to_blame_heat() -> None:
+    runs = measured(VirtualMill(SOUND, seed=1))
+    cold = [
+        replace(run, meta=replace(run.meta, covariates={"temperature_c": 20.0})) for run in runs
+    ]
+    found = verdict(cold)
+    assert "did not change" in found.untestable["thermal_growth"]
+    bare = [replace(run, meta=replace(run.meta, covariates={})) for run in runs]
+    assert "was not logged" in verdict(bare).untestable["thermal_growth"]
+
+
+def test_runs_of_other_rates_and_directions_of_angle_are_the_same_data() -> None:
+    runs = measured(VirtualMill(SOUND, seed=1))
+    thin = [
+        replace(run, samples={k: v[::2] for k, v in run.samples.items()})
+        if i % 2
+        else replace(run, samples={**run.samples, "angle_deg": run.samples["angle_deg"] + 720.0})
+        for i, run in enumerate(runs)
+    ]
+    same, changed = observed(runs), observed(thin)
+    assert same.mask.all()
+    assert changed.mask.all()
+    assert np.sqrt(((same.y_um - changed.y_um) ** 2).mean()) < 0.5
