@@ -43,6 +43,7 @@ class Row:
     distractors: bool = False
     base: tuple[str, ...] | None = None
     held_out: bool = False
+    samples_per_turn: int = 1080
 
 
 def _rows() -> list[Row]:
@@ -52,6 +53,7 @@ def _rows() -> list[Row]:
     noises = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
     rows = [Row(f"null_{kind}", "nothing", 1000, noise=kind) for kind in noises]
     rows.append(Row("null_distractors", "nothing", 1000, distractors=True))
+    rows.append(Row("null_odd_sampling", "nothing", 1000, samples_per_turn=1007))
     rows += [
         Row("single_half", "name", 200, 0.5, every),
         Row("single_quarter", "name", 200, 0.25, every),
@@ -159,8 +161,9 @@ def make_case(row: Row, number: int) -> Case:
     if row.hidden == ("coolant",):
         extra.append(_coolant(channels["coolant_v"], NOISE_UM * row.k, rng.uniform(0, 6.28)))
     made = VirtualMill(
-        mill, seed, NoiseParameters(NOISE_UM, row.noise), SetupErrors(), _sum_of(extra)
-    )
+        mill, seed, NoiseParameters(NOISE_UM, row.noise), disturbance=_sum_of(extra),
+        samples_per_turn=row.samples_per_turn,
+    )  # fmt: skip
     runs = [_with_channels(r, channels, i) for i, r in enumerate(made.measure(tests))]
     campaign = made.campaign(f"{row.name}-{number}")
     if hidden and hidden[0].label.split()[0] in JOINTS:

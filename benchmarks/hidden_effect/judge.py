@@ -26,7 +26,7 @@ LIBRARY = Library()
 def answer(case: Case) -> dict[str, Any]:
     """Return the tool's answer to a case and the mark."""
     obs = observe(case.campaign, case.runs)
-    known = chosen_terms(case.known, LIBRARY, obs)
+    known = list(fit(obs, chosen_terms(case.known, LIBRARY, obs)).terms)
     began = time.perf_counter()
     found = diagnose(obs, known, LIBRARY, seed=case.number)
     spent = time.perf_counter() - began

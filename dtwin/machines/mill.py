@@ -20,7 +20,6 @@ from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
 _ROOM_C = 20.0
-_SAMPLES_PER_TURN = 1080
 _HANDLING_S = 60.0
 _CENTRE_ON_SCREW_MM = (213.7, 187.3, 154.9)
 _BEGIN = datetime(2026, 3, 2, 8, 0, tzinfo=UTC)
@@ -92,6 +91,8 @@ class VirtualMill:
         How the bar is mounted.
     disturbance : callable, optional
         Anything else that changes the measured length: ``disturbance(moment)`` returns um.
+    samples_per_turn : int
+        How often the bar is read in a turn, at any feed.
     """
 
     parameters: MillParameters
@@ -99,6 +100,7 @@ class VirtualMill:
     noise: NoiseParameters = field(default_factory=NoiseParameters)
     setup_errors: SetupErrors = field(default_factory=SetupErrors)
     disturbance: Disturbance | None = None
+    samples_per_turn: int = 1080
 
     def measure(self, tests: Sequence[CircularTest]) -> list[Run]:
         """Measure circles one after the other.
@@ -169,12 +171,15 @@ class VirtualMill:
     ) -> Run:
         rng = np.random.default_rng([self.seed, 2, number])
         command, first, second = motion
-        period_s = _duration_s(test) / _SAMPLES_PER_TURN
+        n = self.samples_per_turn
+        period_s = _duration_s(test) / n
         phase_s = self.setup_errors.trigger_samples * period_s * (rng.random() - 0.5)
-        jitter_s = 1e-6 * self.setup_errors.jitter_us * rng.standard_normal(_SAMPLES_PER_TURN)
-        t_s = np.arange(_SAMPLES_PER_TURN) * period_s
-        written = _sense(test) * 2.0 * np.pi * (t_s / _duration_s(test))
-        seen_s = t_s + phase_s + jitter_s - self.parameters.delay_ms / 1000.0
+        jitter_s = 1e-6 * self.setup_errors.jitter_us * rng.standard_normal(n)
+        t_s = np.arange(n) * period_s
+        # The first sample lies half a period behind the trigger.
+        due_s = t_s + 0.5 * period_s
+        written = _sense(test) * 2.0 * np.pi * (due_s / _duration_s(test))
+        seen_s = due_s + phase_s + jitter_s - self.parameters.delay_ms / 1000.0
         angle = _sense(test) * 2.0 * np.pi * seen_s / _duration_s(test)
         at_s = command.start_s + seen_s
         table = self._table_mm(test, angle, at_s, (command, first, second), clock, rng)
