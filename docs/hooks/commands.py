@@ -27,24 +27,32 @@ def _commands() -> Any:
     return typer.main.get_command(app)
 
 
-def _reference() -> str:
-    group, parts = _commands(), []
+def _leaves(group: Any, path: str) -> dict[str, Any]:
+    """Return every command by its words, groups taken apart."""
+    found: dict[str, Any] = {}
     for name, command in group.commands.items():
-        context = command.make_context(name, [], resilient_parsing=True, terminal_width=88)
-        context.info_name = f"dtwin {name}"
-        parts.append(f"## dtwin {name}\n\n```text\n{command.get_help(context)}\n```\n")
+        words = f"{path} {name}"
+        found |= _leaves(command, words) if hasattr(command, "commands") else {words: command}
+    return found
+
+
+def _reference() -> str:
+    parts = []
+    for words, command in _leaves(_commands(), "dtwin").items():
+        context = command.make_context(words, [], resilient_parsing=True, terminal_width=88)
+        parts.append(f"## {words}\n\n```text\n{command.get_help(context)}\n```\n")
     return "\n".join(parts)
 
 
 def _wrong_commands(markdown: str) -> list[str]:
-    known = _commands().commands
+    known = _leaves(_commands(), "dtwin")
     wrong = []
     for block in _BLOCK.findall(markdown):
         for line in block.replace("\\\n", " ").splitlines():
             words = shlex.split(line, comments=True)
             if len(words) < 2 or words[0] != "dtwin" or words[1] == "--help":
                 continue
-            command = known.get(words[1])
+            command = known.get(" ".join(words[:2])) or known.get(" ".join(words[:3]))
             options = {o for p in (command.params if command else ()) for o in p.opts}
             unknown = [
                 w for w in words[2:] if w.startswith("--") and w.split("=")[0] not in options
