@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from cases import ROWS
 from controls import CONTROLS
+from rows import ROWS
 
 Record = Mapping[str, Any]
 

@@ -27,7 +27,7 @@ from dtwin.physics.search import Search, search
 from dtwin.physics.spread import spread_of
 from dtwin.schema import Floats
 
-LACK_OF_FIT = 0.01
+LACK_OF_FIT = 0.003
 _FIT_IS_DOUBTFUL = 0.05
 _EXPLAINED = 0.7
 _IMMATERIAL = 0.08
