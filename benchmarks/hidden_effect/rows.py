@@ -1,0 +1,76 @@
+"""Rows of the exam: what is hidden, in which design and noise, and what the right answer is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from causes import LIBRARY
+from robot import JOINTS
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row: how its cases are made and what the right answer is."""
+
+    name: str
+    right: str
+    cases: int
+    k: float = 0.0
+    hidden: tuple[str, ...] = ()
+    how_many: int = 1
+    design: str = "full"
+    noise: str = "plain"
+    distractors: bool = False
+    base: tuple[str, ...] | None = None
+    held_out: bool = False
+    samples_per_turn: int = 1080
+
+
+def _rows() -> list[Row]:
+    every = tuple(LIBRARY)
+    unknown = ("threshold_lobe", "quartic_scale", "play_curve", "gear_harmonic",
+               "heat_times_feed", "hysteretic_heat", "lobe_with_feed")  # fmt: skip
+    noises = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
+    rows = [Row(f"null_{kind}", "nothing", 1000, noise=kind) for kind in noises]
+    rows.append(Row("null_distractors", "nothing", 1000, distractors=True))
+    rows.append(Row("null_odd_sampling", "nothing", 1000, samples_per_turn=1007))
+    rows += [
+        Row("single_half", "name", 200, 0.5, every),
+        Row("single_quarter", "name", 200, 0.25, every),
+    ]
+    rows += [Row(f"single_{n}", "name", 40, k, every, held_out=k >= 1.0)
+             for n, k in (("eighth", 0.125), ("one", 1.0), ("two", 2.0))]  # fmt: skip
+    rows += [Row("pair_one", "all", 40, 1.0, every, 2), Row("triple_one", "all", 40, 1.0, every, 3)]
+    rows += [Row(f"unknown_{kind}", "unknown", 40, 1.0, (kind,)) for kind in unknown]
+    rows.append(Row("unknown_coolant", "channel", 40, 1.0, ("coolant",), distractors=True))
+    rows += [Row(f"{kind}_k{k:g}", "unknown", 40, k, (kind,), base=("squareness:XY", "backlash:X"))
+             for kind in ("square_law", "flat_law") for k in (1.0, 2.0)]  # fmt: skip
+    rows += [
+        Row("aliased_one_way", "group", 40, 1.0, ("squareness", "servo_mismatch"), design="one_way",
+            base=("backlash:X", "straightness:Y")),
+        Row("absorbed", "absorbed", 40, 0.0, ("bar",)),
+        Row("heat_warm_up", "confounded", 40, 1.0, ("thermal_growth",), design="warm_up"),
+        Row("heat_cool_down", "name", 40, 1.0, ("thermal_growth",)),
+        Row("drift_cool_down", "name", 40, 1.0, ("thermal_drift",)),
+        Row("lateral_play_half", "name", 40, 0.5, ("lateral_play",)),
+        Row("one_repeat", "need_repeats", 40, 1.0, every, design="one_repeat"),
+        Row("bad_run_half", "name", 40, 0.5, every, noise="bad_run"),
+        Row("distractors_half", "name", 40, 0.5, every, distractors=True),
+        Row("stick_slip", "spread", 40, 0.0, ("stick_slip",)),
+    ]  # fmt: skip
+    one_condition = tuple(
+        n for n in every if n not in ("servo_lag", "measurement_delay", "angular_error")
+    )
+    plain = ("backlash", "cyclic_error", "reversal_spike", "squareness", "lateral_play")
+    few = ("backlash:X", "straightness:Y")
+    rows += [
+        Row("one_circle_half", "name", 40, 0.5, one_condition, design="one_circle", base=few),
+        Row("both_ways_half", "name", 40, 0.5, one_condition, design="both_ways", base=few),
+        Row("two_repeats_half", "name", 40, 0.5, every, design="two_repeats"),
+        Row("three_planes_half", "name", 40, 0.5, plain, design="three_planes", base=few),
+    ]
+    rows.append(Row("robot_joint_one", "name", 40, 1.0, tuple(JOINTS), base=()))
+    return rows
+
+
+ROWS = {row.name: row for row in _rows()}
