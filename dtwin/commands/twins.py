@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dtwin.commands import single
 from dtwin.commands.output import emit
 from dtwin.errors import InputError
 
@@ -34,6 +35,7 @@ effects_app = typer.Typer(help="Physical causes of error.", no_args_is_help=True
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
+    single.register(twin_app)
     app.add_typer(twin_app, name="twin")
     app.add_typer(effects_app, name="effects")
 

@@ -1,0 +1,71 @@
+"""The command about one recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from dtwin.commands.output import emit
+
+if TYPE_CHECKING:
+    from dtwin.pipeline.single_recording import Study
+    from dtwin.schema import Floats
+
+File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
+Paths = Annotated[
+    list[Path] | None,
+    typer.Option("--effects-path", help="Your own effect file or folder; its code is run."),
+]
+Centre = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(help="Centre of the circle in the base frame of a UR10e, mm."),
+]
+Zero = Annotated[float, typer.Option(help="Where the bar's 0 deg lies in that frame, deg.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module to an application."""
+    app.command("recording")(study)
+
+
+def study(
+    file: File,
+    robot_centre_mm: Centre = None,
+    bar_zero_deg: Zero = 0.0,
+    html: Report = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Tell from one file what can be told: fitted on one pass, judged on the other."""
+    from dtwin.physics.library import Library
+    from dtwin.pipeline.single_recording import study_recording, ur10e_geometry
+    from dtwin.report.single import recording_sections, recording_text
+
+    geometry = None if robot_centre_mm is None else ur10e_geometry(robot_centre_mm, bar_zero_deg)
+    found = study_recording(file, Library(effects_path or ()), geometry)
+    if html is not None:
+        from dtwin.atomic import write_text
+        from dtwin.report.html import page
+
+        sections = recording_sections(found.result, _curves(found))
+        write_text(html, page(f"Recording {file.name}", "dtwin", sections), "the report")
+    emit(found.result, lambda: recording_text(found.result), as_json=as_json)
+
+
+def _curves(found: Study) -> dict[str, tuple[Floats, Floats]]:
+    curves: dict[str, tuple[Floats, Floats]] = {}
+    at = 0
+    for aligned in found.passes.aligned:
+        angle = np.degrees(aligned.state.angle_rad)
+        for stretch in aligned.stretches:
+            rows = slice(at, at + stretch.end - stretch.first)
+            at = rows.stop
+            name = f"{stretch.run_id} from {stretch.first}"
+            curves[f"{name}, measured"] = (angle[stretch.second], found.passes.y_um[1][rows])
+            curves[f"{name}, left"] = (angle[stretch.second], found.residual_um[1][rows])
+    return curves
