@@ -154,7 +154,8 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     logs = np.log(found[usable] / foretold[usable])
     bias = np.log(dofs / 2.0) - polygamma(0, dofs / 2.0)
     spread = float(np.var(logs, ddof=1) - np.mean(polygamma(1, dofs / 2.0)))
-    most = _MOST_PRIOR * float(np.median(dofs))
+    # With few repeats the tests lean on noise that is taken to be alike in all conditions.
+    most = max(_MOST_PRIOR * float(np.median(dofs)), float(_FEW_DOF))
     prior = most if spread <= 0.0 else min(most, 2.0 / max(spread, 1e-6) + 1.0)
     return NoiseLevel(prior, float(np.exp(np.mean(logs + bias))))
 
