@@ -161,14 +161,6 @@ def _comparison(
     setup = models.stack([passes.columns(term) for term in base])
     shapes = sum(len(rung.term.shape) for rung in ladders[best])
     parameters = ladders[best][-1].parameters + shapes
-    harmonics = {}
-    for name, by_direction in (("shared", False), ("by_direction", True)):
-        waves = models.harmonic_columns(passes, parameters, by_direction=by_direction)
-        harmonics[name] = {
-            "parameters": parameters,
-            "held_out_um": models.judge(passes.y_um, waves)[1],
-            "unseen_path_um": models.unseen_path_um(passes, waves),
-        }
     unseen = _unseen_by_rung(passes, base, ladders[best])
     held_out, ceiling = ladders[best][-1].held_out_um, models.look_up_um(passes)
     return {
@@ -181,9 +173,29 @@ def _comparison(
         "unseen_path_um": models.unseen_path_um(passes, columns),
         "unseen_path_by_rung_um": unseen,
         "rungs_that_carry_over": _carry_over(passes, base, unseen),
-        "harmonics": harmonics,
+        "harmonics": {
+            "shared": _best_harmonics(passes, parameters, by_direction=False),
+            "by_direction": _best_harmonics(passes, parameters, by_direction=True),
+        },
         "unexplained_um": float(np.sqrt(max(held_out**2 - ceiling**2, 0.0))),
         "verdict": "unknown_effect" if held_out > 1.5 * ceiling else "need_repeats",
+    }
+
+
+def _best_harmonics(passes: models.Passes, most: int, *, by_direction: bool) -> dict[str, Any]:
+    """Return the best harmonic model with at most so many parameters: more is not always better."""
+
+    def held_out(parameters: int) -> float:
+        waves = models.harmonic_columns(passes, parameters, by_direction=by_direction)
+        return models.judge(passes.y_um, waves)[1]
+
+    best = min(range(3, most + 1, 2), key=held_out)
+    waves = models.harmonic_columns(passes, best, by_direction=by_direction)
+    return {
+        "at_most": most,
+        "parameters": best,
+        "held_out_um": models.judge(passes.y_um, waves)[1],
+        "unseen_path_um": models.unseen_path_um(passes, waves),
     }
 
 

@@ -13,8 +13,8 @@ from dtwin.report.plots import error_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
 
-_RUNG_HEAD = ("added", "at", "parameters", "fit um", "other pass um", "grade")
-_MODEL_HEAD = ("model", "parameters", "other pass um", "path not fitted um")
+_RUNG_HEAD = ("added", "at", "linear parameters", "fit um", "other pass um", "grade")
+_MODEL_HEAD = ("model", "parameters with shapes", "other pass um", "path not fitted um")
 
 
 def recording_text(result: Mapping[str, Any]) -> str:
@@ -153,7 +153,7 @@ def _models(result: Mapping[str, Any]) -> list[list[str]]:
         ],
     ]  # fmt: skip
     for name, one in result["harmonics"].items():
-        label = f"harmonics, {name.replace('_', ' ')}"
+        label = f"harmonics, {name.replace('_', ' ')}, best up to {one['at_most']}"
         rows.append([label, str(one["parameters"]), one["held_out_um"], one["unseen_path_um"]])
     shown = [[r[0], r[1], f"{r[2]:.1f}", f"{r[3]:.1f}"] for r in rows]
     return [
@@ -168,6 +168,7 @@ def _conclusion(result: Mapping[str, Any]) -> list[str]:
     best = min([result["setup_only_unseen_path_um"], *result["unseen_path_by_rung_um"]])
     lines = np.array([line["frequency_hz"] for line in result["remaining_lines"]])
     return [
+        _against(result),
         f"Verdict: {result['verdict']}. {result['unexplained_um']:.1f} um RMS that repeats is not "
         f"explained; strongest lines in it at {', '.join(f'{f:.1f}' for f in lines)} Hz.",
         "The effects were chosen by the pass they were not fitted to, which lies on the same path: "
@@ -177,6 +178,18 @@ def _conclusion(result: Mapping[str, Any]) -> list[str]:
         "that describes this recording and explains nothing elsewhere.",
         "Names are shape-consistent at most: one feed, one radius, one mounting.",
     ]
+
+
+def _against(result: Mapping[str, Any]) -> str:
+    held_out = result["held_out_um"]
+    rivals = {f"harmonics ({n})": h["held_out_um"] for n, h in result["harmonics"].items()}
+    if result["vendor"]["stated_um"] is not None:
+        rivals["what the vendor states"] = result["vendor"]["stated_um"]
+    rivals["the look-up"] = result["look_up_um"]
+    said = [
+        f"{'below' if held_out < r else 'not below'} {n}, {r:.1f} um" for n, r in rivals.items()
+    ]
+    return f"On the pass not fitted the effects leave {held_out:.1f} um: {'; '.join(said)}."
 
 
 def _step(step: Mapping[str, Any]) -> str:
