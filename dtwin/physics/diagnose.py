@@ -110,6 +110,8 @@ def _concluded(
         shown = _suspects(found, candidates, known, (), {})
         said = f"what repeats agree on ({left_um:.2g} um) is small beside the noise floor"
         return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
+    if left_um < _IMMATERIAL * blank.noise_floor_um and not _acts_inside(found):
+        found = replace(found, steps=())
     if not found.steps:
         laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
         shown = _suspects(found, candidates, known, (), {})
@@ -147,6 +149,11 @@ def _concluded(
     if foreign:
         said += f"; besides, something moves with {', '.join(c.name for c in foreign)}"
     return replace(blank, verdict=verdict, headline=said, suspects=shown)
+
+
+def _acts_inside(found: Search) -> bool:
+    """Tell whether the first effect found differs between repeats, as heat does."""
+    return bool(found.steps) and found.steps[0].top.term.instance.effect.within_condition
 
 
 def _quiet(blank: Diagnosis) -> Verdict:

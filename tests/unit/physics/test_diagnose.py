@@ -56,7 +56,7 @@ def test_noise_that_grows_with_the_feed_is_a_finding_of_its_own() -> None:
     ("axis", "change", "name"),
     [
         ("X", {"play_um": 1.5}, "backlash X"),
-        ("Y", {"play_um": -1.5}, "backlash Y"),
+        ("Y", {"play_um": 1.5}, "backlash Y"),
         ("Y", {"lateral_um": 1.5}, "lateral_play Y"),
         ("X", {"bow_um": 2.0}, "straightness X"),
         ("X", {"pitch_error_um": 1.0, "pitch_mm": 8.0}, "cyclic_error X"),
