@@ -194,7 +194,7 @@ def grow(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) -> li
     best_um = judge(passes.y_um, model)[1]
     rungs: list[Rung] = []
     while len(rungs) < _MOST_TERMS and pool:
-        gains = _gains(passes.y_um, model, [c for _, c in pool])
+        gains = gains_um(passes.y_um, model, [c for _, c in pool])
         number = int(np.argmin(gains))
         if gains[number] > (1.0 - _SMALLEST_GAIN) * best_um:
             break
@@ -222,7 +222,7 @@ def best_of(
     pool = [(term, passes.columns(term)) for term in candidates]
     if not pool:
         return None
-    gains = _gains(passes.y_um, stack([passes.columns(t) for t in base]), [c for _, c in pool])
+    gains = gains_um(passes.y_um, stack([passes.columns(t) for t in base]), [c for _, c in pool])
     number = int(np.argmin(gains))
     return pool[number][0], float(gains[number])
 
@@ -291,10 +291,18 @@ def stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
     return np.hstack([p[0] for p in parts]), np.hstack([p[1] for p in parts])
 
 
-def _gains(
+def gains_um(
     y: tuple[Floats, Floats], model: tuple[Floats, Floats], pool: Sequence[tuple[Floats, Floats]]
 ) -> Floats:
-    """Return the held-out RMS with each candidate added: the model is projected out once."""
+    """Return the RMS on the other pass with each candidate added, in um, shape (candidates,).
+
+    Parameters
+    ----------
+    y, model : pair of ndarray, shape (n,) and (n, k)
+        First and second pass.
+    pool : sequence of pair of ndarray, shape (n, any)
+        Candidates.
+    """
     total = np.zeros(len(pool))
     for one, other in ((0, 1), (1, 0)):
         inverse = np.linalg.pinv(model[one], rcond=_RANK)

@@ -15,6 +15,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.state import has_joints
 from dtwin.physics.within_run import ARC_DIP, STOP_RINGING
 from dtwin.pipeline import single_models as models
+from dtwin.pipeline.single_harmonics import chosen_harmonics
 from dtwin.pipeline.single_passes import Aligned, align, within_run_floor_um
 from dtwin.pipeline.single_vendor import vendor_figures
 from dtwin.schema import Floats
@@ -176,6 +177,7 @@ def _comparison(
         "harmonics": {
             "shared": _best_harmonics(passes, parameters, by_direction=False),
             "by_direction": _best_harmonics(passes, parameters, by_direction=True),
+            "chosen_orders_by_direction": _chosen_harmonics(passes, parameters),
         },
         "unexplained_um": float(np.sqrt(max(held_out**2 - ceiling**2, 0.0))),
         "verdict": "unknown_effect" if held_out > 1.5 * ceiling else "need_repeats",
@@ -194,6 +196,16 @@ def _best_harmonics(passes: models.Passes, most: int, *, by_direction: bool) -> 
     return {
         "at_most": most,
         "parameters": best,
+        "held_out_um": models.judge(passes.y_um, waves)[1],
+        "unseen_path_um": models.unseen_path_um(passes, waves),
+    }
+
+
+def _chosen_harmonics(passes: models.Passes, most: int) -> dict[str, Any]:
+    parameters, waves = chosen_harmonics(passes, most, by_direction=True)
+    return {
+        "at_most": most,
+        "parameters": parameters,
         "held_out_um": models.judge(passes.y_um, waves)[1],
         "unseen_path_um": models.unseen_path_um(passes, waves),
     }

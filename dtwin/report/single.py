@@ -173,16 +173,27 @@ def _conclusion(result: Mapping[str, Any]) -> list[str]:
         f"explained; strongest lines in it at {', '.join(f'{f:.1f}' for f in lines)} Hz.",
         "The effects were chosen by the pass they were not fitted to, which lies on the same path: "
         "the figure is for this path only, and choosing by it flatters it.",
-        f"On parts of the path that no fit has seen, {best:.1f} um is the lowest, with "
-        f"{', '.join(carried) if carried else 'centre and radius alone'}; what was added after "
-        "that describes this recording and explains nothing elsewhere.",
+        f"On parts of the path left out of the estimates, {best:.1f} um is the lowest the effects "
+        f"reach, with {', '.join(carried) if carried else 'centre and radius alone'}; what was "
+        "added after that describes this recording and explains nothing elsewhere.",
+        _waves_elsewhere(result, best),
         "Names are shape-consistent at most: one feed, one radius, one mounting.",
     ]
 
 
+def _waves_elsewhere(result: Mapping[str, Any], effects_um: float) -> str:
+    name, one = min(result["harmonics"].items(), key=lambda item: item[1]["unseen_path_um"])
+    left = one["unseen_path_um"]
+    better = "better" if left < effects_um else "no better"
+    return f"There the best harmonics ({name.replace('_', ' ')}) do {better}: {left:.1f} um."
+
+
 def _against(result: Mapping[str, Any]) -> str:
     held_out = result["held_out_um"]
-    rivals = {f"harmonics ({n})": h["held_out_um"] for n, h in result["harmonics"].items()}
+    rivals = {
+        f"harmonics ({n.replace('_', ' ')})": h["held_out_um"]
+        for n, h in result["harmonics"].items()
+    }
     if result["vendor"]["stated_um"] is not None:
         rivals["what the vendor states"] = result["vendor"]["stated_um"]
     rivals["the look-up"] = result["look_up_um"]

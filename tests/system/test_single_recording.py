@@ -97,7 +97,11 @@ def test_it_does_not_beat_the_look_up_and_says_that_much_is_unexplained(
     assert result["held_out_um"] > result["look_up_um"]
     assert result["unexplained_um"] > result["floor_um"]
     assert result["verdict"] == "unknown_effect"
-    assert "is not explained" in recording_text(result)
+    said = recording_text(result)
+    assert "is not explained" in said
+    waves = min(h["unseen_path_um"] for h in result["harmonics"].values())
+    effects = min([result["setup_only_unseen_path_um"], *result["unseen_path_by_rung_um"]])
+    assert (f"do better: {waves:.1f} um" in said) == (waves < effects)
 
 
 def test_no_name_is_more_than_shape_consistent_and_the_plan_repeats_runs(
