@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.gridding import N_BINS, bin_angle_rad
 from dtwin.physics.library import campaign_instances
-from dtwin.physics.observations import N_BINS, Observations, bin_angle_rad
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term
 from dtwin.physics.score import NoiseLevel, Score, score_test
 from dtwin.physics.state import AXES_OF

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.observations import N_BINS
+from dtwin.physics.gridding import N_BINS
 from dtwin.physics.problem import Problem
 from dtwin.schema import Floats
 

@@ -17,9 +17,10 @@ from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Verdict
 from dtwin.physics.effect import Effect
+from dtwin.physics.gridding import N_BINS, bin_angle_rad
 from dtwin.physics.law_search import search_laws
 from dtwin.physics.laws import LawTest, law_tests
-from dtwin.physics.observations import N_BINS, Observations, bin_angle_rad
+from dtwin.physics.observations import Observations
 from dtwin.physics.outliers import odd_runs
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
 from dtwin.physics.screen import Channel, screen_channels

@@ -13,7 +13,8 @@ from scipy import optimize, stats
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
-from dtwin.physics.observations import N_BINS, Condition, Observations
+from dtwin.physics.gridding import N_BINS, Condition
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, set_up, unweighted, weighted_like
 from dtwin.plan import Plan
 from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta

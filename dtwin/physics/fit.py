@@ -14,7 +14,8 @@ from scipy.optimize import least_squares
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches, probes
-from dtwin.physics.observations import N_BINS, Observations
+from dtwin.physics.gridding import N_BINS
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, setup_columns, unweighted, weighted_like
 from dtwin.physics.score import noise_level
 from dtwin.physics.solve import in_blocks, solve_blocks

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from dtwin.physics.observations import N_BINS
+from dtwin.physics.gridding import N_BINS
 from dtwin.physics.problem import INVISIBLE, Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin.physics.candidates import Candidate, Candidates
-from dtwin.physics.observations import N_BINS
+from dtwin.physics.gridding import N_BINS
 from dtwin.physics.problem import Problem
 from dtwin.physics.score import NoiseLevel, score_test
 from dtwin.schema import Floats

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.physics.observations import N_BINS, Observations
+from dtwin.physics.gridding import N_BINS
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers, to_harmonics
 from dtwin.schema import Floats

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dtwin.physics.effect import Instance
-from dtwin.physics.observations import N_BINS, Observations, bin_angle_rad
+from dtwin.physics.gridding import N_BINS, bin_angle_rad
+from dtwin.physics.observations import Observations
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
 from dtwin.schema import Floats
 

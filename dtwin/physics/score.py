@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import polygamma
 
-from dtwin.physics.observations import N_BINS, Indices
+from dtwin.physics.gridding import N_BINS, Indices
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers, within_condition
 from dtwin.schema import Floats

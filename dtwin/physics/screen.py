@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dtwin.physics.observations import Indices
+from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats

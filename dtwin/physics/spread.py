@@ -9,8 +9,9 @@ from scipy import stats
 
 from dtwin.physics.diagnosis import Spread
 from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.gridding import Indices
 from dtwin.physics.library import campaign_instances
-from dtwin.physics.observations import Indices, Observations
+from dtwin.physics.observations import Observations
 from dtwin.physics.whitening import within_condition
 from dtwin.schema import Floats
 

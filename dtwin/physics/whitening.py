@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dtwin.physics.observations import N_BINS, Indices
+from dtwin.physics.gridding import N_BINS, Indices
 from dtwin.schema import Floats
 
 _SEPARATE = 5
