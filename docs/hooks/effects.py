@@ -109,7 +109,14 @@ def _signature(effect: Effect) -> str:
     angle = (np.arange(1440) + 0.5) * 2 * np.pi / 1440
     columns = {
         name: np.full(1440, 1.0)
-        for name in ("temperature_c", "temperature_rise_c", "abbe_offset_mm", "time_h")
+        for name in (
+            "temperature_c",
+            "temperature_rise_c",
+            "abbe_offset_mm",
+            "time_h",
+            "setup_first_um",
+            "setup_second_um",
+        )
     }
     for instance in wanted:
         for name in ("CCW", "CW"):

@@ -103,7 +103,7 @@ class Candidates:
         if gains[best] < 0.0:
             return None
         visible, share = tried[best]
-        within = instance.effect.within_condition or bool(instance.effect.needs)
+        within = instance.effect.within_condition
         score = score_test(problem, visible, residual, level, within=within)
         n_tried = _independent([v for v, _ in tried if v.size])
         if any(shape.name == _PITCH_SHAPE for shape in instance.effect.shapes):
@@ -175,11 +175,16 @@ def applicable(
             continue
         if absent:
             untestable[instance.label] = f"{', '.join(absent)} was not logged"
-        elif effect.needs and all(np.ptp(obs.centred_columns[n]) == 0.0 for n in effect.needs):
+        elif effect.within_condition and _never_changed(obs, effect):
             untestable[instance.label] = f"{', '.join(effect.needs)} did not change"
         else:
             out.append(instance)
     return out, untestable
+
+
+def _never_changed(obs: Observations, effect: Effect) -> bool:
+    needs = effect.needs
+    return bool(needs) and all(np.ptp(obs.centred_columns[n]) == 0.0 for n in needs)
 
 
 def likely_pitches(

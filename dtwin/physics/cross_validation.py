@@ -25,8 +25,9 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
     -------
     float
         One when the residual vanishes, below zero when the candidate makes it worse. A whole
-        (plane, radius, feed) is left out at a time, or a run when there is only one; centre and
-        radius of the left-out runs are their own.
+        (plane, radius, feed) is left out at a time, or a run when there is only one. Centre and
+        radius come from the other runs of the set-up; a set-up that is left out as a whole has
+        its own.
     """
     obs = problem.obs
     groups = obs.place_of if len(set(obs.place_of.tolist())) > 1 else obs.run_of
@@ -44,9 +45,9 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
         left = []
         for k in (problem.raw.shape[1], columns.shape[2]):
             fitted = _solved(gram[:k, :k], right[:k, 0])
-            fitted[:n_setup] = 0.0
             rest = y[groups == group] - columns[groups == group][:, :, :k] @ fitted
-            left.append(_without_setup(rest, columns[groups == group][:, :, :n_setup]))
+            new = np.diag(gram)[:n_setup] <= 0.0
+            left.append(_without_setup(rest, columns[groups == group][:, :, :n_setup][:, :, new]))
         gains.append((left[0] - left[1]) / max(left[0], 1e-300))
     return float(np.mean(gains))
 
@@ -62,7 +63,9 @@ def _solved(gram: Floats, right: Floats) -> Floats:
 
 def _without_setup(rest: Floats, setup: Floats) -> float:
     """Return the sum of squares once the left-out runs have their own centre and radius."""
-    used = setup.reshape(-1, setup.shape[2])
+    used = setup.reshape(rest.size, setup.shape[2])
     used = used[:, (used**2).sum(axis=0) > 0]
+    if not used.shape[1]:
+        return float((rest**2).sum())
     gram, right = used.T @ used, used.T @ rest.ravel()
     return float((rest**2).sum() - right @ np.linalg.solve(gram, right))

@@ -28,6 +28,8 @@ from dtwin.physics.state import AXES_OF, State, circular_state
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
+SETUP_COLUMNS = "setup_"
+
 
 @dataclass(frozen=True)
 class Observations:
@@ -255,7 +257,13 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
         columns=tuple(row.columns for row in rows),
         feed_mm_s=np.array([row.feed_mm_s for row in rows]),
     )
-    return made.with_y(made.y_um - _second_order_um(made))
+    centres = _centres_um(made)
+    columns = tuple(
+        {**logged, f"{SETUP_COLUMNS}first_um": a_um, f"{SETUP_COLUMNS}second_um": b_um}
+        for logged, (a_um, b_um) in zip(made.columns, centres.tolist(), strict=True)
+    )
+    made = replace(made, columns=columns)
+    return made.with_y(made.y_um - _second_order_um(made, centres))
 
 
 def _times_h(runs: Sequence[Run]) -> list[float]:
@@ -280,20 +288,26 @@ def _length_s(run: Run) -> float:
     return float(t_s[-1] - t_s[0]) if t_s is not None and len(t_s) else 1.0
 
 
-def _second_order_um(made: Observations) -> Floats:
+def _centres_um(made: Observations) -> Floats:
+    """Return the centre of each row's set-up, shape (rows, 2)."""
+    theta = bin_angle_rad()
+    basis = np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1)
+    out: Floats = np.zeros((made.n_rows, 2))
+    for setup in range(len(made.setups)):
+        rows = np.flatnonzero(made.setup_of == setup)
+        mask = made.mask[rows]
+        design = np.broadcast_to(basis, (len(rows), *basis.shape))[mask]
+        out[rows] = np.linalg.lstsq(design, made.y_um[rows][mask], rcond=None)[0][1:]
+    return out
+
+
+def _second_order_um(made: Observations, centres_um: Floats) -> Floats:
     """Return what a centre offset adds to the measured length in second order.
 
     The distance from a shifted pivot to a point of the commanded circle exceeds the first-order
     term by (a sin t - b cos t)^2 / 2R.
     """
     theta = bin_angle_rad()
-    basis = np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1)
-    out: Floats = np.zeros(made.y_um.shape)
-    for setup in range(len(made.setups)):
-        rows = np.flatnonzero(made.setup_of == setup)
-        mask = made.mask[rows]
-        design = np.broadcast_to(basis, (len(rows), *basis.shape))[mask]
-        _, a_um, b_um = np.linalg.lstsq(design, made.y_um[rows][mask], rcond=None)[0]
-        radius_um = (made.runs[int(rows[0])].radius_mm or 1.0) * UM_PER_MM
-        out[rows] = (a_um * np.sin(theta) - b_um * np.cos(theta)) ** 2 / (2.0 * radius_um)
-    return out
+    radius_um = np.array([meta.radius_mm or 1.0 for meta in made.runs]) * UM_PER_MM
+    across = np.outer(centres_um[:, 0], np.sin(theta)) - np.outer(centres_um[:, 1], np.cos(theta))
+    return np.asarray(across**2 / (2.0 * radius_um[:, None]))

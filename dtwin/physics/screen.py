@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin.physics.gridding import Indices
+from dtwin.physics.observations import SETUP_COLUMNS
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
@@ -62,7 +63,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     low = (harmonic_numbers() <= _HIGHEST_HARMONIC) & (problem.weights > 0)
     spread, count = within_condition(problem.residual[:, low], obs.condition_of)
     channels = {}
-    for name in obs.logged:
+    for name in (n for n in obs.logged if not n.startswith(SETUP_COLUMNS)):
         per_run = obs.centred_columns[name].mean(axis=1)
         inside, _ = within_condition(per_run[:, None], obs.condition_of)
         if np.ptp(inside) > 1e-9 * max(1.0, float(np.abs(per_run).max())):

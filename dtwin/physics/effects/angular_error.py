@@ -35,4 +35,5 @@ EFFECT = Effect(
         "straightness",
     ),
     correctable="A compensation value of the control, or an offset of position.",
+    within_condition=True,
 )

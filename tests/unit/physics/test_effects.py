@@ -61,6 +61,8 @@ def state(
         "temperature_rise_c": np.full(n, 2.0),
         "abbe_offset_mm": np.full(n, 150.0),
         "time_h": np.full(n, 0.5),
+        "setup_first_um": np.full(n, 40.0),
+        "setup_second_um": np.full(n, -30.0),
     }
     return circular_state(meta, angle, feed_mm_s=feed_mm_s, columns=columns, geometry=ROBOT)
 
@@ -182,6 +184,15 @@ def test_servo_mismatch_is_a_delay_of_one_axis() -> None:
     length = (np.hypot(x, y) - 100.0) * 1000
     found = 0.1 * LIBRARY["servo_mismatch"].columns(here, "XY", {})[:, 0]
     np.testing.assert_allclose(found, length - length.mean(), atol=2e-3)
+
+
+def test_a_late_reading_is_that_of_the_place_passed_before() -> None:
+    here = state("XY", feed_mm_s=50.0)
+    earlier = here.angle_rad - 50.0 / 100.0 * 1e-3
+    late = 40.0 * np.cos(earlier) - 30.0 * np.sin(earlier)
+    now = 40.0 * np.cos(here.angle_rad) - 30.0 * np.sin(here.angle_rad)
+    found = LIBRARY["measurement_delay"].columns(here, "", {})[:, 0]
+    np.testing.assert_allclose(found, late - now, atol=1e-4)
 
 
 def test_joint_effects_move_the_tool_as_the_robot_s_kinematics_do() -> None:
