@@ -240,7 +240,10 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
         raise InputError("there is no run to look at", code="twin.no_runs", where=campaign.name)
     times_h = _times_h(runs)
     rows = [row for run, time_h in zip(runs, times_h, strict=True) for row in rows_of(run, time_h)]
-    conditions = list(dict.fromkeys(condition_of_run(row.run.meta) for row in rows))
+    conditions = sorted(
+        {condition_of_run(row.run.meta) for row in rows},
+        key=lambda c: (c.plane, c.radius_mm, c.feed_mm_min, c.direction),
+    )
     keys = [(r.run.meta.setup, r.run.meta.plane, r.run.meta.radius_mm) for r in rows]
     setups = list(dict.fromkeys(keys))
     ids = list(dict.fromkeys(run.meta.run_id for run in runs))

@@ -24,7 +24,8 @@ th, td { padding: .25rem .5rem; text-align: right; border-bottom: 1px solid #e3e
 th:first-child, td:first-child { text-align: left; } th { background: #f3f5f7; }
 pre { background: #f6f7f8; padding: .8rem; overflow: auto; font-size: .82rem; max-height: 26rem; }
 .note { color: #555; } .error { color: #a30000; } .warning { color: #8a5a00; }
-.pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(460px, 1fr)); gap: 1rem; }
+.pair { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1rem; }
+@media (max-width: 960px) { .pair { grid-template-columns: minmax(0, 1fr); } }
 @media print { .pair { display: block; } h2 { break-before: auto; } }
 </style><script>{{ plotly|safe }}</script></head><body>
 <h1>{{ title }}</h1><p class="note">{{ subtitle }}</p>
@@ -33,7 +34,7 @@ pre { background: #f6f7f8; padding: .8rem; overflow: auto; font-size: .82rem; ma
 {% for kind, text in section.findings %}<p class="{{ kind }}"><strong>{{ kind }}</strong>: {{ text }}</p>{% endfor %}
 {% for table in section.tables %}<table><thead><tr>{% for cell in table.head %}<th scope="col">{{ cell }}</th>{% endfor %}</tr></thead>
 <tbody>{% for row in table.rows %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>{% endfor %}</tbody></table>{% endfor %}
-{% if section.figures %}<div class="pair">{% for figure in section.figures %}<div>{{ figure|safe }}</div>{% endfor %}</div>{% endif %}
+{% if section.figures %}<div{% if section.figures|length > 1 %} class="pair"{% endif %}>{% for figure in section.figures %}<div>{{ figure|safe }}</div>{% endfor %}</div>{% endif %}
 {% for text in section.code %}<pre>{{ text }}</pre>{% endfor %}
 </section>{% endfor %}
 </body></html>

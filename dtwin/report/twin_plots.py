@@ -103,7 +103,7 @@ def residual_map(
         title=f"{title} (noise floor {floor_um:.2f} um RMS of one run)",
         xaxis_title="path angle, deg",
         height=max(320, 60 + 22 * len(conditions)),
-        yaxis={"autorange": "reversed"},
+        yaxis={"autorange": "reversed", "dtick": 1},
     )
     return styled(figure)
 
