@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from dtwin.commands.output import emit
@@ -58,6 +57,8 @@ def study(
 
 
 def _curves(found: Study) -> dict[str, tuple[Floats, Floats]]:
+    import numpy as np
+
     curves: dict[str, tuple[Floats, Floats]] = {}
     at = 0
     for aligned in found.passes.aligned:

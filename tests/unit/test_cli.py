@@ -17,7 +17,8 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     shown = run("--help")
     assert shown.returncode == 0
     for command in ("demo", "plan", "simulate", "ingest", "runs", "check", "features", "train",
-                    "models", "promote", "rollback", "serve", "report"):  # fmt: skip
+                    "models", "promote", "rollback", "serve", "report", "twin", "effects",
+                    "record", "up"):  # fmt: skip
         assert f"\n  {command} " in shown.stdout
     heavy = [
         "numpy",
