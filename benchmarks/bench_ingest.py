@@ -3,7 +3,8 @@
 Every step is set beside a plain pyarrow write with the same encoding in the same run; memory
 is the growth of a process of its own. Then bits of a signal file are flipped one at a time.
 
-Run: OMP_NUM_THREADS=1 python benchmarks/bench_ingest.py [--json]
+Run: python benchmarks/bench_ingest.py [--json]; OMP_NUM_THREADS would hold Arrow's reader to fewer
+threads than the command has.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ from deltalake.schema import Field, PrimitiveType
 from deltalake.transaction import AddAction, RemoveAction
 
 from dtwin.errors import StoreError
-from dtwin.parquet import read_parquet, write_parquet
+from dtwin.parquet import read_parquet, write_encoded, write_parquet
+from dtwin.schema import Encoded
 from dtwin.units import unit_of
 
 _TYPES = {
@@ -77,6 +78,10 @@ class DeltaFiles:
             What :meth:`commit` needs.
         """
         return name, write_parquet(self.folder / name, table), table.num_rows
+
+    def write_encoded(self, name: str, encoded: Encoded, rows: int) -> tuple[str, int, int]:
+        """Write a data file as it was read, without committing it; otherwise as :meth:`write`."""
+        return name, write_encoded(self.folder / name, encoded), rows
 
     def commit(self, written: Sequence[tuple[str, int, int]], schema: pa.Schema) -> int:
         """Add files to the table in one atomic step.

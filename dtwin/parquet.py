@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,11 +11,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dtwin.atomic import whole_file
 from dtwin.errors import StoreError
+from dtwin.schema import Encoded
 from dtwin.units import unit_of
 
 # A column that lies in one group is read without being copied together.
 _ROW_GROUP_ROWS = 2**22
+# Says that the pages of a file carry checksums: pyarrow verifies them only where they are.
+_CHECKSUMS = {b"dtwin.page_checksums": b"crc32"}
 
 
 def table_of(columns: Mapping[str, NDArray[Any] | Sequence[Any]]) -> pa.Table:
@@ -54,11 +56,9 @@ def write_parquet(path: Path, table: pa.Table) -> int:
     StoreError
         When the folder is read-only or full; nothing is left behind.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path, "the file") as partial:
         pq.write_table(
-            table,
+            table.replace_schema_metadata((table.schema.metadata or {}) | _CHECKSUMS),
             partial,
             compression="zstd",
             compression_level=1,
@@ -68,20 +68,14 @@ def write_parquet(path: Path, table: pa.Table) -> int:
             write_statistics=True,
             row_group_size=_ROW_GROUP_ROWS,
         )
-        with partial.open("rb") as written:
-            os.fsync(written.fileno())
-        partial.replace(path)
-        return path.stat().st_size
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise StoreError(
-            "the file cannot be written",
-            code="store.write",
-            where=str(path),
-            got=str(error),
-            hint="check free space and permissions; nothing was left half-written",
-        ) from error
+    return path.stat().st_size
+
+
+def write_encoded(path: Path, encoded: Encoded) -> int:
+    """Write a Parquet file as it was read, and return its size in bytes; raises as above."""
+    with whole_file(path, "the file") as partial:
+        partial.write_bytes(encoded.data)
+    return path.stat().st_size
 
 
 def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -99,18 +93,50 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
     StoreError
         When the file is missing or damaged.
     """
+    return _verified(path, path, columns)
+
+
+def read_encoded(path: Path) -> tuple[pa.Table, bytes | None]:
+    """Read a table as :func:`read_parquet` does, and the bytes that it was verified from.
+
+    Parameters
+    ----------
+    path : Path
+        Any Parquet file.
+
+    Returns
+    -------
+    table : pyarrow.Table
+        Its rows.
+    data : bytes or None
+        The file; None when it is not one of :func:`write_parquet`, so that its pages may lack
+        checksums.
+    """
     try:
-        return pq.ParquetFile(path, page_checksum_verification=True).read(
+        data = path.read_bytes()
+    except OSError as error:
+        raise _damaged(path, error) from error
+    table = _verified(pa.BufferReader(data), path, None)
+    return table, data if _CHECKSUMS.items() <= (table.schema.metadata or {}).items() else None
+
+
+def _verified(source: Any, path: Path, columns: Sequence[str] | None) -> pa.Table:
+    try:
+        return pq.ParquetFile(source, page_checksum_verification=True).read(
             columns=None if columns is None else list(columns)
         )
     except (OSError, pa.ArrowException) as error:
-        raise StoreError(
-            "a data file is missing or damaged",
-            code="store.damaged",
-            where=str(path),
-            got=str(error)[:200],
-            hint="restore the file from a backup, or ingest its source again",
-        ) from error
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> StoreError:
+    return StoreError(
+        "a data file is missing or damaged",
+        code="store.damaged",
+        where=str(path),
+        got=str(error)[:200],
+        hint="restore the file from a backup, or ingest its source again",
+    )
 
 
 def columns_of(table: pa.Table) -> dict[str, NDArray[Any]]:

@@ -104,6 +104,22 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Encoded:
+    """A Parquet file whose pages were verified, and the columns that were read from it.
+
+    Attributes
+    ----------
+    data : bytes
+        The file.
+    columns : mapping of str to ndarray
+        What it holds: the object itself, by which its owner knows that nothing was replaced.
+    """
+
+    data: bytes
+    columns: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
 class SignalGroup:
     """High-rate signals of one device during a run, on that device's own clock.
 
@@ -117,12 +133,15 @@ class SignalGroup:
         Signals by column name; names carry the unit.
     start_s : float
         Time of the first sample on the device's own clock.
+    encoded : Encoded, optional
+        The file that the columns come from; the lake keeps it instead of encoding them again.
     """
 
     name: str
     rate_hz: float
     columns: Mapping[str, NDArray[Any]]
     start_s: float = 0.0
+    encoded: Encoded | None = field(default=None, repr=False, compare=False)
 
     @property
     def n_samples(self) -> int:

@@ -18,7 +18,7 @@ from dtwin.delta import DeltaFiles
 from dtwin.errors import InputError, StoreError
 from dtwin.parquet import columns_of, table_of
 from dtwin.run_rows import RUN_SCHEMA, content_sha256, meta_of, run_row
-from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
+from dtwin.schema import Campaign, Encoded, Finding, Run, SignalGroup, require_name
 
 TABLES = ("runs", "samples", "signals", "features", "rejects")
 
@@ -281,7 +281,9 @@ class Lake:
             groups = [
                 {
                     "group": group.name,
-                    "file": signals.write(f"{stem}-{group.name}.parquet", group.columns),
+                    "file": signals.write(
+                        f"{stem}-{group.name}.parquet", group.columns, group.encoded
+                    ),
                     "rate_hz": group.rate_hz,
                     "start_s": group.start_s,
                 }
@@ -337,11 +339,16 @@ class _Batch:
         self.written: list[tuple[str, int, int]] = []
         self.schemas: list[pa.Schema] = []
 
-    def write(self, name: str, columns: Mapping[str, NDArray[Any]]) -> str:
+    def write(
+        self, name: str, columns: Mapping[str, NDArray[Any]], encoded: Encoded | None = None
+    ) -> str:
         # A file is one run, named after campaign, run and content; repeating these in every
         # row would double the time of an ingest.
         table = table_of(columns)
-        self.written.append(self.table.write(name, table))
+        if encoded is not None and encoded.columns is columns:
+            self.written.append(self.table.write_encoded(name, encoded, table.num_rows))
+        else:
+            self.written.append(self.table.write(name, table))
         self.schemas.append(table.schema)
         return name
 

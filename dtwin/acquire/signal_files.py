@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from dtwin.errors import InputError, StoreError
-from dtwin.parquet import columns_of, read_parquet, table_of, write_parquet
-from dtwin.schema import SignalGroup
+from dtwin.parquet import columns_of, read_encoded, table_of, write_parquet
+from dtwin.schema import Encoded, SignalGroup
 from dtwin.units import require_units
 
 _KEY = b"dtwin.signals"
@@ -49,7 +51,7 @@ def read_signals(path: Path) -> list[SignalGroup]:
         When the file is missing, damaged, or does not say its rate.
     """
     try:
-        table = read_parquet(path)
+        table, data = read_encoded(path)
     except StoreError as error:
         raise InputError(
             "the signal file cannot be read",
@@ -62,7 +64,7 @@ def read_signals(path: Path) -> list[SignalGroup]:
     require_units([n for n in table.column_names if _is_float(table, n)], str(path))
     columns = columns_of(table)
     if header is not None:
-        return [_from_header(header, columns, path)]
+        return [_from_header(header, columns, data, path)]
     if "t_s" not in columns or len(columns["t_s"]) < 2:
         raise InputError(
             "the signal file does not say its rate",
@@ -79,11 +81,17 @@ def read_signals(path: Path) -> list[SignalGroup]:
     return [SignalGroup(path.stem.split(".")[-1], (len(t_s) - 1) / span, columns, float(t_s[0]))]
 
 
-def _from_header(header: bytes, columns: dict, path: Path) -> SignalGroup:  # type: ignore[type-arg]
+def _from_header(
+    header: bytes, columns: dict[str, NDArray[Any]], data: bytes | None, path: Path
+) -> SignalGroup:
     try:
         head = json.loads(header)
         return SignalGroup(
-            str(head["group"]), float(head["rate_hz"]), columns, float(head["start_s"])
+            name=str(head["group"]),
+            rate_hz=float(head["rate_hz"]),
+            columns=columns,
+            start_s=float(head["start_s"]),
+            encoded=None if data is None else Encoded(data, columns),
         )
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(

@@ -11,9 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from dtwin.acquire.b5r import read_b5r
+from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import InputError, StoreError
 from dtwin.parquet import read_parquet, table_of, write_parquet
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
@@ -267,3 +269,45 @@ def test_a_model_can_be_rebuilt_from_its_table_version(
     assert pa.types.is_float64(
         lake.tables["samples"].read(before).schema.field("deviation_um").type
     )
+
+
+def kept_file(lake: Lake) -> Path:
+    (path,) = (lake.root / "signals" / "c").glob("*.parquet")
+    return path
+
+
+def test_a_signal_file_with_checksums_is_kept_as_it_is(tmp_path: Path) -> None:
+    run, source = make_run("r1"), tmp_path / "r1.accelerometers.parquet"
+    write_signals(source, run.signals[0])
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [replace(run, signals=tuple(read_signals(source)))])
+    assert kept_file(lake).read_bytes() == source.read_bytes()
+    (back,) = lake.load(lake.runs("c")[0]).signals
+    np.testing.assert_array_equal(
+        back.columns["wrist_x_g"], run.signals[0].columns["wrist_x_g"], strict=True
+    )
+
+
+def test_changed_columns_are_never_kept_as_the_file_they_came_from(tmp_path: Path) -> None:
+    run, source = make_run("r1"), tmp_path / "r1.accelerometers.parquet"
+    write_signals(source, run.signals[0])
+    (group,) = read_signals(source)
+    doubled = {name: 2 * values for name, values in group.columns.items()}
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [replace(run, signals=(replace(group, columns=doubled),))])
+    (back,) = lake.load(lake.runs("c")[0]).signals
+    np.testing.assert_array_equal(back.columns["wrist_x_g"], doubled["wrist_x_g"])
+
+
+def test_a_file_without_page_checksums_gets_them_in_the_lake(tmp_path: Path) -> None:
+    run, source = make_run("r1", n=20_000), tmp_path / "r1.accelerometers.parquet"
+    columns = {"t_s": np.arange(60_000) / 1651.6, **run.signals[0].columns}
+    pq.write_table(pa.table(columns), source)
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [replace(run, signals=tuple(read_signals(source)))])
+    kept = kept_file(lake)
+    data = bytearray(kept.read_bytes())
+    data[len(data) // 2] ^= 1
+    kept.write_bytes(data)
+    with pytest.raises(StoreError, match="damaged"):
+        lake.load(lake.runs("c")[0])
