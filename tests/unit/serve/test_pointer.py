@@ -163,7 +163,7 @@ def test_file_is_only_looked_at_unless_a_pointer_names_it(home: Home, tmp_path: 
     copy = tmp_path / "copy.json"
     copy.write_bytes(served.read_bytes())
     assert resolve(str(copy), None, home).state == "champion"
-    promoted(home, "barred")
+    write_pointer("cobot-a", home, served, 3, "barred")
     with pytest.raises(GateRefusal, match="barred"):
         resolve(str(copy), None, home)
 
