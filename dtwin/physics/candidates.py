@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
@@ -111,6 +111,15 @@ class Candidates:
         p_value = float(-np.expm1(n_tried * np.log1p(-min(score.p_value, 1.0 - 1e-12))))
         score = Score(p_value, score.gain, score.expected, score.dof)
         return Candidate(Term(instance, shapes[best]), visible, share, score)
+
+    def at(
+        self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel
+    ) -> Candidate:
+        """Return a candidate at another shape; its p-value stays that of all shapes tried."""
+        visible, share = self._visible(problem, term)
+        within = term.instance.effect.within_condition
+        score = score_test(problem, visible, problem.residual, level, within=within)
+        return Candidate(term, visible, share, replace(score, p_value=candidate.score.p_value))
 
     def visible(self, problem: Problem, term: Term, given: Floats | None = None) -> Floats:
         """Return the columns of a term that nothing known can imitate."""
@@ -266,12 +275,12 @@ def _independent(visible: Sequence[Floats]) -> float:
     """Return how many independent shapes were tried, by the overlap of their spaces."""
     if len(visible) < 2:
         return 1.0
-    overlap = np.array(
-        [
-            [float(((a.T @ b) ** 2).sum()) / min(a.shape[1], b.shape[1]) for b in visible]
-            for a in visible
-        ]
-    )
+    gram = np.concatenate(visible, axis=1)
+    squares = (gram.T @ gram) ** 2
+    sizes = np.array([v.shape[1] for v in visible])
+    first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    overlap = np.add.reduceat(np.add.reduceat(squares, first, axis=0), first, axis=1)
+    overlap /= np.minimum(sizes[:, None], sizes[None, :])
     return float(max(1.0, len(visible) ** 2 / (overlap**2).sum()))
 
 

@@ -24,14 +24,15 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.outliers import odd_runs
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
 from dtwin.physics.screen import Channel, screen_channels
-from dtwin.physics.search import Search, search
+from dtwin.physics.search import IMMATERIAL, Search, search
 from dtwin.physics.spread import spread_of
 from dtwin.schema import Floats
 
 LACK_OF_FIT = 0.003
 _FIT_IS_DOUBTFUL = 0.05
-_EXPLAINED = 0.7
-_IMMATERIAL = 0.08
+# What was found must explain this share, or what is left must be this small beside the floor.
+_EXPLAINED = 0.93
+_LEFT = 0.3
 _SHOWN = 8
 
 
@@ -67,7 +68,7 @@ def diagnose(
     blank = Diagnosis(
         verdict="need_repeats",
         headline="",
-        residual_rms_um=_rms(residual, obs),
+        residual_rms_um=obs.rms(residual),
         systematic_rms_um=localise.systematic_rms_um(obs, residual),
         noise_floor_um=float("nan"),
         floor_kind="none",
@@ -107,13 +108,11 @@ def _concluded(
     blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=found.invisible)
     foreign = tuple(c for c in channels if _is_foreign(c.name, library))
     left_um = found.systematic_um[0]
-    if left_um < _IMMATERIAL * blank.noise_floor_um and not channels:
-        shown = _suspects(found, candidates, known, (), {})
-        said = f"what repeats agree on ({left_um:.2g} um) is small beside the noise floor"
-        return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
-    if left_um < _IMMATERIAL * blank.noise_floor_um and not _acts_inside(found):
-        found = replace(found, steps=())
     if not found.steps:
+        if left_um < IMMATERIAL * blank.noise_floor_um and not channels:
+            shown = _suspects(found, candidates, known, (), {})
+            said = f"what repeats agree on ({left_um:.2g} um) is small beside the noise floor"
+            return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
         laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
         shown = _suspects(found, candidates, known, (), {})
         unexplained = [c.name for c in channels]
@@ -134,8 +133,7 @@ def _concluded(
     group = [c for c in step.group if not _broken(tests.get(c.term.label, []))]
     shown = _suspects(found, candidates, known, group, tests)
     wrong_law = not group
-    much_left = found.lack_of_fit[-1] <= LACK_OF_FIT and found.explained < _EXPLAINED
-    if wrong_law or much_left:
+    if wrong_law or _much_left(found, blank.noise_floor_um):
         return replace(
             blank,
             verdict="unknown_effect",
@@ -152,9 +150,12 @@ def _concluded(
     return replace(blank, verdict=verdict, headline=said, suspects=shown)
 
 
-def _acts_inside(found: Search) -> bool:
-    """Tell whether the first effect found differs between repeats, as heat does."""
-    return bool(found.steps) and found.steps[0].top.term.instance.effect.within_condition
+def _much_left(found: Search, floor_um: float) -> bool:
+    """Tell whether what was found leaves structure: certainly some, or probably much."""
+    p_value, left_um = found.lack_of_fit[-1], found.systematic_um[-1]
+    certain = p_value <= LACK_OF_FIT
+    probable = p_value <= _FIT_IS_DOUBTFUL and left_um > _LEFT * floor_um
+    return (certain or probable) and found.explained < _EXPLAINED
 
 
 def _quiet(blank: Diagnosis) -> Verdict:
@@ -184,8 +185,13 @@ def _grade(candidate: Candidate, tests: Sequence[LawTest], group: Sequence[Candi
     law = candidate.term.instance.effect.law
     wanted = {"feed"} if law.feed is not None else set()
     wanted |= {"direction"} if law.direction != "mixed" else set()
-    tested = {test.variable for test in tests}
-    enough = law.feed is not None and wanted <= tested and all(t.confirmed for t in tests)
+    by_variable = {test.variable: test for test in tests}
+    enough = (
+        law.feed is not None
+        and not _broken(tests)
+        and all(name in by_variable and by_variable[name].confirmed for name in wanted)
+        and ("radius" not in by_variable or by_variable["radius"].confirmed)
+    )
     return "law-confirmed" if enough and len(group) == 1 else "shape-consistent"
 
 
@@ -221,7 +227,7 @@ def _suspects(
             Suspect(
                 effect=effect.name,
                 axis=candidate.term.instance.axis,
-                rms_after_um=_rms(localise.in_angle(after), problem.obs),
+                rms_after_um=problem.obs.rms(localise.in_angle(after)),
                 cv_gain=gain,
                 p_value=p_values[label],
                 in_group=inside,
@@ -262,7 +268,3 @@ def _closest(tested: Sequence[Candidate]) -> str | None:
         return None
     best = max(tested, key=lambda c: c.score.gain)
     return best.term.label if best.score.gain > 0.0 else None
-
-
-def _rms(values: Floats, obs: Observations) -> float:
-    return float(np.sqrt((values[obs.mask] ** 2).mean()))

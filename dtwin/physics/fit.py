@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from scipy.optimize import least_squares
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
@@ -18,6 +17,7 @@ from dtwin.physics.gridding import N_BINS
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, set_up, setup_columns, unweighted, weighted_like
 from dtwin.physics.score import noise_level
+from dtwin.physics.shapes import refined
 from dtwin.physics.solve import in_blocks, solve_blocks
 from dtwin.physics.whitening import from_harmonics, within_condition
 from dtwin.schema import Floats
@@ -175,8 +175,8 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
         estimates=_estimates(terms, solution.x[n_setup:], expanded[n_setup:], hidden[n_setup:]),
         setups=_setups(obs, solution.x[:n_setup], expanded[:n_setup]),
         residual_um=residual,
-        rms_before_um=_rms(obs, before),
-        rms_after_um=_rms(obs, residual),
+        rms_before_um=obs.rms(before),
+        rms_after_um=obs.rms(residual),
         systematic_rms_um=localise.systematic_rms_um(obs, residual),
         noise_floor_um=problem.noise.floor_um if problem.noise else float("nan"),
         rank=solution.rank,
@@ -308,10 +308,6 @@ def _residual_um(obs: Observations, columns: Floats, x: Floats) -> Floats:
     return np.where(obs.mask, obs.y_um - fitted, 0.0)
 
 
-def _rms(obs: Observations, values: Floats) -> float:
-    return float(np.sqrt((values[obs.mask] ** 2).mean()))
-
-
 def _require_visible(obs: Observations, terms: Sequence[Term]) -> None:
     for term in terms:
         if not obs.regressors(term.instance, term.shape).any():
@@ -352,22 +348,8 @@ def _settled(old: Mapping[str, float], new: Mapping[str, float]) -> bool:
 
 def _refined_one(obs: Observations, others: Sequence[Term], term: Term, *, search: bool) -> Term:
     problem = set_up(obs, others, [])
-    candidates = Candidates(obs, [term.instance])
-    names = [shape.name for shape in term.instance.effect.shapes]
-    start = _start(problem, candidates, term) if search else term.shape
-
-    def left(logs: Floats) -> Floats:
-        shape = dict(zip(names, np.exp(logs), strict=True))
-        visible = candidates.visible(problem, replace(term, shape=shape))
-        residual = problem.residual.ravel()
-        return np.asarray(residual - visible @ (visible.T @ residual))
-
-    begun = np.log([start[name] for name in names])
-    found = least_squares(
-        left, begun, method="trf", x_scale=0.1, max_nfev=12, diff_step=[1e-4] * len(names)
-    )
-    best = found.x if found.cost < 0.5 * float((left(begun) ** 2).sum()) else begun
-    return replace(term, shape=dict(zip(names, np.exp(best).tolist(), strict=True)))
+    start = _start(problem, Candidates(obs, [term.instance]), term) if search else term.shape
+    return refined(problem, replace(term, shape=start))
 
 
 def _start(problem: Problem, candidates: Candidates, term: Term) -> Mapping[str, float]:

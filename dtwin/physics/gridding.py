@@ -219,7 +219,8 @@ def fine_angle_rad() -> Floats:
 
 def averaged(fine: Floats) -> Floats:
     """Return bin means, shape (360, k), of values at the fine angles, shape (n, k)."""
-    return np.asarray(fine.reshape(N_BINS, POINTS_PER_BIN, -1).mean(axis=1))
+    first = np.arange(0, len(fine), POINTS_PER_BIN)
+    return np.asarray(np.add.reduceat(fine, first, axis=0) / POINTS_PER_BIN)
 
 
 def bin_angle_rad() -> Floats:

@@ -1,20 +1,24 @@
-"""Whether the amplitude of an effect follows its law over feed, radius and direction."""
+"""Whether the amplitude of an effect follows its law over feed, radius, direction and time."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dtwin.physics.candidates import Candidate, Candidates
 from dtwin.physics.gridding import N_BINS
+from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem
-from dtwin.physics.score import NoiseLevel, score_test
+from dtwin.physics.score import NoiseLevel, Score, score_test
+from dtwin.physics.whitening import to_harmonics
 from dtwin.schema import Floats
 
 MATERIAL = 0.35
 _CONFIRMED = 0.3
 _ALPHA = 0.002
+# Time constants of a body that follows a logged channel, as shares of the campaign's length.
+_SLOW = (0.1, 0.3, 1.0)
 
 
 @dataclass(frozen=True)
@@ -23,12 +27,13 @@ class LawTest:
 
     Attributes
     ----------
-    variable : {"feed", "radius", "direction"}
-        What the amplitude was compared over.
+    variable : {"feed", "radius", "direction", "time", "delay"}
+        What the amplitude was compared over; "delay": whether it follows its channel at once.
     p_value : float
         Of the hypothesis that the law holds.
     shift : float
-        Change of the exponent that fits best; for the direction, half the relative difference.
+        Change of the exponent that fits best; for the direction, half the relative difference;
+        for time, the relative change over the campaign; for delay, the share that comes late.
     uncertainty : float
         Standard uncertainty of the shift.
     """
@@ -79,7 +84,9 @@ def law_tests(
     law = term.instance.effect.law
     columns = candidates.whitened(problem, term)
     with_it = problem.extended(candidate.visible, columns)
-    amplitude = _along(problem, columns)
+    amplitude = _amplitude(problem, columns)
+    along = (columns @ amplitude).reshape(-1, N_BINS)
+    within = term.instance.effect.within_condition
     out = []
     for variable, contrast in _contrasts(problem).items():
         if variable == "feed" and law.feed is None:
@@ -88,25 +95,76 @@ def law_tests(
             continue
         if variable == "direction" and law.direction == "mixed":
             continue
-        # The effect as fitted, scaled by the contrast: one column, whatever the effect has.
-        profile = (amplitude.reshape(-1, N_BINS) * contrast[:, None]).reshape(-1, 1)
-        visible, share = with_it.visible(profile)
-        if not visible.shape[1]:
+        if variable == "time" and within:
             continue
-        within = term.instance.effect.within_condition
-        score = score_test(with_it, visible, with_it.residual, level, within=within)
-        size = float(np.sqrt((profile**2).sum() * share[0]))
-        sign = float(np.sign(visible[:, 0] @ profile[:, 0]))
-        shift = sign * float(visible[:, 0] @ with_it.residual.ravel()) / size
-        out.append(LawTest(variable, score.p_value, shift, float(np.sqrt(score.expected)) / size))
+        # The effect as fitted, scaled by the contrast: one column, whatever the effect has.
+        out += _tested(
+            with_it, variable, along * contrast[:, None], level, within or variable == "time"
+        )
+    if within and term.instance.effect.needs:
+        late = [
+            test
+            for lagging in _late(problem.obs)
+            for test in _tested(
+                with_it, "delay", _of(lagging, problem, candidate, amplitude) - along, level, True
+            )
+        ]
+        out += [_best_of(late)] if late else []
     return out
 
 
-def _along(problem: Problem, columns: Floats) -> Floats:
-    """Return the effect with the amplitudes that fit best, shape (rows * 360,)."""
+def _tested(
+    with_it: Problem, variable: str, profile: Floats, level: NoiseLevel, within: bool
+) -> list[LawTest]:
+    column = profile.reshape(-1, 1)
+    visible, share = with_it.visible(column)
+    if not visible.shape[1]:
+        return []
+    score: Score = score_test(with_it, visible, with_it.residual, level, within=within)
+    size = float(np.sqrt((column**2).sum() * share[0]))
+    sign = float(np.sign(visible[:, 0] @ column[:, 0]))
+    shift = sign * float(visible[:, 0] @ with_it.residual.ravel()) / size
+    return [LawTest(variable, score.p_value, shift, float(np.sqrt(score.expected)) / size)]
+
+
+def _best_of(tests: list[LawTest]) -> LawTest:
+    """Return the test with the smallest p-value, which counts for all that were tried."""
+    best = min(tests, key=lambda test: test.p_value)
+    return replace(best, p_value=min(1.0, len(tests) * best.p_value))
+
+
+def _late(obs: Observations) -> list[Observations]:
+    """Return the runs with every logged channel as a slow body would follow it."""
+    time_h = np.array([float(np.mean(c["time_h"])) for c in obs.columns])
+    order = np.argsort(time_h, kind="stable")
+    out = []
+    for share in _SLOW:
+        constant_h = share * float(np.ptp(time_h))
+        columns = [dict(c) for c in obs.columns]
+        for name in (n for n in obs.logged if n != "time_h"):
+            value = [float(np.mean(obs.columns[row][name])) for row in order]
+            slow = value[0]
+            for number, row in enumerate(order):
+                if number:
+                    passed_h = time_h[row] - time_h[order[number - 1]]
+                    mean = 0.5 * (value[number] + value[number - 1])
+                    slow += (mean - slow) * -np.expm1(-passed_h / constant_h)
+                columns[row][name] = slow
+        out.append(replace(obs, columns=tuple(columns)))
+    return out
+
+
+def _of(lagging: Observations, problem: Problem, candidate: Candidate, amplitude: Floats) -> Floats:
+    """Return what the candidate would be with late channels, whitened, shape (rows, 360)."""
+    term = candidate.term
+    columns = to_harmonics(lagging.regressors(term.instance, term.shape))
+    return np.asarray((columns * problem.weights[:, None]) @ amplitude)
+
+
+def _amplitude(problem: Problem, columns: Floats) -> Floats:
+    """Return the amplitudes that fit best, shape (k,)."""
     left = columns - problem.basis @ (problem.basis.T @ columns)
-    amplitude = np.linalg.lstsq(left, problem.residual.ravel(), rcond=1e-8)[0]
-    return np.asarray(columns @ amplitude)
+    return np.asarray(np.linalg.lstsq(left, problem.residual.ravel(), rcond=1e-8)[0])
 
 
 def _contrasts(problem: Problem) -> dict[str, Floats]:
@@ -115,4 +173,8 @@ def _contrasts(problem: Problem) -> dict[str, Floats]:
     radius = np.log([meta.radius_mm or 1.0 for meta in obs.runs])
     direction = np.array([1.0 if meta.direction == "CCW" else -1.0 for meta in obs.runs])
     found = {"feed": feed, "radius": radius, "direction": direction}
-    return {name: values - values.mean() for name, values in found.items() if np.ptp(values) > 0.05}
+    out = {name: values - values.mean() for name, values in found.items() if np.ptp(values) > 0.05}
+    time_h = np.array([float(np.mean(c["time_h"])) for c in obs.columns])
+    if np.ptp(time_h) > 0.0:
+        out["time"] = (time_h - time_h.mean()) / np.ptp(time_h)
+    return out

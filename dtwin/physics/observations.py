@@ -125,6 +125,10 @@ class Observations:
             out[name] = values - values[self.mask].mean()
         return out
 
+    def rms(self, values: Floats) -> float:
+        """Return the RMS of values, shape (rows, 360), over what was measured."""
+        return float(np.sqrt((values[self.mask] ** 2).mean()))
+
     def without(self, drop: Sequence[int]) -> Observations:
         """Return the observations without some rows.
 

@@ -190,7 +190,7 @@ def orthonormal(columns: Floats) -> Floats:
     basis = columns @ (vectors[:, keep] / np.sqrt(values[keep]))
     # The second pass removes what the squared condition number cost.
     upper = np.linalg.cholesky(basis.T @ basis).T
-    return np.asarray(np.linalg.solve(upper.T, basis.T).T)
+    return np.asarray(basis @ np.linalg.inv(upper))
 
 
 def _scaled(columns: Floats) -> Floats:

@@ -10,6 +10,7 @@ from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.problem import Problem
 from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
+from dtwin.physics.shapes import refined
 from dtwin.schema import Floats
 
 ALPHA = 0.04
@@ -18,6 +19,8 @@ _LEADING = 6
 _GROUP_GAIN = 0.5
 _GROUP_P = 0.05
 _FIT_IS_FINE = 0.05
+# Smaller effects are not reported: the library's laws are not exact either.
+IMMATERIAL = 0.08
 
 
 @dataclass(frozen=True)
@@ -125,7 +128,12 @@ def search(
         if shown_by_channel:
             within = [c for c in tested if c.term.instance.effect.within_condition]
             p_values |= holm(within)
-        step = _step(problem, candidates, level, tested, p_values, tuple(invisible))
+        significant = [
+            c
+            for c in tested
+            if p_values[c.term.label] <= ALPHA and _is_material(plain, candidates, c, problem)
+        ]
+        step = _step(problem, candidates, level, tested, significant, p_values, tuple(invisible))
         if step is None or len(steps) == _MOST_STEPS:
             break
         steps.append(step)
@@ -161,10 +169,10 @@ def _step(
     candidates: Candidates,
     level: NoiseLevel,
     tested: list[Candidate],
+    significant: list[Candidate],
     p_values: Mapping[str, float],
     invisible: tuple[str, ...],
 ) -> Step | None:
-    significant = [c for c in tested if p_values[c.term.label] <= ALPHA]
     leading = sorted(significant, key=lambda c: -c.score.gain)[:_LEADING]
     gains = {
         c.term.label: left_out_gain(problem, candidates.whitened(problem, c.term)) for c in leading
@@ -172,9 +180,32 @@ def _step(
     kept = [c for c in leading if gains[c.term.label] > 0.0]
     if not kept:
         return None
-    top = kept[0]
+    top = _refined(problem, candidates, kept[0], level)
     group = _group(problem, candidates, level, top, tested)
     return Step(problem, level, top, group, p_values, tuple(tested), gains, invisible)
+
+
+def _is_material(
+    plain: Problem, candidates: Candidates, candidate: Candidate, problem: Problem
+) -> bool:
+    """Tell whether an effect would change the reading by more than a share of the noise floor."""
+    floor_um = problem.noise.floor_um if problem.noise is not None else 0.0
+    visible = candidates.visible(plain, candidate.term)
+    return explained_rms_um(plain, visible) >= IMMATERIAL * floor_um
+
+
+def explained_rms_um(plain: Problem, visible: Floats) -> float:
+    """Return the RMS of what columns explain of an unweighted residual.
+
+    Parameters
+    ----------
+    plain : Problem
+        Campaign without weights.
+    visible : ndarray, shape (rows * 360, k)
+        Orthonormal columns, orthogonal to what is known.
+    """
+    total = float(((visible.T @ plain.residual.ravel()) ** 2).sum())
+    return float((total / plain.obs.mask.sum()) ** 0.5)
 
 
 def _group(
@@ -187,12 +218,24 @@ def _group(
     """Return what leaves the top one nothing significant to explain: a 95 % confidence set."""
     group = [top]
     columns = candidates.whitened(problem, top.term)
-    for other in sorted(tested, key=lambda c: -c.score.gain):
-        if other is top or other.score.gain < _GROUP_GAIN * top.score.gain:
+    for found in sorted(tested, key=lambda c: -c.score.gain):
+        if found.term.label == top.term.label:
             continue
+        if found.score.gain < _GROUP_GAIN * top.score.gain:
+            continue
+        other = _refined(problem, candidates, found, level)
         if _adds_nothing(problem, columns, top, other, candidates, level):
             group.append(other)
     return tuple(group)
+
+
+def _refined(
+    problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel
+) -> Candidate:
+    term = refined(problem, candidate.term, bounded=True)
+    if term is candidate.term:
+        return candidate
+    return candidates.at(problem, candidate, term, level)
 
 
 def _adds_nothing(

@@ -157,6 +157,11 @@ class Twin:
         }
 
 
+def left_out_lines(data: Mapping[str, Any]) -> list[str]:
+    """Return a line for each run that was left out because of its errors."""
+    return [f"left out, {run}: {why}" for run, why in data.get("left_out", {}).items()]
+
+
 def twin_of(
     fit: Fit,
     obs: Observations,

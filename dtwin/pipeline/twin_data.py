@@ -29,14 +29,11 @@ class Loaded:
     obs : Observations
         The runs.
     data : dict
-        Table versions and a hash of what was used.
-    left_out : dict of str to str
-        Runs that have errors, and which.
+        Table versions, a hash of what was used, and ``left_out``: runs with errors, and which.
     """
 
     obs: Observations
     data: Mapping[str, Any]
-    left_out: Mapping[str, str]
 
 
 @dataclass(frozen=True)
@@ -71,8 +68,8 @@ class Comparison:
             "version": self.twin.version,
             "campaign": obs.campaign.name,
             "runs": len(set(obs.run_of.tolist())),
-            "rms_before_um": _rms(obs, self.before_um),
-            "residual_rms_um": _rms(obs, self.residual_um),
+            "rms_before_um": obs.rms(self.before_um),
+            "residual_rms_um": obs.rms(self.residual_um),
             "systematic_rms_um": localise.systematic_rms_um(obs, self.residual_um),
             "noise_floor_um": pure_rms_um(obs, self.residual_um),
             "conditions": list(by_condition(obs, self.before_um, self.residual_um)),
@@ -84,7 +81,7 @@ class Comparison:
 
 def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
     """Return the RMS of one run about the mean of its condition; NaN without repeats."""
-    total = _rms(obs, residual_um)
+    total = obs.rms(residual_um)
     systematic = localise.systematic_rms_um(obs, residual_um)
     return float(np.sqrt(max(0.0, total**2 - systematic**2)))
 
@@ -137,9 +134,10 @@ def load(home: Home, campaign: str) -> Loaded:
             got=found.kind,
             allowed="circular",
         )
-    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(runs)}
-    return Loaded(observe(found, runs), data, left_out)
-
-
-def _rms(obs: Observations, values: Floats) -> float:
-    return float(np.sqrt((values[obs.mask] ** 2).mean()))
+    data = {
+        **lake.versions(),
+        "runs_sha256": digest.hexdigest(),
+        "n_runs": len(runs),
+        "left_out": left_out,
+    }
+    return Loaded(observe(found, runs), data)

@@ -25,6 +25,7 @@ from dtwin.physics.twin import (
     Twin,
     chosen_terms,
     frozen_residual_um,
+    left_out_lines,
     twin_of,
 )
 from dtwin.pipeline.twin_data import Comparison, Loaded, load
@@ -95,7 +96,8 @@ class Twins:
             When the campaign is of another machine.
         """
         twin = self.newest(name)
-        obs = load(self.home, campaign or twin.campaign).obs
+        loaded = load(self.home, campaign or twin.campaign)
+        obs = loaded.obs
         if obs.campaign.machine != twin.machine:
             raise InputError(
                 "the twin is of another machine",
@@ -105,7 +107,7 @@ class Twins:
                 hint="fit a twin to that campaign",
             )
         outside = twin.box.outside(obs)
-        warnings = []
+        warnings = left_out_lines(loaded.data)
         if outside:
             shown = ", ".join(outside[:4]) + (" ..." if len(outside) > 4 else "")
             warnings.append(f"outside the conditions of the fit: {shown}")

@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.physics import localise
 from dtwin.physics.effect import Effect
 from dtwin.physics.observations import Observations
-from dtwin.physics.twin import Twin
+from dtwin.physics.twin import Twin, left_out_lines
 from dtwin.report.html import Section, Table
 from dtwin.report.text import table
 from dtwin.report.twin_plots import overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -72,6 +72,7 @@ def twin_text(twin: Twin) -> str:
     shown = parameter_table(twin)
     lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
     lines += [f"cannot be told apart: {_alias(alias)}" for alias in twin.aliases]
+    lines += [f"warning: {line}" for line in left_out_lines(twin.data)]
     return "\n".join(lines)
 
 

@@ -45,7 +45,8 @@ def log_twin(
         "machine": document["machine"],
         "campaign": document["campaign"],
         "action": document["action"],
-        **{f"data.{k}": v for k, v in document["data"].items()},
+        **{f"data.{k}": v for k, v in document["data"].items() if k != "left_out"},
+        "data.n_left_out": len(document["data"].get("left_out", {})),
         **{f"version.{k}": v for k, v in environment().items()},
     }
     tags = {"mlflow.parentRunId": parent, "mlflow.note.content": description}

@@ -18,6 +18,7 @@ from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.physics.library import Library
 from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twins import Twins
+from dtwin.report.twins import twin_text
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -288,3 +289,17 @@ def test_the_command_line_says_the_same(home: Home, twins: Twins, tmp_path: Path
     wrong = dtwin(home, "twin", "add", "cli", "warp_drive")
     assert wrong.returncode == 1
     assert "effect.unknown" in wrong.stderr
+
+
+def test_runs_with_errors_are_left_out_and_said_so(home: Home, tmp_path: Path) -> None:
+    folder = write_campaign(tmp_path / "mill", "none", name="with-a-bad-run", radii=(100.0,))
+    spoilt = folder / "r001.csv"
+    table = np.loadtxt(spoilt, delimiter=",", skiprows=1)
+    table[100:400, 2] = table[100, 2]
+    np.savetxt(spoilt, table, delimiter=",", header="t_s,angle_deg,deviation_um", comments="")
+    load(home, str(folder))
+    twins = Twins(home)
+    twin = twins.fit("with-a-bad-run", KNOWN, "mill-b")
+    assert list(twin.data["left_out"]) == ["r001"]
+    assert "warning: left out, r001" in twin_text(twin)
+    assert any("stuck sensor" in warning for warning in twins.compare("mill-b").warnings)

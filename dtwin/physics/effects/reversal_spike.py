@@ -3,19 +3,50 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import erfcx
 
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, stacked
 from dtwin.physics.state import State
 from dtwin.schema import Floats
+from dtwin.units import UM_PER_MM
+
+_APART = 0.97
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
-    decay = np.exp(-state.since_reversal_s[axis] * 1e3 / shape["duration_ms"])
+    acceleration = state.feed_mm_s**2 / state.radius_mm
+    build_up_s = np.sqrt(shape["presliding_um"] / UM_PER_MM / acceleration)
+    duration_s = shape["duration_ms"] / 1e3
+    rise_s = min(shape["rise_ms"] / 1e3, _APART * duration_s)
+    t_s = state.since_reversal_s[axis]
+    spike = _fought(t_s, build_up_s, duration_s) - _fought(t_s, build_up_s, rise_s)
     end = state.last_end[axis]
-    out = decay * end * state.sensitivity[axis]
+    out = spike / _peak(duration_s, rise_s) * end * state.sensitivity[axis]
     return stacked(np.where(end > 0, out, 0.0), np.where(end < 0, out, 0.0))
+
+
+def _fought(t_s: Floats, build_up_s: float, time_s: float) -> Floats:
+    """Return what is left of friction that is fought with a time constant, shape (n,).
+
+    Friction after a reversal is 1 - exp(-t^2 / (2 b^2)): it builds up over a travel that grows
+    with the square of time. This is its convolution with the decay, in closed form.
+    """
+    w = build_up_s / (np.sqrt(2.0) * time_s)
+    u = t_s / (np.sqrt(2.0) * build_up_s) - w
+    built = np.exp(-0.5 * (t_s / build_up_s) ** 2)
+    decay = np.exp(-t_s / time_s)
+    late = 2.0 * np.exp(np.minimum(w**2 - t_s / time_s, 0.0)) - built * erfcx(np.maximum(u, 0.0))
+    early = built * erfcx(np.maximum(-u, 0.0))
+    area = np.where(u >= 0.0, late, early) - decay * erfcx(w)
+    return np.asarray(decay - built + np.sqrt(np.pi) * w * area)
+
+
+def _peak(slow_s: float, fast_s: float) -> float:
+    """Return the largest value of exp(-t / slow) - exp(-t / fast)."""
+    ratio = fast_s / slow_s
+    return float(ratio ** (ratio / (1.0 - ratio)) - ratio ** (1.0 / (1.0 - ratio)))
 
 
 EFFECT = Effect(
@@ -27,11 +58,17 @@ EFFECT = Effect(
     ),
     regressors=_columns,
     law=Law(None, None, "even"),
-    meaning="Static friction holds the axis at reversal until the servo has built up torque.",
-    formula="A exp(-t_r / T) after each reversal of the axis",
+    meaning=(
+        "Friction changes its sign at reversal and pushes the axis off its path until the drive "
+        "has built up the force against it."
+    ),
+    formula=(
+        "A (exp(-t / T) - exp(-t / Tr)) / peak after each reversal, smoothed by the time in which "
+        "friction builds up over its travel: sqrt(s / a), a = F^2 / R"
+    ),
     looks_like=(
-        "Short spike outwards or inwards just after the reversal, on the other side of the "
-        "axis when the direction changes."
+        "Short spike outwards or inwards just after the reversal, on the other side of the axis "
+        "when the direction changes. It grows with F^2 / R until friction reverses at once."
     ),
     separate_by="Lower the feed: the spike shrinks and a backlash step stays.",
     remedy="Friction compensation of the control, lubrication, loop gain.",
@@ -39,7 +76,11 @@ EFFECT = Effect(
         "JSME quadrant glitch measurements over radii and feeds; ISO 230-4:2022 annex B, "
         "influence of typical machine errors on circular paths"
     ),
-    shapes=(ShapeParameter("duration_ms", "ms", 60.0, (8.0, 20.0, 50.0, 120.0, 300.0)),),
+    shapes=(
+        ShapeParameter("duration_ms", "ms", 60.0, (10.0, 30.0, 80.0, 250.0)),
+        ShapeParameter("rise_ms", "ms", 1.0, (1.0, 15.0)),
+        ShapeParameter("presliding_um", "um", 0.2, (0.2, 6.0)),
+    ),
     confusables=(
         "friction",
         "reversal_ringing",
