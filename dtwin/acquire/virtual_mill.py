@@ -20,7 +20,10 @@ RADII_MM = (50.0, 150.0)
 REPEATS = 3
 _COOL_DOWN_S = 1800.0
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
-HIDDEN = ("backlash", "wobble", "none")
+HIDDEN = ("backlash", "wobble", "servo", "none")
+_DECIMALS = {"t_s": 5, "angle_deg": 5, "deviation_um": 4}
+# What the control logs: a hundredth of a micrometre, as linear scales and resolvers give it.
+_LOG_DECIMALS = 5
 
 
 def tutorial_mill(hidden: str = "backlash") -> MillParameters:
@@ -28,9 +31,11 @@ def tutorial_mill(hidden: str = "backlash") -> MillParameters:
 
     Parameters
     ----------
-    hidden : {"backlash", "wobble", "none"}
+    hidden : {"backlash", "wobble", "servo", "none"}
         ``backlash``: play in the drive of the X axis. ``wobble``: five waves per turn that grow
-        with the feed, which no effect of the library describes.
+        with the feed, which no effect of the library describes. ``servo``: the X axis lags
+        behind its command, and its encoder sees it; the play in Y and what rings when Y breaks
+        away, no encoder sees.
 
     Raises
     ------
@@ -45,6 +50,9 @@ def tutorial_mill(hidden: str = "backlash") -> MillParameters:
             allowed=", ".join(HIDDEN),
         )
     made = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0)
+    if hidden == "servo":
+        made = made.with_axis("X", feed_forward=0.98)
+        return made.with_axis("Y", play_um=3.0, mode_hz=12.0, breakaway_mm=2e-3)
     return made.with_axis("X", play_um=3.0) if hidden == "backlash" else made
 
 
@@ -168,8 +176,8 @@ def _entry(run: Run) -> list[str]:
 
 
 def _write_samples(path: Path, run: Run) -> None:
-    names = ("t_s", "angle_deg", "deviation_um")
-    rows = np.column_stack([run.samples[name] for name in names])
-    text = ",".join(names) + "\n"
-    text += "".join(f"{t:.5f},{a:.5f},{d:.4f}\n" for t, a, d in rows.tolist())
+    decimals = [_DECIMALS.get(name, _LOG_DECIMALS) for name in run.samples]
+    line = ",".join(f"%.{places}f" for places in decimals) + "\n"
+    rows = np.column_stack(list(run.samples.values())).tolist()
+    text = ",".join(run.samples) + "\n" + "".join(line % tuple(row) for row in rows)
     write_text(path, text, "a run")

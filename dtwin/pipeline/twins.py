@@ -95,7 +95,8 @@ class Twins:
             When the campaign is of another machine.
         """
         twin = self.newest(name)
-        obs = load(self.home, campaign or twin.campaign).obs
+        loaded = load(self.home, campaign or twin.campaign)
+        obs = loaded.obs
         if obs.campaign.machine != twin.machine:
             raise InputError(
                 "the twin is of another machine",
@@ -110,7 +111,8 @@ class Twins:
             shown = ", ".join(outside[:4]) + (" ..." if len(outside) > 4 else "")
             warnings.append(f"outside the conditions of the fit: {shown}")
         residual = frozen_residual_um(twin, obs)
-        return Comparison(twin, obs, residual, localise.residual_um(obs, []), tuple(warnings))
+        before = localise.residual_um(obs, [])
+        return Comparison(twin, obs, residual, before, tuple(warnings), loaded.controller_um)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
         """Find out what a twin lacks.
