@@ -6,7 +6,7 @@ ring and warm up; the bar measures the distance between two balls.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
@@ -51,6 +51,7 @@ class Moment:
 
 
 Disturbance = Callable[[Moment], Floats]
+Correction = Callable[[CircularTest, Command], Floats]
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,9 @@ class VirtualMill:
         Anything else that changes the measured length: ``disturbance(moment)`` returns um.
     samples_per_turn : int
         How often the bar is read in a turn, at any feed.
+    corrections : dict of str to callable
+        What is added to the position of tests that name it: ``correction(test, command)`` returns
+        mm along the two axes of the plane, one column for each step.
     """
 
     parameters: MillParameters
@@ -101,6 +105,7 @@ class VirtualMill:
     setup_errors: SetupErrors = field(default_factory=SetupErrors)
     disturbance: Disturbance | None = None
     samples_per_turn: int = 1080
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
 
     def measure(self, tests: Sequence[CircularTest]) -> list[Run]:
         """Measure circles one after the other.
@@ -123,7 +128,8 @@ class VirtualMill:
         odd = int(np.random.default_rng([self.seed, 3]).integers(max(len(tests), 1)))
         out = []
         for number, test in enumerate(tests):
-            key = (test.plane, test.direction, test.radius_mm, test.feed_mm_min)
+            where = (test.plane, test.direction, test.radius_mm, test.feed_mm_min)
+            key = (*where, test.correction)
             if key not in motions:
                 motions[key] = self._motion(test)
             clock.wait(test.pause_s)
@@ -143,9 +149,16 @@ class VirtualMill:
             _sense(test),
             self.parameters.changeover_um / UM_PER_MM,
         )
+        added = np.zeros_like(command.position_mm)
+        if test.correction:
+            added = self.corrections[test.correction](test, command)
         a, b = (
             mill_drive.drive(
-                command, i, self.parameters.axis(letter), _CENTRE_ON_SCREW_MM[AXES.index(letter)]
+                command,
+                i,
+                self.parameters.axis(letter),
+                _CENTRE_ON_SCREW_MM[AXES.index(letter)],
+                added[i],
             )
             for i, letter in enumerate(test.plane)
         )

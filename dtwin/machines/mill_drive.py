@@ -92,7 +92,13 @@ class Driven:
     encoder_mm: Floats
 
 
-def drive(command: Command, number: int, axis: AxisParameters, offset_mm: float) -> Driven:
+def drive(
+    command: Command,
+    number: int,
+    axis: AxisParameters,
+    offset_mm: float,
+    correction_mm: Floats | None = None,
+) -> Driven:
     """Return what one axis makes of a command.
 
     Parameters
@@ -105,12 +111,17 @@ def drive(command: Command, number: int, axis: AxisParameters, offset_mm: float)
         The axis.
     offset_mm : float
         Position of the circle's centre on the screw.
+    correction_mm : ndarray, shape (n,), optional
+        Added to the position that the loop follows, as an offset of the encoder is: nothing of it
+        is fed forward.
     """
     values = _vector(axis, offset_mm)
+    added = np.zeros_like(command.phase_rad) if correction_mm is None else correction_mm
     along, sideways, encoder = _drive_kernel(
         command.position_mm[number],
         command.velocity_mm_s[number],
         command.acceleration_mm_s2[number],
+        np.ascontiguousarray(added),
         values,
     )
     bow = _bow_mm(command.position_mm[number], axis.bow_um)
@@ -143,7 +154,7 @@ def _vector(a: AxisParameters, offset_mm: float) -> Floats:
 
 @kernel
 def _drive_kernel(
-    command: Floats, speed: Floats, acceleration: Floats, p: Floats
+    command: Floats, speed: Floats, acceleration: Floats, added: Floats, p: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Step the servo loop, friction, screw, play, carriage and structure of one axis."""
     kv, kp, ti, forward = p[0], p[1], p[2], p[3]
@@ -173,8 +184,9 @@ def _drive_kernel(
             integral += kp / ti * miss * dt
         lag_speed += dt * (held - kp * miss - integral)
         lag += dt * lag_speed
-        motor = command[i] - lag
-        encoder[i] = -lag
+        lag += added[i] - (added[i - 1] if i > 0 else 0.0)
+        motor = command[i] + added[i] - lag
+        encoder[i] = added[i] - lag
         # Screw.
         contact = sense + (contact - sense) * np.exp(-travel / 0.02)
         turn = 2.0 * np.pi * (motor + offset) / pitch + phase
