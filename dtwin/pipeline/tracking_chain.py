@@ -38,7 +38,12 @@ REPEATS = 3
 LOOP_HZ = 4.6
 
 
-def tracking_chain(seed: int = 0, progress: Callable[[int, int, str], None] | None = None) -> Chain:
+def tracking_chain(
+    seed: int = 0,
+    progress: Callable[[int, int, str], None] | None = None,
+    *,
+    repeats: int = REPEATS,
+) -> Chain:
     """Run the thesis's tracking test on the virtual cobot and reduce it as the thesis does.
 
     Parameters
@@ -47,18 +52,20 @@ def tracking_chain(seed: int = 0, progress: Callable[[int, int, str], None] | No
         Of the machine, its set-ups and its noise.
     progress : callable, optional
         Called with (done, total, what).
+    repeats : int
+        Runs of each feed and direction; the thesis has three.
     """
-    passes, recordings = _measured(seed, progress)
+    passes, recordings = _measured(seed, repeats, progress)
     return reduce_passes(passes, (*_circles(recordings), *_real_circles()))
 
 
 def _measured(
-    seed: int, progress: Callable[[int, int, str], None] | None
+    seed: int, repeats: int, progress: Callable[[int, int, str], None] | None
 ) -> tuple[list[Pass], list[CobotRecording]]:
     plain = load_parameters()
     digitiser = replace(plain.accelerometers, rate_hz=BLOCK_RATE_HZ)
     cobot = VirtualCobot(replace(plain, accelerometers=digitiser), seed=seed)
-    jobs = [(f, d, r) for f in FEEDS_MM_MIN for r in range(1, REPEATS + 1) for d in DIRECTIONS]
+    jobs = [(f, d, r) for f in FEEDS_MM_MIN for r in range(1, repeats + 1) for d in DIRECTIONS]
     passes, recordings = [], []
     for done, (feed, direction, repeat) in enumerate(jobs, start=1):
         condition = CircleCondition("XY", RADIUS_MM, feed, direction)

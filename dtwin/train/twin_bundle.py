@@ -148,7 +148,8 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
             where=f"twin {twin.name} version {twin.version}",
             got=told or "a twin without effects",
         )
-    total = _by_plane(builder, {p: builder.total(e) for p, e in parts.items() if e})
+    errors = {p: builder.total(e) for p, e in parts.items() if e}
+    total = _by_plane(builder, errors, twin.box.planes)
     graph = builder.graph({OUTPUT: total})
     inputs = _inputs(set(graph.inputs), twin, obs)
     bundle = create_bundle(
@@ -273,9 +274,11 @@ def _weighted(builder: GraphBuilder, columns: Sequence[Expression], weights: Flo
     return builder.total(terms)
 
 
-def _by_plane(builder: GraphBuilder, errors: Mapping[str, Expression]) -> Expression:
-    """Return the error of the plane that the machine is in."""
-    if len(errors) == 1:
+def _by_plane(
+    builder: GraphBuilder, errors: Mapping[str, Expression], measured: Sequence[str]
+) -> Expression:
+    """Return the error of the plane that the machine is in; zero where no effect acts."""
+    if len(measured) == 1:
         return next(iter(errors.values()))
     number = builder.input(PLANE)
     total: Expression | float = 0.0
