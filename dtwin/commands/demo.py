@@ -17,16 +17,24 @@ def register(app: typer.Typer) -> None:
 
 
 def demo(
-    which: Annotated[str, typer.Argument(help="Which demo: cobot.")] = "cobot",
+    which: Annotated[str, typer.Argument(help="Which demo: cobot, tracking.")] = "cobot",
     quick: Annotated[
         bool, typer.Option("--quick", help="A small campaign, for a first look.")
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
-    """From a real recording and 81 tests to an equation served to a robot."""
+    """From a real recording and 81 tests to an equation served to a robot.
+
+    ``tracking`` recomputes the source thesis's tracking chain on the virtual cobot instead.
+    """
+    if which == "tracking":
+        _tracking(seed, as_json=as_json)
+        return
     if which != "cobot":
-        raise InputError("no such demo", code="demo.unknown", got=which[:40], allowed="cobot")
+        raise InputError(
+            "no such demo", code="demo.unknown", got=which[:40], allowed="cobot, tracking"
+        )
     from dtwin.config import home
     from flows.page import shown_steps
 
@@ -37,6 +45,14 @@ def demo(
         size = quick_size() if quick else full_size()
         result = run_demo(home(), screen, size, seed=seed, steps=steps)
     emit(result, lambda: "", as_json=as_json)
+
+
+def _tracking(seed: int, *, as_json: bool) -> None:
+    from dtwin.pipeline.tracking_chain import tracking_chain
+    from dtwin.report.tracking import tracking_text
+
+    found = tracking_chain(seed, ProgressLine("circles", quiet=as_json)).as_dict()
+    emit(found, lambda: tracking_text(found), as_json=as_json)
 
 
 class _Terminal:

@@ -34,7 +34,7 @@ def simulate(
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
     hidden: Annotated[
-        str, typer.Option(help="Fault of the mill that nobody is told of: backlash, wobble, none.")
+        str, typer.Option(help="Fault of the mill: backlash, wobble, servo, none.")
     ] = "backlash",
     as_json: Json = False,
 ) -> None:

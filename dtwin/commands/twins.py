@@ -61,15 +61,31 @@ def fit_twin(
 def compare_twin(
     name: Name,
     campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
+    split_cycles: Annotated[
+        float | None,
+        typer.Option(help="Cycles per revolution above which error is dynamic; 15 without."),
+    ] = None,
+    split_hz: Annotated[
+        float | None, typer.Option(help="The same in Hz, instead of cycles per revolution.")
+    ] = None,
     html: Report = None,
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
-    """Compare a twin with measurements, condition by condition."""
+    """Compare a twin with measurements, condition by condition.
+
+    Runs with the controller's positions (cmd_x_mm, act_x_mm ...) are split into what the
+    controller saw, quasi-static and dynamic error.
+    """
+    from dtwin.pipeline.encoder_comparison import cutoff_of, no_controller_columns
     from dtwin.report.twins import comparison_sections, comparison_text
 
+    asked = split_cycles is not None or split_hz is not None
+    cutoff = cutoff_of(split_cycles, split_hz)
     found = _twins(effects_path).compare(name, campaign)
-    result = found.as_dict()
+    result = found.as_dict(cutoff)
+    if asked and result["encoder_split"] is None:
+        raise no_controller_columns(f"campaign {result['campaign']}")
     if html is not None:
         parts = comparison_sections(found.obs, found.before_um, found.residual_um, result)
         _write_page(html, found.twin.name, parts)
@@ -157,6 +173,24 @@ def learn_effect(
     if not as_json:
         print(f"gain on left-out conditions: {100 * gain:.1f} %")
     _show_rung(twins, before.figures, twin, as_json=as_json)
+
+
+@twin_app.command("correct")
+def correct_machine(
+    name: Name,
+    trial: Annotated[
+        bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")
+    ] = False,
+    seed: Seed = 0,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Register the correction that a confirmed twin stands for, or say why not (exit 3)."""
+    from dtwin.pipeline.twin_correction import correct
+    from dtwin.report.correction import correction_text
+
+    found = correct(_twins(effects_path), name, trial=trial, seed=seed).as_dict()
+    emit(found, lambda: correction_text(found), as_json=as_json)
 
 
 @twin_app.command("history")

@@ -6,7 +6,7 @@ ring and warm up; the bar measures the distance between two balls.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 
@@ -51,6 +51,7 @@ class Moment:
 
 
 Disturbance = Callable[[Moment], Floats]
+Correction = Callable[[CircularTest, Command], Floats]
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,9 @@ class VirtualMill:
         Anything else that changes the measured length: ``disturbance(moment)`` returns um.
     samples_per_turn : int
         How often the bar is read in a turn, at any feed.
+    corrections : dict of str to callable
+        What is added to the position of tests that name it: ``correction(test, command)`` returns
+        mm along the two axes of the plane, one column for each step.
     """
 
     parameters: MillParameters
@@ -101,6 +105,7 @@ class VirtualMill:
     setup_errors: SetupErrors = field(default_factory=SetupErrors)
     disturbance: Disturbance | None = None
     samples_per_turn: int = 1080
+    corrections: Mapping[str, Correction] = field(default_factory=dict)
 
     def measure(self, tests: Sequence[CircularTest]) -> list[Run]:
         """Measure circles one after the other.
@@ -113,8 +118,9 @@ class VirtualMill:
         Returns
         -------
         list of Run
-            Samples ``t_s``, ``angle_deg``, ``deviation_um`` over one turn; the body's temperature
-            as covariate ``temperature_c``.
+            Samples ``t_s``, ``angle_deg``, ``deviation_um`` over one turn, with the control's
+            command and its motor encoders, ``cmd_x_mm`` ... ``act_z_mm``, of the axes that move;
+            the body's temperature as covariate ``temperature_c``.
         """
         motions: dict[tuple[object, ...], tuple[Command, Driven, Driven]] = {}
         setups = self._setups(tests)
@@ -122,7 +128,8 @@ class VirtualMill:
         odd = int(np.random.default_rng([self.seed, 3]).integers(max(len(tests), 1)))
         out = []
         for number, test in enumerate(tests):
-            key = (test.plane, test.direction, test.radius_mm, test.feed_mm_min)
+            where = (test.plane, test.direction, test.radius_mm, test.feed_mm_min)
+            key = (*where, test.correction)
             if key not in motions:
                 motions[key] = self._motion(test)
             clock.wait(test.pause_s)
@@ -142,9 +149,16 @@ class VirtualMill:
             _sense(test),
             self.parameters.changeover_um / UM_PER_MM,
         )
+        added = np.zeros_like(command.position_mm)
+        if test.correction:
+            added = self.corrections[test.correction](test, command)
         a, b = (
             mill_drive.drive(
-                command, i, self.parameters.axis(letter), _CENTRE_ON_SCREW_MM[AXES.index(letter)]
+                command,
+                i,
+                self.parameters.axis(letter),
+                _CENTRE_ON_SCREW_MM[AXES.index(letter)],
+                added[i],
             )
             for i, letter in enumerate(test.plane)
         )
@@ -177,8 +191,8 @@ class VirtualMill:
         jitter_s = 1e-6 * self.setup_errors.jitter_us * rng.standard_normal(n)
         t_s = np.arange(n) * period_s
         # The first sample lies half a period behind the trigger.
-        due_s = t_s + 0.5 * period_s
-        written = _sense(test) * 2.0 * np.pi * (due_s / _duration_s(test))
+        due_s: Floats = np.asarray(t_s + 0.5 * period_s, dtype=np.float64)
+        written: Floats = _sense(test) * 2.0 * np.pi * (due_s / _duration_s(test))
         seen_s = due_s + phase_s + jitter_s - self.parameters.delay_ms / 1000.0
         angle = _sense(test) * 2.0 * np.pi * seen_s / _duration_s(test)
         at_s = command.start_s + seen_s
@@ -207,7 +221,8 @@ class VirtualMill:
             sample_rate_hz=1.0 / period_s, covariates=covariates,
         )  # fmt: skip
         samples = {"t_s": t_s, "angle_deg": np.degrees(written), "deviation_um": deviation}
-        return Run(meta=meta, samples=samples)
+        logged = _logged_mm(test, written, command, due_s, (first, second))
+        return Run(meta=meta, samples=samples | logged)
 
     def _table_mm(
         self,
@@ -285,6 +300,24 @@ class _Clock:
         self.deep_c += (target_c - self.deep_c) * (1.0 - np.exp(-spent_s / (3.0 * tau_s)))
         self.rise_c += (target_c - self.rise_c) * (1.0 - np.exp(-spent_s / tau_s))
         self.time_s += spent_s
+
+
+def _logged_mm(
+    test: CircularTest,
+    angle: Floats,
+    command: Command,
+    due_s: Floats,
+    driven: tuple[Driven, Driven],
+) -> dict[str, Floats]:
+    """Return what the control logs on its own clock, from the middle of the circle."""
+    grid_s = np.arange(len(command.phase_rad)) * mill_drive.STEP_S
+    nominal = test.radius_mm * np.stack([np.cos(angle), np.sin(angle)])
+    out = {}
+    for i, letter in enumerate(test.plane.lower()):
+        followed = np.interp(command.start_s + due_s, grid_s, driven[i].encoder_mm)
+        out[f"cmd_{letter}_mm"] = nominal[i]
+        out[f"act_{letter}_mm"] = nominal[i] + followed
+    return out
 
 
 def _sense(test: CircularTest) -> float:

@@ -82,13 +82,23 @@ class Driven:
         Position of the table minus the command.
     sideways_mm : ndarray, shape (n,)
         Displacement across the axis, in the plane.
+    encoder_mm : ndarray, shape (n,)
+        Position that the encoder at the motor reports, minus the command: it sees the servo
+        loop and its friction, but neither screw, play, carriage nor structure.
     """
 
     along_mm: Floats
     sideways_mm: Floats
+    encoder_mm: Floats
 
 
-def drive(command: Command, number: int, axis: AxisParameters, offset_mm: float) -> Driven:
+def drive(
+    command: Command,
+    number: int,
+    axis: AxisParameters,
+    offset_mm: float,
+    correction_mm: Floats | None = None,
+) -> Driven:
     """Return what one axis makes of a command.
 
     Parameters
@@ -101,15 +111,21 @@ def drive(command: Command, number: int, axis: AxisParameters, offset_mm: float)
         The axis.
     offset_mm : float
         Position of the circle's centre on the screw.
+    correction_mm : ndarray, shape (n,), optional
+        Added to the position that the loop follows, as an offset of the encoder is: nothing of it
+        is fed forward.
     """
     values = _vector(axis, offset_mm)
-    along, sideways = _drive_kernel(
+    added = np.zeros_like(command.phase_rad) if correction_mm is None else correction_mm
+    along, sideways, encoder = _drive_kernel(
         command.position_mm[number],
         command.velocity_mm_s[number],
         command.acceleration_mm_s2[number],
+        np.ascontiguousarray(added),
         values,
     )
-    return Driven(along, sideways + _bow_mm(command.position_mm[number], axis.bow_um))
+    bow = _bow_mm(command.position_mm[number], axis.bow_um)
+    return Driven(along, sideways + bow, encoder)
 
 
 def _bow_mm(position_mm: Floats, bow_um: float) -> Floats:
@@ -138,8 +154,8 @@ def _vector(a: AxisParameters, offset_mm: float) -> Floats:
 
 @kernel
 def _drive_kernel(
-    command: Floats, speed: Floats, acceleration: Floats, p: Floats
-) -> tuple[Floats, Floats]:
+    command: Floats, speed: Floats, acceleration: Floats, added: Floats, p: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Step the servo loop, friction, screw, play, carriage and structure of one axis."""
     kv, kp, ti, forward = p[0], p[1], p[2], p[3]
     play, play_slope, play_curve = p[4], p[5], p[6]
@@ -149,7 +165,7 @@ def _drive_kernel(
     omega, damping, share, breakaway, offset = p[18], p[19], p[20], p[21], p[22]
     dt = STEP_S
     n = command.shape[0]
-    along, sideways = np.empty(n), np.empty(n)
+    along, sideways, encoder = np.empty(n), np.empty(n), np.empty(n)
     lag, lag_speed, integral = 0.0, 0.0, 0.0
     grip, contact, carriage = 0.0, 0.0, 0.0
     table = command[0]
@@ -168,7 +184,9 @@ def _drive_kernel(
             integral += kp / ti * miss * dt
         lag_speed += dt * (held - kp * miss - integral)
         lag += dt * lag_speed
-        motor = command[i] - lag
+        lag += added[i] - (added[i - 1] if i > 0 else 0.0)
+        motor = command[i] + added[i] - lag
+        encoder[i] = added[i] - lag
         # Screw.
         contact = sense + (contact - sense) * np.exp(-travel / 0.02)
         turn = 2.0 * np.pi * (motor + offset) / pitch + phase
@@ -189,4 +207,4 @@ def _drive_kernel(
         )
         bent += dt * bent_speed
         along[i] = table + bent - command[i]
-    return along, sideways
+    return along, sideways, encoder

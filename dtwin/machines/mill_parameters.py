@@ -187,6 +187,8 @@ class CircularTest:
         Standstill before this test, in which the machine cools.
     abbe_offset_mm : float or None
         Height of the bar above the scales; logged when given.
+    correction : str
+        Which of the mill's corrections acts; empty for none.
     """
 
     plane: Plane = "XY"
@@ -197,6 +199,7 @@ class CircularTest:
     setup: str = "s1"
     pause_s: float = 0.0
     abbe_offset_mm: float | None = None
+    correction: str = ""
 
     def __post_init__(self) -> None:
         """Refuse what the machine cannot drive."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,13 +147,16 @@ def measure_evidence(
     if plan is None:
         trained = registry.read_json(version, CONDITIONS_FILE)
         plan = plan_within([(str(p), float(r), float(f)) for p, r, f in trained])
-    evidence = virtual_evidence(
-        bundle,
-        seed=seed,
-        tcp_mm=np.asarray(geometry.get("tcp_mm", [0.0, 0.0, 0.0]), float),
-        plan=plan,
-        progress=progress,
-    )
+    if geometry.get("type") == "mill":
+        evidence = _on_the_mill(bundle, geometry, seed=seed, plan=plan, progress=progress)
+    else:
+        evidence = virtual_evidence(
+            bundle,
+            seed=seed,
+            tcp_mm=np.asarray(geometry.get("tcp_mm", [0.0, 0.0, 0.0]), float),
+            plan=plan,
+            progress=progress,
+        )
     found = evidence.as_dict()
     section = evidence_section(found, evidence.profiles)
     registry.attach(
@@ -165,6 +169,27 @@ def measure_evidence(
     before = registry.description(version)
     registry.mark(version, {}, description=before + "\n\n" + _evidence_markdown(found))
     return evidence
+
+
+def _on_the_mill(
+    bundle: Bundle,
+    geometry: Mapping[str, Any],
+    *,
+    seed: int,
+    plan: EvidencePlan,
+    progress: Callable[[int, int, str], None] | None,
+) -> Evidence:
+    from dtwin.acquire.virtual_mill import virtual_mill
+    from dtwin.train.mill_evidence import mill_evidence
+
+    return mill_evidence(
+        bundle,
+        partial(virtual_mill, str(geometry["hidden"])),
+        seed=seed,
+        plan=replace(plan, repeats=max(plan.repeats, 3)),
+        delay_s=float(geometry["correction_delay_s"]),
+        progress=progress,
+    )
 
 
 def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> Path:

@@ -12,9 +12,11 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.features.encoder_split import Cutoff
 from dtwin.physics import localise
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
+from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 from dtwin.pipeline.measuring import ingest
 from dtwin.schema import Floats, Run
 from dtwin.store import Lake
@@ -30,10 +32,13 @@ class Loaded:
         The runs.
     data : dict
         Table versions, a hash of what was used, and ``left_out``: runs with errors, and which.
+    controller_um : ndarray, shape (rows, 360), or None
+        Following error that the controller saw; None when it was not logged.
     """
 
     obs: Observations
     data: Mapping[str, Any]
+    controller_um: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,8 @@ class Comparison:
         Measured, set-ups taken out.
     warnings : tuple of str
         What a reader must know: another machine, outside the box.
+    controller_um : ndarray, shape (rows, 360), or None
+        Following error that the controller saw; None when it was not logged.
     """
 
     twin: Twin
@@ -59,10 +66,18 @@ class Comparison:
     residual_um: Floats
     before_um: Floats
     warnings: tuple[str, ...]
+    controller_um: Floats | None = None
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping."""
+    def as_dict(self, cutoff: Cutoff = DEFAULT_CUTOFF) -> dict[str, Any]:
+        """Return a JSON-ready mapping.
+
+        Parameters
+        ----------
+        cutoff : Cutoff
+            Where quasi-static ends and dynamic begins, when the controller was logged.
+        """
         obs = self.obs
+        parts = encoder_split(obs, self.controller_um, cutoff)
         return {
             "twin": self.twin.name,
             "version": self.twin.version,
@@ -75,6 +90,7 @@ class Comparison:
             "conditions": list(by_condition(obs, self.before_um, self.residual_um)),
             "where": [dict(w) for w in localise.worst_places(obs, self.residual_um)],
             "headline": localise.headline(obs, self.residual_um),
+            "encoder_split": None if parts is None else parts.as_dict(),
             "warnings": list(self.warnings),
         }
 
@@ -140,4 +156,4 @@ def load(home: Home, campaign: str) -> Loaded:
         "n_runs": len(runs),
         "left_out": left_out,
     }
-    return Loaded(observe(found, runs), data)
+    return Loaded(observe(found, runs), data, controller_rows_um(runs))

@@ -112,7 +112,8 @@ class Twins:
             shown = ", ".join(outside[:4]) + (" ..." if len(outside) > 4 else "")
             warnings.append(f"outside the conditions of the fit: {shown}")
         residual = frozen_residual_um(twin, obs)
-        return Comparison(twin, obs, residual, localise.residual_um(obs, []), tuple(warnings))
+        before = localise.residual_um(obs, [])
+        return Comparison(twin, obs, residual, before, tuple(warnings), loaded.controller_um)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
         """Find out what a twin lacks.

@@ -12,6 +12,7 @@ from dtwin.physics import localise
 from dtwin.physics.effect import Effect
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, left_out_lines
+from dtwin.report.encoder_split import encoder_section, encoder_text
 from dtwin.report.html import Section, Table
 from dtwin.report.text import table
 from dtwin.report.twin_plots import overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -98,6 +99,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         f"in words: {result['headline']}",
         "largest:",
         *(f"  {_place(place)}" for place in result["where"]),
+        *([encoder_text(result["encoder_split"])] if result["encoder_split"] else []),
         *(f"warning: {warning}" for warning in result["warnings"]),
     ]
     return "\n".join(lines)
@@ -210,6 +212,7 @@ def comparison_sections(
     floor = float(result["noise_floor_um"])
     names = [str(c) for c in obs.conditions]
     overview = residual_map(means, names, floor_um=floor, title="Mean residual")
+    seen = result["encoder_split"]
     return [
         Section(
             "Measured against predicted",
@@ -221,6 +224,7 @@ def comparison_sections(
         Section(
             "The worst conditions", ["Choose the magnification below each plot."], [], [], figures
         ),
+        *([encoder_section(seen)] if seen else []),
     ]
 
 

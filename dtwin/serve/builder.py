@@ -88,6 +88,10 @@ class GraphBuilder:
         """Return the handle of a constant."""
         return self._add(Node("const", value=float(value)))
 
+    def node(self, term: Expression) -> Node:
+        """Return the node behind a handle."""
+        return self._nodes[term.index]
+
     def apply(self, op: str, *terms: Term) -> Expression:
         """Return the handle of an operation, for example ``apply("sin", x)``.
 

@@ -204,9 +204,11 @@ def virtual_evidence(
                 progress(done, len(jobs), "{} R{:g} F{:g}".format(*plan.conditions[done - 1]))
     results, profiles = [], {}
     for (plane, radius, feed), runs in zip(plan.conditions, measured, strict=True):
-        results.append(_result(plane, radius, feed, feed in plan.trained_feeds, runs))
+        results.append(condition_result(plane, radius, feed, feed in plan.trained_feeds, runs))
         profiles[f"{plane} R{radius:g} F{feed:g}"] = {
-            way: {d: _profile([r for r in runs[way] if r["direction"] == d]) for d in ("CCW", "CW")}
+            way: {
+                d: profile_of([r for r in runs[way] if r["direction"] == d]) for d in ("CCW", "CW")
+            }
             for way in WAYS
         }
     controller = VirtualCobot(seed=seed).parameters.controller
@@ -305,9 +307,20 @@ def _evaluate(recording: CobotRecording, direction: str) -> dict[str, Any]:
     }
 
 
-def _result(
+def condition_result(
     plane: str, radius: float, feed: float, trained: bool, runs: Mapping[str, Sequence[Any]]
 ) -> ConditionResult:
+    """Return before and after of one condition, the run as unit.
+
+    Parameters
+    ----------
+    plane, radius, feed : str, float, float
+        The condition.
+    trained : bool
+        Whether the feed was trained.
+    runs : dict of str to sequence of dict
+        By way: ``direction``, ``angle_rad``, ``deviation_um`` and ``acted`` of every run.
+    """
     rms = {way: _rms_per_run(runs[way]) for way in WAYS}
     before, after = rms["uncompensated"], rms["compensated"]
     return ConditionResult(
@@ -355,15 +368,23 @@ def _floor(runs: Sequence[Mapping[str, Any]]) -> float:
     """Return the pooled standard deviation between repeats of the same direction."""
     squares, freedom = 0.0, 0
     for direction in ("CCW", "CW"):
-        grids = np.array([_profile([r]) for r in runs if r["direction"] == direction])
+        grids = np.array([profile_of([r]) for r in runs if r["direction"] == direction])
         if len(grids) > 1:
             squares += float(np.nanmean(np.sum((grids - grids.mean(axis=0)) ** 2, axis=0)))
             freedom += len(grids) - 1
     return math.sqrt(squares / freedom) if freedom else math.nan
 
 
-def _profile(runs: Sequence[Mapping[str, Any]], bins: int = 180) -> list[float]:
-    """Return the mean error over equal parts of the arc."""
+def profile_of(runs: Sequence[Mapping[str, Any]], bins: int = 180) -> list[float]:
+    """Return the mean error over equal parts of the arc, of runs that were evaluated.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        With ``angle_rad`` and ``rest_um``.
+    bins : int
+        Parts of the arc.
+    """
     grid = (np.arange(bins) + 0.5) / bins
     rows = []
     for run in runs:

@@ -18,6 +18,8 @@ from dtwin.train.gates import Verdict, evidence_gate, offline_gates
 from dtwin.train.registry import RegisteredVersion, Registry
 
 HISTORY = "promotions.jsonl"
+# Tag of a version that may be tried but never become champion; its value says why.
+TRIAL_ONLY = "trial_only"
 Action = Literal["trial", "champion", "refused", "rollback"]
 
 
@@ -82,6 +84,8 @@ def promote(
         When a gate says no.
     """
     bundle, verdicts = check_version(registry, found)
+    if found.tags.get(TRIAL_ONLY):
+        verdicts.append(Verdict("the twin is confirmed", False, found.tags[TRIAL_ONLY]))
     if evidence is None:
         verdicts.append(Verdict("closed-loop evidence", False, "none: measure it on trial first"))
     else:
@@ -94,7 +98,7 @@ def promote(
     kind = str(evidence["kind"]) if evidence else "none"
     path = _freeze(home, found, bundle, verdicts, kind)
     previous = _champion(registry, found.machine)
-    write_machine(found.machine, home, dict(geometry))
+    _write_machine(found.machine, home, geometry)
     write_pointer(found.machine, home, path, int(found.version), "champion")
     if previous is not None and previous.version != found.version:
         registry.mark(previous, {"state": "previous"}, alias="previous")
@@ -129,7 +133,7 @@ def trial(
         _remember(home, found, "refused", comment, verdicts)
         raise _refusal(found, verdicts)
     path = _freeze(home, found, bundle, verdicts, "none")
-    write_machine(found.machine, home, dict(geometry))
+    _write_machine(found.machine, home, geometry)
     write_pointer(found.machine, home, path, int(found.version), "trial")
     registry.mark(found, {"state": "trial"})
     _remember(home, found, "trial", comment, verdicts)
@@ -190,6 +194,12 @@ def history(home: Home, machine: str) -> list[dict[str, Any]]:
 def verdict_lines(verdicts: Sequence[Verdict]) -> list[str]:
     """Return verdicts as lines of text."""
     return [f"{'pass' if v.passed else 'FAIL'}  {v.gate}: {v.reason}" for v in verdicts]
+
+
+def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> None:
+    """Keep what the serving host must know; a mill has no chain and no tool to know of."""
+    if geometry.get("type") != "mill":
+        write_machine(machine, home, dict(geometry))
 
 
 def _champion(registry: Registry, machine: str) -> RegisteredVersion | None:

@@ -1,0 +1,52 @@
+"""A twin's correction as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dtwin.report.text import table
+
+
+def correction_text(found: Mapping[str, Any]) -> str:
+    """Return what is corrected, what is not and why, and what the gates say.
+
+    Parameters
+    ----------
+    found : mapping
+        ``Correction.as_dict``.
+    """
+    grades = {g["label"]: g["grade"] for g in found["grades"]}
+    terms = [
+        (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"])
+        for t in found["terms"]
+    ]
+    predicted = [
+        (
+            f"{p['plane']} R{p['radius_mm']:g} F{p['feed_mm_min']:g} {p['direction']}",
+            f"{p['rms_before_um']:.2f}",
+            f"{p['rms_predicted_um']:.2f}",
+        )
+        for p in found["predicted"]
+    ]
+    gates = [
+        f"{'pass' if g['passed'] else 'FAIL'}  {g['gate']}: {g['reason']}" for g in found["gates"]
+    ]
+    lines = [
+        f"twin {found['twin']} version {found['twin_version']} ({found['verdict']}) is version "
+        f"{found['version']} of {found['machine']}",
+        table(("effect", "corrected", "grade", "how, or why not"), terms),
+        "",
+        table(("condition", "before, um RMS", "predicted, um RMS"), predicted),
+        "",
+        *gates,
+    ]
+    machine = found["machine"]
+    if found["trial_only"]:
+        lines += [
+            "for a trial only: " + "; ".join(found["objections"]),
+            f"next: dtwin promote {found['version']} --machine {machine} --trial",
+        ]
+    else:
+        lines.append(f"next: dtwin promote {found['version']} --machine {machine}")
+    return "\n".join(lines)

@@ -1,0 +1,125 @@
+"""What the controller saw of the error, as text and as a section of a report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import plotly.graph_objects as go
+
+from dtwin.report.html import Section, Table
+from dtwin.report.plots import COLOURS, styled
+from dtwin.report.text import table
+
+_SHOWN = {
+    "measured": "measured",
+    "controller": "controller saw",
+    "quasi_static": "quasi-static",
+    "dynamic": "dynamic",
+}
+_COLOURS = dict(zip(_SHOWN, ("measured", "second", "third", "fourth"), strict=True))
+
+
+def encoder_text(found: Mapping[str, Any]) -> str:
+    """Return the split for the terminal.
+
+    Parameters
+    ----------
+    found : mapping
+        ``encoder_split`` of a comparison.
+    """
+    head, rows = _cells(found)
+    lines = ["", f"measured error by who can see it, um RMS +- noise floor; {_said(found)}"]
+    return "\n".join([*lines, table(head, rows), *_notes(found)])
+
+
+def encoder_section(found: Mapping[str, Any]) -> Section:
+    """Return the split as a section with a table and a plot.
+
+    Parameters
+    ----------
+    found : mapping
+        ``encoder_split`` of a comparison.
+    """
+    head, rows = _cells(found)
+    return Section(
+        "What the controller saw",
+        [
+            "Measured error = what the controller saw (encoder minus command, along the radius) "
+            f"+ quasi-static + dynamic error; {_said(found)}. Each cell: um RMS over the runs of "
+            "the condition ± what its repeats disagree by.",
+            *_notes(found),
+        ],
+        [],
+        [Table(head, rows)],
+        [_figure(found)],
+    )
+
+
+def _said(found: Mapping[str, Any]) -> str:
+    cutoff = found["cutoff"]
+    if "hz" in cutoff:
+        return f"dynamic is above {cutoff['hz']:g} Hz"
+    return f"dynamic is above {cutoff['cycles_per_rev']:g} cycles per revolution"
+
+
+def _cells(found: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    head = ("condition", "runs", *_SHOWN.values(), "correlation")
+    rows = [(_name(c), str(c["runs"]), *_figures(c)) for c in found["conditions"]]
+    rows.append(("all", str(found["runs"]), *_figures(found["parts"])))
+    return head, rows
+
+
+def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
+    parts = [figures[name] for name in _SHOWN]
+    sizes = [f"{p['rms_um']:.2f} ± {_number(p['floor_um'])}" for p in parts]
+    return (*sizes, _number(figures["controller_correlation"]))
+
+
+def _notes(found: Mapping[str, Any]) -> list[str]:
+    notes = [
+        "The parts add up at every angle; their squares do so only where the correlation of the "
+        "controller's part with the rest is zero. A sharp step (lost motion at a reversal) has "
+        "high frequencies too: its corner counts as dynamic."
+    ]
+    without = found["runs_without_controller"]
+    if without:
+        notes.append(f"{len(without)} runs without the controller's positions are left out.")
+    return notes
+
+
+def _figure(found: Mapping[str, Any]) -> go.Figure:
+    names = [_name(c) for c in found["conditions"]]
+    figure = go.Figure(
+        [
+            go.Bar(
+                name=shown,
+                y=names,
+                x=[c[part]["rms_um"] for c in found["conditions"]],
+                orientation="h",
+                marker_color=COLOURS[_COLOURS[part]],
+                hovertemplate="%{y}: %{x:.2f} um<extra>" + shown + "</extra>",
+            )
+            for part, shown in _SHOWN.items()
+        ]
+    )
+    figure.update_layout(
+        title="Measured error and its parts",
+        xaxis_title="um RMS",
+        barmode="group",
+        yaxis={"autorange": "reversed", "dtick": 1},
+        height=max(360, 110 + 52 * len(names)),
+    )
+    return styled(figure)
+
+
+def _name(condition: Mapping[str, Any]) -> str:
+    return (
+        f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g} "
+        f"{condition['direction']}"
+    )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None or not math.isfinite(value) else f"{value:.2f}"
