@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack, solve_triangular
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-BLOCK_ROWS = 8192
+BLOCK_ROWS = 2048
+_BRANCHES = 32
 _RANK = 1e-12
 
 
@@ -57,20 +59,19 @@ def solve_blocks(blocks: Iterable[tuple[Floats, Floats]]) -> Solution:
 
     Notes
     -----
-    Each block is reduced by Householder QR together with the triangle of the blocks before
-    (Golub and Van Loan, 5.2): as accurate as QR of the whole, while only one block is in memory.
+    Each block is reduced to a triangle by Householder QR, and triangles in a tree, so that rounding
+    grows with the height of the tree and not with the number of blocks (Demmel, Grigori, Hoemmen and
+    Langou 2012, tall-skinny QR). Only one block and some triangles are in memory.
     """
-    triangle: Floats | None = None
+    levels: list[list[Floats]] = []
     n = 0
     for columns, right in blocks:
         n += len(columns)
-        block = np.column_stack([columns, right])
-        triangle = _triangle(block if triangle is None else np.vstack([triangle, block]))
-    if triangle is None or n == 0:
+        _add(levels, 0, _triangle([columns], right))
+    if n == 0:
         raise InputError("there is nothing to fit", code="fit.empty")
+    triangle = _triangle([t for level in levels for t in level])
     k = triangle.shape[1] - 1
-    if len(triangle) < k + 1:
-        triangle = np.vstack([triangle, np.zeros((k + 1 - len(triangle), k + 1))])
     return _solved(triangle[:k, :k], triangle[:k, k], float(triangle[k, k]), n)
 
 
@@ -80,10 +81,29 @@ def in_blocks(columns: Floats, right: Floats) -> Iterable[tuple[Floats, Floats]]
         yield columns[start : start + BLOCK_ROWS], right[start : start + BLOCK_ROWS]
 
 
-def _triangle(stacked: Floats) -> Floats:
+def _add(levels: list[list[Floats]], height: int, triangle: Floats) -> None:
+    """Put a triangle into the tree; full branches become one triangle of the next level."""
+    if height == len(levels):
+        levels.append([])
+    levels[height].append(triangle)
+    if len(levels[height]) == _BRANCHES:
+        branch, levels[height] = levels[height], []
+        _add(levels, height + 1, _triangle(branch))
+
+
+def _triangle(parts: Sequence[Floats], right: Floats | None = None) -> Floats:
+    """Return R of stacked parts, square, the right side as last column."""
+    rows = sum(len(part) for part in parts)
+    width = parts[0].shape[1] + (right is not None)
+    # In place and by columns, as LAPACK wants it: numpy's own QR copies every block twice.
+    stacked = np.zeros((max(rows, width), width), order="F")
+    stacked[:rows, : parts[0].shape[1]] = parts[0] if len(parts) == 1 else np.concatenate(parts)
+    if right is not None:
+        stacked[:rows, -1] = right
     if not np.isfinite(stacked).all():
         raise InputError("the columns of a fit are not finite", code="fit.not_finite")
-    return np.asarray(np.linalg.qr(stacked, mode="r"))
+    factored, *_ = lapack.dgeqrf(stacked, overwrite_a=1)
+    return np.asarray(np.triu(factored[:width]))
 
 
 def _solved(triangle: Floats, right: Floats, left: float, n: int) -> Solution:
@@ -92,7 +112,10 @@ def _solved(triangle: Floats, right: Floats, left: float, n: int) -> Solution:
     u, values, vt = np.linalg.svd(triangle / scale)
     keep = values > _RANK * max(float(values[0]) if len(values) else 0.0, 1e-300)
     rank = int(keep.sum())
-    x = vt[keep].T @ ((u.T @ right)[keep] / values[keep]) / scale
+    if rank == len(triangle):
+        x = solve_triangular(triangle, right)
+    else:
+        x = vt[keep].T @ ((u.T @ right)[keep] / values[keep]) / scale
     lost = float(((u.T @ right)[~keep] ** 2).sum())
     return Solution(
         x=x,
