@@ -22,6 +22,7 @@ from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import drift, measuring, modelling
 from dtwin.pipeline import scheduled as schedule
+from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.pipeline.work import ProgressOf
 from dtwin.plan import Plan
@@ -144,6 +145,12 @@ def champion_drift(machine: str, campaign: str) -> drift.DriftCheck | None:
     if champion is None:
         return None
     return drift.check_drift(home(), champion, campaign, logged("champion"))
+
+
+@task(name="twins", task_run_name="twins of {machine} on {campaign}", **_REPEATABLE)
+def look_at_twins(machine: str, campaign: str) -> list[TwinView]:
+    """Diagnose the twins that were fitted to a campaign, and compare the machine's others."""
+    return look_at(home(), machine, campaign)
 
 
 @contextmanager

@@ -1,19 +1,20 @@
-"""Say what a campaign shows: data quality, figures, and whether the champion still fits."""
+"""Say what a campaign shows: data quality, figures, what twins lack, whether the champion fits."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from prefect import flow
 
 from dtwin.pipeline.drift import DriftCheck
+from dtwin.pipeline.twin_watch import TwinView
 from flows import _artifacts, _plots, _tasks
 
 WHAT_IT_IS = (
-    "Quality gates, standard figures, error curves, and the champion's error on runs it never "
-    "saw. It does not name a missing physical effect: that takes a twin, which this version of "
-    "dtwin does not fit yet."
+    "Quality gates, standard figures, error curves, the diagnosis of every twin that was fitted "
+    "to the campaign, other twins of the machine against it, and the champion's error on runs it "
+    "never saw."
 )
 _FIGURES = (
     ("circular deviation um", "circular_deviation_um"),
@@ -43,15 +44,18 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
             "Error over the path angle as the file counts it from its own start, first run of "
             "each condition, without its own centre and radius",
         )
-    check = None
+    check, twins = None, []
     if figures["kind"] == "circular":
+        twins = _tasks.look_at_twins(figures["machine"], campaign)
         check = _tasks.champion_drift(figures["machine"], campaign)
+    publish_twins(campaign, twins)
     publish_drift(check)
     return {
         "campaign": campaign,
         "runs": len(figures["runs"]),
         "errors": sum(f["severity"] == "error" for _, f in findings),
         "warnings": sum(f["severity"] == "warning" for _, f in findings),
+        "twins": {view.name: view.headline for view in twins},
         "drift": check.as_dict() if check else None,
         "scope": WHAT_IT_IS,
     }
@@ -81,6 +85,24 @@ def publish_figures(
         "Least-squares circle of every run, by the angles of its file",
     )
     return findings
+
+
+def publish_twins(campaign: str, views: Sequence[TwinView]) -> None:
+    """Leave what each twin says of a campaign.
+
+    Parameters
+    ----------
+    campaign : str
+        Name of the campaign.
+    views : sequence of TwinView
+        One for each twin of the machine.
+    """
+    for view in views:
+        done = "lacks" if view.diagnosed else "against these runs"
+        text = f"## What twin {view.name} {done}\n\n{view.headline}\n\n```\n{view.text}\n```"
+        _artifacts.publish_markdown(
+            f"twin-{view.name}-{campaign}", text, f"Twin {view.name}, version {view.version}"
+        )
 
 
 def publish_drift(check: DriftCheck | None) -> None:

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 from running_servers import MACHINE, Up, wait_for
 
+from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.pipeline.twins import Twins
 from dtwin.train.registry import Registry
 from flows import _plots
 from flows._artifacts import slug
@@ -76,17 +78,23 @@ def test_ingest_leaves_what_is_wrong_with_the_recording(up: Up, real_recording: 
     assert {row["run"] for row in rows} >= {"ccw", "cw"}
 
 
-def test_diagnosis_shows_curves_and_says_what_it_is_not(up: Up, real_recording: Path) -> None:
+def test_diagnosis_shows_curves(up: Up, real_recording: Path) -> None:
     campaign = run(ingest_flow, sources=[real_recording])["campaigns"][0]
     found = run(diagnose_flow, campaign=campaign)
     assert (found["runs"], found["drift"]) == (2, None)
     left = up.artifacts_of(up.runs_of("diagnose")[-1])
     assert {row["run"] for row in cells(left[f"figures-{slug(campaign)}"])} == {"ccw", "cw"}
-    assert (
-        "does not name a missing physical effect"
-        in (left[f"findings-{slug(campaign)}"]["description"])
-    )
     assert left[f"curves-{slug(campaign)}"]["data"].startswith("![XY R100")
+
+
+def test_diagnosis_says_what_the_twins_of_the_machine_lack(up: Up, tmp_path: Path) -> None:
+    simulate_mill(tmp_path / "mill", quick=True, hidden="backlash")
+    campaign = run(ingest_flow, sources=[tmp_path / "mill"])["campaigns"][0]
+    Twins(up.home).fit(campaign, ["scale_mismatch", "squareness"], "mill-a")
+    found = run(diagnose_flow, campaign=campaign)
+    assert found["twins"]["mill-a"].startswith("missing_effect: backlash X is missing")
+    left = up.artifacts_of(up.runs_of("diagnose")[-1])
+    assert "backlash X" in left[slug(f"twin-mill-a-{campaign}")]["data"]
 
 
 def test_a_measured_campaign_is_kept_when_the_flow_runs_again(up: Up, tmp_path: Path) -> None:

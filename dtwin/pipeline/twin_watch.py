@@ -1,0 +1,71 @@
+"""What the twins of a machine say of a campaign: the diagnosis of theirs, the error on a new one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.pipeline.twins import Twins
+from dtwin.report.twins import comparison_text, diagnosis_text
+
+
+@dataclass(frozen=True)
+class TwinView:
+    """One twin on one campaign.
+
+    Attributes
+    ----------
+    name : str
+        The twin.
+    version : int
+        Its newest version.
+    diagnosed : bool
+        Whether the campaign is the one that it was fitted to; otherwise it was compared.
+    result : dict
+        Diagnosis or comparison, as ``--json`` prints it.
+    text : str
+        The same for people.
+    """
+
+    name: str
+    version: int
+    diagnosed: bool
+    result: dict[str, Any]
+    text: str
+
+    @property
+    def headline(self) -> str:
+        """One line."""
+        if self.diagnosed:
+            return f"{self.result['verdict']}: {self.result['headline']}"
+        return (
+            f"residual {self.result['residual_rms_um']:.2f} um RMS, noise floor "
+            f"{self.result['noise_floor_um']:.2f} um"
+        )
+
+
+def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
+    """Diagnose or compare every twin of a machine.
+
+    Parameters
+    ----------
+    home : Home
+        Where twins are kept.
+    machine, campaign : str
+        The machine, and a campaign of it in the lake.
+    """
+    twins = Twins(home)
+    views = []
+    for name in twins.names():
+        twin = twins.newest(name)
+        if twin.machine != machine:
+            continue
+        if twin.campaign == campaign:
+            _, found = twins.diagnose(name)
+            result = found.as_dict()
+            views.append(TwinView(name, twin.version, True, result, diagnosis_text(name, result)))
+        else:
+            result = twins.compare(name, campaign).as_dict()
+            views.append(TwinView(name, twin.version, False, result, comparison_text(result)))
+    return views
