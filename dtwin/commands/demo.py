@@ -17,7 +17,9 @@ def register(app: typer.Typer) -> None:
 
 
 def demo(
-    which: Annotated[str, typer.Argument(help="Which demo: cobot, tracking.")] = "cobot",
+    which: Annotated[
+        str, typer.Argument(help="Which demo: cobot, tracking, position-map.")
+    ] = "cobot",
     quick: Annotated[
         bool, typer.Option("--quick", help="A small campaign, for a first look.")
     ] = False,
@@ -26,14 +28,19 @@ def demo(
 ) -> None:
     """From a real recording and 81 tests to an equation served to a robot.
 
-    ``tracking`` recomputes the source thesis's tracking chain on the virtual cobot instead.
+    ``tracking`` recomputes the source thesis's tracking chain on the virtual cobot instead,
+    ``position-map`` asks what its equation for the mill has learned.
     """
-    if which == "tracking":
-        _tracking(seed, as_json=as_json)
+    others = {"tracking": _tracking, "position-map": _position_map}
+    if which in others:
+        others[which](seed, as_json=as_json)
         return
     if which != "cobot":
         raise InputError(
-            "no such demo", code="demo.unknown", got=which[:40], allowed="cobot, tracking"
+            "no such demo",
+            code="demo.unknown",
+            got=which[:40],
+            allowed=", ".join(["cobot", *others]),
         )
     from dtwin.config import home
     from flows.page import shown_steps
@@ -53,6 +60,14 @@ def _tracking(seed: int, *, as_json: bool) -> None:
 
     found = tracking_chain(seed, ProgressLine("circles", quiet=as_json)).as_dict()
     emit(found, lambda: tracking_text(found), as_json=as_json)
+
+
+def _position_map(seed: int, *, as_json: bool) -> None:
+    from dtwin.pipeline.position_map import position_map
+    from dtwin.report.position_map import position_map_text
+
+    found = position_map(seed, ProgressLine("position map", quiet=as_json))
+    emit(found, lambda: position_map_text(found), as_json=as_json)
 
 
 class _Terminal:

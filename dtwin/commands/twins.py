@@ -193,6 +193,27 @@ def correct_machine(
     emit(found, lambda: correction_text(found), as_json=as_json)
 
 
+@twin_app.command("confirm")
+def confirm_effect(
+    name: Name,
+    effect: Annotated[str, typer.Argument(help="An effect of the twin, like backlash:X.")],
+    after: Annotated[str, typer.Option(help="Campaign measured after the cause was mended.")],
+    what: Annotated[str, typer.Option(help="What was done.")] = "",
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Compare an effect before and after its cause was mended: intervention-confirmed or not."""
+    from dtwin.pipeline.twin_intervention import confirm
+
+    found = confirm(_twins(effects_path), name, effect, after, what)
+    said = "went away: intervention-confirmed" if found.confirmed else "did not certainly go away"
+    emit(
+        {"twin": name, **found.as_dict()},
+        lambda: "\n".join([f"{found.effect} {said}", *(f"  {c}" for c in found.changes)]),
+        as_json=as_json,
+    )
+
+
 @twin_app.command("history")
 def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) -> None:
     """Every rung of a twin, with error before and after."""
@@ -211,6 +232,7 @@ def show_twin(
     as_json: Json = False,
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
+    from dtwin.pipeline.twin_intervention import interventions
     from dtwin.report.twins import (
         comparison_sections,
         diagnosis_section,
@@ -236,7 +258,17 @@ def show_twin(
                 history_section(twins.history(name)),
             ],
         )
-    emit(twin.as_dict(), lambda: twin_text(twin), as_json=as_json)
+    mended = interventions(twins, name)
+    lines = [
+        f"{m['effect']} was mended ({m['what'] or 'not said how'}), {m['after_campaign']}: "
+        f"{m['grade'] or 'did not certainly go away'}"
+        for m in mended
+    ]
+    emit(
+        {**twin.as_dict(), "interventions": mended},
+        lambda: "\n".join([twin_text(twin), *lines]),
+        as_json=as_json,
+    )
 
 
 @effects_app.command("list")

@@ -17,6 +17,7 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.physics.library import Library
 from dtwin.pipeline.twin_data import load
+from dtwin.pipeline.twin_intervention import confirm, interventions
 from dtwin.pipeline.twins import Twins
 from dtwin.report.twins import twin_text
 
@@ -303,3 +304,23 @@ def test_runs_with_errors_are_left_out_and_said_so(home: Home, tmp_path: Path) -
     assert list(twin.data["left_out"]) == ["r001"]
     assert "warning: left out, r001" in twin_text(twin)
     assert any("stuck sensor" in warning for warning in twins.compare("mill-b").warnings)
+
+
+def test_an_effect_that_went_when_it_was_mended_is_intervention_confirmed(
+    twins: Twins, tmp_path: Path
+) -> None:
+    twins.fit("mill-march", [*KNOWN, "backlash:X"], "mill-a")
+    mended = write_campaign(tmp_path / "mended", "none", name="mill-mended")
+    found = confirm(twins, "mill-a", "backlash:X", str(mended), "ball nut preloaded")
+    (play,) = [c for c in found.changes if c.name == "backlash"]
+    assert found.confirmed
+    assert (abs(play.before), play.after) == (
+        pytest.approx(6.0, abs=0.3),
+        pytest.approx(0.0, abs=0.3),
+    )
+    # The scales were not touched.
+    kept = confirm(twins, "mill-a", "scale_mismatch:XY", "mill-mended", "ball nut preloaded")
+    assert not kept.confirmed
+    assert [i["grade"] for i in interventions(twins, "mill-a")] == ["intervention-confirmed", None]
+    with pytest.raises(InputError, match="other measurements of the same machine"):
+        confirm(twins, "mill-a", "backlash:X", "mill-march", "")

@@ -1,0 +1,53 @@
+"""The source thesis's mill equation as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dtwin.report.text import table
+
+
+def position_map_text(found: Mapping[str, Any]) -> str:
+    """Return what decides the equation, and what a map of positions is worth.
+
+    Parameters
+    ----------
+    found : mapping
+        What ``position_map`` returned.
+    """
+    influence = [
+        (name, f"{low:.3g} to {high:.3g}", f"{100 * found['influence'][name]:.2g} %")
+        for name, (low, high) in found["ranges"].items()
+    ]
+    points = ", ".join(
+        f"{p['error_um']:.1f} at ({p['x_mm']:g}, {p['y_mm']:g})" for p in found["at"]
+    )
+    sessions = [
+        (
+            s["session"],
+            s["runs"],
+            f"{s['before_um']:.2f}",
+            f"{s['after_um']:.2f}",
+            f"{s['r2']:.3f}",
+            f"{s['mounting_out_before_um']:.2f}",
+            f"{s['mounting_out_after_um']:.2f}",
+        )
+        for s in found["sessions"]
+    ]
+    return "\n".join(
+        [
+            "equation 6-2 of the thesis, as printed, on a circle of 50 mm: share of its variance "
+            "that goes with each input (total Sobol index)",
+            table(("input", "range", "share"), influence),
+            f"with no following error and no vibration it returns, in um: {points}",
+            "",
+            "a map of the path angle, trained as the thesis does: runs 1 to 3 of each feed, run 4 "
+            "left out, on the virtual mill (unit: the run; um RMS)",
+            table(
+                ("tried on", "runs", "before", "after", "R²", "mounting out, before", "after"),
+                sessions,
+            ),
+            f"verdict: {found['verdict']}",
+        ]
+    )

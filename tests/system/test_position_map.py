@@ -1,0 +1,29 @@
+"""The printed equation of the thesis's mill is a map of positions, and the tool says so."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from dtwin.pipeline.position_map import position_map
+from dtwin.report.position_map import position_map_text
+
+pytestmark = pytest.mark.system
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_what_it_learned_is_the_mounting(seed: int) -> None:
+    found = json.loads(json.dumps(position_map(seed)))
+    # Values of the printed equation, worked out by hand from its text.
+    assert [round(p["error_um"], 1) for p in found["at"]] == [-1.8, 7.6, 16.3, 7.6]
+    shares = found["influence"]
+    assert shares["path angle"] > 0.8
+    assert shares["accelerometer RMS, g"] < 1e-6
+    same, anew = found["sessions"]
+    assert same["r2"] > 0.99
+    assert anew["after_um"] > 10 * anew["mounting_out_before_um"]
+    # The machine's own error does carry over.
+    assert anew["mounting_out_after_um"] < 0.6 * anew["mounting_out_before_um"]
+    assert found["verdict"].startswith("a position map of one session")
+    assert "bar mounted anew" in position_map_text(found)
