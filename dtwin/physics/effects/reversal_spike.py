@@ -11,15 +11,16 @@ from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
 _APART = 0.97
+_AT_ONCE_S = 1e-5
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
     acceleration = state.feed_mm_s**2 / state.radius_mm
-    build_up_s = np.sqrt(shape["presliding_um"] / UM_PER_MM / acceleration)
+    build_up_s = max(np.sqrt(shape["presliding_um"] / UM_PER_MM / acceleration), _AT_ONCE_S)
     duration_s = shape["duration_ms"] / 1e3
-    rise_s = min(shape["rise_ms"] / 1e3, _APART * duration_s)
+    rise_s = min(max(shape["rise_ms"] / 1e3, _AT_ONCE_S), _APART * duration_s)
     t_s = state.since_reversal_s[axis]
     spike = _fought(t_s, build_up_s, duration_s) - _fought(t_s, build_up_s, rise_s)
     end = state.last_end[axis]

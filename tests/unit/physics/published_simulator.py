@@ -14,10 +14,16 @@ import numpy as np
 from dtwin.schema import Direction, Floats, Run, RunMeta
 
 SPIKE_MS = 60.0
+ABSENT = {
+    "cyclic_x": [0.0, 0.0], "cyclic_y": [0.0, 0.0], "pitch_x": 10.0, "pitch_y": 10.0,
+    "lateral_play_x": [0.0, 0.0], "lateral_play_y": [0.0, 0.0], "servo_mismatch": 0.0,
+    "reversal_spike_x": [0.0, 0.0], "reversal_spike_y": [0.0, 0.0],
+}  # fmt: skip
 
 
 def trace_um(machine: dict[str, Any], feed_mm_min: float, direction: int, theta: Floats) -> Floats:
     """Radial error at path angles, by adding up what each axis does."""
+    machine = ABSENT | machine
     radius = float(machine["radius"])
     speed = feed_mm_min / 60.0
     out = np.empty(len(theta))
