@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dtwin.acquire.frames import FrameReader, crc16, encode
 from dtwin.errors import InputError
+from dtwin.links.frames import FrameReader, crc16, encode
 
 PAYLOAD = 12
 payloads = st.binary(min_size=PAYLOAD, max_size=PAYLOAD)

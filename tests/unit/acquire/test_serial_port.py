@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 from serial_peer import SerialPeer, serial_peer
 
-from dtwin.acquire.frames import FrameReader
-from dtwin.acquire.serial_port import SerialInstrument, SerialLink
+from dtwin.acquire.serial_port import SerialInstrument
 from dtwin.errors import DeviceError, InputError
+from dtwin.links.frames import FrameReader
+from dtwin.links.serial_line import SerialLink
 
 COLUMNS = ("force_n", "temperature_c")
 
