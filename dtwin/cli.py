@@ -8,6 +8,7 @@ import sys
 
 import typer
 
+from dtwin.commands import analogue as analogue_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import modelling as modelling_commands
@@ -31,6 +32,7 @@ record_command.register(app)
 modelling_commands.register(app)
 serving_commands.register(app)
 twin_commands.register(app)
+analogue_commands.register(app)
 server_commands.register(app)
 
 

@@ -1,0 +1,313 @@
+"""Corrections as voltages: the host's end of an analogue output with a watchdog of its own.
+
+The control takes a voltage as an offset of its encoders, as an Aerotech A3200 does: 25 um per volt
+round 5 V. The board (``firmware/analogue_correction.c``) latches three codes of a whole frame at
+once, reads them back from its converter, and goes to its neutral codes by itself when frames stop.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.errors import DeviceError, InputError
+from dtwin.links.frames import Frame
+from dtwin.links.serial_line import SerialLink
+
+AXES = ("x", "y", "z")
+BAUD = 250_000
+FULL_SCALE_V = 10.0
+CODES = 1 << 16
+TRAVEL_UM = 125.0
+Output = Literal["dac", "pwm"]
+Floats = NDArray[np.float64]
+Codes = tuple[int, int, int]
+
+_STATUS, _SET, _ENGAGE, _RELEASE, _NEUTRAL = range(5)
+_REQUEST = struct.Struct("<B3H")
+_ANSWER = struct.Struct("<BB3HHH")
+_ENGAGED, _TRIPPED, _PWM, _READ_BACK_WRONG, _NOT_ENGAGED, _STALE, _UNKNOWN = (
+    1 << bit for bit in range(7)
+)
+_MODES: dict[Output, int] = {"dac": 0, "pwm": 1}
+# A board of this kind restarts when its port is opened, and its boot loader listens first.
+_WAKE_S = 4.0
+_PWM_STEPS = 255
+
+
+@dataclass(frozen=True)
+class AxisCalibration:
+    """What a voltage does to one axis.
+
+    Attributes
+    ----------
+    um_per_v : float
+        Displacement of the axis per volt; negative when it is wired the other way round.
+    neutral_v : float
+        Voltage that stands for no correction.
+    """
+
+    um_per_v: float = 25.0
+    neutral_v: float = 5.0
+
+    def code(self, offset_um: float) -> int:
+        """Return the converter's code for an offset, kept within travel and range."""
+        within = max(-TRAVEL_UM, min(TRAVEL_UM, offset_um))
+        volts = self.neutral_v + within / self.um_per_v
+        return max(0, min(CODES - 1, round(volts / FULL_SCALE_V * CODES)))
+
+    def offset_um(self, code: int) -> float:
+        """Return the offset that a code stands for."""
+        return (code * FULL_SCALE_V / CODES - self.neutral_v) * self.um_per_v
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the board said.
+
+    Attributes
+    ----------
+    sequence : int
+        Of the request that it answers.
+    engaged, tripped, pwm, read_back_wrong : bool
+        Whether it takes corrections; its watchdog dropped them; which output is in use; the
+        converter does not hold what was written.
+    refused : str
+        Why the request had no effect; empty when it had.
+    applied : tuple of int
+        Codes read back from the converter.
+    bad_frames, trips : int
+        Counted since the board started.
+    """
+
+    sequence: int
+    engaged: bool
+    tripped: bool
+    pwm: bool
+    read_back_wrong: bool
+    refused: str
+    applied: Codes
+    bad_frames: int
+    trips: int
+
+    @classmethod
+    def of(cls, frame: Frame) -> Answer:
+        """Read a frame of the board."""
+        _, flags, a, b, c, bad, trips = _ANSWER.unpack(frame.payload)
+        refused = {_NOT_ENGAGED: "not engaged", _STALE: "late", _UNKNOWN: "unknown command"}
+        return cls(
+            frame.sequence, bool(flags & _ENGAGED), bool(flags & _TRIPPED), bool(flags & _PWM),
+            bool(flags & _READ_BACK_WRONG),
+            next((text for bit, text in refused.items() if flags & bit), ""),
+            (a, b, c), bad, trips,
+        )  # fmt: skip
+
+
+class AnalogueOutput:
+    """Three analogue corrections behind a serial port.
+
+    Parameters
+    ----------
+    port : str
+        Such as ``"/dev/ttyACM0"``.
+    calibration : sequence of AxisCalibration, length 3
+        Of x, y and z.
+    output : {"dac", "pwm"}
+        The 16-bit converter, or pulse widths of eight bits, whose steps are 0.98 um.
+    watchdog_ms : int
+        Silence after which the board goes neutral by itself, 2 to 1000.
+    in_flight : int
+        Requests that may be unanswered before the next one waits.
+    baud : int
+        Bits per second.
+
+    Attributes
+    ----------
+    sent, answered, clamped : int
+        Corrections sent and answered; values that were beyond the travel.
+    """
+
+    def __init__(
+        self, port: str, calibration: Sequence[AxisCalibration] = (AxisCalibration(),) * 3, *,
+        output: Output = "dac", watchdog_ms: int = 20, in_flight: int = 4, baud: int = BAUD,
+        timeout_s: float = 0.25,
+    ) -> None:  # fmt: skip
+        if len(calibration) != len(AXES) or not 2 <= watchdog_ms <= 1000:
+            raise InputError(
+                "this is no analogue output", code="analogue.settings",
+                got=f"{len(calibration)} axes, watchdog {watchdog_ms} ms",
+                allowed="3 axes, watchdog 2 to 1000 ms",
+            )  # fmt: skip
+        self.calibration = tuple(calibration)
+        self.output: Output = output
+        self.watchdog_ms = watchdog_ms
+        self.link = SerialLink(port, _ANSWER.size, baud=baud, timeout_s=timeout_s)
+        self.sent = self.answered = self.clamped = 0
+        self._in_flight = in_flight
+        self._waiting: deque[tuple[int, Codes]] = deque()
+
+    @property
+    def neutral(self) -> Codes:
+        """Codes that stand for no correction."""
+        return self._codes(np.zeros(3))
+
+    def open(self) -> Answer:
+        """Open the port and wait for the board.
+
+        Raises
+        ------
+        DeviceError
+            When the port cannot be opened or no board answers.
+        """
+        self.link.open()
+        until_s = time.monotonic() + _WAKE_S
+        while True:
+            try:
+                return self.status()
+            except DeviceError as error:
+                if error.code != "serial.silent" or time.monotonic() > until_s:
+                    self.link.close()
+                    raise
+
+    def status(self) -> Answer:
+        """Ask the board how it is; this does not feed its watchdog."""
+        return self._ask(_STATUS, (0, 0, 0))
+
+    def engage(self) -> Answer:
+        """Begin to take corrections, from neutral.
+
+        Raises
+        ------
+        DeviceError
+            When the converter does not hold its neutral codes.
+        """
+        answer = self._ask(_ENGAGE, (_MODES[self.output], self.watchdog_ms, 0))
+        self._check(answer, None)
+        return answer
+
+    def release(self) -> Answer:
+        """Go neutral and take no more corrections."""
+        return self._ask(_RELEASE, (0, 0, 0))
+
+    def store_neutral(self) -> Answer:
+        """Keep this calibration's neutral codes on the board, without power too."""
+        return self._ask(_NEUTRAL, self.neutral)
+
+    def send(self, offset_um: Floats) -> None:
+        """Send a correction; answers to earlier ones are checked as they come.
+
+        Parameters
+        ----------
+        offset_um : ndarray, shape (3,)
+            Along x, y and z.
+
+        Raises
+        ------
+        DeviceError
+            When the board tripped, refused, does not hold what was sent, or is silent.
+        """
+        if not np.isfinite(offset_um).all():
+            raise DeviceError("the correction is not finite", code="analogue.not_finite")
+        self.clamped += int((np.abs(offset_um) > TRAVEL_UM).any())
+        while len(self._waiting) >= self._in_flight:
+            self.settle(self._in_flight - 1)
+        codes = self._codes(offset_um)
+        self._waiting.append((self.link.send(_REQUEST.pack(_SET, *codes)), codes))
+        self.sent += 1
+
+    def settle(self, unanswered: int = 0) -> None:
+        """Wait until at most so many corrections are unanswered, and check the answers."""
+        while len(self._waiting) > unanswered:
+            for frame in self.link.receive():
+                answer = Answer.of(frame)
+                while self._waiting and self._waiting[0][0] != answer.sequence:
+                    # An answer was lost; the next one says what the board holds.
+                    self._waiting.popleft()
+                if self._waiting:
+                    _, codes = self._waiting.popleft()
+                    self.answered += 1
+                    self._check(answer, codes)
+
+    def close(self) -> None:
+        """Release the port; the board goes neutral by itself."""
+        self.link.close()
+
+    def __enter__(self) -> Self:
+        """Open the port."""
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Go neutral when the board still listens, and release the port."""
+        try:
+            if not isinstance(error, DeviceError):
+                self.release()
+        finally:
+            self.close()
+
+    def _codes(self, offset_um: Floats) -> Codes:
+        x, y, z = (
+            axis.code(float(um)) for axis, um in zip(self.calibration, offset_um, strict=True)
+        )
+        return x, y, z
+
+    def _ask(self, command: int, arguments: Codes) -> Answer:
+        self.settle()
+        sequence = self.link.send(_REQUEST.pack(command, *arguments))
+        until_s = time.monotonic() + self.link.timeout_s
+        while time.monotonic() < until_s:
+            for frame in self.link.receive():
+                if frame.sequence == sequence:
+                    return Answer.of(frame)
+        raise DeviceError(
+            "the board answers other requests than this one", code="serial.silent",
+            where=self.link.port, hint="another program talks to the board",
+        )  # fmt: skip
+
+    def _check(self, answer: Answer, codes: Codes | None) -> None:
+        where = self.link.port
+        if answer.tripped:
+            raise DeviceError(
+                f"the board's watchdog dropped the correction after {self.watchdog_ms} ms of silence",
+                code="analogue.tripped", where=where, got=f"{answer.trips} trips since it started",
+                hint="engage again; a longer watchdog takes slower loops",
+            )  # fmt: skip
+        if answer.refused:
+            raise DeviceError(
+                "the board refused a correction", code="analogue.refused", where=where,
+                got=answer.refused,
+            )  # fmt: skip
+        wanted = codes if codes is None or self.output == "dac" else eight_bits(codes)
+        if answer.read_back_wrong or (wanted is not None and answer.applied != wanted):
+            self._waiting.clear()
+            self.link.send(_REQUEST.pack(_RELEASE, 0, 0, 0))
+            raise DeviceError(
+                "the converter does not hold what was sent", code="analogue.read_back",
+                where=where, got=str(answer.applied), allowed=str(wanted),
+                hint="check the converter's supply and wiring; the correction was released",
+            )  # fmt: skip
+
+
+def eight_bits(codes: Codes) -> Codes:
+    """Return what is left of codes as pulse widths of eight bits."""
+    x, y, z = (min(0xFF, (code + 0x80) >> 8) << 8 for code in codes)
+    return x, y, z
+
+
+def step_um(calibration: AxisCalibration, output: Output) -> float:
+    """Return the smallest change of the correction that an output can make."""
+    steps = CODES if output == "dac" else _PWM_STEPS
+    return abs(calibration.um_per_v) * FULL_SCALE_V / steps

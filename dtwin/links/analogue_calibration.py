@@ -1,0 +1,215 @@
+"""Calibration of an analogue correction: what a volt at each input really does to each axis."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.errors import GateRefusal, InputError
+from dtwin.links.analogue import AXES, AxisCalibration
+
+HEAD = ("axis", "voltage_v", "x_um", "y_um", "z_um")
+_LEVELS = 3
+# Straightness of the line, and what another axis may move, as shares of the span.
+_MOST_BENT = 0.03
+_MOST_CROSS_TALK = 0.2
+_SANE_UM_PER_V = (2.0, 250.0)
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AxisFit:
+    """A line through what was measured on one axis.
+
+    Attributes
+    ----------
+    um_per_v, neutral_v : float
+        Slope, and the voltage without displacement.
+    um_per_v_uncertainty, neutral_v_uncertainty : float
+        Expanded, k = 2; unit of replication: the reading.
+    noise_um : float
+        RMS about the line.
+    cross_talk : dict of str to float
+        What the same volt does to the other axes, as share of what it does to this one.
+    readings : int
+        How many.
+    """
+
+    um_per_v: float
+    neutral_v: float
+    um_per_v_uncertainty: float
+    neutral_v_uncertainty: float
+    noise_um: float
+    cross_talk: Mapping[str, float]
+    readings: int
+
+    @property
+    def calibration(self) -> AxisCalibration:
+        """The two numbers that the output needs."""
+        return AxisCalibration(self.um_per_v, self.neutral_v)
+
+
+def read_points(path: Path) -> dict[str, tuple[Floats, Floats]]:
+    """Return voltages and displacements of every axis from a CSV file.
+
+    Parameters
+    ----------
+    path : Path
+        Columns ``axis,voltage_v,x_um,y_um,z_um``: the input that was driven, and where the
+        machine went.
+
+    Returns
+    -------
+    dict of str to (ndarray of shape (n,), ndarray of shape (n, 3))
+        By axis.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, lacks a column or holds what is no number.
+    """
+    rows: dict[str, list[list[float]]] = {}
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            reader = csv.DictReader(file)
+            if tuple(reader.fieldnames or ()) != HEAD:
+                raise _bad(path, "columns", ",".join(reader.fieldnames or ()), ",".join(HEAD))
+            for number, row in enumerate(reader, start=2):
+                if row["axis"] not in AXES:
+                    raise _bad(path, f"line {number}, axis", str(row["axis"]), ", ".join(AXES))
+                values = [float(row[name] or "nan") for name in HEAD[1:]]
+                if not all(math.isfinite(v) for v in values):
+                    raise _bad(path, f"line {number}", str(values), "finite numbers")
+                rows.setdefault(row["axis"], []).append(values)
+    except (OSError, ValueError, TypeError) as error:
+        raise _bad(path, "file", str(error)[:120], "a CSV file of numbers") from error
+    return {axis: (np.array(found)[:, 0], np.array(found)[:, 1:]) for axis, found in rows.items()}
+
+
+def calibrate(points: Mapping[str, tuple[Floats, Floats]]) -> dict[str, AxisFit]:
+    """Fit a line to every axis.
+
+    Parameters
+    ----------
+    points : mapping of str to (ndarray of shape (n,), ndarray of shape (n, 3))
+        Voltages, and displacements along x, y and z, by the input that was driven.
+
+    Raises
+    ------
+    GateRefusal
+        When axes are swapped, an input does nothing, the answer is bent, or there are too few
+        levels: a correction through such a path would make the error larger.
+    """
+    missing = [axis for axis in AXES if axis not in points]
+    if missing:
+        raise GateRefusal(
+            "an axis was not measured", code="calibration.axis", got=", ".join(missing),
+            allowed="x, y and z", hint="drive each input by itself at three voltages or more",
+        )  # fmt: skip
+    return {axis: _line(axis, *points[axis]) for axis in AXES}
+
+
+def save(path: Path, fits: Mapping[str, AxisFit]) -> Path:
+    """Write a calibration as JSON and return the path."""
+    from dtwin.atomic import write_text
+
+    document = {"format": "dtwin.analogue.1", "axes": {k: asdict(v) for k, v in fits.items()}}
+    return write_text(path, json.dumps(document, indent=1), "the calibration")
+
+
+def load(path: Path) -> tuple[AxisCalibration, AxisCalibration, AxisCalibration]:
+    """Return the calibration of x, y and z from a file of :func:`save`.
+
+    Raises
+    ------
+    InputError
+        When it is no such file.
+    """
+    try:
+        document: Any = json.loads(path.read_text(encoding="utf-8"))
+        if document["format"] != "dtwin.analogue.1":
+            raise _bad(path, "format", str(document["format"])[:40], "dtwin.analogue.1")
+        x, y, z = (
+            AxisCalibration(float(a["um_per_v"]), float(a["neutral_v"]))
+            for a in (document["axes"][axis] for axis in AXES)
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise _bad(
+            path, "file", str(error)[:120], "what dtwin analogue calibrate writes"
+        ) from error
+    return x, y, z
+
+
+def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
+    if len(np.unique(np.round(volts, 3))) < _LEVELS:
+        raise _refused(axis, "too few voltages to see whether the answer is a line", len(volts))
+    design = np.column_stack([volts, np.ones_like(volts)])
+    slopes, offsets = np.linalg.lstsq(design, moved_um, rcond=None)[0]
+    own = AXES.index(axis)
+    largest = int(np.argmax(np.abs(slopes)))
+    if largest != own and abs(slopes[largest]) > _SANE_UM_PER_V[0]:
+        raise _refused(
+            axis, f"this input moves {AXES[largest]}: wires are swapped", slopes[largest]
+        )
+    um_per_v = float(slopes[own])
+    if not _SANE_UM_PER_V[0] <= abs(um_per_v) <= _SANE_UM_PER_V[1]:
+        raise _refused(axis, f"{um_per_v:.3g} um per volt is no correction input", um_per_v)
+    left = moved_um[:, own] - design @ np.array([um_per_v, offsets[own]])
+    dof = max(len(volts) - 2, 1)
+    noise = float(np.sqrt((left**2).sum() / dof))
+    span = float(np.ptp(moved_um[:, own]))
+    if float(np.abs(left).max()) > _MOST_BENT * span:
+        raise _refused(axis, "the answer is not a line", f"{np.abs(left).max():.3g} um off it")
+    cross = {other: float(slopes[i] / um_per_v) for i, other in enumerate(AXES) if other != axis}
+    worst = max(cross, key=lambda other: abs(cross[other]))
+    if abs(cross[worst]) > _MOST_CROSS_TALK:
+        raise _refused(axis, f"this input also moves {worst}", f"{100 * cross[worst]:.0f} %")
+    covariance = noise**2 * np.linalg.inv(design.T @ design)
+    neutral = -float(offsets[own]) / um_per_v
+    gradient = np.array([-neutral / um_per_v, -1.0 / um_per_v])
+    return AxisFit(
+        um_per_v=um_per_v,
+        neutral_v=neutral,
+        um_per_v_uncertainty=2.0 * float(np.sqrt(covariance[0, 0])),
+        neutral_v_uncertainty=2.0 * float(np.sqrt(gradient @ covariance @ gradient)),
+        noise_um=noise,
+        cross_talk=cross,
+        readings=len(volts),
+    )
+
+
+def _refused(axis: str, text: str, got: object) -> GateRefusal:
+    return GateRefusal(
+        f"input {axis}: {text}", code="calibration.refused", got=str(got),
+        hint="mend the wiring or measure again; nothing was written",
+    )  # fmt: skip
+
+
+def _bad(path: Path, where: str, got: str, allowed: str) -> InputError:
+    return InputError(
+        "the calibration file cannot be used", code="calibration.file",
+        where=f"{path} {where}", got=got, allowed=allowed,
+    )  # fmt: skip
+
+
+def calibration_rows(fits: Mapping[str, AxisFit]) -> Sequence[tuple[str, ...]]:
+    """Return rows for a table: axis, slope, neutral, noise, cross-talk."""
+    return [
+        (
+            axis,
+            f"{f.um_per_v:.3f} ± {f.um_per_v_uncertainty:.3f}",
+            f"{f.neutral_v:.4f} ± {f.neutral_v_uncertainty:.4f}",
+            f"{f.noise_um:.3f}",
+            ", ".join(f"{other} {100 * share:+.1f} %" for other, share in f.cross_talk.items()),
+            str(f.readings),
+        )
+        for axis, f in fits.items()
+    ]
