@@ -236,6 +236,58 @@ def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figu
     return styled(figure)
 
 
+def spectrum_figure(
+    frequency_hz: Floats, amplitude_um: Floats, floor_um: float, *, title: str
+) -> go.Figure:
+    """Return the amplitude spectrum of a run.
+
+    Parameters
+    ----------
+    frequency_hz, amplitude_um : ndarray, shape (n,)
+        The spectrum.
+    floor_um : float
+        Level that noise alone rarely exceeds; NaN when it is not known.
+    title : str
+        Heading.
+    """
+    figure = go.Figure(
+        go.Scatter(
+            x=_short(frequency_hz), y=_short(amplitude_um), mode="lines", name="amplitude",
+            line={"color": COLOURS["measured"], "width": 1.3},
+            hovertemplate="%{x:.2f} Hz: %{y:.3f} um<extra></extra>",
+        )
+    )  # fmt: skip
+    if np.isfinite(floor_um):
+        figure.add_hline(
+            y=floor_um, line={"color": COLOURS["floor"], "dash": "dash"},
+            annotation_text=f"noise of one line {floor_um:.3f} um",
+        )  # fmt: skip
+    figure.update_layout(
+        title=title, xaxis_title="frequency, Hz",
+        yaxis={"title": "amplitude, um", "rangemode": "tozero"},
+    )  # fmt: skip
+    return styled(figure)
+
+
+def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
+    """Return how far the periods of a serving session were off.
+
+    Parameters
+    ----------
+    histogram : dict of str to int
+        Ticks by jitter in us, as ``LoopTiming.summary`` counts them.
+    """
+    figure = go.Figure(
+        go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"])
+    )
+    figure.update_layout(
+        title="Jitter of the period",
+        xaxis_title="distance from the nominal period, us",
+        yaxis={"title": "ticks (logarithmic)", "type": "log"},
+    )
+    return styled(figure)
+
+
 def magnification_for(largest_um: float, radius_mm: float) -> float:
     """Return the round magnification that draws an error as about a third of the radius.
 

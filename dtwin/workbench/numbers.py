@@ -1,0 +1,52 @@
+"""Numbers as people type them, with a German or an English decimal sign."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from dtwin.errors import InputError
+
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d+)*([.,]\d*)?|[.,]\d+)([eE][+-]?\d{1,3})?")
+_MOST_CHARACTERS = 40
+
+
+def decimal(text: str, what: str) -> float:
+    """Return the number that a text means; ``0,5`` and ``0.5`` are the same.
+
+    A single comma or point is the decimal sign. When both occur, the last one is, and the
+    other one groups thousands. The same sign twice groups thousands.
+
+    Parameters
+    ----------
+    text : str
+        What was typed.
+    what : str
+        What the number is, for the message.
+
+    Raises
+    ------
+    InputError
+        When it is not a finite number.
+    """
+    plain = re.sub(r"[\s\u00a0\u202f'’]", "", text[: _MOST_CHARACTERS + 1]).replace("\u2212", "-")
+    if len(plain) <= _MOST_CHARACTERS and _NUMBER.fullmatch(plain):
+        value = float(_with_point(plain))
+        if math.isfinite(value):
+            return value
+    raise InputError(
+        f"{what} is not a number",
+        code="number.invalid",
+        got=text[:_MOST_CHARACTERS],
+        allowed="for example 0.5 or 0,5",
+    )
+
+
+def _with_point(plain: str) -> str:
+    commas, points = plain.count(","), plain.count(".")
+    if commas and points:
+        sign = max(",.", key=plain.rindex)
+        return plain.replace(",.".replace(sign, ""), "").replace(sign, ".")
+    if commas + points > 1:
+        return plain.replace(",", "").replace(".", "")
+    return plain.replace(",", ".")

@@ -1,0 +1,242 @@
+"""What pages show of twins: computed once for each version, reduced to what is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.physics import localise
+from dtwin.physics.effect import Instance
+from dtwin.physics.fit import fit
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
+from dtwin.physics.twin import Twin, frozen_residual_um
+from dtwin.pipeline.twin_data import Comparison, load
+from dtwin.pipeline.twin_files import read_document
+from dtwin.report.twin_plots import harmonic_amplitudes_um
+from dtwin.schema import Floats, require_name
+from dtwin.workbench.bench import Bench
+
+FLOOR_WORDS = {
+    "repeats": "from repeats of the same condition; unit of replication: the run",
+    "within_run": "from inside single runs: a lower bound",
+    "none": "not known: no condition was repeated",
+}
+
+
+@dataclass(frozen=True)
+class View:
+    """A twin against its runs, ready to draw.
+
+    Attributes
+    ----------
+    key : tuple
+        Twin, version and table version that it was made from.
+    comparison : Comparison
+        Measured against predicted.
+    result : dict
+        Its figures.
+    measured_um, residual_um : ndarray, shape (conditions, 360)
+        Means over the repeats; NaN where nothing was measured.
+    """
+
+    key: tuple[str | int, ...]
+    comparison: Comparison
+    result: Mapping[str, Any]
+    measured_um: Floats
+    residual_um: Floats
+
+    @property
+    def obs(self) -> Observations:
+        """The runs."""
+        return self.comparison.obs
+
+    @property
+    def twin(self) -> Twin:
+        """The twin."""
+        return self.comparison.twin
+
+    @property
+    def floor_um(self) -> float:
+        """RMS of one run about the mean of its condition; NaN without repeats."""
+        return float(self.result["noise_floor_um"])
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the conditions."""
+        return [str(c) for c in self.obs.conditions]
+
+
+def observed(bench: Bench, campaign: str) -> Observations:
+    """Return the runs of a campaign of the lake on the grid.
+
+    Raises
+    ------
+    InputError
+        When there is no such campaign, or it has no usable run.
+    """
+    lake = bench.lake
+    if campaign not in {row["campaign"] for row in bench.run_rows()}:
+        lake.campaign(campaign)
+    version = lake.tables["runs"].version()
+    key = ("observed", campaign, version)
+    return bench.cache.get(key, lambda: load(bench.home, campaign)).obs
+
+
+def version_file(bench: Bench, name: str, version: int) -> Path:
+    """Return the file of a version of a twin."""
+    return bench.twins.root / require_name(name, "the twin") / f"v{version:03d}.json"
+
+
+def view(bench: Bench, name: str, version: int | None = None) -> View:
+    """Return a twin against the runs that it was fitted to.
+
+    Parameters
+    ----------
+    bench : Bench
+        State of the server.
+    name : str
+        The twin.
+    version : int, optional
+        The newest without.
+    """
+    twin = bench.twins.newest(name, version)
+    stamp = version_file(bench, name, twin.version).stat().st_mtime_ns
+    runs = bench.lake.tables["runs"].version()
+    key = ("view", name, twin.version, stamp, runs)
+    return bench.cache.get(key, lambda: _viewed(key, twin, observed(bench, twin.campaign)))
+
+
+def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None:
+    """Return the diagnosis of a version, None when it was not diagnosed yet."""
+    path = version_file(bench, name, version).with_suffix(".diagnosis.json")
+    return read_document(path) if path.exists() else None
+
+
+def floor_words(bench: Bench, found: View) -> str:
+    """Return where the noise floor comes from, in words."""
+    diagnosis = diagnosis_of(bench, found.twin.name, found.twin.version)
+    kind = "repeats" if np.isfinite(found.floor_um) else "none"
+    return FLOOR_WORDS[diagnosis["floor_kind"] if diagnosis else kind]
+
+
+def chosen_conditions(found: View, wanted: Sequence[int]) -> list[int]:
+    """Return valid numbers of conditions; the one with the largest residual without any."""
+    here = [c for c in dict.fromkeys(wanted) if 0 <= c < len(found.obs.conditions)]
+    return here or [int(np.argmax(np.nanmean(found.residual_um**2, axis=1)))]
+
+
+def overlay(
+    found: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]
+) -> dict[str, Floats]:
+    """Return curves by name.
+
+    Parameters
+    ----------
+    found : View
+        The twin against its runs.
+    conditions : sequence of int
+        Conditions, means over their repeats.
+    show : sequence of str
+        Of ``measured``, ``twin``, ``residual``.
+    runs : sequence of str
+        Single runs besides, as measured.
+    """
+    curves: dict[str, Floats] = {}
+    for number in conditions:
+        suffix = f" {found.labels[number]}" if len(conditions) > 1 else ""
+        measured, left = found.measured_um[number], found.residual_um[number]
+        for kind, values in (
+            ("measured", measured), ("twin", measured - left), ("residual", left)
+        ):  # fmt: skip
+            if kind in show:
+                curves[kind + suffix] = values
+    for row, meta in enumerate(found.obs.runs):
+        if meta.run_id in runs:
+            name = f"run {meta.run_id}"
+            turn = sum(known.startswith(name) for known in curves)
+            values = _masked(found.comparison.before_um, found.obs)[row]
+            curves[f"{name} turn {turn + 1}" if turn else name] = values
+    return curves
+
+
+def runs_of(found: View, conditions: Sequence[int]) -> list[str]:
+    """Return the runs of conditions, in the order of measurement."""
+    rows = np.flatnonzero(np.isin(found.obs.condition_of, conditions))
+    return list(dict.fromkeys(found.obs.runs[int(row)].run_id for row in rows))
+
+
+def floor_harmonics_um(found: View) -> Floats | None:
+    """Return the amplitude by which repeats disagree at each harmonic, shape (181,).
+
+    Mean square over the rows of what each differs from the mean of its condition, with the
+    degrees of freedom of the means taken out; None without repeats over full turns.
+    """
+    obs = found.obs
+    full = obs.mask.all(axis=1)
+    total, dof = np.zeros(181), 0
+    for number in range(len(obs.conditions)):
+        rows = found.comparison.residual_um[(obs.condition_of == number) & full]
+        if len(rows) > 1:
+            total += (harmonic_amplitudes_um(rows - rows.mean(axis=0)) ** 2).sum(axis=0)
+            dof += len(rows) - 1
+    return np.asarray(np.sqrt(total / dof)) if dof else None
+
+
+def taken_away_um(bench: Bench, found: View, label: str) -> Floats:
+    """Return what adding an effect would take from the mean residual of every condition.
+
+    Parameters
+    ----------
+    bench : Bench
+        State of the server.
+    found : View
+        The twin against its runs.
+    label : str
+        Effect with axis, for example ``backlash X``.
+
+    Returns
+    -------
+    ndarray, shape (conditions, 360)
+        NaN where nothing was measured.
+    """
+    name, _, axis = label.partition(" ")
+    instance = Instance(bench.library[name], axis)
+    if label in found.twin.labels:
+        raise InputError("the twin has this effect already", code="twin.has_effect", got=label)
+
+    def refitted() -> Floats:
+        obs = found.obs
+        term = Term(instance, instance.effect.start_shape)
+        left = fit(obs, [*found.twin.terms, term]).residual_um
+        change = found.comparison.residual_um - left
+        return _with_gaps(localise.condition_means(obs, change), obs)
+
+    return bench.cache.get(("signature", label, *found.key), refitted)
+
+
+def _viewed(key: tuple[str | int, ...], twin: Twin, obs: Observations) -> View:
+    residual = frozen_residual_um(twin, obs)
+    before = localise.residual_um(obs, [])
+    made = Comparison(twin, obs, residual, before, ())
+    return View(
+        key,
+        made,
+        made.as_dict(),
+        _with_gaps(localise.condition_means(obs, before), obs),
+        _with_gaps(localise.condition_means(obs, residual), obs),
+    )
+
+
+def _with_gaps(means: Floats, obs: Observations) -> Floats:
+    seen = np.array([obs.mask[obs.condition_of == c].any(axis=0) for c in range(len(means))])
+    return np.where(seen, means, np.nan)
+
+
+def _masked(values: Floats, obs: Observations) -> Floats:
+    return np.where(obs.mask, values, np.nan)

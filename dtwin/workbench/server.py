@@ -1,0 +1,193 @@
+"""The application, and the server that it runs in."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import socket
+from collections.abc import Callable, Iterator
+from importlib.resources import files
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from plotly.offline import get_plotlyjs
+from starlette.exceptions import HTTPException
+from starlette.responses import RedirectResponse, Response
+
+from dtwin.config import Home
+from dtwin.errors import DtwinError, InputError
+from dtwin.workbench import (
+    campaign_routes,
+    effect_routes,
+    job_routes,
+    live_routes,
+    twin_actions,
+    twin_routes,
+)
+from dtwin.workbench.access import Access, Guarded
+from dtwin.workbench.bench import Bench
+from dtwin.workbench.pages import refused
+
+USUAL_PORT = 8765
+_KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+_FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}
+
+
+def application(home: Home, access: Access, effects_path: Path | None = None) -> Guarded:
+    """Return the workbench as an ASGI application.
+
+    Parameters
+    ----------
+    home : Home
+        What is worked on.
+    access : Access
+        Who may do what.
+    effects_path : Path, optional
+        Folder of the user's own effects; their code is run.
+    """
+    app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
+    app.state.bench = Bench(home, access, effects_path)
+    for part in (campaign_routes, twin_routes, twin_actions, effect_routes, live_routes,
+                 job_routes):  # fmt: skip
+        app.include_router(part.router)
+    app.add_api_route("/", lambda: RedirectResponse("/campaigns", 303), include_in_schema=False)
+    app.add_api_route("/static/{name}", _static, include_in_schema=False)
+    app.add_exception_handler(DtwinError, _said)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _unknown)
+    return Guarded(app, access)
+
+
+def run(
+    home: Home,
+    host: str,
+    port: int | None,
+    effects_path: Path | None,
+    announce: Callable[[str], None],
+) -> None:
+    """Serve until a signal ends it.
+
+    Parameters
+    ----------
+    home : Home
+        What is worked on.
+    host : str
+        Address to listen on.
+    port : int or None
+        Port; without, ``USUAL_PORT``, or a free one when that is taken.
+    effects_path : Path or None
+        Folder of the user's own effects.
+    announce : callable
+        Gets the address, once it answers.
+
+    Raises
+    ------
+    InputError
+        When the address cannot be listened on, or a workbench runs for this home already.
+    """
+    with _only_one(home), _listening(host, port) as listening:
+        access = Access(host, int(listening.getsockname()[1]))
+        config = uvicorn.Config(
+            application(home, access, effects_path),
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=3,
+        )
+        server = _Announcing(config, lambda: announce(access.address))
+        server.run(sockets=[listening])
+
+
+class _Announcing(uvicorn.Server):
+    """A server that says when it answers."""
+
+    def __init__(self, config: uvicorn.Config, said: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._said = said
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, then say so."""
+        await super().startup(sockets)
+        if self.started:
+            self._said()
+
+
+@contextlib.contextmanager
+def _only_one(home: Home) -> Iterator[None]:
+    """Hold the home's workbench: two would each think the other's work interrupted."""
+    path = home.root / "workbench" / ".lock"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(
+                "a workbench is running for this home already",
+                code="ui.running",
+                where=str(home.root),
+                hint="use the address that it printed, or stop it with Ctrl-C there",
+            ) from None
+        yield
+
+
+def _listening(host: str, port: int | None) -> socket.socket:
+    if port is None:
+        try:
+            return _listening(host, USUAL_PORT)
+        except InputError:
+            return _listening(host, 0)
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        found = socket.socket(family, socket.SOCK_STREAM)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.bind((host, port))
+        found.listen(128)
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+        raise InputError(
+            "the port is taken" if taken else "the address cannot be listened on",
+            code="ui.port" if taken else "ui.host",
+            where=f"{host}:{port}",
+            got=error.strerror or str(error),
+            hint="dtwin ui without --port takes a free one" if taken else "leave --host out",
+        ) from error
+    return found
+
+
+def _static(name: str) -> Response:
+    if name == "plotly.js":
+        return Response(get_plotlyjs(), media_type=_KINDS[".js"], headers=_FOREVER)
+    path = files("dtwin.workbench") / "static" / name
+    kind = _KINDS.get(Path(name).suffix)
+    if kind is None or "/" in name or not path.is_file():
+        raise HTTPException(404)
+    return Response(path.read_bytes(), media_type=kind, headers={"Cache-Control": "no-cache"})
+
+
+def _said(request: Request, error: Exception) -> Response:
+    assert isinstance(error, DtwinError)
+    return refused(request, error)
+
+
+def _invalid(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    place = ".".join(str(part) for part in first["loc"])
+    said = InputError(
+        "the request is not complete", code="request.invalid", where=place, got=first["msg"]
+    )
+    return refused(request, said)
+
+
+def _unknown(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    if error.status_code == 404:
+        said = InputError(
+            "there is no such page", code="page.unknown", got=request.url.path[:80],
+            hint="begin at /campaigns",
+        )  # fmt: skip
+        return refused(request, said)
+    return Response(f"{error.detail}\n", error.status_code, media_type="text/plain")
