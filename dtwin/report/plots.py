@@ -200,6 +200,39 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
     return styled(figure)
 
 
+def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
+    """Return R2 on feeds left out against latency, one point per candidate.
+
+    Parameters
+    ----------
+    candidates : sequence of mapping
+        With ``name``, ``r2``, ``p50_us`` (may be None) and ``promotable``.
+    """
+    figure = go.Figure()
+    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
+        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
+        figure.add_trace(
+            go.Scatter(
+                x=[c["p50_us"] for c in chosen], y=[c["r2"] for c in chosen],
+                text=[c["name"] for c in chosen], mode="markers",
+                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{y:.3f}<extra></extra>",
+                name="expression, promotable" if promotable else "comparison only",
+                marker={
+                    "size": 12, "color": colour, "symbol": "circle" if promotable else "square"
+                },
+            )
+        )  # fmt: skip
+    figure.add_hline(
+        y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction"
+    )
+    figure.update_layout(
+        title="R2 on feeds left out against time of one row (hover for names)",
+        xaxis={"title": "median time of one row, us", "type": "log"},
+        yaxis={"title": "R2, held out"},
+    )
+    return styled(figure)
+
+
 def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
     """Return held-out error over the size of the equation.
 

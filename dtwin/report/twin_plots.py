@@ -13,6 +13,7 @@ from dtwin.report.plots import COLOURS, magnification_for, styled
 from dtwin.schema import Floats
 
 _CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fourth"])
+_BEHIND_TEXT = "rgba(255,255,255,0.75)"
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 
@@ -116,7 +117,8 @@ def angle_figure(
     if math.isfinite(floor_um):
         figure.add_hrect(
             y0=-floor_um, y1=floor_um, fillcolor=COLOURS["floor"], opacity=0.25, line_width=0,
-            annotation_text=f"noise floor ±{floor_um:.2f} um", annotation_position="top left",
+            annotation_text=f"noise floor ±{floor_um:.2f} um",
+            annotation_position="bottom right", annotation_bgcolor=_BEHIND_TEXT,
         )  # fmt: skip
     figure.update_layout(
         title=title,
@@ -214,7 +216,7 @@ def residual_map(
     )
     figure.update_layout(
         title=f"{title} ({_floor_words(floor_um)})",
-        xaxis_title="path angle, deg",
+        xaxis={"title": "path angle, deg", "dtick": 45},
         height=max(320, 60 + 22 * len(conditions)),
         yaxis={"autorange": "reversed", "dtick": 1},
     )
@@ -242,7 +244,7 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]]) -> go.Figure:
     if floor is not None:
         figure.add_hline(
             y=floor, line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise floor {floor:.2f} um",
+            annotation_text=f"noise floor {floor:.2f} um", annotation_bgcolor=_BEHIND_TEXT,
         )  # fmt: skip
     figure.update_layout(title="Error from version to version", yaxis_title="RMS, um")
     return styled(figure)
@@ -273,8 +275,8 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
             annotation_text="noise floor",
         )  # fmt: skip
     figure.update_layout(
-        title="Predicted error after adding each effect (blue: the reported group)",
-        xaxis_title="RMS, um", height=max(280, 80 + 30 * len(rows)),
+        title="Predicted error after adding each (blue: reported)",
+        xaxis_title="RMS, um", height=max(320, 170 + 30 * len(rows)),
     )  # fmt: skip
     return styled(figure)
 

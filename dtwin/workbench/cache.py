@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 Result = TypeVar("Result")
 
@@ -40,14 +40,12 @@ class Cache:
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)
-                kept: Result = self._kept[key]
-                return kept
+                return cast(Result, self._kept[key])
             making = self._making.setdefault(key, threading.Lock())
         with making:
             with self._lock:
                 if key in self._kept:
-                    kept = self._kept[key]
-                    return kept
+                    return cast(Result, self._kept[key])
             made = make()
             with self._lock:
                 self._kept[key] = made

@@ -45,18 +45,15 @@ def campaign_page(request: Request, name: str) -> Response:
     bench = bench_of(request)
     rows = _rows(bench, name)
     version = bench.lake.tables["runs"].version()
-    overview = bench.cache.get(
-        ("overview", name, version), lambda: campaigns.overview(name, rows)
-    )
+    overview = bench.cache.get(("overview", name, version), lambda: campaigns.overview(name, rows))
     findings = bench.cache.get(
         ("findings", name, version), lambda: campaigns.grouped_findings(rows)
     )
-    effects = [e for _, e in sorted(bench.library.items()) if not e.setup]
     twins = bench.twins
     fitted = [t for t in twins.names() if twins.history(t)[-1]["campaign"] == name]
     return rendered(
         request, "campaign.html", title=f"Campaign {name}", campaign=overview, runs=rows,
-        findings=findings, effects=[e for e in effects if overview.kind in e.kinds],
+        findings=findings, effects=campaigns.possible_effects(rows, bench.library),
         suggested=_free_name(twins.names(), overview.machine), fitted=fitted,
     )  # fmt: skip
 
@@ -176,7 +173,7 @@ def _spectrum(run_id: str, left_um: Floats, rate_hz: float) -> Any:
     upper = amplitude[n // 4 :]
     floor = _NOISE_QUANTILE * float(np.median(upper)) / float(np.sqrt(np.log(4.0)))
     return spectrum_figure(
-        np.fft.rfftfreq(n, 1.0 / rate_hz), amplitude, floor,
+        np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz), dtype=np.float64), amplitude, floor,
         title=f"{run_id}: spectrum of one run (its upper half gives the noise; one run has no "
         "repeats)",
     )  # fmt: skip

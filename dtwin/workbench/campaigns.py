@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from dtwin.acquire.quality import judge_campaign
+from dtwin.physics.effect import Effect
+from dtwin.physics.library import campaign_instances
+from dtwin.physics.state import AXES_OF
 from dtwin.run_rows import meta_of
 from dtwin.schema import Finding, Run
 
@@ -117,6 +120,26 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
             entry = by_code.setdefault(f["code"], {**f, "runs": []})
             entry["runs"].append(row["run_id"])
     return sorted(by_code.values(), key=lambda f: (_SEVERITIES.index(f["severity"]), f["code"]))
+
+
+def possible_effects(
+    rows: Sequence[Mapping[str, Any]], library: Mapping[str, Effect]
+) -> list[Effect]:
+    """Return the effects that can act in a campaign, set-up terms left out, by name.
+
+    Parameters
+    ----------
+    rows : sequence of dict
+        Its rows, at least one.
+    library : mapping of str to Effect
+        Effects by name.
+    """
+    planes = _distinct(rows, "plane")
+    axes = sorted({axis for plane in planes for axis in AXES_OF[plane]})
+    geometry = json.loads(rows[0]["geometry_json"])
+    found = campaign_instances(library, rows[0]["kind"], planes, axes, geometry)
+    effects = {i.effect.name: i.effect for i in found if not i.effect.setup}
+    return [effects[name] for name in sorted(effects)]
 
 
 def _distinct(rows: Sequence[Mapping[str, Any]], name: str) -> tuple[Any, ...]:

@@ -120,7 +120,7 @@ def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _TAIL_BYTES))
         lines = file.read().splitlines()
-    found = []
+    found: list[Mapping[str, Any]] = []
     for line in lines[-_NEWEST:]:
         try:
             found.append(dict(json.loads(line)))

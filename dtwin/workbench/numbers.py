@@ -29,7 +29,9 @@ def decimal(text: str, what: str) -> float:
     InputError
         When it is not a finite number.
     """
-    plain = re.sub(r"[\s\u00a0\u202f'’]", "", text[: _MOST_CHARACTERS + 1]).replace("\u2212", "-")
+    plain = re.sub(r"[\s\u00a0\u202f'\u2019]", "", text[: _MOST_CHARACTERS + 1]).replace(
+        "\u2212", "-"
+    )
     if len(plain) <= _MOST_CHARACTERS and _NUMBER.fullmatch(plain):
         value = float(_with_point(plain))
         if math.isfinite(value):

@@ -34,7 +34,7 @@ def when(text: str | None) -> str:
 
 def um(value: float | None) -> str:
     """Return micrometres with two decimals; a dash when not known."""
-    return "–" if value is None or not math.isfinite(value) else f"{value:.2f}"
+    return "\u2013" if value is None or not math.isfinite(value) else f"{value:.2f}"
 
 
 def plain(value: float | None, digits: int = 3) -> str:

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import fcntl
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -18,12 +19,15 @@ from starlette.exceptions import HTTPException
 from starlette.responses import RedirectResponse, Response
 
 from dtwin.config import Home
-from dtwin.errors import DtwinError, InputError
+from dtwin.errors import DtwinError, InputError, MissingPart
 from dtwin.workbench import (
     campaign_routes,
     effect_routes,
     job_routes,
     live_routes,
+    model_routes,
+    models,
+    reading,
     twin_actions,
     twin_routes,
 )
@@ -32,33 +36,31 @@ from dtwin.workbench.bench import Bench
 from dtwin.workbench.pages import refused
 
 USUAL_PORT = 8765
+_WARMED_TWINS = 3
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}
 
 
-def application(home: Home, access: Access, effects_path: Path | None = None) -> Guarded:
+def application(bench: Bench) -> Guarded:
     """Return the workbench as an ASGI application.
 
     Parameters
     ----------
-    home : Home
-        What is worked on.
-    access : Access
-        Who may do what.
-    effects_path : Path, optional
-        Folder of the user's own effects; their code is run.
+    bench : Bench
+        What is worked on, and who may do what.
     """
     app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
-    app.state.bench = Bench(home, access, effects_path)
-    for part in (campaign_routes, twin_routes, twin_actions, effect_routes, live_routes,
+    app.state.bench = bench
+    for part in (campaign_routes, twin_routes, twin_actions, effect_routes, model_routes, live_routes,
                  job_routes):  # fmt: skip
         app.include_router(part.router)
     app.add_api_route("/", lambda: RedirectResponse("/campaigns", 303), include_in_schema=False)
     app.add_api_route("/static/{name}", _static, include_in_schema=False)
     app.add_exception_handler(DtwinError, _said)
+    app.add_exception_handler(ModuleNotFoundError, _absent)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _unknown)
-    return Guarded(app, access)
+    return Guarded(app, bench.access)
 
 
 def run(
@@ -90,13 +92,16 @@ def run(
     """
     with _only_one(home), _listening(host, port) as listening:
         access = Access(host, int(listening.getsockname()[1]))
+        bench = Bench(home, access, effects_path)
+        app = application(bench)
         config = uvicorn.Config(
-            application(home, access, effects_path),
+            app,
             log_level="warning",
             access_log=False,
             server_header=False,
             timeout_graceful_shutdown=3,
         )
+        threading.Thread(target=_warm, args=(bench,), daemon=True).start()
         server = _Announcing(config, lambda: announce(access.address))
         server.run(sockets=[listening])
 
@@ -170,6 +175,25 @@ def _static(name: str) -> Response:
 def _said(request: Request, error: Exception) -> Response:
     assert isinstance(error, DtwinError)
     return refused(request, error)
+
+
+def _absent(request: Request, error: Exception) -> Response:
+    assert isinstance(error, ModuleNotFoundError)
+    said = MissingPart(
+        f"this page needs the package {error.name}, which is not installed here",
+        code="package.missing",
+        hint="pip install '.[all]' in a checkout of dtwin",
+    )
+    return refused(request, said)
+
+
+def _warm(bench: Bench) -> None:
+    """Read what the first pages would wait for; a page says what is wrong with it."""
+    with contextlib.suppress(DtwinError, ModuleNotFoundError):
+        newest = sorted(bench.twins.root.glob("*/v*.json"), key=lambda p: -p.stat().st_mtime)
+        for name in list(dict.fromkeys(path.parent.name for path in newest))[:_WARMED_TWINS]:
+            reading.view(bench, name)
+        models.registry_of(bench.home)
 
 
 def _invalid(request: Request, error: Exception) -> Response:

@@ -95,9 +95,7 @@ def roll_back(request: Request, name: str, wanted: VersionRequest) -> JSONRespon
     old = bench.twins.newest(name, wanted.version)
 
     def again() -> Twin:
-        effects = [
-            f"{t.instance.effect.name}:{t.instance.axis}".rstrip(":") for t in old.terms
-        ]
+        effects = [f"{t.instance.effect.name}:{t.instance.axis}".rstrip(":") for t in old.terms]
         return bench.twins.fit(old.campaign, effects, name)
 
     title = f"Roll {name} back to version {wanted.version}"

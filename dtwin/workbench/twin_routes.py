@@ -26,7 +26,9 @@ from dtwin.report.twins import (
 )
 from dtwin.workbench import reading
 from dtwin.workbench.bench import bench_of
+from dtwin.workbench.campaigns import possible_effects
 from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml
+from dtwin.workbench.models import mlflow_page
 from dtwin.workbench.numbers import decimal
 from dtwin.workbench.pages import download, drawn, rendered
 
@@ -88,11 +90,17 @@ def versions_page(
     newest = twins.newest(name)
     right = newest if second is None else twins.newest(name, second)
     left = twins.newest(name, max(1, right.version - 1) if first is None else first)
-    possible = [e for _, e in sorted(bench.library.items()) if not e.setup]
+    rows = [row for row in bench.run_rows() if row["campaign"] == newest.campaign]
+    possible = possible_effects(rows, bench.library) if rows else []
     return rendered(
         request, "versions.html", title=f"Twin {name}: versions", name=name, tab="versions",
         twin=newest, rungs=rungs, pair=(left, right), effects=possible,
         tables=[parameter_table(v) for v in (left, right)],
+        mlflow=[
+            mlflow_page(bench.home, r["mlflow"]["model"], r["mlflow"]["model_version"])
+            if r["mlflow"] else None
+            for r in rungs
+        ],
     )  # fmt: skip
 
 
@@ -158,9 +166,7 @@ def overlay(
     radius = found.obs.conditions[chosen[0]].radius_mm
     factor = decimal(magnification, "the magnification") if magnification else None
     return drawn(
-        overlay_figure(
-            curves, radius, title=title, floor_um=found.floor_um, magnification=factor
-        )
+        overlay_figure(curves, radius, title=title, floor_um=found.floor_um, magnification=factor)
     )
 
 

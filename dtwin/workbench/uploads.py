@@ -194,9 +194,7 @@ def unpack(archive: Path, target: Path) -> None:
         ) from error
 
 
-def _extract(
-    opened: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, left: int
-) -> int:
+def _extract(opened: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, left: int) -> int:
     kind = stat.S_IFMT(member.external_attr >> 16)
     if kind not in (0, stat.S_IFREG):
         raise InputError(

@@ -56,6 +56,7 @@ async function draw(figure) {
     const magnified = "magnified" in figure.dataset;
     if (magnified) delete found.layout.sliders;
     found.layout.autosize = true;
+    if (!("map" in figure.dataset)) found.layout.height = Number(canvas.dataset.height);
     if (window.innerWidth < 700) {
       found.layout.margin = { ...found.layout.margin, l: 48, r: 12 };
       found.layout.title = { ...found.layout.title, font: { size: 13 } };
@@ -263,6 +264,13 @@ function watchForms() {
       note.hidden = false;
     });
   }
+  for (const form of all("form[data-simple]")) {
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      form.querySelector("[type=submit]").disabled = true;
+      await send(form.dataset.simple, {}).catch((error) => { opened("Stop"); failed(error.message); });
+    });
+  }
   for (const button of all("[data-forget]")) {
     button.addEventListener("click", async () => {
       await send(`/api/jobs/${button.dataset.forget}`, {}, "DELETE");
@@ -271,7 +279,7 @@ function watchForms() {
   }
   byId("work-close").addEventListener("click", () => byId("work").close());
   if (document.body.dataset.allowed === "no") {
-    all("form[data-post] [type=submit], form[data-save] [type=submit], .drop input, [data-forget]").forEach((part) => { part.disabled = true; });
+    all("form[data-post] [type=submit], form[data-simple] [type=submit], form[data-save] [type=submit], .drop input, [data-forget]").forEach((part) => { part.disabled = true; });
   }
 }
 
@@ -289,6 +297,16 @@ async function watchJobs() {
       if (!["waiting", "running"].includes(job.state)) break;
       await pause(800);
     }
+  }
+}
+
+async function watchLive() {
+  if (!document.querySelector("[data-live]")) return;
+  const seen = JSON.stringify(await ask("/api/live"));
+  for (;;) {
+    await pause(1500);
+    const now = await ask("/api/live").catch(() => null);
+    if (now && JSON.stringify(now) !== seen) { location.reload(); return; }
   }
 }
 
@@ -351,6 +369,7 @@ document.addEventListener("DOMContentLoaded", async () => {
   watchForms();
   watchDrop();
   watchJobs();
+  watchLive();
   watchMagnification();
   watchChooser();
   if (byId("signature")) byId("signature").addEventListener("change", () => draw(byId("signature-plot")));
