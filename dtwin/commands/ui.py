@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -42,7 +43,7 @@ def ui(
             hint=f"mkdir {effects_path}",
         )
     from dtwin.config import home
-    from dtwin.workbench.server import run
+    from dtwin.workbench.door import listening, only_one
 
     def announce(address: str) -> None:
         print(f"workbench  {address}\nCtrl-C stops it", flush=True)
@@ -52,5 +53,10 @@ def ui(
             webbrowser.open(address)
 
     own = None if effects_path is None else effects_path.absolute()
-    run(home(), host, port, own, announce)
+    with only_one(home()), listening(host, port) as door:
+        from dtwin.workbench.server import run
+
+        # The server has ended in order by then, and raises the signal once more.
+        with contextlib.suppress(KeyboardInterrupt):
+            run(home(), host, door, own, announce)
     print("stopped", file=sys.stderr)

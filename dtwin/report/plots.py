@@ -310,13 +310,14 @@ def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
     histogram : dict of str to int
         Ticks by jitter in us, as ``LoopTiming.summary`` counts them.
     """
+    top = float(np.ceil(np.log10(max([*histogram.values(), 10]))))
     figure = go.Figure(
         go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"])
     )
     figure.update_layout(
         title="Jitter of the period",
         xaxis_title="distance from the nominal period, us",
-        yaxis={"title": "ticks (logarithmic)", "type": "log"},
+        yaxis={"title": "ticks (logarithmic)", "type": "log", "dtick": 1, "range": [-0.3, top]},
     )
     return styled(figure)
 
@@ -339,6 +340,7 @@ def styled(figure: go.Figure) -> go.Figure:
     figure.update_layout(
         template="plotly_white",
         height=figure.layout.height or 460,
+        title_font_size=15,
         margin={"l": 60, "r": 30, "t": 95, "b": 60},
         font={"family": "system-ui, sans-serif", "size": 13},
         legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"},

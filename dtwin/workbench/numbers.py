@@ -7,7 +7,8 @@ import re
 
 from dtwin.errors import InputError
 
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d+)*([.,]\d*)?|[.,]\d+)([eE][+-]?\d{1,3})?")
+_PLAIN = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d{1,3})?")
+_GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+(\.\d*)?|(\.\d{3})+(,\d*)?)")
 _MOST_CHARACTERS = 40
 
 
@@ -15,7 +16,7 @@ def decimal(text: str, what: str) -> float:
     """Return the number that a text means; ``0,5`` and ``0.5`` are the same.
 
     A single comma or point is the decimal sign. When both occur, the last one is, and the
-    other one groups thousands. The same sign twice groups thousands.
+    other one groups thousands, as the same sign twice does.
 
     Parameters
     ----------
@@ -32,23 +33,18 @@ def decimal(text: str, what: str) -> float:
     plain = re.sub(r"[\s\u00a0\u202f'\u2019]", "", text[: _MOST_CHARACTERS + 1]).replace(
         "\u2212", "-"
     )
-    if len(plain) <= _MOST_CHARACTERS and _NUMBER.fullmatch(plain):
-        value = float(_with_point(plain))
-        if math.isfinite(value):
-            return value
+    value = math.nan
+    if len(plain) <= _MOST_CHARACTERS:
+        if _PLAIN.fullmatch(plain):
+            value = float(plain.replace(",", "."))
+        elif found := _GROUPED.fullmatch(plain):
+            groups = "," if found.group(2) else "."
+            value = float(plain.replace(groups, "").replace(",", "."))
+    if math.isfinite(value):
+        return value
     raise InputError(
         f"{what} is not a number",
         code="number.invalid",
         got=text[:_MOST_CHARACTERS],
         allowed="for example 0.5 or 0,5",
     )
-
-
-def _with_point(plain: str) -> str:
-    commas, points = plain.count(","), plain.count(".")
-    if commas and points:
-        sign = max(",.", key=plain.rindex)
-        return plain.replace(",.".replace(sign, ""), "").replace(sign, ".")
-    if commas + points > 1:
-        return plain.replace(",", "").replace(".", "")
-    return plain.replace(",", ".")

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import errno
-import fcntl
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
 
@@ -35,7 +33,6 @@ from dtwin.workbench.access import Access, Guarded
 from dtwin.workbench.bench import Bench
 from dtwin.workbench.pages import refused
 
-USUAL_PORT = 8765
 _WARMED_TWINS = 3
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
 _FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}
@@ -66,7 +63,7 @@ def application(bench: Bench) -> Guarded:
 def run(
     home: Home,
     host: str,
-    port: int | None,
+    listening: socket.socket,
     effects_path: Path | None,
     announce: Callable[[str], None],
 ) -> None:
@@ -77,33 +74,22 @@ def run(
     home : Home
         What is worked on.
     host : str
-        Address to listen on.
-    port : int or None
-        Port; without, ``USUAL_PORT``, or a free one when that is taken.
+        Address as it was asked for.
+    listening : socket
+        Where requests arrive.
     effects_path : Path or None
         Folder of the user's own effects.
     announce : callable
         Gets the address, once it answers.
-
-    Raises
-    ------
-    InputError
-        When the address cannot be listened on, or a workbench runs for this home already.
     """
-    with _only_one(home), _listening(host, port) as listening:
-        access = Access(host, int(listening.getsockname()[1]))
-        bench = Bench(home, access, effects_path)
-        app = application(bench)
-        config = uvicorn.Config(
-            app,
-            log_level="warning",
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=3,
-        )
-        threading.Thread(target=_warm, args=(bench,), daemon=True).start()
-        server = _Announcing(config, lambda: announce(access.address))
-        server.run(sockets=[listening])
+    access = Access(host, int(listening.getsockname()[1]))
+    bench = Bench(home, access, effects_path)
+    threading.Thread(target=_warm, args=(bench,), daemon=True).start()
+    config = uvicorn.Config(
+        application(bench), log_level="warning", access_log=False, server_header=False,
+        timeout_graceful_shutdown=3,
+    )  # fmt: skip
+    _Announcing(config, lambda: announce(access.address)).run(sockets=[listening])
 
 
 class _Announcing(uvicorn.Server):
@@ -118,48 +104,6 @@ class _Announcing(uvicorn.Server):
         await super().startup(sockets)
         if self.started:
             self._said()
-
-
-@contextlib.contextmanager
-def _only_one(home: Home) -> Iterator[None]:
-    """Hold the home's workbench: two would each think the other's work interrupted."""
-    path = home.root / "workbench" / ".lock"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(
-                "a workbench is running for this home already",
-                code="ui.running",
-                where=str(home.root),
-                hint="use the address that it printed, or stop it with Ctrl-C there",
-            ) from None
-        yield
-
-
-def _listening(host: str, port: int | None) -> socket.socket:
-    if port is None:
-        try:
-            return _listening(host, USUAL_PORT)
-        except InputError:
-            return _listening(host, 0)
-    try:
-        family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        found = socket.socket(family, socket.SOCK_STREAM)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        found.bind((host, port))
-        found.listen(128)
-    except OSError as error:
-        taken = error.errno == errno.EADDRINUSE
-        raise InputError(
-            "the port is taken" if taken else "the address cannot be listened on",
-            code="ui.port" if taken else "ui.host",
-            where=f"{host}:{port}",
-            got=error.strerror or str(error),
-            hint="dtwin ui without --port takes a free one" if taken else "leave --host out",
-        ) from error
-    return found
 
 
 def _static(name: str) -> Response:

@@ -16,16 +16,12 @@ async function ask(address, options) {
 const send = (address, content, method) =>
   ask(address, { method: method || "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(content) });
 
-// One decimal sign, comma or point; with both, the last one is it. As dtwin.workbench.numbers.
+// As dtwin.workbench.numbers: a single comma or point is the decimal sign.
 function decimal(text) {
-  let plain = text.replace(/[\s'’]/g, "");
-  if (!/^[+-]?(\d+([.,]\d+)*([.,]\d*)?|[.,]\d+)(e[+-]?\d{1,3})?$/i.test(plain)) return NaN;
-  const commas = plain.split(",").length - 1, points = plain.split(".").length - 1;
-  if (commas && points) {
-    const sign = plain.lastIndexOf(",") > plain.lastIndexOf(".") ? "," : ".";
-    plain = plain.split(sign === "," ? "." : ",").join("").replace(sign, ".");
-  } else if (commas + points > 1) plain = plain.replace(/[.,]/g, "");
-  return Number(plain.replace(",", "."));
+  const plain = text.replace(/[\s'\u2019]/g, "").replace("\u2212", "-");
+  if (/^[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d{1,3})?$/i.test(plain)) return Number(plain.replace(",", "."));
+  const grouped = /^[+-]?\d{1,3}((,\d{3})+(\.\d*)?|(\.\d{3})+(,\d*)?)$/.exec(plain);
+  return grouped ? Number(plain.replaceAll(grouped[2] ? "," : ".", "").replace(",", ".")) : NaN;
 }
 
 // ---- figures ---------------------------------------------------------------------------------
@@ -113,7 +109,8 @@ function watchMagnification() {
     const good = factor > 0 && factor < 1e7;
     note.textContent = good ? "" : "not a magnification: for example 500 or 0,5";
     event.target.setAttribute("aria-invalid", String(!good));
-    if (good && canvas.layout) magnify(canvas, (magnification = factor));
+    if (good) magnification = factor;
+    if (good && canvas.layout) magnify(canvas, factor);
   });
 }
 
@@ -374,5 +371,6 @@ document.addEventListener("DOMContentLoaded", async () => {
   watchChooser();
   if (byId("signature")) byId("signature").addEventListener("change", () => draw(byId("signature-plot")));
   if (byId("chooser")) await listRuns().catch(() => {});
-  all("[data-figure]").forEach(draw);
+  await Promise.all(all("[data-figure]").map(draw));
+  document.body.dataset.drawn = "yes";
 });
