@@ -24,6 +24,7 @@ def overlay_figure(
     title: str,
     floor_um: float = math.nan,
     magnification: float | None = None,
+    slider: bool = True,
 ) -> go.Figure:
     """Return a polar overlay whose magnification the reader chooses.
 
@@ -42,6 +43,8 @@ def overlay_figure(
         Noise floor, drawn as a ring about the nominal circle; NaN when it is not known.
     magnification : float, optional
         Where it begins; chosen from the largest error when left out.
+    slider : bool
+        Whether the figure has a slider of its own; a page with a script needs none.
     """
     largest = max((float(np.nanmax(np.abs(c))) for c in curves.values()), default=1.0)
     fitting = magnification or magnification_for(max(largest, 1e-3), radius_mm)
@@ -67,15 +70,6 @@ def overlay_figure(
                 hovertemplate="%{theta:.0f} deg<br>%{customdata:.2f} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
-    drawn = [*(values for _, values, _ in rings), *curves.values()]
-    steps = [
-        {
-            "method": "restyle",
-            "label": f"{factor:g} x",
-            "args": [{"r": [_drawn(c, radius_mm, factor) for c in drawn]}],
-        }
-        for factor in (fitting * step for step in _STEPS)
-    ]
     figure.update_layout(
         title=title,
         meta={"radius_mm": radius_mm, "magnification": fitting},
@@ -83,11 +77,11 @@ def overlay_figure(
             "radialaxis": {"range": [0.0, 1.5 * radius_mm], "showticklabels": False, "ticks": ""},
             "angularaxis": {"rotation": 0, "direction": "counterclockwise"},
         },
-        sliders=[
-            {"active": _STEPS.index(1.0), "steps": steps, "currentvalue": {"prefix": "magnified "}}
-        ],
         height=560,
     )
+    if slider:
+        drawn = [*(values for _, values, _ in rings), *curves.values()]
+        figure.update_layout(sliders=[_magnifier(drawn, radius_mm, fitting)])
     return styled(figure)
 
 
@@ -284,6 +278,18 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
 def dash_of(name: str) -> str:
     """Return the line of a curve: what is computed is dashed, also for eyes without colours."""
     return "dash" if name.startswith(("predicted", "twin")) else "solid"
+
+
+def _magnifier(drawn: Sequence[Floats], radius_mm: float, fitting: float) -> dict[str, Any]:
+    steps = [
+        {
+            "method": "restyle",
+            "label": f"{factor:g} x",
+            "args": [{"r": [_drawn(curve, radius_mm, factor) for curve in drawn]}],
+        }
+        for factor in (fitting * step for step in _STEPS)
+    ]
+    return {"active": _STEPS.index(1.0), "steps": steps, "currentvalue": {"prefix": "magnified "}}
 
 
 def _rings(floor_um: float) -> list[tuple[str, Floats, dict[str, Any]]]:

@@ -166,7 +166,9 @@ def overlay(
     radius = found.obs.conditions[chosen[0]].radius_mm
     factor = decimal(magnification, "the magnification") if magnification else None
     return drawn(
-        overlay_figure(curves, radius, title=title, floor_um=found.floor_um, magnification=factor)
+        overlay_figure(
+            curves, radius, title=title, floor_um=found.floor_um, magnification=factor, slider=False
+        )
     )
 
 

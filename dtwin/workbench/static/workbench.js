@@ -50,7 +50,6 @@ async function draw(figure) {
     if (figure.turn !== turn) return;
     all(".refusal", figure).forEach((old) => old.remove());
     const magnified = "magnified" in figure.dataset;
-    if (magnified) delete found.layout.sliders;
     found.layout.autosize = true;
     if (!("map" in figure.dataset)) found.layout.height = Number(canvas.dataset.height);
     if (window.innerWidth < 700) {
