@@ -18,6 +18,8 @@ COLOURS = {
     "fourth": "#CC79A7",
     "floor": "#999999",
 }
+_LOWEST_R2 = -0.5
+_FAR = 100.0
 _PALETTE = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"]
 
 
@@ -195,7 +197,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
     figure.update_layout(
         title="Error on feeds left out against time of one row (hover for names)",
         xaxis={"title": "median time of one row, us", "type": "log"},
-        yaxis={"title": "held-out RMS, um", "rangemode": "tozero"},
+        yaxis={"title": "held-out RMS, um", **_range_of([c["rms_um"] for c in candidates])},
     )
     return styled(figure)
 
@@ -213,9 +215,10 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
         chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
         figure.add_trace(
             go.Scatter(
-                x=[c["p50_us"] for c in chosen], y=[c["r2"] for c in chosen],
+                x=[c["p50_us"] for c in chosen], y=[max(c["r2"], _LOWEST_R2) for c in chosen],
+                customdata=[c["r2"] for c in chosen],
                 text=[c["name"] for c in chosen], mode="markers",
-                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{y:.3f}<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata:.3g}<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={
                     "size": 12, "color": colour, "symbol": "circle" if promotable else "square"
@@ -226,7 +229,7 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
         y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction"
     )
     figure.update_layout(
-        title="R2 on feeds left out against time of one row (hover for names)",
+        title=f"R2 on feeds left out against time of one row (below {_LOWEST_R2:g}: at the edge)",
         xaxis={"title": "median time of one row, us", "type": "log"},
         yaxis={"title": "R2, held out"},
     )
@@ -300,6 +303,12 @@ def spectrum_figure(
         yaxis={"title": "amplitude, um", "rangemode": "tozero"},
     )  # fmt: skip
     return styled(figure)
+
+
+def _range_of(values: Sequence[float]) -> dict[str, str]:
+    """Return a logarithmic axis where one value would flatten all others."""
+    far = max(values, default=0.0) > _FAR * min(values, default=0.0)
+    return {"type": "log"} if far else {"rangemode": "tozero"}
 
 
 def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:

@@ -13,6 +13,11 @@ from dtwin.report.plots import COLOURS, magnification_for, styled
 from dtwin.schema import Floats
 
 _CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fourth"])
+_NO_FLOOR = {
+    "text": "noise floor not known", "xref": "paper", "yref": "paper", "x": 1.0, "y": 0.0,
+    "xanchor": "right", "yanchor": "bottom", "showarrow": False,
+    "bgcolor": "rgba(255,255,255,0.75)",
+}  # fmt: skip
 _BEHIND_TEXT = "rgba(255,255,255,0.75)"
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
@@ -79,6 +84,8 @@ def overlay_figure(
         },
         height=560,
     )
+    if not math.isfinite(floor_um):
+        figure.add_annotation(**_NO_FLOOR)
     if slider:
         drawn = [*(values for _, values, _ in rings), *curves.values()]
         figure.update_layout(sliders=[_magnifier(drawn, radius_mm, fitting)])
@@ -114,6 +121,8 @@ def angle_figure(
             annotation_text=f"noise floor ±{floor_um:.2f} um",
             annotation_position="bottom right", annotation_bgcolor=_BEHIND_TEXT,
         )  # fmt: skip
+    else:
+        figure.add_annotation(**_NO_FLOOR)
     figure.update_layout(
         title=title,
         xaxis={"title": "path angle, deg", "range": [0, 360], "dtick": 45},

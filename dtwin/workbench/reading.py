@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, frozen_residual_um
-from dtwin.pipeline.twin_data import Comparison, load
+from dtwin.pipeline.twin_data import Comparison, Loaded, load
 from dtwin.pipeline.twin_files import read_document
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
@@ -27,6 +28,32 @@ FLOOR_WORDS = {
     "within_run": "from inside single runs: a lower bound",
     "none": "not known: no condition was repeated",
 }
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The noise floor of a campaign.
+
+    Attributes
+    ----------
+    um : float
+        RMS of one run about the mean of its condition; NaN when it is not known.
+    kind : {"repeats", "within_run", "none"}
+        Where it comes from; ``within_run`` is a lower bound.
+    """
+
+    um: float
+    kind: str
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a number."""
+        return math.isfinite(self.um)
+
+    @property
+    def words(self) -> str:
+        """Where it comes from, in words."""
+        return FLOOR_WORDS[self.kind]
 
 
 @dataclass(frozen=True)
@@ -80,12 +107,7 @@ def observed(bench: Bench, campaign: str) -> Observations:
     InputError
         When there is no such campaign, or it has no usable run.
     """
-    lake = bench.lake
-    if campaign not in {row["campaign"] for row in bench.run_rows()}:
-        lake.campaign(campaign)
-    version = lake.tables["runs"].version()
-    key = ("observed", campaign, version)
-    return bench.cache.get(key, lambda: load(bench.home, campaign)).obs
+    return _loaded(bench, campaign).obs
 
 
 def version_file(bench: Bench, name: str, version: int) -> Path:
@@ -118,11 +140,20 @@ def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None
     return read_document(path) if path.exists() else None
 
 
-def floor_words(bench: Bench, found: View) -> str:
-    """Return where the noise floor comes from, in words."""
-    diagnosis = diagnosis_of(bench, found.twin.name, found.twin.version)
-    kind = "repeats" if np.isfinite(found.floor_um) else "none"
-    return FLOOR_WORDS[diagnosis["floor_kind"] if diagnosis else kind]
+def floor_of(bench: Bench, found: View) -> Floor:
+    """Return the noise floor: from repeats, else the lower bound of a diagnosis, else none."""
+    if math.isfinite(found.floor_um):
+        return Floor(found.floor_um, "repeats")
+    diagnosis = diagnosis_of(bench, found.twin.name, found.twin.version) or {}
+    lower = diagnosis.get("noise_floor_um")
+    if diagnosis.get("floor_kind") == "within_run" and lower is not None:
+        return Floor(float(lower), "within_run")
+    return Floor(math.nan, "none")
+
+
+def left_out(bench: Bench, campaign: str) -> Mapping[str, str]:
+    """Return the runs of a campaign that have errors, and which."""
+    return _loaded(bench, campaign).left_out
 
 
 def chosen_conditions(found: View, wanted: Sequence[int]) -> list[int]:
@@ -218,6 +249,15 @@ def taken_away_um(bench: Bench, found: View, label: str) -> Floats:
         return _with_gaps(localise.condition_means(obs, change), obs)
 
     return bench.cache.get(("signature", label, *found.key), refitted)
+
+
+def _loaded(bench: Bench, campaign: str) -> Loaded:
+    lake = bench.lake
+    if campaign not in {row["campaign"] for row in bench.run_rows()}:
+        lake.campaign(campaign)
+    version = lake.tables["runs"].version()
+    key = ("observed", campaign, version)
+    return bench.cache.get(key, lambda: load(bench.home, campaign))
 
 
 def _viewed(key: tuple[str | int, ...], twin: Twin, obs: Observations) -> View:

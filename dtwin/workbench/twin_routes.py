@@ -58,8 +58,9 @@ def compare_page(request: Request, name: str) -> Response:
     return rendered(
         request, "compare.html", title=f"Twin {name}: compare", name=name, tab="compare",
         twin=found.twin, result=found.result, labels=found.labels, worst=worst,
-        conditions=found.obs.conditions, floor=reading.floor_words(bench, found),
+        conditions=found.obs.conditions, floor=reading.floor_of(bench, found),
         parameters=parameter_table(found.twin),
+        left_out=reading.left_out(bench, found.twin.campaign),
     )  # fmt: skip
 
 
@@ -151,13 +152,15 @@ def overlay(
     run: Words = [], magnification: str = "",  # noqa: B006
 ) -> Response:  # fmt: skip
     """Return curves of conditions and runs: polar, over the angle, or their harmonics."""
-    found = reading.view(bench_of(request), name)
+    bench = bench_of(request)
+    found = reading.view(bench, name)
+    floor_um = reading.floor_of(bench, found).um
     chosen = reading.chosen_conditions(found, condition)[:6]
     shown = [w for w in ("measured", "twin", "residual") if w in show] or ["measured", "twin"]
     curves = reading.overlay(found, chosen, shown, run[:12])
     title = found.labels[chosen[0]] if len(chosen) == 1 else f"{len(chosen)} conditions"
     if kind == "angle":
-        return drawn(angle_figure(curves, title=title, floor_um=found.floor_um))
+        return drawn(angle_figure(curves, title=title, floor_um=floor_um))
     if kind == "harmonics":
         floor = reading.floor_harmonics_um(found)
         whole = {n: c for n, c in curves.items() if np.isfinite(c).all()}
@@ -167,7 +170,7 @@ def overlay(
     factor = decimal(magnification, "the magnification") if magnification else None
     return drawn(
         overlay_figure(
-            curves, radius, title=title, floor_um=found.floor_um, magnification=factor, slider=False
+            curves, radius, title=title, floor_um=floor_um, magnification=factor, slider=False
         )
     )
 
@@ -187,11 +190,11 @@ def runs(request: Request, name: str, condition: Numbers = []) -> dict[str, Any]
 @router.get("/api/twins/{name}/map")
 def heat_map(request: Request, name: str) -> Response:
     """Return the mean residual of every condition over the angle."""
-    found = reading.view(bench_of(request), name)
+    bench = bench_of(request)
+    found = reading.view(bench, name)
+    floor_um = reading.floor_of(bench, found).um
     return drawn(
-        residual_map(
-            found.residual_um, found.labels, floor_um=found.floor_um, title="Mean residual"
-        )
+        residual_map(found.residual_um, found.labels, floor_um=floor_um, title="Mean residual")
     )
 
 
@@ -218,7 +221,8 @@ def signature(request: Request, name: str, effect: str, condition: Numbers = [])
     chosen = reading.chosen_conditions(found, condition)[0]
     curves = {"residual": found.residual_um[chosen], f"predicted: {effect}": taken[chosen]}
     title = f"What {effect} would take away, {found.labels[chosen]}"
-    return drawn(angle_figure(curves, title=title, floor_um=found.floor_um))
+    floor_um = reading.floor_of(bench, found).um
+    return drawn(angle_figure(curves, title=title, floor_um=floor_um))
 
 
 def _experiment(request: Request, name: str) -> tuple[Any, Any]:

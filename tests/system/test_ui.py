@@ -179,7 +179,7 @@ def test_magnification_takes_german_and_english_numbers(
 ) -> None:
     page.goto(f"{bench.base}/twins/mill")
     _settled(page)
-    field = page.get_by_label("Magnification, times")
+    field = page.get_by_label("Magnification as a number")
     field.fill(typed)
     field.press("Enter")
     drawn = page.evaluate(

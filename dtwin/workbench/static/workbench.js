@@ -52,9 +52,12 @@ async function draw(figure) {
     const magnified = "magnified" in figure.dataset;
     found.layout.autosize = true;
     if (!("map" in figure.dataset)) found.layout.height = Number(canvas.dataset.height);
+    figure.querySelector("figcaption").textContent = (found.layout.title || {}).text || "";
+    delete found.layout.title;
+    found.layout.margin = { ...found.layout.margin, t: 50 };
     if (window.innerWidth < 700) {
-      found.layout.margin = { ...found.layout.margin, l: 48, r: 12 };
-      found.layout.title = { ...found.layout.title, font: { size: 13 } };
+      found.layout.margin = { l: 48, r: 12, t: 20, b: 60 };
+      found.layout.legend = { orientation: "h", y: -0.18, yanchor: "top" };
     }
     canvas.style.minHeight = `${found.layout.height}px`;
     await Plotly.react(canvas, found.data, found.layout, CONFIG);
