@@ -9,16 +9,23 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from dtwin.report.plots import COLOURS, magnification_for, styled
+from dtwin.report.plots import (
+    BEHIND_TEXT,
+    COLOURS,
+    draw_floor_band,
+    floor_rings,
+    magnification_for,
+    say_no_floor,
+    styled,
+)
 from dtwin.schema import Floats
 
 _CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fourth"])
-_NO_FLOOR = {
-    "text": "noise floor not known", "xref": "paper", "yref": "paper", "x": 1.0, "y": 0.0,
-    "xanchor": "right", "yanchor": "bottom", "showarrow": False,
-    "bgcolor": "rgba(255,255,255,0.75)",
-}  # fmt: skip
-_BEHIND_TEXT = "rgba(255,255,255,0.75)"
+_NOMINAL = (
+    "nominal",
+    0.0,
+    {"line": {"color": COLOURS["floor"], "width": 1, "dash": "dot"}, "hoverinfo": "skip"},
+)
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 
@@ -54,16 +61,13 @@ def overlay_figure(
     largest = max((float(np.nanmax(np.abs(c))) for c in curves.values()), default=1.0)
     fitting = magnification or magnification_for(max(largest, 1e-3), radius_mm)
     angle = [*(np.arange(360) + 0.5), 0.5]
-    rings = _rings(floor_um)
+    rings = [(n, np.full(360, um), look) for n, um, look in (*floor_rings(floor_um), _NOMINAL)]
     figure = go.Figure()
-    for name, values, line in rings:
+    for name, values, look in rings:
         figure.add_trace(
             go.Scatterpolar(
-                theta=angle, r=_drawn(values, radius_mm, fitting), mode="lines", line=line,
-                name=name, customdata=_closed(values), hoverinfo="skip",
-                showlegend=not name.startswith("-"),
-                fill="tonext" if name.startswith("noise") else None,
-                fillcolor="rgba(153,153,153,0.25)",
+                theta=angle, r=_drawn(values, radius_mm, fitting), mode="lines", name=name,
+                customdata=_closed(values), **look,
             )
         )  # fmt: skip
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
@@ -85,7 +89,7 @@ def overlay_figure(
         height=560,
     )
     if not math.isfinite(floor_um):
-        figure.add_annotation(**_NO_FLOOR)
+        say_no_floor(figure)
     if slider:
         drawn = [*(values for _, values, _ in rings), *curves.values()]
         figure.update_layout(sliders=[_magnifier(drawn, radius_mm, fitting)])
@@ -115,14 +119,7 @@ def angle_figure(
                 hovertemplate="%{x:.0f} deg<br>%{y:.2f} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
-    if math.isfinite(floor_um):
-        figure.add_hrect(
-            y0=-floor_um, y1=floor_um, fillcolor=COLOURS["floor"], opacity=0.25, line_width=0,
-            annotation_text=f"noise floor ±{floor_um:.2f} um",
-            annotation_position="bottom right", annotation_bgcolor=_BEHIND_TEXT,
-        )  # fmt: skip
-    else:
-        figure.add_annotation(**_NO_FLOOR)
+    draw_floor_band(figure, floor_um)
     figure.update_layout(
         title=title,
         xaxis={"title": "path angle, deg", "range": [0, 360], "dtick": 45},
@@ -247,7 +244,7 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]]) -> go.Figure:
     if floor is not None:
         figure.add_hline(
             y=floor, line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise floor {floor:.2f} um", annotation_bgcolor=_BEHIND_TEXT,
+            annotation_text=f"noise floor {floor:.2f} um", annotation_bgcolor=BEHIND_TEXT,
         )  # fmt: skip
     figure.update_layout(title="Error from version to version", yaxis_title="RMS, um")
     return styled(figure)
@@ -299,16 +296,6 @@ def _magnifier(drawn: Sequence[Floats], radius_mm: float, fitting: float) -> dic
         for factor in (fitting * step for step in _STEPS)
     ]
     return {"active": _STEPS.index(1.0), "steps": steps, "currentvalue": {"prefix": "magnified "}}
-
-
-def _rings(floor_um: float) -> list[tuple[str, Floats, dict[str, Any]]]:
-    grey = {"color": COLOURS["floor"], "width": 1}
-    nominal = ("nominal", np.zeros(360), {**grey, "dash": "dot"})
-    if not math.isfinite(floor_um):
-        return [nominal]
-    inner, outer = np.full(360, -floor_um), np.full(360, floor_um)
-    name = f"noise floor ±{floor_um:.2f} um"
-    return [("-", inner, {**grey, "width": 0}), (name, outer, {**grey, "width": 0}), nominal]
 
 
 def _floor_words(floor_um: float) -> str:

@@ -19,7 +19,7 @@ from dtwin.workbench import campaigns
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.jobs import Tell
 from dtwin.workbench.pages import accepted, drawn, rendered
-from dtwin.workbench.reading import observed
+from dtwin.workbench.reading import campaign_floor, observed
 from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
 
 router = APIRouter()
@@ -61,10 +61,11 @@ def campaign_page(request: Request, name: str) -> Response:
 @router.get("/campaigns/{name}/runs/{run_id}")
 def run_page(request: Request, name: str, run_id: str) -> Response:
     """Show one run."""
-    row = _row(bench_of(request), name, run_id)
+    bench = bench_of(request)
+    row = _row(bench, name, run_id)
     return rendered(
         request, "run.html", title=f"Run {run_id}", campaign=name, row=row,
-        findings=campaigns.findings_of(row),
+        findings=campaigns.findings_of(row), floor=campaign_floor(bench, name),
     )  # fmt: skip
 
 
@@ -78,11 +79,13 @@ def run_figure(request: Request, name: str, run_id: str, kind: str) -> Response:
     angle, left = _centred(run)
     curves = {run_id: (np.asarray(angle), left)}
     title = f"{run_id}: error after centre and radius"
+    if kind == "spectrum":
+        return drawn(_spectrum(run_id, left, run.meta.sample_rate_hz))
+    floor_um = campaign_floor(bench, name).um
     if kind == "polar":
-        return drawn(polar_figure(curves, float(run.meta.radius_mm or 100.0), title=title))
-    if kind == "angle":
-        return drawn(error_figure(curves, title=title))
-    return drawn(_spectrum(run_id, left, run.meta.sample_rate_hz))
+        radius = float(run.meta.radius_mm or 100.0)
+        return drawn(polar_figure(curves, radius, title=title, floor_um=floor_um))
+    return drawn(error_figure(curves, title=title, floor_um=floor_um))
 
 
 @router.post("/api/trays")

@@ -16,7 +16,7 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.report.plots import jitter_figure
+from dtwin.report.model_plots import jitter_figure
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.pages import drawn, rendered
 

@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.report.html import Table
-from dtwin.report.plots import comparison_figure, evidence_figure, front_figure, r2_figure
+from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure, r2_figure
 from dtwin.workbench import models
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.jobs import Tell

@@ -17,7 +17,7 @@ from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, frozen_residual_um
-from dtwin.pipeline.twin_data import Comparison, Loaded, load
+from dtwin.pipeline.twin_data import Comparison, Loaded, load, pure_rms_um
 from dtwin.pipeline.twin_files import read_document
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
@@ -108,6 +108,21 @@ def observed(bench: Bench, campaign: str) -> Observations:
         When there is no such campaign, or it has no usable run.
     """
     return _loaded(bench, campaign).obs
+
+
+def campaign_floor(bench: Bench, campaign: str) -> Floor:
+    """Return what repeats of a campaign disagree by, centre and radius of set-ups taken out."""
+    try:
+        obs = observed(bench, campaign)
+    except InputError:
+        return Floor(math.nan, "none")
+    version = bench.lake.tables["runs"].version()
+
+    def made() -> Floor:
+        um = pure_rms_um(obs, localise.residual_um(obs, []))
+        return Floor(um, "repeats" if math.isfinite(um) else "none")
+
+    return bench.cache.get(("floor", campaign, version), made)
 
 
 def version_file(bench: Bench, name: str, version: int) -> Path:

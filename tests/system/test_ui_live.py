@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from workbench_server import Workbench, running_workbench
@@ -16,7 +15,6 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
 SERVES = """
 import sys, time
-from pathlib import Path
 from dtwin.config import Home
 from dtwin.serve.lease import lease
 from dtwin.serve.signals import stop_on_signals
@@ -28,9 +26,9 @@ print("released", flush=True)
 """
 
 
-@pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Workbench]:
-    with running_workbench(tmp_path / "home") as started:
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
+    with running_workbench(tmp_path_factory.mktemp("live")) as started:
         yield started
 
 
@@ -60,7 +58,7 @@ def test_what_serves_is_shown_and_stopped(bench: Workbench) -> None:
 
 def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     log = bench.home / "logs" / "serve-mill-a.jsonl"
-    log.parent.mkdir()
+    log.parent.mkdir(exist_ok=True)
     percentiles = {"p50": 2.0, "p99": 2.5, "p99.9": 3.0, "max": 4.0}
     session = {
         "started": "2026-03-02T08:00:00+00:00", "duration_s": 22.0, "machine": "mill-a",
