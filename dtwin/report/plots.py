@@ -131,7 +131,7 @@ def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
         say_no_floor(figure)
         return
     figure.add_hrect(
-        y0=-floor_um, y1=floor_um, fillcolor=COLOURS["floor"], opacity=0.25, line_width=0,
+        y0=-floor_um, y1=floor_um, fillcolor=COLOURS["floor"], opacity=0.25, line_width=0, layer="below",
         annotation_text=f"noise floor ±{floor_um:.2f} um", annotation_position="bottom right",
         annotation_bgcolor=BEHIND_TEXT,
     )  # fmt: skip

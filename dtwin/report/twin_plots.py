@@ -162,10 +162,9 @@ def harmonics_figure(
             )
         )  # fmt: skip
     figure.update_layout(
-        title=title, barmode="overlay", xaxis_title="undulations per turn",
+        title=title, barmode="group", xaxis_title="undulations per turn",
         yaxis={"title": "amplitude, um", "rangemode": "tozero"},
     )  # fmt: skip
-    figure.update_traces(opacity=0.75, selector={"type": "bar"})
     return styled(figure)
 
 
