@@ -16,7 +16,7 @@ from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
-from dtwin.physics.twin import Twin, frozen_residual_um
+from dtwin.physics.twin import Twin, frozen_residual_um, left_out_lines
 from dtwin.pipeline.twin_data import Comparison, Loaded, load, pure_rms_um
 from dtwin.pipeline.twin_files import read_document
 from dtwin.report.twin_plots import harmonic_amplitudes_um
@@ -146,7 +146,7 @@ def view(bench: Bench, name: str, version: int | None = None) -> View:
     stamp = version_file(bench, name, twin.version).stat().st_mtime_ns
     runs = bench.lake.tables["runs"].version()
     key = ("view", name, twin.version, stamp, runs)
-    return bench.cache.get(key, lambda: _viewed(key, twin, observed(bench, twin.campaign)))
+    return bench.cache.get(key, lambda: _viewed(key, twin, _loaded(bench, twin.campaign)))
 
 
 def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None:
@@ -164,11 +164,6 @@ def floor_of(bench: Bench, found: View) -> Floor:
     if diagnosis.get("floor_kind") == "within_run" and lower is not None:
         return Floor(float(lower), "within_run")
     return Floor(math.nan, "none")
-
-
-def left_out(bench: Bench, campaign: str) -> Mapping[str, str]:
-    """Return the runs of a campaign that have errors, and which."""
-    return _loaded(bench, campaign).left_out
 
 
 def chosen_conditions(found: View, wanted: Sequence[int]) -> list[int]:
@@ -275,10 +270,12 @@ def _loaded(bench: Bench, campaign: str) -> Loaded:
     return bench.cache.get(key, lambda: load(bench.home, campaign))
 
 
-def _viewed(key: tuple[str | int, ...], twin: Twin, obs: Observations) -> View:
+def _viewed(key: tuple[str | int, ...], twin: Twin, loaded: Loaded) -> View:
+    obs = loaded.obs
     residual = frozen_residual_um(twin, obs)
     before = localise.residual_um(obs, [])
-    made = Comparison(twin, obs, residual, before, ())
+    warnings = tuple(left_out_lines(loaded.data))
+    made = Comparison(twin, obs, residual, before, warnings, loaded.controller_um)
     return View(
         key,
         made,

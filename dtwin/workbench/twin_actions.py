@@ -34,6 +34,12 @@ class EffectRequest(BaseModel):
     axis: str = Field("", max_length=20)
 
 
+class CorrectionRequest(BaseModel):
+    """Whether a correction may be registered although the twin is not confirmed."""
+
+    trial: bool = False
+
+
 class VersionRequest(BaseModel):
     """A version."""
 
@@ -114,6 +120,22 @@ def diagnose(request: Request, name: str) -> JSONResponse:
         return f"/twins/{name}/diagnose"
 
     return accepted(bench.jobs.start(f"Diagnose {name}", work))
+
+
+@router.post("/api/twins/{name}/correct")
+def correct(request: Request, name: str, wanted: CorrectionRequest) -> JSONResponse:
+    """Register the correction that a confirmed twin stands for, or say why not."""
+    bench = bench_of(request)
+    bench.twins.newest(name)
+
+    def work(tell: Tell) -> str:
+        from dtwin.pipeline.twin_correction import correct as register
+
+        tell("diagnose, grade every effect, freeze and register")
+        found = register(bench.twins, name, trial=wanted.trial).as_dict()
+        return f"/models/{found['machine']}/{found['version']}"
+
+    return accepted(bench.jobs.start(f"Correct with {name}", work))
 
 
 def _start(

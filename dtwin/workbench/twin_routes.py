@@ -8,6 +8,8 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
+from dtwin.errors import InputError
+from dtwin.report.encoder_split import encoder_section
 from dtwin.report.html import page
 from dtwin.report.twin_plots import (
     angle_figure,
@@ -60,7 +62,7 @@ def compare_page(request: Request, name: str) -> Response:
         twin=found.twin, result=found.result, labels=found.labels, worst=worst,
         conditions=found.obs.conditions, floor=reading.floor_of(bench, found),
         parameters=parameter_table(found.twin),
-        left_out=reading.left_out(bench, found.twin.campaign),
+        seen=encoder_section(split) if (split := found.result["encoder_split"]) else None,
     )  # fmt: skip
 
 
@@ -196,6 +198,15 @@ def heat_map(request: Request, name: str) -> Response:
     return drawn(
         residual_map(found.residual_um, found.labels, floor_um=floor_um, title="Mean residual")
     )
+
+
+@router.get("/api/twins/{name}/encoder")
+def encoder(request: Request, name: str) -> Response:
+    """Return the error by who can see it, when the controller was logged."""
+    split = reading.view(bench_of(request), name).result["encoder_split"]
+    if not split:
+        raise InputError("the controller was not logged", code="page.unknown", where=name)
+    return drawn(encoder_section(split).figures[0])
 
 
 @router.get("/api/twins/{name}/waterfall")

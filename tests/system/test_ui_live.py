@@ -15,6 +15,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
 SERVES = """
 import sys, time
+from pathlib import Path
 from dtwin.config import Home
 from dtwin.serve.lease import lease
 from dtwin.serve.signals import stop_on_signals
