@@ -49,7 +49,7 @@ def polar_figure(
     factor = magnification or magnification_for(largest, radius_mm)
     figure = go.Figure()
     circle = np.linspace(0.0, 360.0, 181)
-    for name, error_um, look in floor_rings(np.nan if floor_um is None else floor_um):
+    for name, error_um, look in floor_rings(floor_um):
         ring = np.full(circle.size, radius_mm + error_um * factor / 1000.0)
         figure.add_trace(go.Scatterpolar(theta=circle, r=ring, mode="lines", name=name, **look))
     if floor_um is not None and not np.isfinite(floor_um):
@@ -137,12 +137,12 @@ def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
     )  # fmt: skip
 
 
-def floor_rings(floor_um: float) -> list[tuple[str, float, dict[str, Any]]]:
+def floor_rings(floor_um: float | None) -> list[tuple[str, float, dict[str, Any]]]:
     """Return name, error in um and look of the rings of a polar plot, none when not known.
 
     The second ring is filled down to the first.
     """
-    if not np.isfinite(floor_um):
+    if floor_um is None or not np.isfinite(floor_um):
         return []
     name, line = f"noise floor ±{floor_um:.2f} um", {"color": COLOURS["floor"], "width": 0}
     inner = {"line": line, "showlegend": False, "hoverinfo": "skip"}

@@ -34,7 +34,7 @@ def overlay_figure(
     radius_mm: float,
     *,
     title: str,
-    floor_um: float = math.nan,
+    floor_um: float | None = None,
     magnification: float | None = None,
     slider: bool = True,
 ) -> go.Figure:
@@ -51,8 +51,8 @@ def overlay_figure(
         Nominal radius.
     title : str
         Heading.
-    floor_um : float
-        Noise floor, drawn as a ring about the nominal circle; NaN when it is not known.
+    floor_um : float, optional
+        Noise floor, drawn as a ring about the nominal circle; NaN says that it is not known.
     magnification : float, optional
         Where it begins; chosen from the largest error when left out.
     slider : bool
@@ -88,7 +88,7 @@ def overlay_figure(
         },
         height=560,
     )
-    if not math.isfinite(floor_um):
+    if floor_um is not None and not math.isfinite(floor_um):
         say_no_floor(figure)
     if slider:
         drawn = [*(values for _, values, _ in rings), *curves.values()]
@@ -96,9 +96,7 @@ def overlay_figure(
     return styled(figure)
 
 
-def angle_figure(
-    curves: Mapping[str, Floats], *, title: str, floor_um: float = math.nan
-) -> go.Figure:
+def angle_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float) -> go.Figure:
     """Return error over the path angle with the noise floor as a band.
 
     Parameters
@@ -108,7 +106,7 @@ def angle_figure(
     title : str
         Heading.
     floor_um : float
-        Noise floor; NaN when it is not known.
+        Noise floor; NaN says that it is not known.
     """
     figure = go.Figure()
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
@@ -267,11 +265,12 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
         )
     )  # fmt: skip
     figure.add_vline(x=diagnosis["residual_rms_um"], line={"color": COLOURS["second"]},
-                     annotation_text="now")  # fmt: skip
+                     annotation_text="now", annotation_position="top left")  # fmt: skip
     if np.isfinite(diagnosis["noise_floor_um"]):
         figure.add_vline(
             x=diagnosis["noise_floor_um"], line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text="noise floor",
+            annotation_text="noise floor", annotation_position="bottom right",
+            annotation_bgcolor=BEHIND_TEXT,
         )  # fmt: skip
     figure.update_layout(
         title="Predicted error after adding each (blue: reported)",
