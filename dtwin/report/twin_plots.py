@@ -93,7 +93,10 @@ def overlay_figure(
     if slider:
         drawn = [*(values for _, values, _ in rings), *curves.values()]
         figure.update_layout(sliders=[_magnifier(drawn, radius_mm, fitting)])
-    return styled(figure)
+    made = styled(figure)
+    # Room for a legend of two lines below the title.
+    made.update_layout(margin_t=125, title_y=0.98, title_yanchor="top")
+    return made
 
 
 def angle_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float) -> go.Figure:
@@ -265,7 +268,7 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
         )
     )  # fmt: skip
     figure.add_vline(x=diagnosis["residual_rms_um"], line={"color": COLOURS["second"]},
-                     annotation_text="now", annotation_position="top left")  # fmt: skip
+                     annotation_text="now")  # fmt: skip
     if np.isfinite(diagnosis["noise_floor_um"]):
         figure.add_vline(
             x=diagnosis["noise_floor_um"], line={"color": COLOURS["floor"], "dash": "dash"},

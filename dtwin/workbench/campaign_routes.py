@@ -50,7 +50,8 @@ def campaign_page(request: Request, name: str) -> Response:
         ("findings", name, version), lambda: campaigns.grouped_findings(rows)
     )
     twins = bench.twins
-    fitted = [t for t in twins.names() if twins.history(t)[-1]["campaign"] == name]
+    rungs = {twin: twins.history(twin) for twin in twins.names()}
+    fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
     return rendered(
         request, "campaign.html", title=f"Campaign {name}", campaign=overview, runs=rows,
         findings=findings, effects=campaigns.possible_effects(rows, bench.library),
