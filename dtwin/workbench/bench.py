@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -86,6 +87,25 @@ class Bench:
         lake = self.lake
         version = lake.tables["runs"].version()
         return self.cache.get(("rows", version), lake.runs)
+
+    def stamp(self, campaign: str) -> str:
+        """Return a hash of the runs of a campaign: other campaigns do not change it.
+
+        Raises
+        ------
+        InputError
+            When the lake has no such campaign.
+        """
+        rows = self.run_rows()
+        version = self.lake.tables["runs"].version()
+
+        def hashed() -> str:
+            mine = [row["content_sha256"] for row in rows if row["campaign"] == campaign]
+            if not mine:
+                self.lake.campaign(campaign)
+            return hashlib.sha256("".join(mine).encode()).hexdigest()
+
+        return self.cache.get(("stamp", campaign, version), hashed)
 
 
 def bench_of(request: Request) -> Bench:

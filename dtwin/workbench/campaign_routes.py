@@ -19,7 +19,7 @@ from dtwin.workbench import campaigns
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.jobs import Tell
 from dtwin.workbench.pages import accepted, drawn, rendered
-from dtwin.workbench.reading import campaign_floor, observed
+from dtwin.workbench.reading import campaign_floor
 from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
 
 router = APIRouter()
@@ -66,7 +66,7 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
     row = _row(bench, name, run_id)
     return rendered(
         request, "run.html", title=f"Run {run_id}", campaign=name, row=row,
-        findings=campaigns.findings_of(row), floor=campaign_floor(bench, name),
+        findings=campaigns.findings_of(row),
     )  # fmt: skip
 
 
@@ -129,11 +129,7 @@ def _ingested(bench: Bench, folder: Path, tell: Tell) -> str:
         names.append(ingest(source, bench.home, count).campaign)
     for name in dict.fromkeys(names):
         tell(f"prepare the pages of {name}")
-        try:
-            observed(bench, name)
-        except InputError:
-            # What is wrong with the runs is said on their page.
-            continue
+        campaign_floor(bench, name)
     return f"/campaigns/{names[0]}" if len(set(names)) == 1 else "/campaigns"
 
 
