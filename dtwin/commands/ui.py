@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -33,6 +34,7 @@ def ui(
         Path | None,
         typer.Option(help="Folder of your own effects, to edit in the browser; their code is run."),
     ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
     """Open the workbench in a browser: ingest, fit, compare, diagnose, add; Ctrl-C stops it."""
     if effects_path is not None and not effects_path.is_dir():
@@ -46,7 +48,9 @@ def ui(
     from dtwin.workbench.door import listening, only_one
 
     def announce(address: str) -> None:
-        print(f"workbench  {address}\nCtrl-C stops it", flush=True)
+        shown = json.dumps({"address": address, "home": str(home().root)}, indent=2)
+        text = f"workbench  {address}\nCtrl-C stops it"
+        print(shown if as_json else text, flush=True)
         if not no_browser:
             import webbrowser
 

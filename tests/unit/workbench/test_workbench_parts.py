@@ -7,11 +7,14 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dtwin.errors import InputError
+from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
-from dtwin.plan import expand
+from dtwin.pipeline.twin_data import pure_rms_um
+from dtwin.plan import expand, training_plan
 from dtwin.workbench.access import Access
 from dtwin.workbench.cache import Cache
 from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml
@@ -89,6 +92,12 @@ def test_programs_come_with_the_plan() -> None:
 def test_nothing_to_measure_is_said() -> None:
     with pytest.raises(InputError, match="no run is proposed"):
         grids_of(None)
+
+
+def test_without_repeats_there_is_no_noise_floor() -> None:
+    plan = training_plan(radii_mm=[50.0], planes=["XY"], repeats=1)
+    obs = planned_observations(plan)
+    assert np.isnan(pure_rms_um(obs, np.ones(obs.y_um.shape)))
 
 
 def test_a_result_is_made_once_also_when_two_ask() -> None:
