@@ -276,7 +276,7 @@ def test_the_report_is_one_file_that_needs_nothing_else(
 def test_without_the_token_the_page_only_reads(browser: Browser, bench: Workbench) -> None:
     stranger = browser.new_page()
     stranger.goto(f"{bench.base}/campaigns")
-    expect(stranger.get_by_text("Read only: this browser has not the token.")).to_be_visible()
+    expect(stranger.get_by_text("Read only: this browser does not have the token.")).to_be_visible()
     stranger.close()
     body = json.dumps({"campaign": "mill-backlash", "name": "mill"}).encode()
     given = {"origin": bench.base, "content_type": "application/json"}
