@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import html
 import ipaddress
 import secrets
 from dataclasses import dataclass, field
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import quote, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.requests import cookie_parser
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 READING = ("GET", "HEAD")
+_MOVE_ON = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
+    '<meta http-equiv="refresh" content="0; url={to}"><p><a href="{to}">To the workbench</a></p>'
+)
 _HEADERS = {
     # Plotly sets style attributes; everything else is only from here, and no script is inline.
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; "
@@ -155,7 +160,9 @@ class Guarded:
                 "the token is not of this start",
                 "open the newest address that dtwin ui printed; each start has its own",
             )
-        answer = RedirectResponse(scope["path"] or "/", 303)
+        # A redirect would still count as coming from where the link was pressed, and then a
+        # strict cookie is withheld; a page that moves on by itself does not.
+        answer = HTMLResponse(_MOVE_ON.format(to=html.escape(quote(scope["path"] or "/"))))
         answer.set_cookie(self.access.cookie, given, httponly=True, samesite="strict", path="/")
         return answer
 

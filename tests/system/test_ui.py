@@ -7,6 +7,7 @@ import json
 import re
 import subprocess
 import sys
+import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,6 +78,7 @@ def page(context: BrowserContext, bench: Workbench) -> Iterator[Page]:
     opened.on("pageerror", lambda error: errors.append(str(error)))
     opened.on("request", lambda r: elsewhere.add(r.url) if not _own(r.url, bench) else None)
     opened.goto(bench.address)
+    opened.wait_for_url("**/campaigns")
     yield opened
     opened.close()
     assert not errors
@@ -99,6 +101,14 @@ def _heights(page: Page) -> list[float]:
     expect(page.locator("#waterfall .bars path").first).to_be_attached()
     found = page.evaluate("document.querySelector('#waterfall .canvas').data[0].y")
     return [float(height) for height in found]
+
+
+def _awaited(bench: Workbench, job: str) -> dict[str, str]:
+    found: dict[str, str] = {"state": "waiting"}
+    while found["state"] in ("waiting", "running"):
+        time.sleep(0.1)
+        found = json.loads(bench.ask(f"/api/jobs/{job}")[1])
+    return found
 
 
 def _settled(page: Page) -> None:
@@ -194,6 +204,7 @@ def test_every_page_is_reached_by_keyboard_and_fits_a_phone(
     phone = browser.new_page(viewport={"width": 390, "height": 800})
     phone.set_default_timeout(PATIENCE_MS)
     phone.goto(bench.address)
+    phone.wait_for_url("**/campaigns")
     phone.keyboard.press("Tab")
     assert phone.evaluate("document.activeElement.textContent") == "Skip to the content"
     for path in ("/campaigns", "/campaigns/mill-backlash", "/twins", "/twins/mill",
@@ -256,6 +267,14 @@ def test_an_own_effect_is_checked_saved_and_used(page: Page, bench: Workbench) -
     expect(page.locator("input[value=four_lobes]")).to_have_count(1)
 
 
+def test_two_browsers_that_press_at_once_do_not_undo_each_other(bench: Workbench) -> None:
+    body = json.dumps({"effect": "backlash", "axis": "X"}).encode()
+    jobs = [json.loads(bench.act("/api/twins/mill/add", body)[1])["job"] for _ in range(2)]
+    found = [_awaited(bench, job) for job in jobs]
+    assert [job["state"] for job in found] == ["done", "failed"]
+    assert "error[twin.has_effect]" in found[1]["error"]
+
+
 def test_the_report_is_one_file_that_needs_nothing_else(
     browser: Browser, bench: Workbench, tmp_path: Path
 ) -> None:
@@ -312,9 +331,7 @@ def test_a_hostile_archive_leaves_nothing(bench: Workbench) -> None:
     assert bench.act(f"/api/trays/{tray}?name=a.zip", out.getvalue(), "PUT")[0] == 200
     assert bench.act(f"/api/trays/{tray}?name=../x.b5r", b"x", "PUT")[0] == 400
     job = json.loads(bench.act(f"/api/trays/{tray}/ingest")[1])["job"]
-    found: dict[str, str] = {"state": "waiting"}
-    while found["state"] in ("waiting", "running"):
-        found = json.loads(bench.ask(f"/api/jobs/{job}")[1])
+    found = _awaited(bench, job)
     assert (found["state"], "error[upload.name]" in found["error"]) == ("failed", True)
     assert not list(bench.home.parent.rglob("escaped.toml"))
 
@@ -338,10 +355,8 @@ def test_a_kill_in_the_middle_of_a_fit_loses_nothing(tmp_path: Path, folder: Pat
     with running_workbench(tmp_path / "home") as first:
         tray = json.loads(first.act("/api/trays")[1])["tray"]
         assert first.act(f"/api/trays/{tray}?name=mill.zip", _zipped(folder), "PUT")[0] == 200
-        first.act(f"/api/trays/{tray}/ingest")
-        while '"runs"' not in first.ask("/campaigns/mill-backlash")[1]:
-            if "36 runs" in first.ask("/campaigns/mill-backlash")[1]:
-                break
+        ingest = json.loads(first.act(f"/api/trays/{tray}/ingest")[1])["job"]
+        assert _awaited(first, ingest)["state"] == "done"
         wanted = {"campaign": "mill-backlash", "name": "mill", "effects": ["squareness"]}
         job = json.loads(first.act("/api/twins", json.dumps(wanted).encode())[1])["job"]
         while json.loads(first.ask(f"/api/jobs/{job}")[1])["state"] != "running":
