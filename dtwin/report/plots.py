@@ -87,18 +87,24 @@ def polar_figure(
 
 
 def error_figure(
-    traces: Mapping[str, tuple[Floats, Floats]], *, title: str, floor_um: float | None = None
+    traces: Mapping[str, tuple[Floats, Floats]],
+    *,
+    title: str,
+    floor_um: float | None = None,
+    x_title: str = "path angle, deg",
 ) -> go.Figure:
-    """Return error over the path angle.
+    """Return error over the path angle, or over something else.
 
     Parameters
     ----------
     traces : mapping of str to (angle_deg, error_um)
         Curves by name.
-    floor_um : float, optional
-        Noise floor, drawn as a band; NaN says that it is not known.
     title : str
         Heading.
+    floor_um : float, optional
+        Noise floor, drawn as a band; NaN says that it is not known.
+    x_title : str
+        What is across, with its unit.
     """
     figure = go.Figure()
     for colour, (name, (angle, error)) in zip(_PALETTE * 4, traces.items(), strict=False):
@@ -111,7 +117,7 @@ def error_figure(
                 line={"color": colour, "width": 1.5},
             )
         )
-    figure.update_layout(title=title, xaxis_title="path angle, deg", yaxis_title="error, um")
+    figure.update_layout(title=title, xaxis_title=x_title, yaxis_title="error, um")
     if floor_um is not None:
         draw_floor_band(figure, floor_um)
     return styled(figure)

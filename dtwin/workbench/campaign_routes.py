@@ -72,13 +72,13 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
 
 @router.get("/api/campaigns/{name}/runs/{run_id}/{kind}")
 def run_figure(request: Request, name: str, run_id: str, kind: str) -> Response:
-    """Return a figure of a run: polar, angle or spectrum."""
+    """Return a figure of a run: polar, angle, time or spectrum."""
     bench = bench_of(request)
     row = _row(bench, name, run_id)
     key = ("run", name, run_id, row["content_sha256"])
     run = bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
     angle, left = _centred(run)
-    curves = {run_id: (np.asarray(angle), left)}
+    curves = {run_id: (angle, left)}
     title = f"{run_id}: error after centre and radius"
     if kind == "spectrum":
         return drawn(_spectrum(run_id, left, run.meta.sample_rate_hz))
@@ -86,6 +86,9 @@ def run_figure(request: Request, name: str, run_id: str, kind: str) -> Response:
     if kind == "polar":
         radius = float(run.meta.radius_mm or 100.0)
         return drawn(polar_figure(curves, radius, title=title, floor_um=floor_um))
+    if kind == "time":
+        curves = {run_id: (np.asarray(run.samples["t_s"], float)[_window(run)], left)}
+        return drawn(error_figure(curves, title=title, floor_um=floor_um, x_title="time, s"))
     return drawn(error_figure(curves, title=title, floor_um=floor_um))
 
 
@@ -149,8 +152,12 @@ def _row(bench: Bench, name: str, run_id: str) -> Any:
     )
 
 
+def _window(run: Run) -> slice:
+    return slice(*run.window) if run.window is not None else slice(None)
+
+
 def _centred(run: Run) -> tuple[Floats, Floats]:
-    window = slice(*run.window) if run.window is not None else slice(None)
+    window = _window(run)
     if not {"angle_deg", "deviation_um"} <= set(run.samples):
         raise InputError(
             "only runs of circular tests are drawn here",
