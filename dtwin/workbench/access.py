@@ -16,6 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 READING = ("GET", "HEAD")
 _MOVE_ON = (
     '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
+    '<link rel="icon" href="data:,">'
     '<meta http-equiv="refresh" content="0; url={to}"><p><a href="{to}">To the workbench</a></p>'
 )
 _HEADERS = {
