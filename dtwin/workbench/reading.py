@@ -145,8 +145,8 @@ def version_file(bench: Bench, name: str, version: int) -> Path:
     return bench.twins.root / require_name(name, "the twin") / f"v{version:03d}.json"
 
 
-def view(bench: Bench, name: str, version: int | None = None) -> View:
-    """Return a twin against the runs that it was fitted to.
+def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> View:
+    """Return a twin against runs.
 
     Parameters
     ----------
@@ -156,11 +156,20 @@ def view(bench: Bench, name: str, version: int | None = None) -> View:
         The twin.
     version : int, optional
         The newest without.
+    on : str
+        Campaign of other runs of the machine, for the newest version; empty for those of the fit.
     """
     twin = bench.twins.newest(name, version)
-    stamp = version_file(bench, name, twin.version).stat().st_mtime_ns
-    key = ("view", name, twin.version, stamp, bench.stamp(twin.campaign))
-    return bench.cache.get(key, lambda: _viewed(key, twin, _loaded(bench, twin.campaign)))
+    campaign = on or twin.campaign
+    made = version_file(bench, name, twin.version).stat().st_mtime_ns
+    key = ("view", name, twin.version, made, campaign, bench.stamp(campaign))
+
+    def compared() -> View:
+        if campaign == twin.campaign:
+            return _viewed(key, _compared(twin, _loaded(bench, campaign)))
+        return _viewed(key, bench.twins.compare(name, campaign))
+
+    return bench.cache.get(key, compared)
 
 
 def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None:
@@ -173,7 +182,9 @@ def floor_of(bench: Bench, found: View) -> Floor:
     """Return the noise floor: from repeats, else the lower bound of a diagnosis, else none."""
     if math.isfinite(found.floor_um):
         return Floor(found.floor_um, "repeats")
-    diagnosis = diagnosis_of(bench, found.twin.name, found.twin.version) or {}
+    same = found.obs.campaign.name == found.twin.campaign
+    diagnosis = diagnosis_of(bench, found.twin.name, found.twin.version) if same else None
+    diagnosis = diagnosis or {}
     lower = diagnosis.get("noise_floor_um")
     if diagnosis.get("floor_kind") == "within_run" and lower is not None:
         return Floor(float(lower), "within_run")
@@ -280,18 +291,22 @@ def _loaded(bench: Bench, campaign: str) -> Loaded:
     return bench.cache.get(key, lambda: load(bench.home, campaign))
 
 
-def _viewed(key: tuple[str | int, ...], twin: Twin, loaded: Loaded) -> View:
+def _compared(twin: Twin, loaded: Loaded) -> Comparison:
     obs = loaded.obs
     residual = frozen_residual_um(twin, obs)
     before = localise.residual_um(obs, [])
     warnings = tuple(left_out_lines(loaded.data))
-    made = Comparison(twin, obs, residual, before, warnings, loaded.controller_um)
+    return Comparison(twin, obs, residual, before, warnings, loaded.controller_um)
+
+
+def _viewed(key: tuple[str | int, ...], found: Comparison) -> View:
+    obs = found.obs
     return View(
         key,
-        made,
-        made.as_dict(),
-        _with_gaps(localise.condition_means(obs, before), obs),
-        _with_gaps(localise.condition_means(obs, residual), obs),
+        found,
+        found.as_dict(),
+        _with_gaps(localise.condition_means(obs, found.before_um), obs),
+        _with_gaps(localise.condition_means(obs, found.residual_um), obs),
     )
 
 

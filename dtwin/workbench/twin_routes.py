@@ -52,16 +52,19 @@ def twin_list(request: Request) -> Response:
 
 
 @router.get("/twins/{name}")
-def compare_page(request: Request, name: str) -> Response:
-    """Show measured against twin."""
+def compare_page(request: Request, name: str, on: str = "") -> Response:
+    """Show measured against twin, on the runs of the fit or on others of the machine."""
     bench = bench_of(request)
-    found = reading.view(bench, name)
+    found = reading.view(bench, name, on=on)
+    machine = found.twin.machine
+    campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == machine})
     worst = reading.chosen_conditions(found, ())
     return rendered(
         request, "compare.html", title=f"Twin {name}: compare", name=name, tab="compare",
         twin=found.twin, result=found.result, labels=found.labels, worst=worst,
         conditions=found.obs.conditions, floor=reading.floor_of(bench, found),
-        parameters=parameter_table(found.twin),
+        parameters=parameter_table(found.twin), campaigns=campaigns,
+        on=found.obs.campaign.name,
         seen=encoder_section(split) if (split := found.result["encoder_split"]) else None,
     )  # fmt: skip
 
@@ -151,11 +154,11 @@ def experiment_programs(request: Request, name: str) -> Response:
 @router.get("/api/twins/{name}/overlay/{kind}")
 def overlay(
     request: Request, name: str, kind: str, condition: Numbers = [], show: Words = [],  # noqa: B006
-    run: Words = [], magnification: str = "",  # noqa: B006
+    run: Words = [], magnification: str = "", on: str = "",  # noqa: B006
 ) -> Response:  # fmt: skip
     """Return curves of conditions and runs: polar, over the angle, or their harmonics."""
     bench = bench_of(request)
-    found = reading.view(bench, name)
+    found = reading.view(bench, name, on=on)
     floor_um = reading.floor_of(bench, found).um
     chosen = reading.chosen_conditions(found, condition)[:6]
     shown = [w for w in ("measured", "twin", "residual") if w in show] or ["measured", "twin"]
@@ -178,22 +181,22 @@ def overlay(
 
 
 @router.get("/api/twins/{name}/runs")
-def runs(request: Request, name: str, condition: Numbers = []) -> dict[str, Any]:  # noqa: B006
+def runs(request: Request, name: str, condition: Numbers = [], on: str = "") -> dict[str, Any]:  # noqa: B006
     """Return the runs of conditions."""
-    found = reading.view(bench_of(request), name)
+    found = reading.view(bench_of(request), name, on=on)
     chosen = reading.chosen_conditions(found, condition)
     return {
-        "campaign": found.twin.campaign,
+        "campaign": found.obs.campaign.name,
         "conditions": chosen,
         "runs": reading.runs_of(found, chosen),
     }
 
 
 @router.get("/api/twins/{name}/map")
-def heat_map(request: Request, name: str) -> Response:
+def heat_map(request: Request, name: str, on: str = "") -> Response:
     """Return the mean residual of every condition over the angle."""
     bench = bench_of(request)
-    found = reading.view(bench, name)
+    found = reading.view(bench, name, on=on)
     floor_um = reading.floor_of(bench, found).um
     return drawn(
         residual_map(found.residual_um, found.labels, floor_um=floor_um, title="Mean residual")
@@ -201,9 +204,9 @@ def heat_map(request: Request, name: str) -> Response:
 
 
 @router.get("/api/twins/{name}/encoder")
-def encoder(request: Request, name: str) -> Response:
+def encoder(request: Request, name: str, on: str = "") -> Response:
     """Return the error by who can see it, when the controller was logged."""
-    split = reading.view(bench_of(request), name).result["encoder_split"]
+    split = reading.view(bench_of(request), name, on=on).result["encoder_split"]
     if not split:
         raise InputError("the controller was not logged", code="page.unknown", where=name)
     return drawn(encoder_section(split).figures[0])

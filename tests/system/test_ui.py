@@ -89,12 +89,25 @@ def _own(url: str, bench: Workbench) -> bool:
     return url.startswith((bench.base, "data:", "blob:"))
 
 
-def _zipped(folder: Path) -> bytes:
+def _zipped(folder: Path, **changed: str) -> bytes:
+    """The campaign as an archive, with other words in its campaign.toml."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w") as archive:
         for path in sorted(folder.iterdir()):
-            archive.write(path, f"{folder.name}/{path.name}")
+            content = path.read_bytes()
+            if path.name == "campaign.toml":
+                for key, value in changed.items():
+                    pattern = rf'^{key} = ".*"$'.encode()
+                    content = re.sub(pattern, f'{key} = "{value}"'.encode(), content, flags=re.M)
+            archive.writestr(f"{folder.name}/{path.name}", content)
     return out.getvalue()
+
+
+def _ingested(bench: Workbench, archive: bytes) -> None:
+    tray = json.loads(bench.act("/api/trays")[1])["tray"]
+    assert bench.act(f"/api/trays/{tray}?name=mill.zip", archive, "PUT")[0] == 200
+    job = json.loads(bench.act(f"/api/trays/{tray}/ingest")[1])["job"]
+    assert _awaited(bench, job)["state"] == "done"
 
 
 def _heights(page: Page) -> list[float]:
@@ -267,6 +280,22 @@ def test_an_own_effect_is_checked_saved_and_used(page: Page, bench: Workbench) -
     expect(page.locator("input[value=four_lobes]")).to_have_count(1)
 
 
+def test_a_twin_is_held_against_other_measurements_of_its_machine(
+    page: Page, bench: Workbench, folder: Path
+) -> None:
+    _ingested(bench, _zipped(folder, name="mill-again"))
+    _ingested(bench, _zipped(folder, name="other", machine="other-mill"))
+    page.goto(f"{bench.base}/twins/mill")
+    expect(page.get_by_label("Measurements").locator("option")).to_have_count(2)
+    page.get_by_label("Measurements").select_option("mill-again")
+    page.get_by_role("button", name="Compare with these").click()
+    expect(page.get_by_text("not those of the fit")).to_be_visible()
+    _settled(page)
+    expect(page.locator("#runs a").first).to_have_attribute("href", re.compile("/mill-again/"))
+    status, text = bench.ask("/twins/mill?on=other")
+    assert (status, "error[twin.machine]" in text) == (400, True)
+
+
 def test_two_browsers_that_press_at_once_do_not_undo_each_other(bench: Workbench) -> None:
     body = json.dumps({"effect": "backlash", "axis": "X"}).encode()
     jobs = [json.loads(bench.act("/api/twins/mill/add", body)[1])["job"] for _ in range(2)]
@@ -353,10 +382,7 @@ def test_a_taken_port_and_a_taken_home_are_said(bench: Workbench, tmp_path: Path
 
 def test_a_kill_in_the_middle_of_a_fit_loses_nothing(tmp_path: Path, folder: Path) -> None:
     with running_workbench(tmp_path / "home") as first:
-        tray = json.loads(first.act("/api/trays")[1])["tray"]
-        assert first.act(f"/api/trays/{tray}?name=mill.zip", _zipped(folder), "PUT")[0] == 200
-        ingest = json.loads(first.act(f"/api/trays/{tray}/ingest")[1])["job"]
-        assert _awaited(first, ingest)["state"] == "done"
+        _ingested(first, _zipped(folder))
         wanted = {"campaign": "mill-backlash", "name": "mill", "effects": ["squareness"]}
         job = json.loads(first.act("/api/twins", json.dumps(wanted).encode())[1])["job"]
         while json.loads(first.ask(f"/api/jobs/{job}")[1])["state"] != "running":

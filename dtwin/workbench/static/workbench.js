@@ -30,6 +30,7 @@ function chosen() {
   const form = byId("chooser");
   const query = new URLSearchParams();
   for (const box of all("input[name]:checked", form)) query.append(box.name, box.value);
+  if (form.dataset.on) query.set("on", form.dataset.on);
   return query;
 }
 
