@@ -16,6 +16,7 @@ from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
 from dtwin.commands import twins as twin_commands
+from dtwin.commands import ui as ui_command
 from dtwin.config import quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError, MissingPart
 
@@ -34,6 +35,7 @@ serving_commands.register(app)
 twin_commands.register(app)
 analogue_commands.register(app)
 server_commands.register(app)
+ui_command.register(app)
 
 
 def main() -> None:

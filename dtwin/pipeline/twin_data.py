@@ -99,7 +99,8 @@ def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
     """Return the RMS of one run about the mean of its condition; NaN without repeats."""
     total = obs.rms(residual_um)
     systematic = localise.systematic_rms_um(obs, residual_um)
-    return float(np.sqrt(max(0.0, total**2 - systematic**2)))
+    # maximum keeps a NaN, max would not.
+    return float(np.sqrt(np.maximum(0.0, total**2 - systematic**2)))
 
 
 def load(home: Home, campaign: str) -> Loaded:

@@ -12,14 +12,8 @@ from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.motion_quality import aligned_angle_deg, motion_of
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.report.html import Section, Table
-from dtwin.report.plots import (
-    comparison_figure,
-    error_figure,
-    evidence_figure,
-    front_figure,
-    magnification_for,
-    polar_figure,
-)
+from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
+from dtwin.report.plots import error_figure, magnification_for, polar_figure
 from dtwin.schema import Floats, Run
 from dtwin.train.results import Candidate, TrainingReport
 

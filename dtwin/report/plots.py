@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ COLOURS = {
     "fourth": "#CC79A7",
     "floor": "#999999",
 }
+BEHIND_TEXT = "rgba(255,255,255,0.75)"
 _PALETTE = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"]
 
 
@@ -27,6 +28,7 @@ def polar_figure(
     *,
     title: str,
     magnification: float | None = None,
+    floor_um: float | None = None,
 ) -> go.Figure:
     """Return a polar plot as ball-bar people draw it: error magnified about the nominal circle.
 
@@ -40,11 +42,18 @@ def polar_figure(
         Heading.
     magnification : float, optional
         Drawn millimetres per millimetre of error; chosen from the largest error when left out.
+    floor_um : float, optional
+        Noise floor, drawn as a ring; NaN says that it is not known.
     """
     largest = max((float(np.max(np.abs(d))) for _, d in traces.values()), default=1.0)
     factor = magnification or magnification_for(largest, radius_mm)
     figure = go.Figure()
     circle = np.linspace(0.0, 360.0, 181)
+    for name, error_um, look in floor_rings(floor_um):
+        ring = np.full(circle.size, radius_mm + error_um * factor / 1000.0)
+        figure.add_trace(go.Scatterpolar(theta=circle, r=ring, mode="lines", name=name, **look))
+    if floor_um is not None and not np.isfinite(floor_um):
+        say_no_floor(figure)
     figure.add_trace(
         go.Scatterpolar(
             theta=circle,
@@ -77,8 +86,14 @@ def polar_figure(
     return styled(figure)
 
 
-def error_figure(traces: Mapping[str, tuple[Floats, Floats]], *, title: str) -> go.Figure:
-    """Return error over the path angle.
+def error_figure(
+    traces: Mapping[str, tuple[Floats, Floats]],
+    *,
+    title: str,
+    floor_um: float | None = None,
+    x_title: str = "path angle, deg",
+) -> go.Figure:
+    """Return error over the path angle, or over something else.
 
     Parameters
     ----------
@@ -86,6 +101,10 @@ def error_figure(traces: Mapping[str, tuple[Floats, Floats]], *, title: str) -> 
         Curves by name.
     title : str
         Heading.
+    floor_um : float, optional
+        Noise floor, drawn as a band; NaN says that it is not known.
+    x_title : str
+        What is across, with its unit.
     """
     figure = go.Figure()
     for colour, (name, (angle, error)) in zip(_PALETTE * 4, traces.items(), strict=False):
@@ -98,141 +117,83 @@ def error_figure(traces: Mapping[str, tuple[Floats, Floats]], *, title: str) -> 
                 line={"color": colour, "width": 1.5},
             )
         )
-    figure.update_layout(title=title, xaxis_title="path angle, deg", yaxis_title="error, um")
+    figure.update_layout(title=title, xaxis_title=x_title, yaxis_title="error, um")
+    if floor_um is not None:
+        draw_floor_band(figure, floor_um)
     return styled(figure)
 
 
-def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
-    """Return error before and after per condition, with the oracle and the noise floor.
+def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
+    """Draw the noise floor as a band about zero, or say that it is not known.
 
     Parameters
     ----------
-    evidence : mapping
-        As ``Evidence.as_dict`` gives it.
-    """
-    conditions = evidence["conditions"]
-    names = [
-        f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}{'' if c['trained'] else ' *'}"
-        for c in conditions
-    ]
-    figure = go.Figure()
-    for name, key, colour in (
-        ("uncompensated", "before", COLOURS["measured"]),
-        ("compensated", "after", COLOURS["second"]),
-    ):
-        figure.add_trace(
-            go.Bar(
-                x=names,
-                y=[c[f"{key}_um"] for c in conditions],
-                name=name,
-                marker_color=colour,
-                error_y={"type": "data", "array": [c[f"{key}_ci_um"] for c in conditions]},
-            )
-        )
-    figure.add_trace(
-        go.Scatter(
-            x=names,
-            y=[c["oracle_um"] for c in conditions],
-            name="oracle",
-            mode="markers",
-            marker={
-                "symbol": "line-ew-open",
-                "size": 22,
-                "color": COLOURS["third"],
-                "line": {"width": 3},
-            },
-        )
-    )
-    figure.add_trace(
-        go.Scatter(
-            x=names,
-            y=[c["floor_um"] for c in conditions],
-            name="noise floor",
-            mode="lines",
-            line={"color": COLOURS["floor"], "dash": "dash"},
-        )
-    )
-    figure.update_layout(
-        title="Radial error, RMS after set-up; bars: 95 % over runs; *: feed not trained",
-        yaxis_title="um",
-        barmode="group",
-    )
-    return styled(figure)
-
-
-def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
-    """Return held-out error against latency, one point per candidate.
-
-    Parameters
-    ----------
-    candidates : sequence of mapping
-        With ``name``, ``rms_um``, ``p50_us`` (may be None) and ``promotable``.
+    figure : plotly Figure
+        With the error in um upwards.
     floor_um : float
-        Noise floor.
+        Noise floor; NaN when it is not known.
     """
-    figure = go.Figure()
-    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
-        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
-        figure.add_trace(
-            go.Scatter(
-                x=[c["p50_us"] for c in chosen],
-                y=[c["rms_um"] for c in chosen],
-                text=[c["name"] for c in chosen],
-                mode="markers+text" if promotable else "markers",
-                textposition="top right",
-                hovertemplate="%{text}<br>%{x:.3g} us, %{y:.1f} um<extra></extra>",
-                name="expression, promotable" if promotable else "comparison only",
-                marker={
-                    "size": 12,
-                    "color": colour,
-                    "symbol": "circle" if promotable else "square",
-                },
-            )
-        )
-    figure.add_hline(
-        y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
-    )
-    figure.update_layout(
-        title="Error on feeds left out against time of one row (hover for names)",
-        xaxis={"title": "median time of one row, us", "type": "log"},
-        yaxis={"title": "held-out RMS, um", "rangemode": "tozero"},
-    )
-    return styled(figure)
+    if not np.isfinite(floor_um):
+        say_no_floor(figure)
+        return
+    figure.add_hrect(
+        y0=-floor_um, y1=floor_um, fillcolor=COLOURS["floor"], opacity=0.25, line_width=0, layer="below",
+        annotation_text=f"noise floor ±{floor_um:.2f} um", annotation_position="bottom right",
+        annotation_bgcolor=BEHIND_TEXT,
+    )  # fmt: skip
 
 
-def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
-    """Return held-out error over the size of the equation.
+def floor_rings(floor_um: float | None) -> list[tuple[str, float, dict[str, Any]]]:
+    """Return name, error in um and look of the rings of a polar plot, none when not known.
+
+    The second ring is filled down to the first.
+    """
+    if floor_um is None or not np.isfinite(floor_um):
+        return []
+    name, line = f"noise floor ±{floor_um:.2f} um", {"color": COLOURS["floor"], "width": 0}
+    inner = {"line": line, "showlegend": False, "hoverinfo": "skip"}
+    outer = {"line": line, "fill": "tonext", "fillcolor": "rgba(153,153,153,0.25)"}
+    return [("", -floor_um, inner), (name, floor_um, {**outer, "hoverinfo": "skip"})]
+
+
+def say_no_floor(figure: go.Figure) -> None:
+    """Write into a figure that the noise floor is not known."""
+    figure.add_annotation(
+        text="noise floor not known", xref="paper", yref="paper", x=1.0, y=0.0, xanchor="right",
+        yanchor="bottom", showarrow=False, bgcolor=BEHIND_TEXT,
+    )  # fmt: skip
+
+
+def spectrum_figure(
+    frequency_hz: Floats, amplitude_um: Floats, floor_um: float, *, title: str
+) -> go.Figure:
+    """Return the amplitude spectrum of a run.
 
     Parameters
     ----------
-    front : sequence of mapping
-        With ``terms``, ``held_out_rms_um`` and ``radius_out_rms_um``.
+    frequency_hz, amplitude_um : ndarray, shape (n,)
+        The spectrum.
     floor_um : float
-        Noise floor.
+        Level that noise alone rarely exceeds; NaN when it is not known.
+    title : str
+        Heading.
     """
-    figure = go.Figure()
-    terms = [point["terms"] for point in front]
-    for name, key, colour in (
-        ("feeds left out", "held_out_rms_um", COLOURS["measured"]),
-        ("radii left out", "radius_out_rms_um", COLOURS["second"]),
-    ):
-        figure.add_trace(
-            go.Scatter(
-                x=terms,
-                y=[point[key] for point in front],
-                mode="lines+markers",
-                name=name,
-                line={"color": colour},
-            )
+    figure = go.Figure(
+        go.Scatter(
+            x=_short(frequency_hz), y=_short(amplitude_um), mode="lines", name="amplitude",
+            line={"color": COLOURS["measured"], "width": 1.3},
+            hovertemplate="%{x:.2f} Hz: %{y:.3f} um<extra></extra>",
         )
-    figure.add_hline(
-        y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
-    )
+    )  # fmt: skip
+    if np.isfinite(floor_um):
+        figure.add_hline(
+            y=floor_um, line={"color": COLOURS["floor"], "dash": "dash"},
+            annotation_text=f"noise of one line {floor_um:.3f} um",
+        )  # fmt: skip
     figure.update_layout(
-        title="Accuracy and complexity of the physics library",
-        xaxis_title="terms",
-        yaxis={"title": "RMS, um", "rangemode": "tozero"},
-    )
+        title=title, xaxis_title="frequency, Hz",
+        yaxis={"title": "amplitude, um", "rangemode": "tozero"},
+    )  # fmt: skip
     return styled(figure)
 
 
@@ -254,6 +215,7 @@ def styled(figure: go.Figure) -> go.Figure:
     figure.update_layout(
         template="plotly_white",
         height=figure.layout.height or 460,
+        title_font_size=15,
         margin={"l": 60, "r": 30, "t": 95, "b": 60},
         font={"family": "system-ui, sans-serif", "size": 13},
         legend={"orientation": "h", "y": 1.0, "yanchor": "bottom"},

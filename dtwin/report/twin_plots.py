@@ -2,71 +2,186 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
-from dtwin.report.plots import COLOURS, magnification_for, styled
+from dtwin.report.plots import (
+    BEHIND_TEXT,
+    COLOURS,
+    draw_floor_band,
+    floor_rings,
+    magnification_for,
+    say_no_floor,
+    styled,
+)
 from dtwin.schema import Floats
 
+_CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fourth"])
+_NOMINAL = (
+    "nominal",
+    0.0,
+    {"line": {"color": COLOURS["floor"], "width": 1, "dash": "dot"}, "hoverinfo": "skip"},
+)
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 
-def overlay_figure(curves: Mapping[str, Floats], radius_mm: float, *, title: str) -> go.Figure:
+def overlay_figure(
+    curves: Mapping[str, Floats],
+    radius_mm: float,
+    *,
+    title: str,
+    floor_um: float | None = None,
+    magnification: float | None = None,
+    slider: bool = True,
+) -> go.Figure:
     """Return a polar overlay whose magnification the reader chooses.
+
+    ``layout.meta`` holds ``radius_mm`` and ``magnification``, and every trace its error in um as
+    ``customdata``, so that a page can magnify without asking again.
 
     Parameters
     ----------
     curves : mapping of str to ndarray, shape (360,)
-        Error over the angle by name, um, one value for each degree.
+        Error over the angle by name, um, one value for each degree; NaN where not measured.
     radius_mm : float
         Nominal radius.
     title : str
         Heading.
+    floor_um : float, optional
+        Noise floor, drawn as a ring about the nominal circle; NaN says that it is not known.
+    magnification : float, optional
+        Where it begins; chosen from the largest error when left out.
+    slider : bool
+        Whether the figure has a slider of its own; a page with a script needs none.
     """
     largest = max((float(np.nanmax(np.abs(c))) for c in curves.values()), default=1.0)
-    fitting = magnification_for(largest, radius_mm)
+    fitting = magnification or magnification_for(max(largest, 1e-3), radius_mm)
     angle = [*(np.arange(360) + 0.5), 0.5]
+    rings = [(n, np.full(360, um), look) for n, um, look in (*floor_rings(floor_um), _NOMINAL)]
     figure = go.Figure()
-    figure.add_trace(
-        go.Scatterpolar(
-            theta=angle, r=[radius_mm] * 361, mode="lines", name="nominal",
-            line={"color": COLOURS["floor"], "width": 1, "dash": "dot"}, hoverinfo="skip",
-        )
-    )  # fmt: skip
-    colours = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fourth"])
-    for colour, (name, curve) in zip(colours * 3, curves.items(), strict=False):
+    for name, values, look in rings:
+        figure.add_trace(
+            go.Scatterpolar(
+                theta=angle, r=_drawn(values, radius_mm, fitting), mode="lines", name=name,
+                customdata=_closed(values), **look,
+            )
+        )  # fmt: skip
+    for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
         figure.add_trace(
             go.Scatterpolar(
                 theta=angle, r=_drawn(curve, radius_mm, fitting), mode="lines", name=name,
-                line={"color": colour, "width": 1.6}, customdata=_closed(curve),
+                line={"color": colour, "width": 1.6, "dash": dash_of(name)},
+                customdata=_closed(curve),
                 hovertemplate="%{theta:.0f} deg<br>%{customdata:.2f} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
-    steps = [
-        {
-            "method": "restyle",
-            "label": f"{factor:g} x",
-            "args": [
-                {"r": [[radius_mm] * 361, *(_drawn(c, radius_mm, factor) for c in curves.values())]}
-            ],
-        }
-        for factor in (fitting * step for step in _STEPS)
-    ]
     figure.update_layout(
         title=title,
+        meta={"radius_mm": radius_mm, "magnification": fitting},
         polar={
             "radialaxis": {"range": [0.0, 1.5 * radius_mm], "showticklabels": False, "ticks": ""},
             "angularaxis": {"rotation": 0, "direction": "counterclockwise"},
         },
-        sliders=[
-            {"active": _STEPS.index(1.0), "steps": steps, "currentvalue": {"prefix": "magnified "}}
-        ],
         height=560,
     )
+    if floor_um is not None and not math.isfinite(floor_um):
+        say_no_floor(figure)
+    if slider:
+        drawn = [*(values for _, values, _ in rings), *curves.values()]
+        figure.update_layout(sliders=[_magnifier(drawn, radius_mm, fitting)])
+    made = styled(figure)
+    # Room for a legend of two lines below the title.
+    made.update_layout(margin_t=125, title_y=0.98, title_yanchor="top")
+    return made
+
+
+def angle_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float) -> go.Figure:
+    """Return error over the path angle with the noise floor as a band.
+
+    Parameters
+    ----------
+    curves : mapping of str to ndarray, shape (360,)
+        Error over the angle by name, um; NaN where not measured.
+    title : str
+        Heading.
+    floor_um : float
+        Noise floor; NaN says that it is not known.
+    """
+    figure = go.Figure()
+    for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
+        figure.add_trace(
+            go.Scatter(
+                x=np.arange(360) + 0.5, y=[round(float(v), 3) for v in curve], mode="lines",
+                name=name, line={"color": colour, "width": 1.6, "dash": dash_of(name)},
+                hovertemplate="%{x:.0f} deg<br>%{y:.2f} um<extra>" + name + "</extra>",
+            )
+        )  # fmt: skip
+    draw_floor_band(figure, floor_um)
+    figure.update_layout(
+        title=title,
+        xaxis={"title": "path angle, deg", "range": [0, 360], "dtick": 45},
+        yaxis_title="error, um",
+    )
     return styled(figure)
+
+
+def harmonics_figure(
+    curves: Mapping[str, Floats], floor_um: Floats | None, *, title: str, most: int = 60
+) -> go.Figure:
+    """Return the amplitude of every harmonic of the path angle.
+
+    Parameters
+    ----------
+    curves : mapping of str to ndarray, shape (360,)
+        Error over a full turn by name, um.
+    floor_um : ndarray, shape (181,), or None
+        Amplitude by which repeats disagree; None when nothing was repeated.
+    title : str
+        Heading.
+    most : int
+        Highest harmonic that is shown.
+    """
+    figure = go.Figure()
+    numbers = np.arange(1, most + 1)
+    for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
+        figure.add_trace(
+            go.Bar(
+                x=numbers, y=np.round(harmonic_amplitudes_um(curve)[1 : most + 1], 4), name=name,
+                marker_color=colour,
+                hovertemplate="%{x} per turn: %{y:.3f} um<extra>" + name + "</extra>",
+            )
+        )  # fmt: skip
+    if floor_um is not None:
+        figure.add_trace(
+            go.Scatter(
+                x=numbers, y=np.round(floor_um[1 : most + 1], 4), mode="lines",
+                name="noise floor of one run", line={"color": COLOURS["floor"], "dash": "dash"},
+            )
+        )  # fmt: skip
+    figure.update_layout(
+        title=title, barmode="group", xaxis_title="undulations per turn",
+        yaxis={"title": "amplitude, um", "rangemode": "tozero"},
+    )  # fmt: skip
+    return styled(figure)
+
+
+def harmonic_amplitudes_um(curve: Floats) -> Floats:
+    """Return the amplitudes of harmonics 0 to 180 of an error over a full turn.
+
+    Parameters
+    ----------
+    curve : ndarray, shape (..., 360)
+        Error in every degree, um.
+
+    Returns
+    -------
+    ndarray, shape (..., 181)
+    """
+    return np.asarray(2.0 * np.abs(np.fft.rfft(curve, axis=-1)) / curve.shape[-1])
 
 
 def residual_map(
@@ -100,8 +215,8 @@ def residual_map(
         )
     )
     figure.update_layout(
-        title=f"{title} (noise floor {floor_um:.2f} um RMS of one run)",
-        xaxis_title="path angle, deg",
+        title=f"{title} ({_floor_words(floor_um)})",
+        xaxis={"title": "path angle, deg", "dtick": 45},
         height=max(320, 60 + 22 * len(conditions)),
         yaxis={"autorange": "reversed", "dtick": 1},
     )
@@ -129,7 +244,7 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]]) -> go.Figure:
     if floor is not None:
         figure.add_hline(
             y=floor, line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise floor {floor:.2f} um",
+            annotation_text=f"noise floor {floor:.2f} um", annotation_bgcolor=BEHIND_TEXT,
         )  # fmt: skip
     figure.update_layout(title="Error from version to version", yaxis_title="RMS, um")
     return styled(figure)
@@ -157,13 +272,37 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
     if np.isfinite(diagnosis["noise_floor_um"]):
         figure.add_vline(
             x=diagnosis["noise_floor_um"], line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text="noise floor",
+            annotation_text="noise floor", annotation_position="bottom right",
+            annotation_bgcolor=BEHIND_TEXT,
         )  # fmt: skip
     figure.update_layout(
-        title="Predicted error after adding each effect (blue: the reported group)",
-        xaxis_title="RMS, um", height=max(280, 80 + 30 * len(rows)),
+        title="Predicted error after adding each (blue: reported)",
+        xaxis_title="RMS, um", height=max(320, 170 + 30 * len(rows)),
     )  # fmt: skip
     return styled(figure)
+
+
+def dash_of(name: str) -> str:
+    """Return the line of a curve: what is computed is dashed, also for eyes without colours."""
+    return "dash" if name.startswith(("predicted", "twin")) else "solid"
+
+
+def _magnifier(drawn: Sequence[Floats], radius_mm: float, fitting: float) -> dict[str, Any]:
+    steps = [
+        {
+            "method": "restyle",
+            "label": f"{factor:g} x",
+            "args": [{"r": [_drawn(curve, radius_mm, factor) for curve in drawn]}],
+        }
+        for factor in (fitting * step for step in _STEPS)
+    ]
+    return {"active": _STEPS.index(1.0), "steps": steps, "currentvalue": {"prefix": "magnified "}}
+
+
+def _floor_words(floor_um: float) -> str:
+    if not math.isfinite(floor_um):
+        return "noise floor not known"
+    return f"noise floor {floor_um:.2f} um RMS of one run"
 
 
 def _drawn(curve: Floats, radius_mm: float, factor: float) -> list[float]:

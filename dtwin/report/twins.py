@@ -196,6 +196,7 @@ def comparison_sections(
     """Return measured against predicted: by condition, as a map, and overlaid."""
     means = localise.condition_means(obs, residual_um)
     measured = localise.condition_means(obs, before_um)
+    floor = float(result["noise_floor_um"])
     worst = np.argsort(-np.sqrt((means**2).mean(axis=1)))[:_OVERLAYS]
     figures = [
         overlay_figure(
@@ -206,10 +207,10 @@ def comparison_sections(
             },
             obs.conditions[int(c)].radius_mm,
             title=str(obs.conditions[int(c)]),
+            floor_um=floor,
         )
         for c in worst
     ]
-    floor = float(result["noise_floor_um"])
     names = [str(c) for c in obs.conditions]
     overview = residual_map(means, names, floor_um=floor, title="Mean residual")
     seen = result["encoder_split"]

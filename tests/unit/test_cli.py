@@ -18,7 +18,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     assert shown.returncode == 0
     for command in ("demo", "plan", "simulate", "ingest", "runs", "check", "features", "train",
                     "models", "promote", "rollback", "serve", "report", "twin", "effects",
-                    "record", "up"):  # fmt: skip
+                    "record", "up", "ui"):  # fmt: skip
         assert f"\n  {command} " in shown.stdout
     heavy = [
         "numpy",
@@ -30,6 +30,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
         "sklearn",
         "numba",
         "plotly",
+        "fastapi",
     ]
     code = f"import dtwin.cli, sys; print([m for m in {heavy!r} if m in sys.modules])"
     assert run(code=code).stdout.strip() == "[]"

@@ -1,0 +1,150 @@
+"""Answer times of the workbench for a large campaign: a real server, asked over a socket.
+
+Makes a lake with a campaign of circular runs, fits a twin (and diagnoses it when asked), then asks
+every page and figure. The first answer after a start reads the runs; the others find them reduced. Times are of
+the server: what the browser needs to draw is not in them.
+
+Run: python benchmarks/bench_workbench.py [--runs 1000] [--diagnose] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.pipeline.twins import Twins
+from dtwin.schema import Campaign, Run, RunMeta
+from dtwin.store import Lake
+
+NAME = "bench"
+PAGES = (
+    "/campaigns", f"/campaigns/{NAME}", f"/campaigns/{NAME}/runs/r0001",
+    f"/api/campaigns/{NAME}/runs/r0001/polar", f"/api/campaigns/{NAME}/runs/r0001/spectrum",
+    "/twins", f"/twins/{NAME}", f"/api/twins/{NAME}/overlay/polar?condition=3",
+    f"/api/twins/{NAME}/overlay/angle?condition=3&condition=5&condition=7",
+    f"/api/twins/{NAME}/overlay/harmonics?condition=3", f"/api/twins/{NAME}/map",
+    f"/api/twins/{NAME}/runs?condition=3", f"/twins/{NAME}/diagnose", f"/twins/{NAME}/versions",
+    f"/api/twins/{NAME}/waterfall", "/effects",
+)  # fmt: skip
+
+
+def made_runs(count: int) -> list[Run]:
+    """Runs with squareness, backlash and noise: 24 conditions, as many repeats as are needed."""
+    rng = np.random.default_rng(1)
+    grid = [
+        (plane, radius, feed, direction)
+        for plane in ("XY", "YZ")
+        for radius in (50.0, 150.0)
+        for feed in (1000.0, 2000.0, 4000.0)
+        for direction in ("CCW", "CW")
+    ]
+    runs = []
+    for number in range(count):
+        plane, radius, feed, direction = grid[number % len(grid)]
+        sign = 1.0 if direction == "CCW" else -1.0
+        turn = np.linspace(0.0, 720.0, 2000, endpoint=False)
+        theta = np.radians(sign * turn)
+        error = 0.015 * radius * np.sin(2 * theta) - 1.5 * np.sign(sign * np.sin(theta)) * np.cos(
+            theta
+        )
+        speed = np.degrees(feed / 60.0 / radius)
+        samples = {
+            "t_s": turn / speed,
+            "angle_deg": sign * turn,
+            "deviation_um": error + rng.normal(0.0, 0.5, turn.size),
+        }
+        meta = RunMeta(
+            f"r{number:04d}", plane=plane, direction=direction, radius_mm=radius,
+            feed_mm_min=feed, repeat=number // len(grid) + 1, setup=f"{plane}-{radius:g}".lower(),
+            sample_rate_hz=2000.0 / float(samples["t_s"][-1]),
+        )  # fmt: skip
+        runs.append(Run(meta, samples))
+    return runs
+
+
+def asked(address: str, cookie: str) -> tuple[float, int]:
+    request = urllib.request.Request(address, headers={"cookie": cookie})
+    begun = time.perf_counter()
+    with urllib.request.urlopen(request, timeout=600) as answer:
+        size = len(answer.read())
+    return 1e3 * (time.perf_counter() - begun), size
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--diagnose", action="store_true", help="takes minutes")
+    parser.add_argument("--json", action="store_true")
+    chosen = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        home = Home(Path(folder))
+        lake = Lake(home.lake)
+        campaign = Campaign(NAME, "bench-mill", started="2026-03-02T08:00:00Z")
+        runs = made_runs(chosen.runs)
+        for first in range(0, len(runs), 24):
+            lake.commit(campaign, runs[first : first + 24])
+        begun = time.perf_counter()
+        twins = Twins(home)
+        twins.fit(NAME, ["squareness", "scale_mismatch"], NAME)
+        fitted_s = time.perf_counter() - begun
+        begun = time.perf_counter()
+        if chosen.diagnose:
+            twins.diagnose(NAME)
+        diagnosed_s = time.perf_counter() - begun
+        result = {
+            "runs": chosen.runs, "fit_s": round(fitted_s, 1), "diagnose_s": round(diagnosed_s, 1) if chosen.diagnose else None,
+            "load_average": os.getloadavg()[0], **measured(folder, chosen.repeats),
+        }  # fmt: skip
+    if chosen.json:
+        print(json.dumps(result))
+        return
+    diagnosed = f", diagnosis {result['diagnose_s']} s" if chosen.diagnose else ""
+    print(f"{result['runs']} runs; in the background: fit {result['fit_s']} s{diagnosed}; "
+          f"load {result['load_average']:.1f}")  # fmt: skip
+    print("answers in ms: first after the start, then median and longest")
+    print(f"{'':56s} {'first':>8s} {'median':>8s} {'longest':>8s} {'kB':>7s}")
+    for page, found in result["pages"].items():
+        print(f"{page:56s} {found['first_ms']:8.0f} {found['median_ms']:8.0f} "
+              f"{found['longest_ms']:8.0f} {found['kb']:7.0f}")  # fmt: skip
+
+
+def measured(folder: str, repeats: int) -> dict[str, object]:
+    server = subprocess.Popen(
+        [sys.executable, "-m", "dtwin", "ui", "--no-browser"],
+        env=os.environ | {"DTWIN_HOME": folder}, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        assert server.stdout is not None
+        found = re.search(r"(http://[^/]+)/\?token=(\S+)", server.stdout.readline())
+        assert found, "the server did not start"
+        base, token = found.groups()
+        cookie = f"dtwin_{base.rsplit(':', 1)[1]}={token}"
+        pages = {}
+        for page in PAGES:
+            first, size = asked(base + page, cookie)
+            times = [asked(base + page, cookie)[0] for _ in range(repeats)]
+            pages[page] = {
+                "first_ms": round(first, 1), "median_ms": round(statistics.median(times), 1),
+                "longest_ms": round(max(times), 1), "kb": round(size / 1024, 1),
+            }  # fmt: skip
+        return {"pages": pages}
+    finally:
+        server.terminate()
+        server.wait(30)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+"""The command that opens the workbench: ui."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dtwin.errors import InputError
+
+LOOPBACK = "127.0.0.1"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(ui)
+
+
+def ui(
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="8765, or a free one when it is taken.")
+    ] = None,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Only print the address.")
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on; others than loopback let others in.")
+    ] = LOOPBACK,
+    effects_path: Annotated[
+        Path | None,
+        typer.Option(help="Folder of your own effects, to edit in the browser; their code is run."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+) -> None:
+    """Open the workbench in a browser: ingest, fit, compare, diagnose, add; Ctrl-C stops it."""
+    if effects_path is not None and not effects_path.is_dir():
+        raise InputError(
+            "no such folder for effects",
+            code="ui.effects_path",
+            where=str(effects_path),
+            hint=f"mkdir {effects_path}",
+        )
+    from dtwin.config import home
+    from dtwin.workbench.door import listening, only_one
+
+    def announce(address: str) -> None:
+        shown = json.dumps({"address": address, "home": str(home().root)}, indent=2)
+        text = f"workbench  {address}\nCtrl-C stops it"
+        print(shown if as_json else text, flush=True)
+        if not no_browser:
+            import webbrowser
+
+            webbrowser.open(address)
+
+    own = None if effects_path is None else effects_path.absolute()
+    with only_one(home()), listening(host, port) as door:
+        from dtwin.workbench.server import run
+
+        # The server has ended in order by then, and raises the signal once more.
+        with contextlib.suppress(KeyboardInterrupt):
+            run(home(), host, door, own, announce)
+    print("stopped", file=sys.stderr)

@@ -1,0 +1,212 @@
+"""Figures of learned models and of their serving."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from dtwin.report.plots import COLOURS, styled
+
+_LOWEST_R2 = -0.5
+_FAR = 100.0
+
+
+def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
+    """Return error before and after per condition, with the oracle and the noise floor.
+
+    Parameters
+    ----------
+    evidence : mapping
+        As ``Evidence.as_dict`` gives it.
+    """
+    conditions = evidence["conditions"]
+    names = [
+        f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}{'' if c['trained'] else ' *'}"
+        for c in conditions
+    ]
+    figure = go.Figure()
+    for name, key, colour in (
+        ("uncompensated", "before", COLOURS["measured"]),
+        ("compensated", "after", COLOURS["second"]),
+    ):
+        figure.add_trace(
+            go.Bar(
+                x=names,
+                y=[c[f"{key}_um"] for c in conditions],
+                name=name,
+                marker_color=colour,
+                error_y={"type": "data", "array": [c[f"{key}_ci_um"] for c in conditions]},
+            )
+        )
+    figure.add_trace(
+        go.Scatter(
+            x=names,
+            y=[c["oracle_um"] for c in conditions],
+            name="oracle",
+            mode="markers",
+            marker={
+                "symbol": "line-ew-open",
+                "size": 22,
+                "color": COLOURS["third"],
+                "line": {"width": 3},
+            },
+        )
+    )
+    figure.add_trace(
+        go.Scatter(
+            x=names,
+            y=[c["floor_um"] for c in conditions],
+            name="noise floor",
+            mode="lines",
+            line={"color": COLOURS["floor"], "dash": "dash"},
+        )
+    )
+    figure.update_layout(
+        title="Radial error, RMS after set-up; bars: 95 % over runs; *: feed not trained",
+        yaxis_title="um",
+        barmode="group",
+    )
+    return styled(figure)
+
+
+def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
+    """Return held-out error against latency, one point per candidate.
+
+    Parameters
+    ----------
+    candidates : sequence of mapping
+        With ``name``, ``rms_um``, ``p50_us`` (may be None) and ``promotable``.
+    floor_um : float
+        Noise floor.
+    """
+    figure = go.Figure()
+    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
+        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
+        figure.add_trace(
+            go.Scatter(
+                x=[c["p50_us"] for c in chosen],
+                y=[c["rms_um"] for c in chosen],
+                text=[c["name"] for c in chosen],
+                mode="markers+text" if promotable else "markers",
+                textposition="top right",
+                hovertemplate="%{text}<br>%{x:.3g} us, %{y:.1f} um<extra></extra>",
+                name="expression, promotable" if promotable else "comparison only",
+                marker={
+                    "size": 12,
+                    "color": colour,
+                    "symbol": "circle" if promotable else "square",
+                },
+            )
+        )
+    axis = _range_of([c["rms_um"] for c in candidates])
+    figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"])
+    figure.add_annotation(
+        text="noise floor", xref="paper", x=1.0, xanchor="right", yanchor="bottom",
+        # Shapes take the value itself, annotations its logarithm.
+        y=float(np.log10(floor_um)) if "type" in axis else floor_um, showarrow=False,
+    )  # fmt: skip
+    figure.update_layout(
+        title="Error on feeds left out against time of one row (hover for names)",
+        xaxis={"title": "median time of one row, us", "type": "log"},
+        yaxis={"title": "held-out RMS, um", **axis},
+    )
+    return styled(figure)
+
+
+def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
+    """Return R2 on feeds left out against latency, one point per candidate.
+
+    Parameters
+    ----------
+    candidates : sequence of mapping
+        With ``name``, ``r2``, ``p50_us`` (may be None) and ``promotable``.
+    """
+    figure = go.Figure()
+    for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
+        chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
+        figure.add_trace(
+            go.Scatter(
+                x=[c["p50_us"] for c in chosen], y=[max(c["r2"], _LOWEST_R2) for c in chosen],
+                customdata=[c["r2"] for c in chosen],
+                text=[c["name"] for c in chosen], mode="markers",
+                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata:.3g}<extra></extra>",
+                name="expression, promotable" if promotable else "comparison only",
+                marker={
+                    "size": 12, "color": colour, "symbol": "circle" if promotable else "square"
+                },
+            )
+        )  # fmt: skip
+    figure.add_hline(
+        y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction"
+    )
+    figure.update_layout(
+        title=f"R2 on feeds left out against time of one row (below {_LOWEST_R2:g}: at the edge)",
+        xaxis={"title": "median time of one row, us", "type": "log"},
+        yaxis={"title": "R2, held out"},
+    )
+    return styled(figure)
+
+
+def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
+    """Return held-out error over the size of the equation.
+
+    Parameters
+    ----------
+    front : sequence of mapping
+        With ``terms``, ``held_out_rms_um`` and ``radius_out_rms_um``.
+    floor_um : float
+        Noise floor.
+    """
+    figure = go.Figure()
+    terms = [point["terms"] for point in front]
+    for name, key, colour in (
+        ("feeds left out", "held_out_rms_um", COLOURS["measured"]),
+        ("radii left out", "radius_out_rms_um", COLOURS["second"]),
+    ):
+        figure.add_trace(
+            go.Scatter(
+                x=terms,
+                y=[point[key] for point in front],
+                mode="lines+markers",
+                name=name,
+                line={"color": colour},
+            )
+        )
+    figure.add_hline(
+        y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
+    )
+    figure.update_layout(
+        title="Accuracy and complexity of the physics library",
+        xaxis_title="terms",
+        yaxis={"title": "RMS, um", "rangemode": "tozero"},
+    )
+    return styled(figure)
+
+
+def _range_of(values: Sequence[float]) -> dict[str, str]:
+    """Return a logarithmic axis where one value would flatten all others."""
+    far = max(values, default=0.0) > _FAR * min(values, default=0.0)
+    return {"type": "log"} if far else {"rangemode": "tozero"}
+
+
+def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
+    """Return how far the periods of a serving session were off.
+
+    Parameters
+    ----------
+    histogram : dict of str to int
+        Ticks by jitter in us, as ``LoopTiming.summary`` counts them.
+    """
+    top = float(np.ceil(np.log10(max([*histogram.values(), 10]))))
+    figure = go.Figure(
+        go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"])
+    )
+    figure.update_layout(
+        title="Jitter of the period",
+        xaxis_title="distance from the nominal period, us",
+        yaxis={"title": "ticks (logarithmic)", "type": "log", "dtick": 1, "range": [-0.3, top]},
+    )
+    return styled(figure)

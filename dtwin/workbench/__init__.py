@@ -1,0 +1,1 @@
+"""The workbench: the same verbs and the same figures as the command line, in a browser."""

@@ -1,0 +1,126 @@
+"""What every page needs: the home, the library, results that are kept, and work in progress."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from fastapi import Request
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.physics.effect import Effect
+from dtwin.physics.library import Library
+from dtwin.pipeline.twins import Twins
+from dtwin.store import Lake
+from dtwin.workbench.access import Access
+from dtwin.workbench.cache import Cache
+from dtwin.workbench.jobs import Jobs
+from dtwin.workbench.uploads import Trays
+
+
+@dataclass
+class Bench:
+    """State of one server.
+
+    Attributes
+    ----------
+    home : Home
+        What is worked on.
+    access : Access
+        Who may do what.
+    effects_path : Path or None
+        Folder of the user's own effects; their code is run.
+    """
+
+    home: Home
+    access: Access
+    effects_path: Path | None = None
+    cache: Cache = field(default_factory=Cache)
+
+    def __post_init__(self) -> None:
+        """Find what an earlier server left."""
+        self.jobs = Jobs(self.folder / "jobs")
+        self.trays = Trays(self.folder / "uploads")
+
+    @property
+    def folder(self) -> Path:
+        """What the workbench keeps for itself."""
+        return self.home.root / "workbench"
+
+    @property
+    def lake(self) -> Lake:
+        """The lake."""
+        return Lake(self.home.lake)
+
+    @property
+    def library(self) -> Mapping[str, Effect]:
+        """Effects, the user's own ones included; read again when one of their files changes."""
+        return self._own()[0]
+
+    @property
+    def effect_errors(self) -> Mapping[str, str]:
+        """The user's effect files that cannot be used, and why."""
+        return self._own()[1]
+
+    @property
+    def twins(self) -> Twins:
+        """The verbs."""
+        return Twins(self.home, self.library)
+
+    def own_files(self) -> list[Path]:
+        """Return the user's effect files that are switched on."""
+        if self.effects_path is None or not self.effects_path.is_dir():
+            return []
+        return sorted(self.effects_path.glob("*.py"))
+
+    def _own(self) -> tuple[Library, dict[str, str]]:
+        files = self.own_files()
+        stamp = tuple((str(f), f.stat().st_mtime_ns) for f in files)
+        return self.cache.get(("library", stamp), lambda: _usable(files))
+
+    def run_rows(self) -> Sequence[Mapping[str, Any]]:
+        """Return the rows of all runs, read once for each version of their table."""
+        lake = self.lake
+        version = lake.tables["runs"].version()
+        return self.cache.get(("rows", version), lake.runs)
+
+    def stamp(self, campaign: str) -> str:
+        """Return a hash of the runs of a campaign: other campaigns do not change it.
+
+        Raises
+        ------
+        InputError
+            When the lake has no such campaign.
+        """
+        rows = self.run_rows()
+        version = self.lake.tables["runs"].version()
+
+        def hashed() -> str:
+            mine = [row["content_sha256"] for row in rows if row["campaign"] == campaign]
+            if not mine:
+                self.lake.campaign(campaign)
+            return hashlib.sha256("".join(mine).encode()).hexdigest()
+
+        return self.cache.get(("stamp", campaign, version), hashed)
+
+
+def bench_of(request: Request) -> Bench:
+    """Return the state of the server that answers a request."""
+    return cast(Bench, request.app.state.bench)
+
+
+def _usable(files: Sequence[Path]) -> tuple[Library, dict[str, str]]:
+    """Return the library with the files that work; one that does not must not stop the rest."""
+    good: list[Path] = []
+    errors: dict[str, str] = {}
+    for file in files:
+        try:
+            Library([*good, file])
+            good.append(file)
+        except InputError as error:
+            errors[file.name] = error.render()
+    return Library(good), errors

@@ -1,0 +1,193 @@
+"""Pages about what was measured, and the way in for new files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from fastapi import APIRouter, Request
+from starlette.concurrency import run_in_threadpool
+from starlette.responses import JSONResponse, Response
+
+from dtwin.errors import InputError
+from dtwin.physics.circular import fit_circle, residual_um
+from dtwin.pipeline.measuring import ingest
+from dtwin.report.plots import error_figure, polar_figure, spectrum_figure
+from dtwin.schema import Floats, Run
+from dtwin.workbench import campaigns
+from dtwin.workbench.bench import Bench, bench_of
+from dtwin.workbench.jobs import Tell
+from dtwin.workbench.pages import accepted, drawn, rendered
+from dtwin.workbench.reading import campaign_floor
+from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
+
+router = APIRouter()
+_NOISE_QUANTILE = 3.0
+
+
+@router.get("/campaigns")
+def campaign_list(request: Request) -> Response:
+    """Show all campaigns."""
+    bench = bench_of(request)
+    rows = bench.run_rows()
+    version = bench.lake.tables["runs"].version()
+    found = bench.cache.get(("overviews", version), lambda: campaigns.overviews(rows))
+    return rendered(
+        request, "campaigns.html", title="Campaigns", campaigns=found,
+        limit_mb=MAX_TRAY_BYTES // 1024**2,
+    )  # fmt: skip
+
+
+@router.get("/campaigns/{name}")
+def campaign_page(request: Request, name: str) -> Response:
+    """Show a campaign with its runs, and what can be done with it."""
+    bench = bench_of(request)
+    rows = _rows(bench, name)
+    version = bench.lake.tables["runs"].version()
+    overview = bench.cache.get(("overview", name, version), lambda: campaigns.overview(name, rows))
+    findings = bench.cache.get(
+        ("findings", name, version), lambda: campaigns.grouped_findings(rows)
+    )
+    twins = bench.twins
+    rungs = {twin: twins.history(twin) for twin in twins.names()}
+    fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
+    return rendered(
+        request, "campaign.html", title=f"Campaign {name}", campaign=overview, runs=rows,
+        findings=findings, effects=campaigns.possible_effects(rows, bench.library),
+        suggested=_free_name(twins.names(), overview.machine), fitted=fitted,
+    )  # fmt: skip
+
+
+@router.get("/campaigns/{name}/runs/{run_id}")
+def run_page(request: Request, name: str, run_id: str) -> Response:
+    """Show one run."""
+    bench = bench_of(request)
+    row = _row(bench, name, run_id)
+    return rendered(
+        request, "run.html", title=f"Run {run_id}", campaign=name, row=row,
+        findings=campaigns.findings_of(row),
+    )  # fmt: skip
+
+
+@router.get("/api/campaigns/{name}/runs/{run_id}/{kind}")
+def run_figure(request: Request, name: str, run_id: str, kind: str) -> Response:
+    """Return a figure of a run: polar, angle, time or spectrum."""
+    bench = bench_of(request)
+    row = _row(bench, name, run_id)
+    key = ("run", name, run_id, row["content_sha256"])
+    run = bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
+    angle, left = _centred(run)
+    curves = {run_id: (angle, left)}
+    title = f"{run_id}: error after centre and radius"
+    if kind == "spectrum":
+        return drawn(_spectrum(run_id, left, run.meta.sample_rate_hz))
+    floor_um = campaign_floor(bench, name).um
+    if kind == "polar":
+        radius = float(run.meta.radius_mm or 100.0)
+        return drawn(polar_figure(curves, radius, title=title, floor_um=floor_um))
+    if kind == "time":
+        curves = {run_id: (np.asarray(run.samples["t_s"], float)[_window(run)], left)}
+        return drawn(error_figure(curves, title=title, floor_um=floor_um, x_title="time, s"))
+    return drawn(error_figure(curves, title=title, floor_um=floor_um))
+
+
+@router.post("/api/trays")
+def new_tray(request: Request) -> dict[str, str]:
+    """Open a tray for files."""
+    return {"tray": bench_of(request).trays.new()}
+
+
+@router.put("/api/trays/{tray}")
+async def receive(request: Request, tray: str, name: str) -> JSONResponse:
+    """Take one file into a tray."""
+    size = await bench_of(request).trays.receive(tray, name, request.stream())
+    return JSONResponse({"bytes": size})
+
+
+@router.post("/api/trays/{tray}/ingest")
+async def ingest_tray(request: Request, tray: str) -> JSONResponse:
+    """Ingest what a tray holds."""
+    bench = bench_of(request)
+    trays = bench.trays
+    folder = trays.folder(tray)
+
+    def work(tell: Tell) -> str:
+        try:
+            return _ingested(bench, folder, tell)
+        finally:
+            trays.drop(tray)
+
+    return accepted(await run_in_threadpool(bench.jobs.start, "Ingest", work))
+
+
+def _ingested(bench: Bench, folder: Path, tell: Tell) -> str:
+    tell("look at the files")
+    names = []
+    for source in sources(folder):
+
+        def count(done: int, total: int, what: str, source: Path = source) -> None:
+            tell(f"{source.name}: {done} of {total} files")
+
+        names.append(ingest(source, bench.home, count).campaign)
+    for name in dict.fromkeys(names):
+        tell(f"prepare the pages of {name}")
+        campaign_floor(bench, name)
+    return f"/campaigns/{names[0]}" if len(set(names)) == 1 else "/campaigns"
+
+
+def _rows(bench: Bench, name: str) -> list[Any]:
+    rows = [row for row in bench.run_rows() if row["campaign"] == name]
+    if not rows:
+        bench.lake.campaign(name)
+    return rows
+
+
+def _row(bench: Bench, name: str, run_id: str) -> Any:
+    for row in _rows(bench, name):
+        if row["run_id"] == run_id:
+            return row
+    raise InputError(
+        "no such run in the campaign", code="page.unknown", where=name, got=run_id[:100]
+    )
+
+
+def _window(run: Run) -> slice:
+    return slice(*run.window) if run.window is not None else slice(None)
+
+
+def _centred(run: Run) -> tuple[Floats, Floats]:
+    window = _window(run)
+    if not {"angle_deg", "deviation_um"} <= set(run.samples):
+        raise InputError(
+            "only runs of circular tests are drawn here",
+            code="run.kind",
+            where=run.meta.run_id,
+            got=run.meta.kind,
+            allowed="circular",
+        )
+    angle = np.asarray(run.samples["angle_deg"], float)[window]
+    deviation = np.asarray(run.samples["deviation_um"], float)[window]
+    radius = float(run.meta.radius_mm or 100.0)
+    return angle, residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
+
+
+def _spectrum(run_id: str, left_um: Floats, rate_hz: float) -> Any:
+    n = left_um.size
+    window = np.hanning(n)
+    amplitude = 2.0 * np.abs(np.fft.rfft((left_um - left_um.mean()) * window)) / window.sum()
+    # Lines of noise alone are Rayleigh distributed; the median is not moved by a few true lines.
+    upper = amplitude[n // 4 :]
+    floor = _NOISE_QUANTILE * float(np.median(upper)) / float(np.sqrt(np.log(4.0)))
+    return spectrum_figure(
+        np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz), dtype=np.float64), amplitude, floor,
+        title=f"{run_id}: spectrum of one run (its upper half gives the noise; one run has no "
+        "repeats)",
+    )  # fmt: skip
+
+
+def _free_name(taken: list[str], machine: str) -> str:
+    number = 1
+    while (name := machine if number == 1 else f"{machine}-{number}") in taken:
+        number += 1
+    return name

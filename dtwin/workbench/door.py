@@ -1,0 +1,76 @@
+"""Where the workbench listens, found before anything heavy is imported."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import socket
+from collections.abc import Iterator
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+
+USUAL_PORT = 8765
+
+
+@contextlib.contextmanager
+def only_one(home: Home) -> Iterator[None]:
+    """Hold the home's workbench: two would each think the other's work interrupted.
+
+    Raises
+    ------
+    InputError
+        When one runs already.
+    """
+    path = home.root / "workbench" / ".lock"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(
+                "a workbench is running for this home already",
+                code="ui.running",
+                where=str(home.root),
+                hint="use the address that it printed, or stop it with Ctrl-C there",
+            ) from None
+        yield
+
+
+def listening(host: str, port: int | None) -> socket.socket:
+    """Return a socket that listens.
+
+    Parameters
+    ----------
+    host : str
+        Address.
+    port : int or None
+        Port; without, ``USUAL_PORT``, or a free one when that is taken.
+
+    Raises
+    ------
+    InputError
+        When the address cannot be listened on.
+    """
+    if port is None:
+        try:
+            return listening(host, USUAL_PORT)
+        except InputError:
+            return listening(host, 0)
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        found = socket.socket(family, socket.SOCK_STREAM)
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.bind((host, port))
+        found.listen(128)
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+        raise InputError(
+            "the port is taken" if taken else "the address cannot be listened on",
+            code="ui.port" if taken else "ui.host",
+            where=f"{host}:{port}",
+            got=error.strerror or str(error),
+            hint="dtwin ui without --port takes a free one" if taken else "leave --host out",
+        ) from error
+    return found

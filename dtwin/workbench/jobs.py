@@ -1,0 +1,157 @@
+"""Work that takes longer than a page may: one after the other, in a thread of its own."""
+
+from __future__ import annotations
+
+import json
+import logging
+import queue
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from dtwin.atomic import write_text
+from dtwin.errors import DtwinError
+
+_MOST_KEPT = 40
+Tell = Callable[[str], None]
+Work = Callable[[Tell], str]
+
+
+@dataclass
+class Job:
+    """A piece of work.
+
+    Attributes
+    ----------
+    id, title : str
+        Which, and what it does.
+    state : {"waiting", "running", "done", "failed", "interrupted"}
+        Where it is; ``interrupted`` when the server ended first.
+    stage : str
+        What is being done.
+    begun : str
+        ISO 8601.
+    seconds : float
+        Time spent so far.
+    address : str
+        Page to go to when it is done.
+    error : str
+        What went wrong, as the command line words it.
+    """
+
+    id: str
+    title: str
+    state: Literal["waiting", "running", "done", "failed", "interrupted"] = "waiting"
+    stage: str = "waiting for the work before it"
+    begun: str = ""
+    seconds: float = 0.0
+    address: str = ""
+    error: str = ""
+
+    @property
+    def ended(self) -> bool:
+        """Whether nothing more will happen."""
+        return self.state in ("done", "failed", "interrupted")
+
+
+class Jobs:
+    """Work in the order in which it was asked for.
+
+    Every change of state is kept in a file, so that a server that was killed says at its next
+    start what it did not finish. What a job stores is whole or absent.
+
+    Parameters
+    ----------
+    folder : Path
+        Where jobs are noted.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._jobs: dict[str, Job] = {job.id: job for job in _left_behind(folder)}
+        for job in self._jobs.values():
+            if not job.ended:
+                job.state = "interrupted"
+                job.stage = "the server ended before this was finished; start it again"
+                self._note(job)
+        self._queue: queue.Queue[tuple[Job, Work]] = queue.Queue()
+        threading.Thread(target=self._run, daemon=True, name="workbench-jobs").start()
+
+    def start(self, title: str, work: Work) -> Job:
+        """Queue work and return at once.
+
+        Parameters
+        ----------
+        title : str
+            What it does.
+        work : callable
+            Gets a function that tells the stage; returns the page to go to.
+        """
+        begun = datetime.now(UTC).isoformat(timespec="seconds")
+        job = Job(secrets.token_hex(8), title, begun=begun)
+        self._jobs[job.id] = job
+        self._note(job)
+        self._queue.put((job, work))
+        return job
+
+    def get(self, job_id: str) -> Job | None:
+        """Return a job, None for one that is not known."""
+        return self._jobs.get(job_id)
+
+    def unfinished(self) -> list[Job]:
+        """Return the jobs that wait, run, or were interrupted, oldest first."""
+        shown = ("waiting", "running", "interrupted")
+        return [job for job in list(self._jobs.values()) if job.state in shown]
+
+    def forget(self, job_id: str) -> None:
+        """Drop a job that has ended."""
+        job = self._jobs.get(job_id)
+        if job is not None and job.ended:
+            del self._jobs[job_id]
+            (self.folder / f"{job_id}.json").unlink(missing_ok=True)
+
+    def _run(self) -> None:
+        while True:
+            job, work = self._queue.get()
+            self._do(job, work)
+            for old in [j for j in list(self._jobs.values()) if j.ended][:-_MOST_KEPT]:
+                self.forget(old.id)
+
+    def _do(self, job: Job, work: Work) -> None:
+        since = time.monotonic()
+
+        def tell(stage: str) -> None:
+            job.stage, job.seconds = stage, time.monotonic() - since
+
+        job.state = "running"
+        tell("started")
+        self._note(job)
+        try:
+            job.address = work(tell)
+            job.state = "done"
+        except DtwinError as error:
+            job.error, job.state = error.render(), "failed"
+        except Exception as error:
+            logging.getLogger(__name__).exception("%s failed", job.title)
+            job.error, job.state = f"error[internal]: {type(error).__name__}: {error}", "failed"
+        job.seconds = time.monotonic() - since
+        self._note(job)
+
+    def _note(self, job: Job) -> None:
+        write_text(self.folder / f"{job.id}.json", json.dumps(asdict(job)), "the note of a job")
+
+
+def _left_behind(folder: Path) -> list[Job]:
+    found: list[Job] = []
+    for path in folder.glob("*.json"):
+        try:
+            document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+            found.append(Job(**document))
+        except (OSError, ValueError, TypeError):
+            path.unlink(missing_ok=True)
+    return sorted(found, key=lambda job: job.begun)

@@ -1,0 +1,140 @@
+"""Page of the serving loop: what runs, how its sessions went, and the way to stop it."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+from fastapi import APIRouter, Request
+from starlette.responses import JSONResponse, Response
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.report.model_plots import jitter_figure
+from dtwin.workbench.bench import bench_of
+from dtwin.workbench.pages import drawn, rendered
+
+router = APIRouter()
+_NEWEST = 20
+_TAIL_BYTES = 2_000_000
+
+
+@dataclass(frozen=True)
+class Serving:
+    """A process that serves a machine now.
+
+    Attributes
+    ----------
+    machine : str
+        Machine.
+    pid : int
+        Process.
+    since : str
+        ISO 8601.
+    """
+
+    machine: str
+    pid: int
+    since: str
+
+
+@router.get("/live")
+def live_page(request: Request) -> Response:
+    """Show what is served now, and the sessions that ended."""
+    home = bench_of(request).home
+    return rendered(
+        request, "live.html", title="Live", serving=servings(home), sessions=sessions(home)
+    )
+
+
+@router.get("/api/live")
+def live(request: Request) -> dict[str, Any]:
+    """Return what is served now, and the newest session of every machine."""
+    home = bench_of(request).home
+    return {
+        "serving": [vars(s) for s in servings(home)],
+        "sessions": [{k: s[k] for k in ("machine", "started", "ended")} for s in sessions(home)],
+    }
+
+
+@router.get("/api/live/{machine}/{number}/jitter")
+def jitter(request: Request, machine: str, number: int) -> Response:
+    """Return the jitter of a session, counted from the newest."""
+    found = [s for s in sessions(bench_of(request).home) if s["machine"] == machine]
+    if not 0 <= number < len(found) or "timing" not in found[number]:
+        raise InputError("no such session", code="page.unknown", got=f"{machine} {number}")
+    figure: go.Figure = jitter_figure(found[number]["timing"]["jitter_us_histogram"])
+    return drawn(figure)
+
+
+@router.post("/api/live/{machine}/stop")
+def stop(request: Request, machine: str) -> JSONResponse:
+    """Ask the server of a machine to release its correction and end, as Ctrl-C does."""
+    for found in servings(bench_of(request).home):
+        if found.machine == machine:
+            os.kill(found.pid, signal.SIGINT)
+            return JSONResponse({"stopped": found.pid})
+    raise InputError(
+        "nothing serves this machine now", code="live.none", got=machine[:80],
+        hint="reload the page",
+    )  # fmt: skip
+
+
+def servings(home: Home) -> list[Serving]:
+    """Return the processes that hold a machine's lease.
+
+    The lock itself is not touched: taking it even for a moment could refuse a server that
+    starts.
+    """
+    held = _locked_inodes()
+    found = []
+    for path in sorted((home.root / "locks").glob("machine-*.lock")):
+        try:
+            note = json.loads(path.read_text(encoding="utf-8"))
+            pid, since = int(note["pid"]), str(note["since"])
+            holder = held.get(path.stat().st_ino)
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        if holder == pid and pid > 1:
+            found.append(Serving(path.stem.removeprefix("machine-"), pid, since))
+    return found
+
+
+def sessions(home: Home) -> list[dict[str, Any]]:
+    """Return the newest sessions of every machine as their logs state them, newest first."""
+    found: list[dict[str, Any]] = []
+    for path in sorted(home.logs.glob("serve-*.jsonl")):
+        machine = path.stem.removeprefix("serve-")
+        found += [{"machine": machine, **line} for line in _newest_lines(path)]
+    return sorted(found, key=lambda s: str(s.get("started", "")), reverse=True)
+
+
+def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
+    with path.open("rb") as file:
+        size = file.seek(0, os.SEEK_END)
+        file.seek(max(0, size - _TAIL_BYTES))
+        lines = file.read().splitlines()
+    found: list[Mapping[str, Any]] = []
+    for line in lines[-_NEWEST:]:
+        try:
+            found.append(dict(json.loads(line)))
+        except ValueError:
+            # The first line may be cut.
+            continue
+    return found
+
+
+def _locked_inodes() -> dict[int, int]:
+    """Return the process that holds the lock of each inode, as the kernel lists them."""
+    found = {}
+    for line in Path("/proc/locks").read_text(encoding="ascii").splitlines():
+        parts = line.split()
+        if len(parts) >= 6 and parts[1] == "FLOCK":
+            found[int(parts[5].rsplit(":", 1)[-1])] = int(parts[4])
+    return found

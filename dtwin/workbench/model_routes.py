@@ -1,0 +1,133 @@
+"""Pages about learned models: what was tried, what the gates say, promote and roll back."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, Field
+from starlette.responses import JSONResponse, Response
+
+from dtwin.errors import InputError
+from dtwin.report.html import Table
+from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure, r2_figure
+from dtwin.workbench import models
+from dtwin.workbench.bench import Bench, bench_of
+from dtwin.workbench.jobs import Tell
+from dtwin.workbench.pages import accepted, drawn, rendered
+
+router = APIRouter()
+
+
+class Comment(BaseModel):
+    """Why something is promoted or rolled back; kept in the history."""
+
+    comment: str = Field("", max_length=1000)
+    trial: bool = False
+
+
+@router.get("/models")
+def model_list(request: Request) -> Response:
+    """Show the versions of every machine, and the history of promotions."""
+    home = bench_of(request).home
+    registry = models.registry_of(home)
+    versions: list[Any] = []
+    past: dict[str, list[dict[str, Any]]] = {}
+    if registry is not None:
+        from dtwin.train.promotion import history
+
+        versions = [v for m in registry.machines() for v in registry.versions(m)]
+        past = {m: history(home, m) for m in registry.machines()}
+    return rendered(request, "models.html", title="Models", versions=versions, past=past)
+
+
+@router.get("/models/{machine}/{version}")
+def model_page(request: Request, machine: str, version: str) -> Response:
+    """Show a version: candidates, front, gates, evidence."""
+    bench = bench_of(request)
+    found = _judged(bench, machine, version)
+    from dtwin.report.campaign import evidence_table
+
+    evidence = Table(*evidence_table(found.evidence)) if found.evidence else None
+    number = found.version.version
+    return rendered(
+        request, "model.html", title=f"{machine} version {number}", found=found,
+        machine=machine, evidence=evidence,
+        mlflow=models.mlflow_page(bench.home, f"dtwin-{machine}", number),
+    )  # fmt: skip
+
+
+@router.get("/api/models/{machine}/{version}/{kind}")
+def model_figure(request: Request, machine: str, version: str, kind: str) -> Response:
+    """Return a figure of a version: front, latency, r2 or evidence."""
+    found = _judged(bench_of(request), machine, version)
+    if kind == "front" and found.front:
+        return drawn(front_figure(found.front, found.floor_um))
+    if kind == "latency":
+        return drawn(comparison_figure(found.candidates, found.floor_um))
+    if kind == "r2":
+        return drawn(r2_figure(found.candidates))
+    if kind == "evidence" and found.evidence:
+        return drawn(evidence_figure(found.evidence))
+    raise InputError("there is no such figure", code="page.unknown", got=kind[:40])
+
+
+@router.post("/api/models/{machine}/{version}/promote")
+def promote(request: Request, machine: str, version: str, why: Comment) -> JSONResponse:
+    """Check a version and make it champion, or put it on trial; the gates decide."""
+    bench = bench_of(request)
+    registry = models.require_registry(bench.home)
+    found = registry.version(machine, version)
+
+    def work(tell: Tell) -> str:
+        from dtwin.pipeline.modelling import evidence_of, geometry_of, measure_evidence
+        from dtwin.pipeline.modelling import put_on_trial as on_trial
+        from dtwin.train.promotion import promote as make_champion
+
+        address = f"/models/{machine}/{found.version}"
+        if why.trial:
+            tell("offline gates")
+            on_trial(bench.home, found, why.comment)
+            return address
+        geometry = geometry_of(registry, found)
+        given = evidence_of(registry, found)
+        if given is None:
+            tell("circles with and without correction")
+            given = measure_evidence(
+                bench.home, found, geometry, seed=0,
+                progress=lambda done, total, what: tell(f"circle {done} of {total}, {what}"),
+            ).as_dict()  # fmt: skip
+        tell("gates")
+        make_champion(
+            registry, bench.home, found, geometry=geometry, evidence=given, comment=why.comment
+        )
+        return address
+
+    verb = "Put on trial" if why.trial else "Promote"
+    return accepted(bench.jobs.start(f"{verb} {machine} version {found.version}", work))
+
+
+@router.post("/api/models/{machine}/rollback")
+def roll_back(request: Request, machine: str, why: Comment) -> JSONResponse:
+    """Go back to the previous champion and bar the present one."""
+    bench = bench_of(request)
+    registry = models.require_registry(bench.home)
+
+    def work(tell: Tell) -> str:
+        from dtwin.train.promotion import rollback
+
+        tell("restore the previous bundle")
+        restored = rollback(registry, bench.home, machine, why.comment)
+        return f"/models/{machine}/{restored.version}"
+
+    return accepted(bench.jobs.start(f"Roll {machine} back", work))
+
+
+def _judged(bench: Bench, machine: str, version: str) -> models.Judged:
+    registry = models.require_registry(bench.home)
+    found = registry.version(machine, version)
+    # Tags change with every promotion; what they judge does not.
+    stamp = json.dumps([dict(found.tags), found.aliases], sort_keys=True)
+    key = ("model", machine, found.version, found.run_id, stamp)
+    return bench.cache.get(key, lambda: models.judged(registry, machine, found.version))

@@ -1,0 +1,135 @@
+"""What the registry says of learned models, in the form that pages show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from flows.reach import running
+
+if TYPE_CHECKING:
+    from dtwin.train.gates import Verdict
+    from dtwin.train.registry import RegisteredVersion, Registry
+
+_FEED = "leave_feed_mm_min_out"
+_RADIUS = "leave_radius_mm_out"
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A version with everything that a reviewer asks for.
+
+    Attributes
+    ----------
+    version : RegisteredVersion
+        The version.
+    candidates : tuple of dict
+        Candidates of its training, best first: ``name``, ``promotable``, ``complexity``,
+        ``r2``, ``rms_um``, ``radius_rms_um``, ``worst``, ``p50_us``, ``p99_us``.
+    front : tuple of dict
+        Accuracy over complexity; empty when it was not kept.
+    floor_um, before_um : float
+        Noise floor, and error without a model; NaN when not logged.
+    verdicts : tuple of Verdict
+        Offline gates, as they judge now.
+    evidence : dict or None
+        Circles with and without correction.
+    """
+
+    version: RegisteredVersion
+    candidates: tuple[Mapping[str, Any], ...]
+    front: tuple[Mapping[str, Any], ...]
+    floor_um: float
+    before_um: float
+    verdicts: tuple[Verdict, ...]
+    evidence: Mapping[str, Any] | None
+
+
+def registry_of(home: Home) -> Registry | None:
+    """Return the registry, None while there is none: asking must not make one."""
+    local = home.mlflow_uri.removeprefix("sqlite:///")
+    if local != home.mlflow_uri and not Path(local).is_file():
+        return None
+    from dtwin.train.registry import Registry
+
+    return Registry(home)
+
+
+def require_registry(home: Home) -> Registry:
+    """Return the registry.
+
+    Raises
+    ------
+    InputError
+        When no model was registered yet.
+    """
+    found = registry_of(home)
+    if found is None:
+        raise InputError(
+            "no model is registered yet", code="model.unknown", hint="dtwin train CAMPAIGN"
+        )
+    return found
+
+
+def judged(registry: Registry, machine: str, wanted: str) -> Judged:
+    """Return a version with everything that a reviewer asks for.
+
+    Parameters
+    ----------
+    registry : Registry
+        Where it is.
+    machine, wanted : str
+        The machine, and a version number or alias.
+    """
+    from dtwin.pipeline.modelling import evidence_of
+    from dtwin.train.candidate_runs import training_candidates, training_metrics
+    from dtwin.train.promotion import check_version
+
+    version = registry.version(machine, wanted)
+    _, verdicts = check_version(registry, version)
+    logged = training_candidates(registry, version)
+    training = training_metrics(registry, version)
+    rows = [_row(c) for c in logged if f"{_FEED}.rms_um" in c["metrics"]]
+    return Judged(
+        version=version,
+        candidates=tuple(sorted(rows, key=lambda row: row["rms_um"])),
+        front=_front(registry, version),
+        floor_um=training.get("noise_floor_um", math.nan),
+        before_um=training.get("rms_before_um", math.nan),
+        verdicts=tuple(verdicts),
+        evidence=evidence_of(registry, version),
+    )
+
+
+def mlflow_page(home: Home, model: str, version: str) -> str | None:
+    """Return the address of a version's MLflow page, None while ``dtwin up`` does not run."""
+    address = running(home).get("mlflow")
+    return f"{address}/#/models/{model}/versions/{version}" if address else None
+
+
+def _row(logged: Mapping[str, Any]) -> dict[str, Any]:
+    metrics: Mapping[str, float] = logged["metrics"]
+    return {
+        "name": logged["name"],
+        "promotable": logged["params"].get("promotable") == "True",
+        "complexity": metrics.get("complexity"),
+        "r2": metrics[f"{_FEED}.r2"],
+        "rms_um": metrics[f"{_FEED}.rms_um"],
+        "radius_rms_um": metrics.get(f"{_RADIUS}.rms_um"),
+        "worst": metrics.get(f"{_FEED}.worst_slice_ratio"),
+        "p50_us": metrics.get("latency_p50_us"),
+        "p99_us": metrics.get("latency_p99_us"),
+    }
+
+
+def _front(registry: Registry, version: RegisteredVersion) -> tuple[Mapping[str, Any], ...]:
+    try:
+        found: Sequence[Mapping[str, Any]] = registry.read_json(version, "front.json")
+    except InputError:
+        return ()
+    return tuple(point for point in found if "terms" in point)

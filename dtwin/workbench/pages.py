@@ -1,0 +1,99 @@
+"""Templates, figures and errors as answers."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import plotly.graph_objects as go
+from fastapi import Request
+from jinja2 import Environment, PackageLoader
+from starlette.responses import HTMLResponse, JSONResponse, Response
+
+from dtwin import __version__
+from dtwin.errors import DtwinError, GateRefusal
+from dtwin.report.twins import number
+from dtwin.workbench.bench import bench_of
+from dtwin.workbench.jobs import Job
+
+_UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "page.unknown", "model.unknown")
+_WORDS = {
+    "missing_effect": "An effect is missing",
+    "ambiguous": "Several effects would explain it",
+    "unknown_effect": "There is structure that no known effect explains",
+    "nothing_missing": "Nothing is missing",
+    "need_repeats": "Repeats are needed",
+    "variance_effect": "The spread depends on the condition",
+}
+
+
+def when(text: str | None) -> str:
+    """Return an ISO 8601 time to the minute."""
+    return (text or "").replace("T", " ")[:16] or "not stated"
+
+
+def um(value: float | None) -> str:
+    """Return micrometres with two decimals; a dash when not known."""
+    return "\u2013" if value is None or not math.isfinite(value) else f"{value:.2f}"
+
+
+def plain(value: float | None, digits: int = 3) -> str:
+    """Return a number for people, without exponents where none is needed."""
+    return number(value, digits)
+
+
+_ENVIRONMENT = Environment(
+    loader=PackageLoader("dtwin.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+)
+_ENVIRONMENT.filters |= {"when": when, "um": um, "plain": plain}
+_ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
+
+
+def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:
+    """Return a page.
+
+    Parameters
+    ----------
+    request : Request
+        What was asked for.
+    template : str
+        File of the template.
+    status : int
+        HTTP status.
+    context
+        What the template shows; everything is escaped.
+    """
+    bench = bench_of(request)
+    found = _ENVIRONMENT.get_template(template).render(
+        allowed=request.state.allowed,
+        path=request.url.path,
+        home=str(bench.home.root),
+        shared=bench.access.shared,
+        jobs=bench.jobs.unfinished(),
+        **context,
+    )
+    return HTMLResponse(found, status)
+
+
+def drawn(figure: go.Figure) -> Response:
+    """Return a figure for the page's script."""
+    return Response(figure.to_json(), media_type="application/json")
+
+
+def download(content: str | bytes, name: str, kind: str) -> Response:
+    """Return a file to keep."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return Response(content, media_type=kind, headers=headers)
+
+
+def accepted(job: Job) -> JSONResponse:
+    """Return where to ask for the progress of a job."""
+    return JSONResponse({"job": job.id}, 202)
+
+
+def refused(request: Request, error: DtwinError) -> Response:
+    """Return an error as the command line words it."""
+    status = 404 if error.code in _UNKNOWN else 409 if isinstance(error, GateRefusal) else 400
+    if request.url.path.startswith("/api/"):
+        return JSONResponse({"error": error.as_dict(), "text": error.render()}, status)
+    return rendered(request, "error.html", status, text=error.render(), title="That did not work")

@@ -1,0 +1,319 @@
+"""What pages show of twins: computed once for each version, reduced to what is drawn."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.atomic import write_text
+from dtwin.errors import InputError
+from dtwin.physics import localise
+from dtwin.physics.effect import Instance
+from dtwin.physics.fit import fit
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
+from dtwin.physics.twin import Twin, frozen_residual_um, left_out_lines
+from dtwin.pipeline.twin_data import Comparison, Loaded, load, pure_rms_um
+from dtwin.pipeline.twin_files import read_document
+from dtwin.report.twin_plots import harmonic_amplitudes_um
+from dtwin.schema import Floats, require_name
+from dtwin.workbench.bench import Bench
+
+FLOOR_WORDS = {
+    "repeats": "from repeats of the same condition; unit of replication: the run",
+    "within_run": "from inside single runs: a lower bound",
+    "none": "not known: no condition was repeated",
+}
+
+
+@dataclass(frozen=True)
+class Floor:
+    """The noise floor of a campaign.
+
+    Attributes
+    ----------
+    um : float
+        RMS of one run about the mean of its condition; NaN when it is not known.
+    kind : {"repeats", "within_run", "none"}
+        Where it comes from; ``within_run`` is a lower bound.
+    """
+
+    um: float
+    kind: str
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a number."""
+        return math.isfinite(self.um)
+
+    @property
+    def words(self) -> str:
+        """Where it comes from, in words."""
+        return FLOOR_WORDS[self.kind]
+
+
+@dataclass(frozen=True)
+class View:
+    """A twin against its runs, ready to draw.
+
+    Attributes
+    ----------
+    key : tuple
+        Twin, version and table version that it was made from.
+    comparison : Comparison
+        Measured against predicted.
+    result : dict
+        Its figures.
+    measured_um, residual_um : ndarray, shape (conditions, 360)
+        Means over the repeats; NaN where nothing was measured.
+    """
+
+    key: tuple[str | int, ...]
+    comparison: Comparison
+    result: Mapping[str, Any]
+    measured_um: Floats
+    residual_um: Floats
+
+    @property
+    def obs(self) -> Observations:
+        """The runs."""
+        return self.comparison.obs
+
+    @property
+    def twin(self) -> Twin:
+        """The twin."""
+        return self.comparison.twin
+
+    @property
+    def floor_um(self) -> float:
+        """RMS of one run about the mean of its condition; NaN without repeats."""
+        return float(self.result["noise_floor_um"])
+
+    @property
+    def labels(self) -> list[str]:
+        """Names of the conditions."""
+        return [str(c) for c in self.obs.conditions]
+
+
+def observed(bench: Bench, campaign: str) -> Observations:
+    """Return the runs of a campaign of the lake on the grid.
+
+    Raises
+    ------
+    InputError
+        When there is no such campaign, or it has no usable run.
+    """
+    return _loaded(bench, campaign).obs
+
+
+def campaign_floor(bench: Bench, campaign: str) -> Floor:
+    """Return what repeats of a campaign disagree by, centre and radius of set-ups taken out.
+
+    It is kept in a file: finding it reads every run.
+    """
+    stamp = bench.stamp(campaign)
+    path = bench.folder / "floors" / f"{require_name(campaign, 'the campaign')}.json"
+
+    def found() -> Floor:
+        kept = read_document(path) if path.exists() else {}
+        if kept.get("runs_sha256") != stamp:
+            kept = {"runs_sha256": stamp, "floor_um": _floor_um(bench, campaign)}
+            write_text(path, json.dumps(kept), "the noise floor")
+        um = kept["floor_um"]
+        return Floor(math.nan, "none") if um is None else Floor(um, "repeats")
+
+    return bench.cache.get(("floor", campaign, stamp), found)
+
+
+def _floor_um(bench: Bench, campaign: str) -> float | None:
+    try:
+        obs = observed(bench, campaign)
+    except InputError:
+        return None
+    um = pure_rms_um(obs, localise.residual_um(obs, []))
+    return um if math.isfinite(um) else None
+
+
+def version_file(bench: Bench, name: str, version: int) -> Path:
+    """Return the file of a version of a twin."""
+    return bench.twins.root / require_name(name, "the twin") / f"v{version:03d}.json"
+
+
+def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> View:
+    """Return a twin against runs.
+
+    Parameters
+    ----------
+    bench : Bench
+        State of the server.
+    name : str
+        The twin.
+    version : int, optional
+        The newest without.
+    on : str
+        Campaign of other runs of the machine, for the newest version; empty for those of the fit.
+    """
+    twin = bench.twins.newest(name, version)
+    campaign = on or twin.campaign
+    made = version_file(bench, name, twin.version).stat().st_mtime_ns
+    key = ("view", name, twin.version, made, campaign, bench.stamp(campaign))
+
+    def compared() -> View:
+        if campaign == twin.campaign:
+            return _viewed(key, _compared(twin, _loaded(bench, campaign)))
+        return _viewed(key, bench.twins.compare(name, campaign))
+
+    return bench.cache.get(key, compared)
+
+
+def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None:
+    """Return the diagnosis of a version, None when it was not diagnosed yet."""
+    path = version_file(bench, name, version).with_suffix(".diagnosis.json")
+    return read_document(path) if path.exists() else None
+
+
+def floor_of(bench: Bench, found: View) -> Floor:
+    """Return the noise floor: from repeats, else the lower bound of a diagnosis, else none."""
+    if math.isfinite(found.floor_um):
+        return Floor(found.floor_um, "repeats")
+    same = found.obs.campaign.name == found.twin.campaign
+    diagnosis = diagnosis_of(bench, found.twin.name, found.twin.version) if same else None
+    diagnosis = diagnosis or {}
+    lower = diagnosis.get("noise_floor_um")
+    if diagnosis.get("floor_kind") == "within_run" and lower is not None:
+        return Floor(float(lower), "within_run")
+    return Floor(math.nan, "none")
+
+
+def chosen_conditions(found: View, wanted: Sequence[int]) -> list[int]:
+    """Return valid numbers of conditions; the one with the largest residual without any."""
+    here = [c for c in dict.fromkeys(wanted) if 0 <= c < len(found.obs.conditions)]
+    return here or [int(np.argmax(np.nanmean(found.residual_um**2, axis=1)))]
+
+
+def overlay(
+    found: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]
+) -> dict[str, Floats]:
+    """Return curves by name.
+
+    Parameters
+    ----------
+    found : View
+        The twin against its runs.
+    conditions : sequence of int
+        Conditions, means over their repeats.
+    show : sequence of str
+        Of ``measured``, ``twin``, ``residual``.
+    runs : sequence of str
+        Single runs besides, as measured.
+    """
+    curves: dict[str, Floats] = {}
+    for number in conditions:
+        suffix = f" {found.labels[number]}" if len(conditions) > 1 else ""
+        measured, left = found.measured_um[number], found.residual_um[number]
+        for kind, values in (
+            ("measured", measured), ("twin", measured - left), ("residual", left)
+        ):  # fmt: skip
+            if kind in show:
+                curves[kind + suffix] = values
+    for row, meta in enumerate(found.obs.runs):
+        if meta.run_id in runs:
+            name = f"run {meta.run_id}"
+            turn = sum(known.startswith(name) for known in curves)
+            values = _masked(found.comparison.before_um, found.obs)[row]
+            curves[f"{name} turn {turn + 1}" if turn else name] = values
+    return curves
+
+
+def runs_of(found: View, conditions: Sequence[int]) -> list[str]:
+    """Return the runs of conditions, in the order of measurement."""
+    rows = np.flatnonzero(np.isin(found.obs.condition_of, conditions))
+    return list(dict.fromkeys(found.obs.runs[int(row)].run_id for row in rows))
+
+
+def floor_harmonics_um(found: View) -> Floats | None:
+    """Return the amplitude by which repeats disagree at each harmonic, shape (181,).
+
+    Mean square over the rows of what each differs from the mean of its condition, with the
+    degrees of freedom of the means taken out; None without repeats over full turns.
+    """
+    obs = found.obs
+    full = obs.mask.all(axis=1)
+    total, dof = np.zeros(181), 0
+    for number in range(len(obs.conditions)):
+        rows = found.comparison.residual_um[(obs.condition_of == number) & full]
+        if len(rows) > 1:
+            total += (harmonic_amplitudes_um(rows - rows.mean(axis=0)) ** 2).sum(axis=0)
+            dof += len(rows) - 1
+    return np.asarray(np.sqrt(total / dof)) if dof else None
+
+
+def taken_away_um(bench: Bench, found: View, label: str) -> Floats:
+    """Return what adding an effect would take from the mean residual of every condition.
+
+    Parameters
+    ----------
+    bench : Bench
+        State of the server.
+    found : View
+        The twin against its runs.
+    label : str
+        Effect with axis, for example ``backlash X``.
+
+    Returns
+    -------
+    ndarray, shape (conditions, 360)
+        NaN where nothing was measured.
+    """
+    name, _, axis = label.partition(" ")
+    instance = Instance(bench.library[name], axis)
+    if label in found.twin.labels:
+        raise InputError("the twin has this effect already", code="twin.has_effect", got=label)
+
+    def refitted() -> Floats:
+        obs = found.obs
+        term = Term(instance, instance.effect.start_shape)
+        left = fit(obs, [*found.twin.terms, term]).residual_um
+        change = found.comparison.residual_um - left
+        return _with_gaps(localise.condition_means(obs, change), obs)
+
+    return bench.cache.get(("signature", label, *found.key), refitted)
+
+
+def _loaded(bench: Bench, campaign: str) -> Loaded:
+    key = ("observed", campaign, bench.stamp(campaign))
+    return bench.cache.get(key, lambda: load(bench.home, campaign))
+
+
+def _compared(twin: Twin, loaded: Loaded) -> Comparison:
+    obs = loaded.obs
+    residual = frozen_residual_um(twin, obs)
+    before = localise.residual_um(obs, [])
+    warnings = tuple(left_out_lines(loaded.data))
+    return Comparison(twin, obs, residual, before, warnings, loaded.controller_um)
+
+
+def _viewed(key: tuple[str | int, ...], found: Comparison) -> View:
+    obs = found.obs
+    return View(
+        key,
+        found,
+        found.as_dict(),
+        _with_gaps(localise.condition_means(obs, found.before_um), obs),
+        _with_gaps(localise.condition_means(obs, found.residual_um), obs),
+    )
+
+
+def _with_gaps(means: Floats, obs: Observations) -> Floats:
+    seen = np.array([obs.mask[obs.condition_of == c].any(axis=0) for c in range(len(means))])
+    return np.where(seen, means, np.nan)
+
+
+def _masked(values: Floats, obs: Observations) -> Floats:
+    return np.where(obs.mask, values, np.nan)

@@ -1,0 +1,161 @@
+"""The application, and the server that it runs in."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+
+import uvicorn
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from plotly.offline import get_plotlyjs
+from starlette.exceptions import HTTPException
+from starlette.responses import RedirectResponse, Response
+
+from dtwin.config import Home
+from dtwin.errors import DtwinError, InputError, MissingPart
+from dtwin.workbench import (
+    campaign_routes,
+    effect_routes,
+    job_routes,
+    live_routes,
+    model_routes,
+    models,
+    reading,
+    twin_actions,
+    twin_routes,
+)
+from dtwin.workbench.access import Access, Guarded
+from dtwin.workbench.bench import Bench
+from dtwin.workbench.pages import refused
+
+_WARMED_TWINS = 3
+_KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+_FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}
+
+
+def application(bench: Bench) -> Guarded:
+    """Return the workbench as an ASGI application.
+
+    Parameters
+    ----------
+    bench : Bench
+        What is worked on, and who may do what.
+    """
+    app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
+    app.state.bench = bench
+    for part in (campaign_routes, twin_routes, twin_actions, effect_routes, model_routes, live_routes,
+                 job_routes):  # fmt: skip
+        app.include_router(part.router)
+    app.add_api_route("/", lambda: RedirectResponse("/campaigns", 303), include_in_schema=False)
+    app.add_api_route("/static/{name}", _static, include_in_schema=False)
+    app.add_exception_handler(DtwinError, _said)
+    app.add_exception_handler(ModuleNotFoundError, _absent)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _unknown)
+    return Guarded(app, bench.access)
+
+
+def run(
+    home: Home,
+    host: str,
+    listening: socket.socket,
+    effects_path: Path | None,
+    announce: Callable[[str], None],
+) -> None:
+    """Serve until a signal ends it.
+
+    Parameters
+    ----------
+    home : Home
+        What is worked on.
+    host : str
+        Address as it was asked for.
+    listening : socket
+        Where requests arrive.
+    effects_path : Path or None
+        Folder of the user's own effects.
+    announce : callable
+        Gets the address, once it answers.
+    """
+    access = Access(host, int(listening.getsockname()[1]))
+    bench = Bench(home, access, effects_path)
+    threading.Thread(target=_warm, args=(bench,), daemon=True).start()
+    config = uvicorn.Config(
+        application(bench), log_level="warning", access_log=False, server_header=False,
+        timeout_graceful_shutdown=3,
+    )  # fmt: skip
+    _Announcing(config, lambda: announce(access.address)).run(sockets=[listening])
+
+
+class _Announcing(uvicorn.Server):
+    """A server that says when it answers."""
+
+    def __init__(self, config: uvicorn.Config, said: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._said = said
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, then say so."""
+        await super().startup(sockets)
+        if self.started:
+            self._said()
+
+
+def _static(name: str) -> Response:
+    if name == "plotly.js":
+        return Response(get_plotlyjs(), media_type=_KINDS[".js"], headers=_FOREVER)
+    path = files("dtwin.workbench") / "static" / name
+    kind = _KINDS.get(Path(name).suffix)
+    if kind is None or "/" in name or not path.is_file():
+        raise HTTPException(404)
+    return Response(path.read_bytes(), media_type=kind, headers={"Cache-Control": "no-cache"})
+
+
+def _said(request: Request, error: Exception) -> Response:
+    assert isinstance(error, DtwinError)
+    return refused(request, error)
+
+
+def _absent(request: Request, error: Exception) -> Response:
+    assert isinstance(error, ModuleNotFoundError)
+    said = MissingPart(
+        f"this page needs the package {error.name}, which is not installed here",
+        code="package.missing",
+        hint="pip install '.[all]' in a checkout of dtwin",
+    )
+    return refused(request, said)
+
+
+def _warm(bench: Bench) -> None:
+    """Read what the first pages would wait for; a page says what is wrong with it."""
+    with contextlib.suppress(DtwinError, ModuleNotFoundError):
+        newest = sorted(bench.twins.root.glob("*/v*.json"), key=lambda p: -p.stat().st_mtime)
+        for name in list(dict.fromkeys(path.parent.name for path in newest))[:_WARMED_TWINS]:
+            reading.view(bench, name)
+        models.registry_of(bench.home)
+
+
+def _invalid(request: Request, error: Exception) -> Response:
+    assert isinstance(error, RequestValidationError)
+    first = error.errors()[0]
+    place = ".".join(str(part) for part in first["loc"])
+    said = InputError(
+        "the request is not complete", code="request.invalid", where=place, got=first["msg"]
+    )
+    return refused(request, said)
+
+
+def _unknown(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    if error.status_code == 404:
+        said = InputError(
+            "there is no such page", code="page.unknown", got=request.url.path[:80],
+            hint="begin at /campaigns",
+        )  # fmt: skip
+        return refused(request, said)
+    return Response(f"{error.detail}\n", error.status_code, media_type="text/plain")

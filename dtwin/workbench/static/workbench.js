@@ -1,0 +1,379 @@
+"use strict";
+// Server-rendered pages; this draws figures, sends forms, and follows work in progress.
+
+const byId = (id) => document.getElementById(id);
+const all = (selector, within) => Array.from((within || document).querySelectorAll(selector));
+const CONFIG = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["lasso2d", "select2d"] };
+
+async function ask(address, options) {
+  const answer = await fetch(address, { credentials: "same-origin", ...options });
+  const kind = answer.headers.get("content-type") || "";
+  const body = kind.includes("json") ? await answer.json() : { text: await answer.text() };
+  if (!answer.ok) throw new Error(body.text || `the server answered ${answer.status}`);
+  return body;
+}
+
+const send = (address, content, method) =>
+  ask(address, { method: method || "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(content) });
+
+// As dtwin.workbench.numbers: a single comma or point is the decimal sign.
+function decimal(text) {
+  const plain = text.replace(/[\s'\u2019]/g, "").replace("\u2212", "-");
+  if (/^[+-]?(\d+[.,]?\d*|[.,]\d+)(e[+-]?\d{1,3})?$/i.test(plain)) return Number(plain.replace(",", "."));
+  const grouped = /^[+-]?\d{1,3}((,\d{3})+(\.\d*)?|(\.\d{3})+(,\d*)?)$/.exec(plain);
+  return grouped ? Number(plain.replaceAll(grouped[2] ? "," : ".", "").replace(",", ".")) : NaN;
+}
+
+// ---- figures ---------------------------------------------------------------------------------
+
+function chosen() {
+  const form = byId("chooser");
+  const query = new URLSearchParams();
+  for (const box of all("input[name]:checked", form)) query.append(box.name, box.value);
+  if (form.dataset.on) query.set("on", form.dataset.on);
+  return query;
+}
+
+function addressOf(figure) {
+  const address = figure.dataset.figure;
+  if ("chooser" in figure.dataset) return `${address}?${chosen()}`;
+  if ("signature" in figure.dataset) return `${address}?${new URLSearchParams({ effect: byId("signature").value })}`;
+  return address;
+}
+
+async function draw(figure) {
+  const canvas = figure.querySelector(".canvas");
+  const turn = (figure.turn || 0) + 1;
+  figure.turn = turn;
+  figure.setAttribute("aria-busy", "true");
+  try {
+    const found = await ask(addressOf(figure));
+    if (figure.turn !== turn) return;
+    all(".refusal", figure).forEach((old) => old.remove());
+    const magnified = "magnified" in figure.dataset;
+    found.layout.autosize = true;
+    if (!("map" in figure.dataset)) found.layout.height = Number(canvas.dataset.height);
+    figure.querySelector("figcaption").textContent = (found.layout.title || {}).text || "";
+    delete found.layout.title;
+    found.layout.margin = { ...found.layout.margin, t: 50 };
+    if (window.innerWidth < 700) {
+      found.layout.margin = { l: 48, r: 12, t: 20, b: 60 };
+      found.layout.legend = { orientation: "h", y: -0.18, yanchor: "top" };
+    }
+    canvas.style.minHeight = `${found.layout.height}px`;
+    await Plotly.react(canvas, found.data, found.layout, CONFIG);
+    if (magnified) keepMagnification(canvas);
+    if ("map" in figure.dataset && !figure.listening) {
+      figure.listening = true;
+      canvas.on("plotly_click", (event) => showCondition(event.points[0].pointIndex[0]));
+    }
+  } catch (error) {
+    if (figure.turn !== turn) return;
+    all(".refusal", figure).forEach((old) => old.remove());
+    const note = document.createElement("pre");
+    note.className = "refusal";
+    note.textContent = error.message;
+    figure.append(note);
+  } finally {
+    figure.removeAttribute("aria-busy");
+  }
+}
+
+// ---- magnification ---------------------------------------------------------------------------
+
+let magnification = null; // chosen by the reader; null follows the figure
+
+function magnify(canvas, factor) {
+  const radius = canvas.layout.meta.radius_mm;
+  const drawn = canvas.data.map((trace) => trace.customdata.map((um) => (um === null ? null : radius + (um * factor) / 1000)));
+  Plotly.restyle(canvas, { r: drawn });
+  byId("magnification-text").value = String(Number(factor.toPrecision(3)));
+  const slider = byId("magnification");
+  slider.value = String(100 * Math.log10(factor / canvas.layout.meta.magnification));
+  slider.setAttribute("aria-valuetext", `${Number(factor.toPrecision(3))} times`);
+}
+
+function keepMagnification(canvas) {
+  magnify(canvas, magnification || canvas.layout.meta.magnification);
+}
+
+function watchMagnification() {
+  const slider = byId("magnification");
+  if (!slider) return;
+  const canvas = byId("polar").querySelector(".canvas");
+  const note = byId("magnification-note");
+  slider.addEventListener("input", () => {
+    if (!canvas.layout) return;
+    magnification = canvas.layout.meta.magnification * 10 ** (Number(slider.value) / 100);
+    magnify(canvas, magnification);
+  });
+  byId("magnification-text").addEventListener("change", (event) => {
+    const factor = decimal(event.target.value);
+    const good = factor > 0 && factor < 1e7;
+    note.textContent = good ? "" : "not a magnification: for example 500 or 0,5";
+    event.target.setAttribute("aria-invalid", String(!good));
+    if (good) magnification = factor;
+    if (good && canvas.layout) magnify(canvas, factor);
+  });
+}
+
+// ---- what is drawn ---------------------------------------------------------------------------
+
+function redraw() {
+  const query = chosen().toString();
+  history.replaceState(null, "", query ? `?${query}` : location.pathname);
+  all("[data-chooser]").forEach(draw);
+}
+
+async function listRuns() {
+  const form = byId("chooser");
+  const place = byId("runs");
+  const ticked = new Set([...all("input:checked", place).map((box) => box.value), ...new URLSearchParams(location.search).getAll("run")]);
+  const query = chosen();
+  query.delete("run");
+  const found = await ask(`/api/twins/${form.dataset.twin}/runs?${query}`);
+  place.replaceChildren(...found.runs.map((id) => {
+    const label = document.createElement("label");
+    const box = Object.assign(document.createElement("input"), { type: "checkbox", name: "run", value: id, checked: ticked.has(id) });
+    const link = Object.assign(document.createElement("a"), { href: `/campaigns/${encodeURIComponent(found.campaign)}/runs/${encodeURIComponent(id)}`, textContent: "page" });
+    link.setAttribute("aria-label", `page of run ${id}`);
+    label.append(box, ` ${id} `);
+    const both = document.createElement("span");
+    both.append(label, link);
+    return both;
+  }));
+}
+
+async function changed() {
+  await listRuns();
+  redraw();
+}
+
+function showCondition(number) {
+  all("#conditions input").forEach((box) => { box.checked = Number(box.value) === Number(number); });
+  changed();
+  byId("chooser").scrollIntoView({ behavior: matchMedia("(prefers-reduced-motion: reduce)").matches ? "auto" : "smooth", block: "start" });
+}
+
+function applyFilters() {
+  const wanted = {};
+  all("[data-filter]").forEach((select) => { if (select.value) wanted[select.dataset.filter] = select.value; });
+  for (const label of all("#conditions label")) {
+    const fits = Object.entries(wanted).every(([name, value]) => label.dataset[name] === value);
+    label.hidden = !fits;
+    if (!fits) label.querySelector("input").checked = false;
+  }
+  const visible = all("#conditions label:not([hidden]) input");
+  if (!visible.some((box) => box.checked) && visible.length) visible[0].checked = true;
+}
+
+function watchChooser() {
+  const form = byId("chooser");
+  if (!form) return;
+  const asked = new URLSearchParams(location.search);
+  const numbers = asked.getAll("condition").length ? asked.getAll("condition") : form.dataset.worst.split(",");
+  all("#conditions input").forEach((box) => { box.checked = numbers.includes(box.value); });
+  if (asked.getAll("show").length) all("input[name=show]", form).forEach((box) => { box.checked = asked.getAll("show").includes(box.value); });
+  form.addEventListener("submit", (event) => event.preventDefault());
+  form.addEventListener("change", (event) => {
+    if (event.target.dataset.filter) applyFilters();
+    if (event.target.name === "condition" && all("#conditions input:checked").length > 6) event.target.checked = false;
+    if (event.target.name === "run") redraw(); else changed();
+  });
+  all("[data-condition]").forEach((button) => button.addEventListener("click", () => showCondition(button.dataset.condition)));
+}
+
+// ---- work ------------------------------------------------------------------------------------
+
+const pause = (ms) => new Promise((done) => setTimeout(done, ms));
+
+function opened(title) {
+  const dialog = byId("work");
+  byId("work-title").textContent = title;
+  byId("work-stage").textContent = "";
+  byId("work-error").hidden = byId("work-close").hidden = true;
+  byId("work-note").hidden = false;
+  dialog.querySelector(".moving").hidden = false;
+  if (!dialog.open) dialog.showModal();
+  return dialog;
+}
+
+function failed(text) {
+  byId("work-title").textContent = "That did not work";
+  byId("work-error").textContent = text;
+  byId("work-error").hidden = byId("work-close").hidden = false;
+  byId("work-note").hidden = true;
+  byId("work").querySelector(".moving").hidden = true;
+  byId("work-stage").textContent = "";
+  byId("work-close").focus();
+}
+
+async function follow(id) {
+  const since = performance.now();
+  for (;;) {
+    const job = await ask(`/api/jobs/${id}`);
+    byId("work-title").textContent = job.title;
+    byId("work-stage").textContent = `${job.stage} (${Math.round((performance.now() - since) / 1000)} s)`;
+    if (job.state === "done") { location.assign(job.address); return; }
+    if (job.state === "failed" || job.state === "interrupted") { failed(job.error || job.stage); return; }
+    await pause(400);
+  }
+}
+
+async function start(title, begin) {
+  opened(title);
+  try {
+    await follow((await begin()).job);
+  } catch (error) {
+    failed(error.message);
+  }
+}
+
+function contentOf(form) {
+  const content = {};
+  for (const field of all("[name]", form)) {
+    if (field.type === "checkbox" && "list" in field.dataset) {
+      content[field.name] = content[field.name] || [];
+      if (field.checked) content[field.name].push(field.value);
+    } else if (field.type === "checkbox") content[field.name] = field.checked;
+    else content[field.name] = "number" in field.dataset ? decimal(field.value) : field.value.trim();
+  }
+  return content;
+}
+
+function watchForms() {
+  for (const form of all("form[data-post]")) {
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      const title = form.querySelector("[type=submit]").textContent;
+      start(title, () => send(form.dataset.post, contentOf(form)));
+    });
+  }
+  for (const form of all("form[data-save]")) {
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      const note = byId("saved");
+      try {
+        const found = await send(form.dataset.save, { name: form.elements.name.value, source: form.elements.source.value });
+        note.className = "wrap";
+        note.textContent = `saved, and it can be fitted\n\n${found.text}`;
+      } catch (error) {
+        note.className = "refusal";
+        note.textContent = error.message;
+      }
+      note.hidden = false;
+    });
+  }
+  for (const form of all("form[data-simple]")) {
+    form.addEventListener("submit", async (event) => {
+      event.preventDefault();
+      form.querySelector("[type=submit]").disabled = true;
+      await send(form.dataset.simple, {}).catch((error) => { opened("Stop"); failed(error.message); });
+    });
+  }
+  for (const button of all("[data-forget]")) {
+    button.addEventListener("click", async () => {
+      await send(`/api/jobs/${button.dataset.forget}`, {}, "DELETE");
+      button.closest(".job").remove();
+    });
+  }
+  byId("work-close").addEventListener("click", () => byId("work").close());
+  if (document.body.dataset.allowed === "no") {
+    all("form[data-post] [type=submit], form[data-simple] [type=submit], form[data-save] [type=submit], .drop input, [data-forget]").forEach((part) => { part.disabled = true; });
+  }
+}
+
+async function watchJobs() {
+  for (const note of all(".job")) {
+    if (!["waiting", "running"].includes(note.dataset.state)) continue;
+    for (;;) {
+      const job = await ask(`/api/jobs/${note.dataset.job}`).catch(() => null);
+      if (!job) break;
+      note.querySelector(".stage").textContent = job.state === "failed" ? job.error : job.stage;
+      if (job.state === "done") {
+        const link = Object.assign(document.createElement("a"), { href: job.address, textContent: "done: show it" });
+        note.querySelector(".stage").replaceChildren(link);
+      }
+      if (!["waiting", "running"].includes(job.state)) break;
+      await pause(800);
+    }
+  }
+}
+
+async function watchLive() {
+  if (!document.querySelector("[data-live]")) return;
+  const seen = JSON.stringify(await ask("/api/live"));
+  for (;;) {
+    await pause(1500);
+    const now = await ask("/api/live").catch(() => null);
+    if (now && JSON.stringify(now) !== seen) { location.reload(); return; }
+  }
+}
+
+// ---- files -----------------------------------------------------------------------------------
+
+async function entriesOf(entry, path) {
+  if (entry.isFile) {
+    const file = await new Promise((done, no) => entry.file(done, no));
+    return [[path + file.name, file]];
+  }
+  const reader = entry.createReader();
+  const found = [];
+  for (;;) {
+    const part = await new Promise((done, no) => reader.readEntries(done, no));
+    if (!part.length) break;
+    for (const inner of part) found.push(...(await entriesOf(inner, `${path}${entry.name}/`)));
+  }
+  return found;
+}
+
+const wanted = ([name]) => !/(^|\/)(\.|__MACOSX\/|Thumbs\.db$)/.test(name);
+
+function upload(gather) {
+  if (document.body.dataset.allowed === "no") return;
+  start("Upload", async () => {
+    const files = (await gather()).filter(wanted);
+    if (!files.length) throw new Error("nothing was dropped that is a file");
+    const { tray } = await send("/api/trays", {});
+    for (const [number, [name, file]] of files.entries()) {
+      byId("work-stage").textContent = `${number + 1} of ${files.length}: ${name}`;
+      await ask(`/api/trays/${tray}?${new URLSearchParams({ name })}`, { method: "PUT", body: file });
+    }
+    return send(`/api/trays/${tray}/ingest`, {});
+  });
+}
+
+function watchDrop() {
+  const place = byId("drop");
+  if (!place) return;
+  for (const kind of ["dragenter", "dragover"]) {
+    document.addEventListener(kind, (event) => { event.preventDefault(); place.classList.add("over"); });
+  }
+  document.addEventListener("dragleave", (event) => { if (!event.relatedTarget) place.classList.remove("over"); });
+  document.addEventListener("drop", (event) => {
+    event.preventDefault();
+    place.classList.remove("over");
+    const entries = Array.from(event.dataTransfer.items).map((item) => item.webkitGetAsEntry && item.webkitGetAsEntry()).filter(Boolean);
+    const plain = Array.from(event.dataTransfer.files).map((file) => [file.name, file]);
+    upload(async () => (entries.length ? (await Promise.all(entries.map((entry) => entriesOf(entry, "")))).flat() : plain));
+  });
+  for (const id of ["pick-files", "pick-folder"]) {
+    byId(id).addEventListener("change", (event) => {
+      const files = Array.from(event.target.files).map((file) => [file.webkitRelativePath || file.name, file]);
+      if (files.length) upload(async () => files);
+    });
+  }
+}
+
+document.addEventListener("DOMContentLoaded", async () => {
+  watchForms();
+  watchDrop();
+  watchJobs();
+  watchLive();
+  watchMagnification();
+  watchChooser();
+  if (byId("signature")) byId("signature").addEventListener("change", () => draw(byId("signature-plot")));
+  if (byId("chooser")) await listRuns().catch(() => {});
+  await Promise.all(all("[data-figure]").map(draw));
+  document.body.dataset.drawn = "yes";
+});

@@ -1,0 +1,151 @@
+"""What changes a twin: fit, diagnose, add, remove, learn, roll back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from fastapi import APIRouter, Request
+from pydantic import BaseModel, Field
+from starlette.responses import JSONResponse
+
+from dtwin.physics.twin import Twin
+from dtwin.schema import require_name
+from dtwin.workbench import reading
+from dtwin.workbench.bench import Bench, bench_of
+from dtwin.workbench.jobs import Tell
+from dtwin.workbench.pages import accepted
+
+router = APIRouter()
+
+
+class FitRequest(BaseModel):
+    """What to fit."""
+
+    campaign: str
+    name: str
+    effects: list[str] = Field(default_factory=list, max_length=60)
+    robust: bool = False
+
+
+class EffectRequest(BaseModel):
+    """An effect, perhaps on one axis."""
+
+    effect: str = Field(max_length=120)
+    axis: str = Field("", max_length=20)
+
+
+class CorrectionRequest(BaseModel):
+    """Whether a correction may be registered although the twin is not confirmed."""
+
+    trial: bool = False
+
+
+class VersionRequest(BaseModel):
+    """A version."""
+
+    version: int
+
+
+@router.post("/api/twins")
+def fit(request: Request, wanted: FitRequest) -> JSONResponse:
+    """Fit effects to a campaign of the lake."""
+    bench = bench_of(request)
+    require_name(wanted.name, "the twin")
+    bench.lake.campaign(wanted.campaign)
+    return _start(
+        bench, f"Fit {wanted.name}", wanted.name,
+        lambda: bench.twins.fit(
+            wanted.campaign, wanted.effects, wanted.name, robust=wanted.robust
+        ),
+        "/twins/{name}",
+    )  # fmt: skip
+
+
+@router.post("/api/twins/{name}/add")
+def add(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
+    """Add an effect and refit."""
+    bench = bench_of(request)
+    bench.twins.newest(name)
+    return _start(
+        bench, f"Add {wanted.effect} {wanted.axis}".strip(), name,
+        lambda: bench.twins.add(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
+    )  # fmt: skip
+
+
+@router.post("/api/twins/{name}/remove")
+def remove(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
+    """Take an effect out and refit."""
+    bench = bench_of(request)
+    bench.twins.newest(name)
+    return _start(
+        bench, f"Remove {wanted.effect} {wanted.axis}".strip(), name,
+        lambda: bench.twins.remove(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
+    )  # fmt: skip
+
+
+@router.post("/api/twins/{name}/learn")
+def learn(request: Request, name: str) -> JSONResponse:
+    """Add a law for structure that no effect explains."""
+    bench = bench_of(request)
+    bench.twins.newest(name)
+    return _start(
+        bench, f"Learn a law for {name}", name, lambda: bench.twins.learn(name)[0],
+        "/twins/{name}/versions",
+    )  # fmt: skip
+
+
+@router.post("/api/twins/{name}/rollback")
+def roll_back(request: Request, name: str, wanted: VersionRequest) -> JSONResponse:
+    """Make a new version with the effects of an older one; nothing is deleted."""
+    bench = bench_of(request)
+    old = bench.twins.newest(name, wanted.version)
+
+    def again() -> Twin:
+        effects = [f"{t.instance.effect.name}:{t.instance.axis}".rstrip(":") for t in old.terms]
+        return bench.twins.fit(old.campaign, effects, name)
+
+    title = f"Roll {name} back to version {wanted.version}"
+    return _start(bench, title, name, again, "/twins/{name}/versions")
+
+
+@router.post("/api/twins/{name}/diagnose")
+def diagnose(request: Request, name: str) -> JSONResponse:
+    """Find out what the newest version lacks."""
+    bench = bench_of(request)
+    bench.twins.newest(name)
+
+    def work(tell: Tell) -> str:
+        tell("test every effect of the library, and what repeats say")
+        bench.twins.diagnose(name)
+        return f"/twins/{name}/diagnose"
+
+    return accepted(bench.jobs.start(f"Diagnose {name}", work))
+
+
+@router.post("/api/twins/{name}/correct")
+def correct(request: Request, name: str, wanted: CorrectionRequest) -> JSONResponse:
+    """Register the correction that a confirmed twin stands for, or say why not."""
+    bench = bench_of(request)
+    bench.twins.newest(name)
+
+    def work(tell: Tell) -> str:
+        from dtwin.pipeline.twin_correction import correct as register
+
+        tell("diagnose, grade every effect, freeze and register")
+        found = register(bench.twins, name, trial=wanted.trial).as_dict()
+        return f"/models/{found['machine']}/{found['version']}"
+
+    return accepted(bench.jobs.start(f"Correct with {name}", work))
+
+
+def _start(
+    bench: Bench, title: str, name: str, change: Callable[[], Twin], address: str
+) -> JSONResponse:
+    def work(tell: Tell) -> str:
+        tell("read the runs, fit, and register the version")
+        made = change()
+        tell(f"compare version {made.version} with its runs")
+        reading.view(bench, name, made.version)
+        return address.format(name=name)
+
+    return accepted(bench.jobs.start(title, work))

@@ -1,0 +1,252 @@
+"""Pages about twins: compare, diagnose, versions, report."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Request
+from starlette.responses import Response
+
+from dtwin.errors import InputError
+from dtwin.report.encoder_split import encoder_section
+from dtwin.report.html import page
+from dtwin.report.twin_plots import (
+    angle_figure,
+    harmonics_figure,
+    overlay_figure,
+    ranked_figure,
+    residual_map,
+    waterfall_figure,
+)
+from dtwin.report.twins import (
+    comparison_sections,
+    diagnosis_section,
+    history_section,
+    parameter_table,
+    twin_section,
+)
+from dtwin.workbench import reading
+from dtwin.workbench.bench import bench_of
+from dtwin.workbench.campaigns import possible_effects
+from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml
+from dtwin.workbench.models import mlflow_page
+from dtwin.workbench.numbers import decimal
+from dtwin.workbench.pages import download, drawn, rendered
+
+router = APIRouter()
+Numbers = Annotated[list[int], Query()]
+Words = Annotated[list[str], Query()]
+
+
+@router.get("/twins")
+def twin_list(request: Request) -> Response:
+    """Show all twins."""
+    bench = bench_of(request)
+    twins = bench.twins
+    found = [(name, twins.history(name)) for name in twins.names()]
+    return rendered(
+        request, "twins.html", title="Twins", twins=[(n, rungs) for n, rungs in found if rungs],
+        any_campaign=bool(bench.run_rows()),
+    )  # fmt: skip
+
+
+@router.get("/twins/{name}")
+def compare_page(request: Request, name: str, on: str = "") -> Response:
+    """Show measured against twin, on the runs of the fit or on others of the machine."""
+    bench = bench_of(request)
+    found = reading.view(bench, name, on=on)
+    machine = found.twin.machine
+    campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == machine})
+    worst = reading.chosen_conditions(found, ())
+    return rendered(
+        request, "compare.html", title=f"Twin {name}: compare", name=name, tab="compare",
+        twin=found.twin, result=found.result, labels=found.labels, worst=worst,
+        conditions=found.obs.conditions, floor=reading.floor_of(bench, found),
+        parameters=parameter_table(found.twin), campaigns=campaigns,
+        on=found.obs.campaign.name,
+        seen=encoder_section(split) if (split := found.result["encoder_split"]) else None,
+    )  # fmt: skip
+
+
+@router.get("/twins/{name}/diagnose")
+def diagnose_page(request: Request, name: str) -> Response:
+    """Show what is missing."""
+    bench = bench_of(request)
+    twin = bench.twins.newest(name)
+    diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    experiment = diagnosis["next_experiment"] if diagnosis else None
+    planned = bool(experiment and experiment["conditions"])
+    return rendered(
+        request, "diagnose.html", title=f"Twin {name}: diagnose", name=name, tab="diagnose",
+        twin=twin, diagnosis=diagnosis, grids=grids_of(experiment) if planned else [],
+        library=bench.library,
+        floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
+    )  # fmt: skip
+
+
+@router.get("/twins/{name}/versions")
+def versions_page(
+    request: Request, name: str, first: int | None = None, second: int | None = None
+) -> Response:
+    """Show every version, two of them side by side, and what can be added or removed."""
+    bench = bench_of(request)
+    twins = bench.twins
+    rungs = twins.history(name)
+    newest = twins.newest(name)
+    right = newest if second is None else twins.newest(name, second)
+    left = twins.newest(name, max(1, right.version - 1) if first is None else first)
+    rows = [row for row in bench.run_rows() if row["campaign"] == newest.campaign]
+    possible = possible_effects(rows, bench.library) if rows else []
+    return rendered(
+        request, "versions.html", title=f"Twin {name}: versions", name=name, tab="versions",
+        twin=newest, rungs=rungs, pair=(left, right), effects=possible,
+        tables=[parameter_table(v) for v in (left, right)],
+        mlflow=[
+            mlflow_page(bench.home, r["mlflow"]["model"], r["mlflow"]["model_version"])
+            if r["mlflow"] else None
+            for r in rungs
+        ],
+    )  # fmt: skip
+
+
+@router.get("/twins/{name}/report.html")
+def report(request: Request, name: str) -> Response:
+    """Return the whole story as one file that needs nothing else."""
+    bench = bench_of(request)
+    found = reading.view(bench, name)
+    twin = found.twin
+    sections = [twin_section(twin)]
+    sections += comparison_sections(
+        found.obs, found.comparison.before_um, found.comparison.residual_um, found.result
+    )
+    diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    if diagnosis is not None:
+        sections.append(diagnosis_section(name, _with_nan(diagnosis)))
+    sections.append(history_section(bench.twins.history(name)))
+    made = page(
+        f"Machine {twin.machine}: twin {name}",
+        f"version {twin.version} of campaign {twin.campaign}, made by dtwin",
+        sections,
+    )
+    return download(made, f"{twin.machine}-{name}-v{twin.version}.html", "text/html")
+
+
+@router.get("/twins/{name}/next-experiment.toml")
+def experiment_plan(request: Request, name: str) -> Response:
+    """Return the next experiment as a plan file, when one grid holds it."""
+    twin, experiment = _experiment(request, name)
+    grids = grids_of(experiment)
+    stem = f"{name}-next"
+    return download(plan_toml(stem, twin.machine, grids[0]), f"{stem}.toml", "application/toml")
+
+
+@router.get("/twins/{name}/next-experiment.zip")
+def experiment_programs(request: Request, name: str) -> Response:
+    """Return the next experiment as plans and programs."""
+    twin, experiment = _experiment(request, name)
+    stem = f"{name}-next"
+    return download(
+        experiment_zip(stem, twin.machine, experiment), f"{stem}.zip", "application/zip"
+    )
+
+
+@router.get("/api/twins/{name}/overlay/{kind}")
+def overlay(
+    request: Request, name: str, kind: str, condition: Numbers = [], show: Words = [],  # noqa: B006
+    run: Words = [], magnification: str = "", on: str = "",  # noqa: B006
+) -> Response:  # fmt: skip
+    """Return curves of conditions and runs: polar, over the angle, or their harmonics."""
+    bench = bench_of(request)
+    found = reading.view(bench, name, on=on)
+    floor_um = reading.floor_of(bench, found).um
+    chosen = reading.chosen_conditions(found, condition)[:6]
+    shown = [w for w in ("measured", "twin", "residual") if w in show] or ["measured", "twin"]
+    curves = reading.overlay(found, chosen, shown, run[:12])
+    title = found.labels[chosen[0]] if len(chosen) == 1 else f"{len(chosen)} conditions"
+    if kind == "angle":
+        return drawn(angle_figure(curves, title=title, floor_um=floor_um))
+    if kind == "harmonics":
+        floor = reading.floor_harmonics_um(found)
+        whole = {n: c for n, c in curves.items() if np.isfinite(c).all()}
+        known = "" if floor is not None else " (noise floor not known: no repeats of full turns)"
+        return drawn(harmonics_figure(whole, floor, title=f"Harmonics, {title}{known}"))
+    radius = found.obs.conditions[chosen[0]].radius_mm
+    factor = decimal(magnification, "the magnification") if magnification else None
+    return drawn(
+        overlay_figure(
+            curves, radius, title=title, floor_um=floor_um, magnification=factor, slider=False
+        )
+    )
+
+
+@router.get("/api/twins/{name}/runs")
+def runs(request: Request, name: str, condition: Numbers = [], on: str = "") -> dict[str, Any]:  # noqa: B006
+    """Return the runs of conditions."""
+    found = reading.view(bench_of(request), name, on=on)
+    chosen = reading.chosen_conditions(found, condition)
+    return {
+        "campaign": found.obs.campaign.name,
+        "conditions": chosen,
+        "runs": reading.runs_of(found, chosen),
+    }
+
+
+@router.get("/api/twins/{name}/map")
+def heat_map(request: Request, name: str, on: str = "") -> Response:
+    """Return the mean residual of every condition over the angle."""
+    bench = bench_of(request)
+    found = reading.view(bench, name, on=on)
+    floor_um = reading.floor_of(bench, found).um
+    return drawn(
+        residual_map(found.residual_um, found.labels, floor_um=floor_um, title="Mean residual")
+    )
+
+
+@router.get("/api/twins/{name}/encoder")
+def encoder(request: Request, name: str, on: str = "") -> Response:
+    """Return the error by who can see it, when the controller was logged."""
+    split = reading.view(bench_of(request), name, on=on).result["encoder_split"]
+    if not split:
+        raise InputError("the controller was not logged", code="page.unknown", where=name)
+    return drawn(encoder_section(split).figures[0])
+
+
+@router.get("/api/twins/{name}/waterfall")
+def waterfall(request: Request, name: str) -> Response:
+    """Return how the error fell from version to version."""
+    return drawn(waterfall_figure(bench_of(request).twins.history(name)))
+
+
+@router.get("/api/twins/{name}/ranked")
+def ranked(request: Request, name: str) -> Response:
+    """Return the candidates by the error predicted after adding each."""
+    bench = bench_of(request)
+    version = bench.twins.newest(name).version
+    return drawn(ranked_figure(_with_nan(reading.diagnosis_of(bench, name, version) or {})))
+
+
+@router.get("/api/twins/{name}/signature")
+def signature(request: Request, name: str, effect: str, condition: Numbers = []) -> Response:  # noqa: B006
+    """Return what adding an effect would take away, over the residual."""
+    bench = bench_of(request)
+    found = reading.view(bench, name)
+    taken = reading.taken_away_um(bench, found, effect)
+    chosen = reading.chosen_conditions(found, condition)[0]
+    curves = {"residual": found.residual_um[chosen], f"predicted: {effect}": taken[chosen]}
+    title = f"What {effect} would take away, {found.labels[chosen]}"
+    floor_um = reading.floor_of(bench, found).um
+    return drawn(angle_figure(curves, title=title, floor_um=floor_um))
+
+
+def _experiment(request: Request, name: str) -> tuple[Any, Any]:
+    bench = bench_of(request)
+    twin = bench.twins.newest(name)
+    diagnosis = reading.diagnosis_of(bench, name, twin.version)
+    return twin, diagnosis["next_experiment"] if diagnosis else None
+
+
+def _with_nan(stored: dict[str, Any]) -> dict[str, Any]:
+    """Return a stored diagnosis with what JSON calls null as NaN again."""
+    names = ("residual_rms_um", "systematic_rms_um", "noise_floor_um", "lack_of_fit_p")
+    return {**stored, **{n: float("nan") for n in names if stored.get(n) is None}}

@@ -1,0 +1,230 @@
+"""Files that a browser drops: collected in a tray, checked, and then ingested."""
+
+from __future__ import annotations
+
+import re
+import secrets
+import shutil
+import stat
+import zipfile
+from collections.abc import AsyncIterator
+from pathlib import Path, PurePosixPath
+
+from dtwin.errors import InputError
+
+MAX_TRAY_BYTES = 512 * 1024 * 1024
+MAX_UNPACKED_BYTES = 1024 * 1024 * 1024
+MAX_FILES = 5000
+_MAX_RATIO = 300
+_RATIO_FROM_BYTES = 10 * 1024 * 1024
+_MAX_DEPTH = 4
+_CHUNK = 1024 * 1024
+_PART = re.compile(r"[\w(][\w .,()+\-]{0,119}")
+_ALLOWED = "a .b5r, a .zip of a campaign folder, or all files of one with its campaign.toml"
+
+
+class Trays:
+    """Folders that uploads collect in.
+
+    Parameters
+    ----------
+    root : Path
+        Where; what an earlier server left there is removed.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        shutil.rmtree(root, ignore_errors=True)
+
+    def new(self) -> str:
+        """Open a tray and return its name."""
+        name = secrets.token_hex(8)
+        (self.root / name).mkdir(parents=True)
+        return name
+
+    def folder(self, name: str) -> Path:
+        """Return the folder of a tray.
+
+        Raises
+        ------
+        InputError
+            When there is no such tray.
+        """
+        folder = self.root / name
+        if not re.fullmatch(r"[0-9a-f]{16}", name) or not folder.is_dir():
+            raise InputError(
+                "this upload is not known here",
+                code="upload.tray",
+                got=name[:40],
+                hint="drop the files again",
+            )
+        return folder
+
+    async def receive(self, tray: str, name: str, body: AsyncIterator[bytes]) -> int:
+        """Write one file of a tray and return its size.
+
+        Parameters
+        ----------
+        tray : str
+            The tray.
+        name : str
+            Path as the browser states it.
+        body : async iterator of bytes
+            Its content.
+
+        Raises
+        ------
+        InputError
+            When the name could leave the tray, or there is too much.
+        """
+        folder = self.folder(tray)
+        path = folder / safe_path(name)
+        present = [p for p in folder.rglob("*") if p.is_file()]
+        left = MAX_TRAY_BYTES - sum(p.stat().st_size for p in present)
+        if len(present) >= MAX_FILES:
+            raise _too_much("files", str(len(present) + 1), str(MAX_FILES))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        size = 0
+        with path.open("wb") as file:
+            async for chunk in body:
+                size += len(chunk)
+                if size > left:
+                    file.close()
+                    path.unlink()
+                    raise _too_much("bytes", f"more than {left}", f"{MAX_TRAY_BYTES} in all")
+                file.write(chunk)
+        return size
+
+    def drop(self, tray: str) -> None:
+        """Remove a tray and what is in it."""
+        shutil.rmtree(self.root / tray, ignore_errors=True)
+
+
+def safe_path(name: str) -> PurePosixPath:
+    """Return a relative path that stays where it is put.
+
+    Parameters
+    ----------
+    name : str
+        As a browser or an archive states it.
+
+    Raises
+    ------
+    InputError
+        When it is absolute, leaves its folder, is too deep, or has odd characters.
+    """
+    parts = name.replace("\\", "/").split("/")
+    if len(parts) > _MAX_DEPTH or not all(_PART.fullmatch(part) for part in parts):
+        raise InputError(
+            "a file has a name that is not taken",
+            code="upload.name",
+            got=repr(name[:120]),
+            allowed="letters, digits, space and . , _ + - ( ), at most three folders deep, "
+            "without '..' and not hidden",
+        )
+    return PurePosixPath(*parts)
+
+
+def sources(folder: Path) -> list[Path]:
+    """Return what a tray holds that can be ingested; archives are unpacked first.
+
+    Parameters
+    ----------
+    folder : Path
+        The tray.
+
+    Raises
+    ------
+    InputError
+        When there is nothing, or an archive is not what it should be.
+    """
+    for archive in sorted(folder.rglob("*.[zZ][iI][pP]")):
+        target = archive.with_name(f"{archive.stem}-unpacked")
+        unpack(archive, target)
+        archive.unlink()
+    found = sorted(folder.rglob("campaign.toml"))
+    homes = [toml.parent for toml in found]
+    loose = [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.suffix.lower() == ".b5r" and not any(path.is_relative_to(home) for home in homes)
+    ]
+    if homes or loose:
+        return [*homes, *loose]
+    names = sorted(p.name for p in folder.rglob("*") if p.is_file())
+    raise InputError(
+        "there is nothing here that can be ingested by itself",
+        code="ingest.type",
+        got=", ".join(names[:8]) or "no file",
+        allowed=_ALLOWED,
+        hint="drop the whole folder: campaign.toml says plane, radius, feed and direction",
+    )
+
+
+def unpack(archive: Path, target: Path) -> None:
+    """Unpack an archive that nobody vouches for.
+
+    Parameters
+    ----------
+    archive : Path
+        A zip file.
+    target : Path
+        Folder to make.
+
+    Raises
+    ------
+    InputError
+        When it is damaged, encrypted, would leave the folder, holds links, or grows too large.
+    """
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            members = [m for m in opened.infolist() if not m.is_dir()]
+            if len(members) > MAX_FILES:
+                raise _too_much("files", str(len(members)), str(MAX_FILES))
+            left = MAX_UNPACKED_BYTES
+            for member in members:
+                left -= _extract(opened, member, target, left)
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError) as error:
+        raise InputError(
+            "the archive cannot be unpacked",
+            code="upload.zip",
+            where=archive.name,
+            got=str(error)[:120],
+            hint="pack the campaign folder again, without a password",
+        ) from error
+
+
+def _extract(opened: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, left: int) -> int:
+    kind = stat.S_IFMT(member.external_attr >> 16)
+    if kind not in (0, stat.S_IFREG):
+        raise InputError(
+            "the archive holds something that is not a file",
+            code="upload.zip",
+            got=repr(member.filename[:80]),
+            allowed="plain files",
+        )
+    path = target / safe_path(member.filename)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    # What the archive says of its sizes is not believed: the bytes are counted.
+    ratio_limit = max(_RATIO_FROM_BYTES, _MAX_RATIO * max(member.compress_size, 1))
+    size = 0
+    with opened.open(member) as packed, path.open("xb") as out:
+        while chunk := packed.read(_CHUNK):
+            size += len(chunk)
+            if size > min(left, ratio_limit):
+                raise _too_much(
+                    "bytes when unpacked", f"{member.filename[:60]}: more than {size}",
+                    f"{MAX_UNPACKED_BYTES} in all, {_MAX_RATIO} times its packed size",
+                )  # fmt: skip
+            out.write(chunk)
+    return size
+
+
+def _too_much(what: str, got: str, allowed: str) -> InputError:
+    return InputError(
+        f"the upload has too many {what}",
+        code="upload.size",
+        got=got,
+        allowed=allowed,
+        hint="ingest it with: dtwin ingest FOLDER",
+    )

@@ -1,0 +1,397 @@
+"""The workbench in a real browser: from a dropped file to an error that falls."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import require_program
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from workbench_server import Workbench, running_workbench
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
+
+FLAGS = [
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PATIENCE_MS = 60_000
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("mill") / "mill"
+    command = ["simulate", "--machine", "mill", "--hidden", "backlash", "--quick", "--out"]
+    subprocess.run(
+        [sys.executable, "-m", "dtwin", *command, str(out)], check=True, capture_output=True
+    )
+    return out
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
+    own = tmp_path_factory.mktemp("effects")
+    home = tmp_path_factory.mktemp("workbench")
+    with running_workbench(home, "--effects-path", str(own)) as started:
+        yield started
+        assert started.stop() == 0
+        assert started.process.stderr is not None
+        said = started.process.stderr.read()
+        assert said == "stopped\n"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    program = require_program("chromium", "chromium")
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=program, args=FLAGS)
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def context(browser: Browser) -> Iterator[BrowserContext]:
+    opened = browser.new_context(viewport={"width": 1280, "height": 900})
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def page(context: BrowserContext, bench: Workbench) -> Iterator[Page]:
+    opened = context.new_page()
+    opened.set_default_timeout(PATIENCE_MS)
+    errors: list[str] = []
+    elsewhere: set[str] = set()
+    opened.on("pageerror", lambda error: errors.append(str(error)))
+    opened.on("request", lambda r: elsewhere.add(r.url) if not _own(r.url, bench) else None)
+    opened.goto(bench.address)
+    opened.wait_for_url("**/campaigns")
+    yield opened
+    opened.close()
+    assert not errors
+    assert not elsewhere, "the page asks other computers"
+
+
+def _own(url: str, bench: Workbench) -> bool:
+    return url.startswith((bench.base, "data:", "blob:"))
+
+
+def _zipped(folder: Path, **changed: str) -> bytes:
+    """The campaign as an archive, with other words in its campaign.toml."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for path in sorted(folder.iterdir()):
+            content = path.read_bytes()
+            if path.name == "campaign.toml":
+                for key, value in changed.items():
+                    pattern = rf'^{key} = ".*"$'.encode()
+                    content = re.sub(pattern, f'{key} = "{value}"'.encode(), content, flags=re.M)
+            archive.writestr(f"{folder.name}/{path.name}", content)
+    return out.getvalue()
+
+
+def _ingested(bench: Workbench, archive: bytes) -> None:
+    tray = json.loads(bench.act("/api/trays")[1])["tray"]
+    assert bench.act(f"/api/trays/{tray}?name=mill.zip", archive, "PUT")[0] == 200
+    job = json.loads(bench.act(f"/api/trays/{tray}/ingest")[1])["job"]
+    assert _awaited(bench, job)["state"] == "done"
+
+
+def _heights(page: Page) -> list[float]:
+    expect(page.locator("#waterfall .bars path").first).to_be_attached()
+    found = page.evaluate("document.querySelector('#waterfall .canvas').data[0].y")
+    return [float(height) for height in found]
+
+
+def _awaited(bench: Workbench, job: str) -> dict[str, str]:
+    found: dict[str, str] = {"state": "waiting"}
+    while found["state"] in ("waiting", "running"):
+        time.sleep(0.1)
+        found = json.loads(bench.ask(f"/api/jobs/{job}")[1])
+    return found
+
+
+def _settled(page: Page) -> None:
+    expect(page.locator("body[data-drawn]")).to_be_attached()
+    expect(page.locator("[aria-busy]")).to_have_count(0)
+    expect(page.locator("figure .refusal")).to_have_count(0)
+
+
+def test_from_a_dropped_file_to_an_error_that_falls(
+    page: Page, bench: Workbench, folder: Path, tmp_path: Path
+) -> None:
+    expect(page.get_by_text("Nothing was measured yet.")).to_be_visible()
+    page.set_input_files(
+        "#pick-files",
+        {"name": "mill.zip", "mimeType": "application/zip", "buffer": _zipped(folder)},
+    )
+    page.wait_for_url("**/campaigns/mill-backlash")
+    expect(page.get_by_role("heading", name="mill-backlash")).to_be_visible()
+    expect(page.get_by_text("36 runs in 2 set-ups")).to_be_visible()
+    expect(page.locator("input[value=joint_reversal]")).to_have_count(0)
+    assert not list((bench.home / "workbench" / "uploads").glob("*")), "the tray is emptied"
+
+    page.get_by_label("Name of the twin").fill("mill")
+    page.locator("input[value=squareness]").check()
+    page.locator("input[value=scale_mismatch]").check()
+    page.get_by_role("button", name="Fit").click()
+    expect(page.locator("#work")).to_be_visible()
+    page.wait_for_url("**/twins/mill")
+    _settled(page)
+    expect(page.get_by_text("noise floor ±", exact=False).first).to_be_visible()
+    page.screenshot(path=tmp_path / "compare.png", full_page=True)
+
+    page.get_by_role("link", name="Diagnose", exact=True).click()
+    expect(page.get_by_text("was not diagnosed yet")).to_be_visible()
+    page.get_by_role("button", name="Diagnose").click()
+    expect(page.get_by_role("heading", name="An effect is missing")).to_be_visible()
+    _settled(page)
+    expect(page.locator(".verdict")).to_contain_text("backlash X is missing")
+    expect(page.locator("#signature-plot")).to_contain_text("What backlash X would take away")
+    page.screenshot(path=tmp_path / "diagnose.png", full_page=True)
+
+    page.get_by_role("button", name="Add backlash X").first.click()
+    page.wait_for_url("**/twins/mill/versions")
+    before, first, second = _heights(page)
+    assert before > first > 1.5 * second
+    page.screenshot(path=tmp_path / "versions.png", full_page=True)
+
+    page.get_by_role("button", name="Roll back to 1").click()
+    page.wait_for_function("() => document.querySelectorAll('[data-post$=rollback]').length === 2")
+    assert _heights(page)[-1] == pytest.approx(first, abs=0.005)
+    page.goto(f"{bench.base}/twins/mill/versions?first=2&second=3")
+    expect(page.get_by_role("heading", name="Version 2: add backlash X")).to_be_visible()
+    expect(page.get_by_role("heading", name="Version 3: fit")).to_be_visible()
+
+
+def test_compare_draws_what_is_chosen(page: Page, bench: Workbench) -> None:
+    page.goto(f"{bench.base}/twins/mill")
+    _settled(page)
+    box = page.locator("#map .nsewdrag").bounding_box()
+    assert box is not None
+    page.locator("#map").scroll_into_view_if_needed()
+    page.locator("#map .nsewdrag").click(position={"x": box["width"] / 2, "y": 3})
+    expect(page.locator("#conditions input").first).to_be_checked()
+    expect(page.locator("#runs input")).to_have_count(3)
+    page.locator("#runs input").first.check()
+    expect(page.locator("#polar")).to_contain_text("run r001")
+    assert "run=r001" in page.url
+    page.get_by_label("Plane").focus()
+    page.get_by_label("Direction").select_option("CW")
+    expect(page.locator("#conditions label:visible")).to_have_count(6)
+
+
+def test_magnification_takes_german_and_english_numbers(page: Page, bench: Workbench) -> None:
+    page.goto(f"{bench.base}/twins/mill")
+    _settled(page)
+    field = page.get_by_label("Magnification as a number")
+    for typed, meant in (("2000,5", 2000.5), ("1.500,5", 1500.5), ("0.5", 0.5)):
+        field.fill(typed)
+        field.press("Enter")
+        drawn = page.evaluate(
+            "() => { const p = document.querySelector('#polar .canvas'); const t = p.data.at(-1);"
+            "return (t.r[7] - p.layout.meta.radius_mm) * 1000 / t.customdata[7]; }"
+        )
+        assert drawn == pytest.approx(meant, rel=1e-6)
+    field.fill("viel")
+    field.press("Enter")
+    expect(page.get_by_text("not a magnification")).to_be_visible()
+
+
+def test_every_page_is_reached_by_keyboard_and_fits_a_phone(
+    browser: Browser, bench: Workbench
+) -> None:
+    phone = browser.new_page(viewport={"width": 390, "height": 800})
+    phone.set_default_timeout(PATIENCE_MS)
+    phone.goto(bench.address)
+    phone.wait_for_url("**/campaigns")
+    phone.keyboard.press("Tab")
+    assert phone.evaluate("document.activeElement.textContent") == "Skip to the content"
+    for path in ("/campaigns", "/campaigns/mill-backlash", "/twins", "/twins/mill",
+                 "/twins/mill/diagnose", "/twins/mill/versions", "/effects", "/models", "/live"):  # fmt: skip
+        phone.goto(bench.base + path)
+        _settled(phone)
+        assert phone.evaluate("document.documentElement.scrollWidth") <= 390, path
+        unnamed = phone.evaluate(
+            "() => [...document.querySelectorAll('button, a[href], input:not([type=hidden]), select, textarea')]"
+            ".filter(e => !(e.textContent.trim() || e.getAttribute('aria-label') || e.labels?.length))"
+            ".map(e => e.outerHTML)"
+        )
+        assert unnamed == [], path
+    phone.close()
+
+
+def test_a_real_recording_is_dropped_on_the_page(
+    page: Page, bench: Workbench, real_recording: Path
+) -> None:
+    page.goto(f"{bench.base}/campaigns")
+    transfer = page.evaluate_handle(
+        "text => { const d = new DataTransfer();"
+        "d.items.add(new File([text], 'ur10e.b5r')); return d; }",
+        real_recording.read_text(encoding="latin-1"),
+    )
+    page.dispatch_event("#drop", "drop", {"dataTransfer": transfer})
+    page.wait_for_url("**/campaigns/ur10e")
+    expect(page.get_by_text("conditions have no repeat")).to_be_visible()
+    page.get_by_role("link", name="ccw", exact=True).click()
+    _settled(page)
+    expect(page.get_by_text("spectrum of one run")).to_be_visible()
+
+
+def test_what_cannot_be_ingested_is_said_in_the_words_of_the_command_line(
+    page: Page, bench: Workbench
+) -> None:
+    page.goto(f"{bench.base}/campaigns")
+    name = "<img src=x onerror=alert(1)>.b5r"
+    page.set_input_files("#pick-files", {"name": name, "mimeType": "text/plain", "buffer": b"<a>"})
+    expect(page.locator("#work-error")).to_contain_text("error[upload.name]")
+    page.get_by_role("button", name="Close").click()
+    page.set_input_files(
+        "#pick-files", {"name": "x.b5r", "mimeType": "text/plain", "buffer": b"<a>"}
+    )
+    expect(page.locator("#work-error")).to_contain_text("error[xml.malformed]")
+
+
+def test_an_own_effect_is_checked_saved_and_used(page: Page, bench: Workbench) -> None:
+    page.goto(f"{bench.base}/effects?edit=four_lobes")
+    expect(page.get_by_text("it is run on this computer")).to_be_visible()
+    source = page.get_by_label("four_lobes.py")
+    good = source.input_value()
+    source.fill(good.replace("[:, None]", ""))
+    page.get_by_role("button", name="Check and save").click()
+    expect(page.locator("#saved")).to_contain_text("error[effect.shape]")
+    source.fill(good)
+    page.get_by_role("button", name="Check and save").click()
+    expect(page.locator("#saved")).to_contain_text("saved, and it can be fitted")
+    page.goto(f"{bench.base}/campaigns/mill-backlash")
+    expect(page.locator("input[value=four_lobes]")).to_have_count(1)
+
+
+def test_a_twin_is_held_against_other_measurements_of_its_machine(
+    page: Page, bench: Workbench, folder: Path
+) -> None:
+    _ingested(bench, _zipped(folder, name="mill-again"))
+    _ingested(bench, _zipped(folder, name="other", machine="other-mill"))
+    page.goto(f"{bench.base}/twins/mill")
+    expect(page.get_by_label("Measurements").locator("option")).to_have_count(2)
+    page.get_by_label("Measurements").select_option("mill-again")
+    page.get_by_role("button", name="Compare with these").click()
+    expect(page.get_by_text("not those of the fit")).to_be_visible()
+    _settled(page)
+    expect(page.locator("#runs a").first).to_have_attribute("href", re.compile("/mill-again/"))
+    status, text = bench.ask("/twins/mill?on=other")
+    assert (status, "error[twin.machine]" in text) == (400, True)
+
+
+def test_two_browsers_that_press_at_once_do_not_undo_each_other(bench: Workbench) -> None:
+    body = json.dumps({"effect": "backlash", "axis": "X"}).encode()
+    jobs = [json.loads(bench.act("/api/twins/mill/add", body)[1])["job"] for _ in range(2)]
+    found = [_awaited(bench, job) for job in jobs]
+    assert [job["state"] for job in found] == ["done", "failed"]
+    assert "error[twin.has_effect]" in found[1]["error"]
+
+
+def test_the_report_is_one_file_that_needs_nothing_else(
+    browser: Browser, bench: Workbench, tmp_path: Path
+) -> None:
+    status, text = bench.ask("/twins/mill/report.html")
+    assert status == 200
+    path = tmp_path / "report.html"
+    path.write_text(text, encoding="utf-8")
+    opened = browser.new_page()
+    asked: list[str] = []
+    opened.on("request", lambda request: asked.append(request.url))
+    opened.goto(path.as_uri())
+    expect(opened.get_by_role("heading", name="Machine virtual-mill: twin mill")).to_be_visible()
+    expect(opened.locator(".js-plotly-plot").first).to_be_visible()
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)
+    opened.close()
+
+
+def test_without_the_token_the_page_only_reads(browser: Browser, bench: Workbench) -> None:
+    stranger = browser.new_page()
+    stranger.goto(f"{bench.base}/campaigns")
+    expect(stranger.get_by_text("Read only: this browser does not have the token.")).to_be_visible()
+    stranger.close()
+    body = json.dumps({"campaign": "mill-backlash", "name": "mill"}).encode()
+    given = {"origin": bench.base, "content_type": "application/json"}
+    for cookie in ("", bench.cookie[:-1], bench.cookie + "x"):
+        status, text = bench.ask("/api/twins", method="POST", body=body, cookie=cookie, **given)
+        assert (status, "the token is missing" in text) == (403, True)
+    assert bench.ask("/?token=wrong")[0] == 403
+
+
+@pytest.mark.parametrize("origin", ["http://example.org", "null", "http://127.0.0.1:1"])
+def test_another_site_cannot_change_anything(bench: Workbench, origin: str) -> None:
+    body = json.dumps({"effect": "backlash"}).encode()
+    status, text = bench.ask(
+        "/api/twins/mill/add", method="POST", body=body, cookie=bench.cookie, origin=origin,
+        content_type="application/json",
+    )  # fmt: skip
+    assert (status, "from another site" in text) == (403, True)
+
+
+def test_a_name_that_was_pointed_here_is_refused(bench: Workbench) -> None:
+    port = bench.base.rsplit(":", 1)[1]
+    assert bench.ask("/campaigns", host=f"evil.example:{port}")[0] == 403
+    assert bench.ask("/campaigns", host=f"localhost:{port}")[0] == 200
+
+
+def test_a_hostile_archive_leaves_nothing(bench: Workbench) -> None:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        archive.writestr("../../escaped.toml", "x")
+    status, text = bench.act("/api/trays")
+    assert status == 200
+    tray = json.loads(text)["tray"]
+    assert bench.act(f"/api/trays/{tray}?name=a.zip", out.getvalue(), "PUT")[0] == 200
+    assert bench.act(f"/api/trays/{tray}?name=../x.b5r", b"x", "PUT")[0] == 400
+    job = json.loads(bench.act(f"/api/trays/{tray}/ingest")[1])["job"]
+    found = _awaited(bench, job)
+    assert (found["state"], "error[upload.name]" in found["error"]) == ("failed", True)
+    assert not list(bench.home.parent.rglob("escaped.toml"))
+
+
+def test_a_taken_port_and_a_taken_home_are_said(bench: Workbench, tmp_path: Path) -> None:
+    port = bench.base.rsplit(":", 1)[1]
+
+    def refused(home: Path, *options: str) -> str:
+        command = [sys.executable, "-m", "dtwin", "ui", "--no-browser", *options]
+        done = subprocess.run(
+            command, env={"DTWIN_HOME": str(home), "PATH": ""}, capture_output=True, text=True
+        )
+        assert done.returncode == 1
+        return done.stderr
+
+    assert "error[ui.port]: the port is taken" in refused(tmp_path, "--port", port)
+    assert "error[ui.running]" in refused(bench.home)
+
+
+def test_a_kill_in_the_middle_of_a_fit_loses_nothing(tmp_path: Path, folder: Path) -> None:
+    with running_workbench(tmp_path / "home") as first:
+        _ingested(first, _zipped(folder))
+        wanted = {"campaign": "mill-backlash", "name": "mill", "effects": ["squareness"]}
+        job = json.loads(first.act("/api/twins", json.dumps(wanted).encode())[1])["job"]
+        while json.loads(first.ask(f"/api/jobs/{job}")[1])["state"] != "running":
+            pass
+        first.process.kill()
+        first.process.wait()
+    with running_workbench(tmp_path / "home") as second:
+        text = second.ask("/campaigns")[1]
+        assert re.search(r"Fit mill.*start it again", text, re.DOTALL)
+        assert "mill-backlash" in text
+        assert json.loads(second.ask(f"/api/jobs/{job}")[1])["state"] == "interrupted"
+        assert "No twin was fitted yet" in second.ask("/twins")[1]

@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import io
+import threading
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from dtwin.errors import InputError
+from dtwin.physics.experiment import planned_observations
+from dtwin.physics.gridding import Condition
+from dtwin.pipeline.twin_data import pure_rms_um
+from dtwin.plan import expand, training_plan
+from dtwin.workbench.access import Access
+from dtwin.workbench.cache import Cache
+from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml
+from dtwin.workbench.jobs import Jobs, Tell
+from dtwin.workbench.numbers import decimal
+
+
+@pytest.mark.parametrize(
+    ("text", "meant"),
+    [("0,5", 0.5), ("0.5", 0.5), (" 1 234,5 ", 1234.5), ("1.234,5", 1234.5), ("1,234.5", 1234.5),
+     ("1.234.567", 1234567.0), ("-3", -3.0), ("\u22123,2", -3.2), ("2e3", 2000.0), (",5", 0.5)],
+)  # fmt: skip
+def test_numbers_as_people_type_them(text: str, meant: float) -> None:
+    assert decimal(text, "x") == meant
+
+
+@pytest.mark.parametrize("text", ["", "viel", "1e999", "nan", "1,2,", "0x10", "1" * 99, "--1"])
+def test_what_is_not_a_number_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match="x is not a number"):
+        decimal(text, "x")
+
+
+@pytest.mark.parametrize(
+    ("host", "known"),
+    [("127.0.0.1:1", True), ("localhost:1", True), ("[::1]:1", True), ("evil.example:1", False),
+     ("192.0.2.7:1", False), ("", False), ("127.0.0.1.evil.example", False)],
+)  # fmt: skip
+def test_loopback_is_known_by_its_own_names_only(host: str, known: bool) -> None:
+    assert Access("127.0.0.1", 1).knows_host(host) is known
+
+
+def test_a_shared_server_is_known_by_addresses_but_not_by_names() -> None:
+    access = Access("0.0.0.0", 1)
+    assert access.shared
+    assert access.knows_host("192.0.2.7:1")
+    assert not access.knows_host("evil.example:1")
+
+
+def _conditions(*wanted: tuple[Any, float, float, Any]) -> dict[str, Any]:
+    conditions = [Condition(*one).as_dict() for one in wanted]
+    return {"conditions": conditions, "repeats": 3}
+
+
+def test_a_full_grid_is_one_plan_that_measures_exactly_it() -> None:
+    experiment = _conditions(
+        *((p, r, f, d) for p in ("XY", "YZ") for r in (50.0, 100.0) for f in (1000.0, 2000.0)
+          for d in ("CCW", "CW"))
+    )  # fmt: skip
+    (grid,) = grids_of(experiment)
+    plan = expand(tomllib.loads(plan_toml("next", "mill-a", grid)), "plan")
+    assert plan.n_runs == 3 * 16
+    assert set(plan.directions) == {"CCW", "CW"}
+
+
+def test_what_is_no_grid_becomes_several_plans_and_nothing_more() -> None:
+    wanted = {("XY", 50.0, 1000.0, "CCW"), ("XY", 100.0, 2000.0, "CW"), ("YZ", 50.0, 1000.0, "CCW")}
+    measured = set()
+    for number, grid in enumerate(grids_of(_conditions(*wanted))):
+        plan = expand(tomllib.loads(plan_toml(f"next-{number}", "mill-a", grid)), "plan")
+        measured |= {
+            (t.plane, t.radius_mm, t.feed_mm_min, d) for t in plan.tests for d in plan.directions
+        }
+    assert measured == wanted
+
+
+def test_programs_come_with_the_plan() -> None:
+    packed = experiment_zip("next", "mill-a", _conditions(("XY", 50.0, 1000.0, "CCW")))
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        names = archive.namelist()
+        assert {"next.toml", "next/t001.nc", "next/t003.script"} <= set(names)
+        assert "G3" in archive.read("next/t001.nc").decode()
+        assert "G2 " not in archive.read("next/t001.nc").decode()
+
+
+def test_nothing_to_measure_is_said() -> None:
+    with pytest.raises(InputError, match="no run is proposed"):
+        grids_of(None)
+
+
+def test_without_repeats_there_is_no_noise_floor() -> None:
+    plan = training_plan(radii_mm=[50.0], planes=["XY"], repeats=1)
+    obs = planned_observations(plan)
+    assert np.isnan(pure_rms_um(obs, np.ones(obs.y_um.shape)))
+
+
+def test_a_result_is_made_once_also_when_two_ask() -> None:
+    cache, made, begun = Cache(), [], threading.Barrier(4)
+
+    def ask() -> None:
+        begun.wait()
+        cache.get("key", lambda: made.append(1))
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made == [1]
+
+
+def test_the_oldest_result_goes_first() -> None:
+    cache = Cache(most=2)
+    for key in ("a", "b", "a", "c"):
+        cache.get(key, lambda key=key: key)  # type: ignore[misc]
+    assert cache.get("a", lambda: "made again") == "a"
+    assert cache.get("b", lambda: "made again") == "made again"
+
+
+def test_a_job_says_what_went_wrong_and_the_next_one_runs(tmp_path: Path) -> None:
+    jobs, done = Jobs(tmp_path), threading.Event()
+
+    def wrong(_: Tell) -> str:
+        raise InputError("no", code="x.y", hint="yes")
+
+    def right(_: Tell) -> str:
+        done.set()
+        return "/there"
+
+    bad, good = jobs.start("bad", wrong), jobs.start("good", right)
+    assert done.wait(10)
+    while not good.ended:
+        pass
+    assert (bad.state, "error[x.y]: no" in bad.error) == ("failed", True)
+    assert good.address == "/there"
+
+
+def test_a_job_that_was_cut_off_is_known_at_the_next_start(tmp_path: Path) -> None:
+    let_go, entered = threading.Event(), threading.Event()
+
+    def long(_: Tell) -> str:
+        entered.set()
+        let_go.wait(10)
+        return ""
+
+    job = Jobs(tmp_path).start("long", long)
+    assert entered.wait(10)
+    again = Jobs(tmp_path).get(job.id)
+    let_go.set()
+    assert again is not None
+    assert (again.state, "start it again" in again.stage) == ("interrupted", True)

@@ -1,0 +1,92 @@
+from __future__ import annotations
+
+import stat
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from dtwin.errors import InputError
+from dtwin.workbench import uploads
+
+
+def archive(path: Path, members: dict[str, bytes], mode: int = 0) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as opened:
+        for name, content in members.items():
+            member = zipfile.ZipInfo(name)
+            member.compress_type = zipfile.ZIP_DEFLATED
+            member.external_attr = mode << 16
+            opened.writestr(member, content)
+    return path
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../x.b5r", "/etc/x.b5r", "a/../../x", "..\\x.b5r", "C:\\x", ".hidden", "a//b", "", "a\x00b",
+     "a/b/c/d/e.csv", "<b>.csv", "x" * 200],
+)  # fmt: skip
+def test_names_that_could_leave_their_folder_are_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError) as caught:
+        uploads.safe_path(name)
+    assert caught.value.code == "upload.name"
+
+
+def test_ordinary_names_stay() -> None:
+    for name in ("r001.csv", "my campaign/r 1 (2).csv", "Prüfung/ä.csv"):
+        assert str(uploads.safe_path(name)) == name
+
+
+def test_a_campaign_in_an_archive_is_found(tmp_path: Path) -> None:
+    members = {"c/campaign.toml": b"x", "c/a.b5r": b"x"}
+    archive(tmp_path / "c.zip", members)
+    found = uploads.sources(tmp_path)
+    assert [path.name for path in found] == ["c"]
+    assert (found[0] / "a.b5r").read_bytes() == b"x"
+
+
+def test_a_traversal_writes_nothing_outside(tmp_path: Path) -> None:
+    inside = tmp_path / "tray"
+    inside.mkdir()
+    archive(inside / "c.zip", {"../../out.toml": b"x"})
+    with pytest.raises(InputError):
+        uploads.sources(inside)
+    assert not list(tmp_path.parent.glob("out.toml"))
+
+
+def test_a_link_in_an_archive_is_refused(tmp_path: Path) -> None:
+    archive(tmp_path / "c.zip", {"link": b"/etc/passwd"}, stat.S_IFLNK | 0o777)
+    with pytest.raises(InputError, match="not a file"):
+        uploads.sources(tmp_path)
+
+
+def test_a_bomb_is_stopped_while_it_is_unpacked(tmp_path: Path) -> None:
+    archive(tmp_path / "c.zip", {"zeros.csv": bytes(40_000_000)})
+    with pytest.raises(InputError) as caught:
+        uploads.sources(tmp_path)
+    assert caught.value.code == "upload.size"
+    written = sum(p.stat().st_size for p in tmp_path.rglob("zeros.csv"))
+    assert written <= 12_000_000
+
+
+def test_the_whole_of_an_archive_is_limited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(uploads, "MAX_UNPACKED_BYTES", 1000)
+    archive(tmp_path / "c.zip", {f"{n}.csv": bytes(range(200)) for n in range(6)})
+    with pytest.raises(InputError) as caught:
+        uploads.sources(tmp_path)
+    assert caught.value.code == "upload.size"
+
+
+def test_a_damaged_archive_is_said(tmp_path: Path) -> None:
+    (tmp_path / "c.zip").write_bytes(b"PK\x03\x04 not really")
+    with pytest.raises(InputError) as caught:
+        uploads.sources(tmp_path)
+    assert caught.value.code == "upload.zip"
+
+
+def test_loose_tables_name_what_is_wanted(tmp_path: Path) -> None:
+    (tmp_path / "r001.csv").write_text("t_s")
+    with pytest.raises(InputError, match="nothing here") as caught:
+        uploads.sources(tmp_path)
+    assert caught.value.got == "r001.csv"
