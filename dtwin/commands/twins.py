@@ -138,6 +138,19 @@ def remove_effect(
     _show_rung(twins, before.figures, twins.remove(name, effect, axis), as_json=as_json)
 
 
+@twin_app.command("restore")
+def restore_version(
+    name: Name,
+    version: Annotated[int, typer.Option(help="Version to go back to.")],
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Refit with the effects of an older version: a new version, nothing is deleted."""
+    twins = _twins(effects_path)
+    before = twins.newest(name)
+    _show_rung(twins, before.figures, twins.restore(name, version), as_json=as_json)
+
+
 @twin_app.command("discover")
 def discover_effects(
     name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.encoder_split import Cutoff
 from dtwin.physics import localise
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
+from dtwin.physics.whitening import pure_error, to_harmonics
 from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 from dtwin.pipeline.measuring import ingest
 from dtwin.schema import Floats, Run
@@ -97,10 +96,8 @@ class Comparison:
 
 def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
     """Return the RMS of one run about the mean of its condition; NaN without repeats."""
-    total = obs.rms(residual_um)
-    systematic = localise.systematic_rms_um(obs, residual_um)
-    # maximum keeps a NaN, max would not.
-    return float(np.sqrt(np.maximum(0.0, total**2 - systematic**2)))
+    found = pure_error(to_harmonics(residual_um), obs.condition_of, float(obs.mask.mean()))
+    return float("nan") if found is None else found.floor_um
 
 
 def load(home: Home, campaign: str) -> Loaded:

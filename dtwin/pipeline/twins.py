@@ -30,6 +30,7 @@ from dtwin.physics.twin import (
 )
 from dtwin.pipeline.twin_data import Comparison, Loaded, load
 from dtwin.pipeline.twin_files import finite, read_document, twin_from
+from dtwin.pipeline.twin_registration import note, registered
 from dtwin.schema import require_name
 
 _MOST_RUNGS = 12
@@ -133,7 +134,7 @@ class Twins:
         document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
         document |= found.as_dict()
         self._write(name, f"v{twin.version:03d}.diagnosis.json", document)
-        self._note(name, twin.version, document)
+        note(self.home, self._mlflow(name, twin.version), document)
         return twin, found
 
     def add(self, name: str, effect: str, axis: str = "") -> Twin:
@@ -198,6 +199,19 @@ class Twins:
             )
         loaded = load(self.home, twin.campaign)
         return self._store(name, loaded, kept, f"remove {effect}")
+
+    def restore(self, name: str, version: int) -> Twin:
+        """Refit with the effects of an older version, and store that as a new one.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        version : int
+            The version to go back to.
+        """
+        old = self.newest(name, version)
+        return self._store(name, load(self.home, old.campaign), old.terms, f"restore v{version}")
 
     def learn(self, name: str, *, seed: int = 0) -> tuple[Twin, float]:
         """Add the scaling law that describes unknown structure best, as a provisional effect.
@@ -351,7 +365,7 @@ class Twins:
             found, loaded.obs, name=name, version=version, action=action, data=loaded.data
         )
         document = twin.as_dict()
-        document["mlflow"] = self._registered(name, document, numbers)
+        document["mlflow"] = registered(self.home, document, self._parent(name, numbers))
         self._write(name, f"v{version:03d}.json", document)
         return twin
 
@@ -359,34 +373,10 @@ class Twins:
         content = json.dumps(finite(document), indent=1)
         write_text(self.root / name / file, content, "the twin")
 
-    def _registered(
-        self, name: str, document: Mapping[str, Any], numbers: Sequence[int]
-    ) -> dict[str, str]:
-        """Log the version in MLflow; a twin also works where MLflow is not installed."""
-        try:
-            from dtwin.train.registry import Registry
-            from dtwin.train.twin_registry import log_twin
-        except ModuleNotFoundError:
-            return {}
-        parent = None
-        if numbers:
-            before = read_document(self.root / name / f"v{max(numbers):03d}.json")
-            parent = before.get("mlflow", {}).get("parent_run_id")
-        figures = document["figures"]
-        description = (
-            f"**{document['action']}** on {document['campaign']}: RMS "
-            f"{figures['rms_before_um']:.2f} -> {figures['rms_after_um']:.2f} um, "
-            f"noise floor {figures['noise_floor_um']:.2f} um (unit of replication: the run)."
-        )
-        return log_twin(
-            Registry(self.home), finite(document), description=description, parent=parent
-        )
-
-    def _note(self, name: str, version: int, diagnosis: Mapping[str, Any]) -> None:
+    def _mlflow(self, name: str, version: int) -> Mapping[str, str]:
+        """Return where a version is in MLflow; empty when it was never logged."""
         stored = read_document(self.root / name / f"v{version:03d}.json").get("mlflow", {})
-        if stored:
-            from dtwin.train.registry import Registry
-            from dtwin.train.twin_registry import note_diagnosis
+        return dict(stored)
 
-            registry = Registry(self.home)
-            note_diagnosis(registry, stored["model"], stored["model_version"], diagnosis)
+    def _parent(self, name: str, numbers: Sequence[int]) -> str | None:
+        return self._mlflow(name, max(numbers)).get("parent_run_id") if numbers else None

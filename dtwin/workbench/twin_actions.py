@@ -98,14 +98,12 @@ def learn(request: Request, name: str) -> JSONResponse:
 def roll_back(request: Request, name: str, wanted: VersionRequest) -> JSONResponse:
     """Make a new version with the effects of an older one; nothing is deleted."""
     bench = bench_of(request)
-    old = bench.twins.newest(name, wanted.version)
-
-    def again() -> Twin:
-        effects = [f"{t.instance.effect.name}:{t.instance.axis}".rstrip(":") for t in old.terms]
-        return bench.twins.fit(old.campaign, effects, name)
-
+    bench.twins.newest(name, wanted.version)
     title = f"Roll {name} back to version {wanted.version}"
-    return _start(bench, title, name, again, "/twins/{name}/versions")
+    return _start(
+        bench, title, name, lambda: bench.twins.restore(name, wanted.version),
+        "/twins/{name}/versions",
+    )  # fmt: skip
 
 
 @router.post("/api/twins/{name}/diagnose")

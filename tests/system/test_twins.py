@@ -324,3 +324,14 @@ def test_an_effect_that_went_when_it_was_mended_is_intervention_confirmed(
     assert [i["grade"] for i in interventions(twins, "mill-a")] == ["intervention-confirmed", None]
     with pytest.raises(InputError, match="other measurements of the same machine"):
         confirm(twins, "mill-a", "backlash:X", "mill-march", "")
+
+
+def test_an_older_version_can_be_restored_as_a_new_one(twins: Twins) -> None:
+    first = twins.fit("mill-march", KNOWN, "mill-a")
+    twins.add("mill-a", "backlash", "X")
+    third = twins.restore("mill-a", 1)
+    assert (third.version, third.action, third.labels) == (3, "restore v1", first.labels)
+    assert third.figures["rms_after_um"] == pytest.approx(first.figures["rms_after_um"])
+    # The comparison states the same noise floor as the fit.
+    floor = twins.compare("mill-a").as_dict()["noise_floor_um"]
+    assert floor == pytest.approx(third.figures["noise_floor_um"])
