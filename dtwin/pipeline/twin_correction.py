@@ -15,7 +15,7 @@ from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
-from dtwin.physics.twin import Twin, frozen_residual_um, twin_of
+from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
 from dtwin.pipeline.modelling import CONDITIONS_FILE
 from dtwin.pipeline.twin_data import load, pure_rms_um
 from dtwin.pipeline.twins import Twins
@@ -30,6 +30,7 @@ from dtwin.train.twin_bundle import OUTPUT, TermChoice, TwinBundle, twin_bundle
 
 _CONFIRMED = ("law-confirmed", "intervention-confirmed")
 _NAME = "twin-correction"
+NOT_NEEDED = "not needed: without it the residual is at the floor"
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,8 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
             where=f"twin {name} version {twin.version}",
             got="; ".join(objections),
             allowed="nothing missing, and every corrected effect law-confirmed",
-            hint=f"dtwin twin diagnose {name}; --trial registers it for a trial only",
+            hint=_advice(name, gradings, frozen.twin, obs)
+            + "; --trial registers it for a trial only",
         )
     report, predicted = _report(frozen, twin, obs, seed)
     registry = Registry(twins.home)
@@ -159,6 +161,21 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     return Correction(frozen, version, found.verdict, gradings, objections, tuple(gates), predicted)
 
 
+def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observations) -> str:
+    """Name the first thing to do: take out the weakest effect that is not needed, or look again."""
+    idle = {g.label for g in gradings if g.grade == NOT_NEEDED}
+    unneeded = [t for t in corrected.terms if t.label in idle]
+    if not unneeded:
+        return f"dtwin twin diagnose {name}"
+
+    def size(term: Term) -> float:
+        return _rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
+
+    weakest = min(unneeded, key=size).instance
+    axis = f" --axis {weakest.axis}" if weakest.axis else ""
+    return f"dtwin twin remove {name} {weakest.effect.name}{axis}"
+
+
 def _graded(
     corrected: Twin, twin: Twin, obs: Observations, twins: Twins, seed: int
 ) -> tuple[Grading, ...]:
@@ -173,7 +190,7 @@ def _graded(
 
 def _grading(term: Term, found: Diagnosis) -> Grading:
     if found.verdict == "nothing_missing":
-        return Grading(term.label, "not needed: without it the residual is at the floor", False)
+        return Grading(term.label, NOT_NEEDED, False)
     named = next((s for s in found.suspects if s.label == term.label and s.in_group), None)
     if named is None:
         return Grading(term.label, f"not found again: {found.verdict}", False)

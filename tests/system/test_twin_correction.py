@@ -120,6 +120,50 @@ def test_what_is_not_confirmed_can_be_tried_but_never_be_champion(
     assert resolve("latest", "virtual-mill", Home(home)).version == 1
 
 
+PROGRAM = "G21 G90 G17\nG0 X60 Y0\nG1 X50 Y0 F1500\nG3 X50 Y0 I-50 J0\nM30\n"
+
+
+def test_the_page_about_exports_does_what_it_says(
+    told: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, _ = told
+    monkeypatch.setenv("DTWIN_HOME", str(home))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.nc").write_text(PROGRAM, encoding="utf-8")
+    text = (ROOT / "docs" / "how-to" / "export.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```sh\n(.*?)^```", text, re.S | re.M)
+    forms = set()
+    for line in block.strip().splitlines():
+        code, output = run([*line.split()[1:], "--json"])
+        assert code == 0, output
+        result = json.loads(output)
+        assert Path(result["file"]).stat().st_size > 30
+        assert result["state"] == "champion"
+        forms.add(result["as"])
+    assert forms == {"c", "python", "latex", "st", "urscript", "comp", "csv", "gcode"}
+    trims = np.loadtxt(tmp_path / "x.comp")
+    play_mm = trims[:, 1] - trims[:, 2]
+    # The mill's truth: 3 um of play on X.
+    np.testing.assert_allclose(play_mm, 0.003, atol=0.0003)
+    assert (tmp_path / "part-corrected.nc").read_text("utf-8").count("G1") > 100
+    same = ["export", "latest", "--as", "c", "--out", "twin.h"]
+    for wrong, code in (
+        (same, "export.exists"),
+        (["export", "latest", "--as", "cobol", "--out", "n"], "export.form"),
+        (["export", "nobody", "--as", "c", "--out", "n"], "twin.unknown"),
+        (["export", "1", "--as", "c", "--out", "n"], "export.machine"),
+        (["export", "latest", "--as", "comp", "--out", "n"], "export.axis"),
+        (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "a", "--out", "n"],
+         "export.numbers"),
+        (["export", "latest", "--as", "gcode", "--out", "n"], "export.program"),
+    ):  # fmt: skip
+        ended, said = run(wrong)
+        assert ended == 1
+        assert code in said, said
+    assert not (tmp_path / "n").exists()
+    assert run(["export", "mill-a", "--as", "csv", "--out", "n"])[0] == 0
+
+
 def _served(model: str, home: Path) -> Bundle:
     found = resolve(model, "virtual-mill", Home(home))
     return Bundle.from_dict(json.loads(found.path.read_text("utf-8")))
