@@ -72,6 +72,8 @@ class Correction:
         Offline gates.
     predicted : tuple of dict
         RMS of every condition before, and after as the twin predicts it.
+    virtual : bool
+        Whether the machine is one on which evidence can be measured here.
     """
 
     frozen: TwinBundle
@@ -81,6 +83,7 @@ class Correction:
     objections: tuple[str, ...]
     gates: tuple[Verdict, ...]
     predicted: tuple[Mapping[str, Any], ...]
+    virtual: bool
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -90,6 +93,7 @@ class Correction:
             "machine": self.version.machine,
             "version": self.version.version,
             "verdict": self.verdict,
+            "virtual": self.virtual,
             "trial_only": bool(self.objections),
             "objections": list(self.objections),
             "terms": [dict(vars(t)) for t in self.frozen.terms],
@@ -158,7 +162,10 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     registry.mark(version, tags)
     version = registry.version(version.machine, version.version)
     _, gates = check_version(registry, version)
-    return Correction(frozen, version, found.verdict, gradings, objections, tuple(gates), predicted)
+    virtual = bool(geometry.get("virtual", False))
+    return Correction(
+        frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual
+    )
 
 
 def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observations) -> str:

@@ -120,6 +120,20 @@ def test_what_is_not_confirmed_can_be_tried_but_never_be_champion(
     assert resolve("latest", "virtual-mill", Home(home)).version == 1
 
 
+def test_an_effect_that_is_not_needed_is_refused_with_what_to_do(
+    told: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, _ = told
+    monkeypatch.setenv("DTWIN_HOME", str(home))
+    effects = "scale_mismatch,squareness,backlash:X,straightness:Y"
+    fitted = ["twin", "fit", "mill-backlash", "--effects", effects, "--name", "wide"]
+    assert run(fitted)[0] == 0
+    code, output = run(["twin", "correct", "wide"])
+    assert code == 3
+    assert "straightness Y: not needed" in output
+    assert "dtwin twin remove wide straightness --axis Y" in output
+
+
 PROGRAM = "G21 G90 G17\nG0 X60 Y0\nG1 X50 Y0 F1500\nG3 X50 Y0 I-50 J0\nM30\n"
 
 
