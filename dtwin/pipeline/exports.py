@@ -321,6 +321,7 @@ def _table_notes(request: Request, tables: Sequence[AxisTable]) -> list[str]:
     ]
     if request.form == "comp":
         notes.append("COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table")
+        notes.append("this file has not been loaded by a LinuxCNC in dtwin's tests")
     return notes
 
 

@@ -175,10 +175,17 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
     if not unneeded:
         return f"dtwin twin diagnose {name}"
 
-    def size(term: Term) -> float:
-        return _rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
+    def cost(term: Term) -> tuple[int, float]:
+        # What cannot be told apart stands for each other: keep what explains it with least.
+        rest = [t for t in corrected.terms if t.label != term.label]
+        needed = {
+            f"{e.effect} {e.axis}"
+            for e in fit(obs, rest).estimates
+            if not abs(e.value) <= e.uncertainty
+        }
+        return len(needed), _rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
 
-    weakest = min(unneeded, key=size).instance
+    weakest = min(unneeded, key=cost).instance
     axis = f" --axis {weakest.axis}" if weakest.axis else ""
     return f"dtwin twin remove {name} {weakest.effect.name}{axis}"
 
