@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from dtwin.pipeline.axis_tables import (
     compensation_file,
     csv_table,
 )
+from dtwin.pipeline.export_heads import c_header, commented, said_of
 from dtwin.pipeline.gcode_compensation import compensate
 from dtwin.pipeline.twins import Twins
 from dtwin.serve.bundle import Bundle
@@ -38,7 +38,6 @@ EQUATIONS = ("c", "st", "python", "latex", "urscript")
 TABLES = ("comp", "csv", "gcode")
 FORMATS = (*EQUATIONS, *TABLES)
 _MAX_PROGRAM_BYTES = 20_000_000
-_UNSAFE = re.compile(r"[^\w .,:+\-/^]")
 
 
 @dataclass(frozen=True)
@@ -197,7 +196,7 @@ def _equation(source: Source, form: str) -> Export:
     graph, inputs, states = bundle.tick_graph, bundle.tick_inputs, bundle.initial_state
     outputs = tuple(o.name for o in bundle.outputs)
     name = identifier(bundle.name).strip("_").lower()
-    said = _said(source)
+    said = said_of(source.bundle, source.state)
     if form == "latex":
         return Export("".join(f"% {line}\n" for line in said) + to_latex(graph) + "\n")
     if form == "python":
@@ -205,65 +204,12 @@ def _equation(source: Source, form: str) -> Export:
         head = "".join(f"# {line}\n" for line in said) + f"BOX = {{\n{box}}}\n"
         return Export(head + to_python(graph, name))
     if form == "c":
-        return Export(_c_header(said, bundle, to_c(graph, inputs, tuple(states), outputs, name)))
+        return Export(c_header(said, bundle, to_c(graph, inputs, tuple(states), outputs, name)))
     if form == "st":
         text = to_structured_text(graph, inputs, states, f"DTWIN_{name.upper()}")
-        return Export(_commented(said, "(* ", " *)") + text, notes=(NOT_RUN,))
+        return Export(commented(said, "(* ", " *)") + text, notes=(NOT_RUN,))
     text = to_urscript(graph, inputs, tuple(states), f"dtwin_{name}")
-    return Export(_commented(said, "# ", "") + text, notes=(NOT_RUN,))
-
-
-def _commented(said: Sequence[str], first: str, last: str) -> str:
-    return "".join(f"{first}{line}{last}\n" for line in [*said, NOT_RUN])
-
-
-def _said(source: Source) -> list[str]:
-    """Return what stands at the head of an equation, without characters that end a comment."""
-    bundle = source.bundle
-    lines = [
-        f"dtwin: {bundle.name} for machine {bundle.machine}, version {bundle.model_version}, "
-        f"state {source.state}",
-        f"bundle sha256 {bundle.sha256}",
-    ]
-    for o in bundle.outputs:
-        meaning = (
-            "predicted error, apply with its sign changed" if o.role == "error" else "correction"
-        )
-        lines.append(f"output {o.name}, {o.unit}, along {o.frame}: {meaning}")
-    lines.append(
-        "inputs in this order, valid in these ranges, outside of which nothing may be corrected:"
-    )
-    lines += [f"  {i.name}, {i.unit}: {i.low!r} to {i.high!r}" for i in bundle.inputs]
-    lines += [f"state {s.name}, {s.unit}, begins at {s.initial!r}" for s in bundle.states]
-    return [_UNSAFE.sub("?", line) for line in lines]
-
-
-def _c_header(said: Sequence[str], bundle: Bundle, code: str) -> str:
-    guard = f"DTWIN_{identifier(bundle.name).upper()}_H"
-    symbol = f"dtwin_{identifier(bundle.name).strip('_').lower()}"
-    boxes = {i.name: (i.low, i.high) for i in bundle.inputs}
-    tests = [
-        f"in[{n}] >= {boxes[name][0]!r} && in[{n}] <= {boxes[name][1]!r}"
-        for n, name in enumerate(bundle.tick_inputs)
-    ]
-    inside = " &&\n         ".join(tests) or "1"
-    return "\n".join(
-        [
-            "/*",
-            *(f" * {line}" for line in said),
-            " */",
-            f"#ifndef {guard}",
-            f"#define {guard}",
-            code.replace(f"\nvoid {symbol}(", f"\nstatic inline void {symbol}(").rstrip(),
-            "",
-            f"static inline int {symbol}_inside(const double *in) {{",
-            f"  return {inside};",
-            "}",
-            "",
-            "#endif",
-            "",
-        ]
-    )
+    return Export(commented(said, "# ", "") + text, notes=(NOT_RUN,))
 
 
 def _tables(twin: Twin, request: Request) -> Export:
