@@ -30,6 +30,7 @@ from dtwin.train.twin_bundle import OUTPUT, TermChoice, TwinBundle, twin_bundle
 
 _CONFIRMED = ("law-confirmed", "intervention-confirmed")
 _NAME = "twin-correction"
+_VISIBLE_SHARE = 0.1
 NOT_NEEDED = "not needed: without it the residual is at the floor"
 
 
@@ -313,11 +314,16 @@ def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> 
         there = obs.take(outside)
         rest[outside] = frozen_residual_um(replace(seen, terms=tuple(kept)), there)
         plain[outside] = frozen_residual_um(replace(seen, terms=()), there)
-    ratios = {
-        str(c): _rms(rest[rows][obs.mask[rows]]) / _rms(plain[rows][obs.mask[rows]])
-        for n, c in enumerate(obs.conditions)
-        for rows in [obs.condition_of == n]
-    }
+    floor_um = pure_rms_um(obs, rest)
+    ratios: dict[str, float] = {}
+    for number, condition in enumerate(obs.conditions):
+        rows = obs.condition_of == number
+        mask = obs.mask[rows]
+        # Where it changes less than repeats could show, it makes nothing worse or better.
+        if _rms((rest[rows] - plain[rows])[mask]) > _VISIBLE_SHARE * floor_um:
+            ratios[str(condition)] = _rms(rest[rows][mask]) / _rms(plain[rows][mask])
+    if not ratios:
+        return None
     worst = max(ratios, key=lambda key: ratios[key])
     found = rest[obs.mask]
     return Scores(
