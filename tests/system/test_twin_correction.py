@@ -81,7 +81,16 @@ def test_the_error_falls_by_what_was_predicted(told: Any) -> None:
     # Noise and mounting differ from session to session; what is removed does not.
     assert measured.before_um**2 - measured.after_um**2 == pytest.approx(removed, rel=0.15)
     assert measured.after_um < 1.25 * measured.oracle_um
+    assert measured.acted == {"ok": 1.0}
     assert all(v.passed for v in evidence_gate(evidence.as_dict(), bundle, real=False))
+
+
+def test_outside_of_what_was_measured_nothing_is_corrected(told: Any) -> None:
+    home, _ = told
+    wide = EvidencePlan((("XY", 200.0, 2000.0),), 2, (2000.0,))
+    (measured,) = _evidence(_served("latest", home), wide).conditions
+    assert measured.acted == {"outside_box": 1.0}
+    assert measured.after_um == pytest.approx(measured.before_um, rel=0.1)
 
 
 def test_a_lost_sign_makes_it_worse_and_the_gate_refuses(told: Any) -> None:
@@ -183,9 +192,9 @@ def _served(model: str, home: Path) -> Bundle:
     return Bundle.from_dict(json.loads(found.path.read_text("utf-8")))
 
 
-def _evidence(bundle: Bundle) -> Any:
+def _evidence(bundle: Bundle, plan: EvidencePlan = PLAN) -> Any:
     geometry = geometry_of_mill("backlash")
     return mill_evidence(
-        bundle, partial(virtual_mill, "backlash"), seed=3, plan=PLAN,
+        bundle, partial(virtual_mill, "backlash"), seed=3, plan=plan,
         delay_s=geometry["correction_delay_s"],
     )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 import re
+import runpy
 import shutil
 import subprocess
 from dataclasses import replace
@@ -126,16 +127,17 @@ def test_the_c_header_compiles_and_agrees(source: Source, tmp_path: Path) -> Non
     assert code.inside((ctypes.c_double * n)(*outside)) == 0
 
 
-def test_python_runs_and_agrees(source: Source) -> None:
-    space: dict[str, Any] = {}
-    exec(compile(export(source, Request("python")).text, "twin.py", "exec"), space)  # noqa: S102
+def test_python_runs_and_agrees(source: Source, tmp_path: Path) -> None:
+    path = tmp_path / "exported_twin.py"
+    path.write_text(export(source, Request("python")).text, encoding="utf-8")
+    code = runpy.run_path(str(path))
     names = source.bundle.tick_inputs
     rows = [
-        space["twin_t"](dict(zip(names, row, strict=True)), {})[0]["radial_um"]
+        code["twin_t"](dict(zip(names, row, strict=True)), {})[0]["radial_um"]
         for row in points(source).tolist()
     ]
     np.testing.assert_allclose(rows, wanted(source), rtol=1e-12, atol=1e-12)
-    assert set(space["BOX"]) == set(names)
+    assert set(code["BOX"]) == set(names)
 
 
 def test_structured_text_and_urscript_agree_and_say_that_they_never_ran(source: Source) -> None:
