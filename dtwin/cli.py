@@ -11,6 +11,7 @@ import typer
 from dtwin.commands import analogue as analogue_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
+from dtwin.commands import exporting as exporting_command
 from dtwin.commands import modelling as modelling_commands
 from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
@@ -34,6 +35,7 @@ modelling_commands.register(app)
 serving_commands.register(app)
 twin_commands.register(app)
 analogue_commands.register(app)
+exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)
 

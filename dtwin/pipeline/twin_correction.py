@@ -15,7 +15,7 @@ from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
-from dtwin.physics.twin import Twin, frozen_residual_um, twin_of
+from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
 from dtwin.pipeline.modelling import CONDITIONS_FILE
 from dtwin.pipeline.twin_data import load, pure_rms_um
 from dtwin.pipeline.twins import Twins
@@ -30,6 +30,8 @@ from dtwin.train.twin_bundle import OUTPUT, TermChoice, TwinBundle, twin_bundle
 
 _CONFIRMED = ("law-confirmed", "intervention-confirmed")
 _NAME = "twin-correction"
+_VISIBLE_SHARE = 0.1
+NOT_NEEDED = "not needed: without it the residual is at the floor"
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ class Correction:
         Offline gates.
     predicted : tuple of dict
         RMS of every condition before, and after as the twin predicts it.
+    virtual : bool
+        Whether the machine is one on which evidence can be measured here.
     """
 
     frozen: TwinBundle
@@ -80,6 +84,7 @@ class Correction:
     objections: tuple[str, ...]
     gates: tuple[Verdict, ...]
     predicted: tuple[Mapping[str, Any], ...]
+    virtual: bool
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -89,6 +94,7 @@ class Correction:
             "machine": self.version.machine,
             "version": self.version.version,
             "verdict": self.verdict,
+            "virtual": self.virtual,
             "trial_only": bool(self.objections),
             "objections": list(self.objections),
             "terms": [dict(vars(t)) for t in self.frozen.terms],
@@ -133,7 +139,8 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
             where=f"twin {name} version {twin.version}",
             got="; ".join(objections),
             allowed="nothing missing, and every corrected effect law-confirmed",
-            hint=f"dtwin twin diagnose {name}; --trial registers it for a trial only",
+            hint=_advice(name, gradings, frozen.twin, obs)
+            + "; --trial registers it for a trial only",
         )
     report, predicted = _report(frozen, twin, obs, seed)
     registry = Registry(twins.home)
@@ -156,7 +163,32 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     registry.mark(version, tags)
     version = registry.version(version.machine, version.version)
     _, gates = check_version(registry, version)
-    return Correction(frozen, version, found.verdict, gradings, objections, tuple(gates), predicted)
+    virtual = bool(geometry.get("virtual", False))
+    return Correction(
+        frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual
+    )
+
+
+def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observations) -> str:
+    """Name the first thing to do: take out the weakest effect that is not needed, or look again."""
+    idle = {g.label for g in gradings if g.grade == NOT_NEEDED}
+    unneeded = [t for t in corrected.terms if t.label in idle]
+    if not unneeded:
+        return f"dtwin twin diagnose {name}"
+
+    def cost(term: Term) -> tuple[int, float]:
+        # What cannot be told apart stands for each other: keep what explains it with least.
+        rest = [t for t in corrected.terms if t.label != term.label]
+        needed = {
+            f"{e.effect} {e.axis}"
+            for e in fit(obs, rest).estimates
+            if not abs(e.value) <= e.uncertainty
+        }
+        return len(needed), _rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
+
+    weakest = min(unneeded, key=cost).instance
+    axis = f" --axis {weakest.axis}" if weakest.axis else ""
+    return f"dtwin twin remove {name} {weakest.effect.name}{axis}"
 
 
 def _graded(
@@ -173,7 +205,7 @@ def _graded(
 
 def _grading(term: Term, found: Diagnosis) -> Grading:
     if found.verdict == "nothing_missing":
-        return Grading(term.label, "not needed: without it the residual is at the floor", False)
+        return Grading(term.label, NOT_NEEDED, False)
     named = next((s for s in found.suspects if s.label == term.label and s.in_group), None)
     if named is None:
         return Grading(term.label, f"not found again: {found.verdict}", False)
@@ -282,11 +314,16 @@ def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> 
         there = obs.take(outside)
         rest[outside] = frozen_residual_um(replace(seen, terms=tuple(kept)), there)
         plain[outside] = frozen_residual_um(replace(seen, terms=()), there)
-    ratios = {
-        str(c): _rms(rest[rows][obs.mask[rows]]) / _rms(plain[rows][obs.mask[rows]])
-        for n, c in enumerate(obs.conditions)
-        for rows in [obs.condition_of == n]
-    }
+    floor_um = pure_rms_um(obs, rest)
+    ratios: dict[str, float] = {}
+    for number, condition in enumerate(obs.conditions):
+        rows = obs.condition_of == number
+        mask = obs.mask[rows]
+        # Where it changes less than repeats could show, it makes nothing worse or better.
+        if _rms((rest[rows] - plain[rows])[mask]) > _VISIBLE_SHARE * floor_um:
+            ratios[str(condition)] = _rms(rest[rows][mask]) / _rms(plain[rows][mask])
+    if not ratios:
+        return None
     worst = max(ratios, key=lambda key: ratios[key])
     found = rest[obs.mask]
     return Scores(

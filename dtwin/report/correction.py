@@ -41,12 +41,14 @@ def correction_text(found: Mapping[str, Any]) -> str:
         "",
         *gates,
     ]
-    machine = found["machine"]
+    promote = f"dtwin promote {found['version']} --machine {found['machine']}"
     if found["trial_only"]:
-        lines += [
-            "for a trial only: " + "; ".join(found["objections"]),
-            f"next: dtwin promote {found['version']} --machine {machine} --trial",
-        ]
+        lines += ["for a trial only: " + "; ".join(found["objections"]), f"next: {promote} --trial"]
+    elif found["virtual"]:
+        lines.append(f"next: {promote}")
     else:
-        lines.append(f"next: dtwin promote {found['version']} --machine {machine}")
+        lines.append(
+            f"next: {promote} --trial, then measure circles with and without it; or, for a control "
+            f"that dtwin does not serve: dtwin export {found['twin']} --as FORM --out FILE"
+        )
     return "\n".join(lines)

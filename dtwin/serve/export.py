@@ -13,8 +13,20 @@ Render = Callable[..., str]
 
 
 @dataclass(frozen=True)
-class _Style:
-    """How one language writes leaves and operations; arguments come fully bracketed."""
+class Style:
+    """How one language writes leaves and operations; arguments come fully bracketed.
+
+    Attributes
+    ----------
+    number : callable
+        Writes a constant.
+    name : callable
+        Writes an input or a state.
+    operations : dict of str to str
+        Templates by operator, from ``operations_with``.
+    power, table, assign : str
+        Templates of a whole power, of a look-up, and of an assignment.
+    """
 
     number: Callable[[float], str]
     name: Callable[[Node], str]
@@ -24,7 +36,8 @@ class _Style:
     assign: str
 
 
-def _operations(**changes: str) -> dict[str, str]:
+def operations_with(**changes: str) -> dict[str, str]:
+    """Return templates of all operators, some of them changed."""
     plain = {
         "add": "({0} + {1})", "sub": "({0} - {1})", "mul": "({0} * {1})", "div": "({0} / {1})",
         "neg": "(-{0})", "square": "({0} * {0})",
@@ -37,10 +50,10 @@ def _operations(**changes: str) -> dict[str, str]:
     return plain | changes
 
 
-_TEXT = _Style(
+_TEXT = Style(
     number=lambda v: f"{v:.6g}",
     name=lambda node: node.name,
-    operations=_operations(square="{0}^2"),
+    operations=operations_with(square="{0}^2"),
     power="{0}^{1}",
     table="table{1}({0})",
     assign="{0} = {1}",
@@ -49,16 +62,16 @@ _TEXT = _Style(
 
 def to_text(graph: Graph) -> str:
     """Return the equations as plain text, numbers to six digits, one line per output."""
-    lines = _body(graph, _TEXT, "t{}")
+    lines = assignments(graph, _TEXT, "t{}")
     return "\n".join(lines + _table_lines(graph))
 
 
 def to_latex(graph: Graph) -> str:
     """Return the equations as LaTeX lines of an ``aligned`` environment."""
-    style = _Style(
+    style = Style(
         number=_latex_number,
         name=lambda node: r"\mathrm{" + node.name.replace("_", r"\_") + "}",
-        operations=_operations(
+        operations=operations_with(
             mul=r"{0} \cdot {1}", div=r"\frac{{{0}}}{{{1}}}", square=r"\left({0}\right)^2",
             add=r"\left({0} + {1}\right)", sub=r"\left({0} - {1}\right)", neg=r"\left(-{0}\right)",
             abs=r"\left|{0}\right|", sqrt=r"\sqrt{{{0}}}", logistic=r"\sigma\left({0}\right)",
@@ -71,7 +84,7 @@ def to_latex(graph: Graph) -> str:
         table=r"T_{{{1}}}\left({0}\right)",
         assign="{0} &= {1}",
     )  # fmt: skip
-    lines = _body(graph, style, "t_{{{}}}", lambda name: style.name(Node("input", name=name)))
+    lines = assignments(graph, style, "t_{{{}}}", lambda name: style.name(Node("input", name=name)))
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
 
@@ -111,10 +124,10 @@ def to_python(graph: Graph, name: str = "tick") -> str:
 
     Inputs, state and outputs are mappings by name; needs only the standard library.
     """
-    style = _Style(
+    style = Style(
         number=lambda v: repr(float(v)) if v >= 0 else f"({float(v)!r})",
         name=lambda node: f'{"inputs" if node.op == "input" else "state"}[{node.name!r}]',
-        operations=_operations(
+        operations=operations_with(
             logistic="(1.0 / (1.0 + math.exp(-{0})))", sign="float(({0} > 0) * 1 - ({0} < 0) * 1)",
             step="float({0} >= 0)",
             **{f: f"math.{f}({{0}})" for f in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh")},
@@ -124,12 +137,12 @@ def to_python(graph: Graph, name: str = "tick") -> str:
         table="_table({0}, *TABLES[{1}])",
         assign="    {0} = {1}",
     )  # fmt: skip
-    lines = _body(graph, style, "t{}", lambda n: f"out[{n!r}]", lambda n: f"after[{n!r}]")
+    lines = assignments(graph, style, "t{}", lambda n: f"out[{n!r}]", lambda n: f"after[{n!r}]")
     tables = [
         f"    ({t.start!r}, {t.spacing!r}, {list(t.values)!r}, {t.periodic!r}),"
         for t in graph.tables
     ]
-    head = ["TABLES = (", *tables, ")", "", "", f"def {_identifier(name)}(inputs, state):"]
+    head = ["TABLES = (", *tables, ")", "", "", f"def {identifier(name)}(inputs, state):"]
     body = ["    out, after = {}, dict(state)", *lines, "    return out, after"]
     return _PYTHON_PRELUDE + "\n".join(head + body) + "\n"
 
@@ -194,10 +207,10 @@ def to_c(
         array, order = ("in", inputs) if node.op == "input" else ("state", states)
         return f"{array}[{order.index(node.name)}]"
 
-    style = _Style(
+    style = Style(
         number=lambda v: f"({float(v)!r})",
         name=leaf,
-        operations=_operations(
+        operations=operations_with(
             abs="fabs({0})", logistic="(1.0 / (1.0 + exp(-{0})))", min="dtwin_min({0}, {1})",
             max="dtwin_max({0}, {1})", sign="dtwin_sign({0})", step="dtwin_at_least_zero({0})",
         ),
@@ -205,14 +218,14 @@ def to_c(
         table="dtwin_table({0}, DTWIN_TABLE_ARGUMENTS_{1})",
         assign="  const double {0} = {1};",
     )  # fmt: skip
-    lines = _body(
+    lines = assignments(
         graph, style, "t{}", lambda n: f"out_{outputs.index(n)}",
         lambda n: f"after_{states.index(n)}",
     )  # fmt: skip
     lines += [f"  out[{i}] = out_{i};" for i in range(len(outputs))]
     lines += [f"  state[{states.index(n)}] = after_{states.index(n)};" for n in graph.updates]
     tables = [line for i, t in enumerate(graph.tables) for line in _c_table(i, t)]
-    symbol = f"dtwin_{_identifier(name)}"
+    symbol = f"dtwin_{identifier(name)}"
     head = [*tables, f"void {symbol}(const double *in, double *state, double *out) {{"]
     unused = ["  (void)in;", "  (void)state;"]
     return _C_PRELUDE + "\n".join(head + unused + lines + ["}"]) + "\n"
@@ -227,11 +240,23 @@ def _c_table(i: int, table: Table) -> list[str]:
     ]
 
 
-def _body(
-    graph: Graph, style: _Style, temporary: str,
+def assignments(
+    graph: Graph, style: Style, temporary: str,
     output: Callable[[str], str] = str, update: Callable[[str], str] = "next {}".format,
 ) -> list[str]:  # fmt: skip
-    """Return one assignment per shared term, then one per output and per update."""
+    """Return one assignment per shared term, then one per output and per update.
+
+    Parameters
+    ----------
+    graph : Graph
+        What to write.
+    style : Style
+        Of the language.
+    temporary : str
+        Template of the names of shared terms, numbered from 1.
+    output, update : callable
+        Write where an output, and the next value of a state, goes.
+    """
     uses = Counter(a for node in graph.nodes for a in node.args)
     uses.update(a for node in graph.nodes if node.op == "square" for a in node.args)
     lines: list[str] = []
@@ -252,7 +277,7 @@ def _body(
     return lines
 
 
-def _term(node: Node, style: _Style, args: list[str]) -> str:
+def _term(node: Node, style: Style, args: list[str]) -> str:
     if node.op == "const":
         return style.number(node.value)
     if not args:
@@ -280,5 +305,6 @@ def _latex_number(value: float) -> str:
     return rf"{digits} \cdot 10^{{{int(exponent)}}}"
 
 
-def _identifier(name: str) -> str:
+def identifier(name: str) -> str:
+    """Return a name with everything replaced that an identifier cannot hold."""
     return re.sub(r"\W", "_", name)

@@ -41,8 +41,8 @@ MakeMill = Callable[..., VirtualMill]
 Wanted = Callable[[Floats, Floats], Floats]
 
 
-def correction_of(bundle: Bundle, covariates: Mapping[str, float] | None = None) -> Correction:
-    """Return what serving a bundle adds to the commands of the virtual mill.
+class ServedCorrection:
+    """What serving a bundle adds to the commands of the virtual mill.
 
     Equation, direction and guard are those that serve a real machine, evaluated at 500 Hz on the
     commanded path; a correction arrives one period after the state that it answers.
@@ -53,21 +53,31 @@ def correction_of(bundle: Bundle, covariates: Mapping[str, float] | None = None)
         What to serve.
     covariates : dict of str to float
         Logged channels that it asks for.
+
+    Attributes
+    ----------
+    acted : dict of str to dict
+        How often each reason of the guard acted, by direction of the newest circle.
     """
-    compiled, frame = CompiledBundle(bundle), Frame(bundle.outputs)
 
-    def wanted(inputs: Floats, place: Floats) -> Floats:
-        compiled.tick_inputs[:] = inputs
-        compiled.evaluate()
-        return frame.apply(compiled.outputs, place[0], place[1])
+    def __init__(self, bundle: Bundle, covariates: Mapping[str, float] | None = None) -> None:
+        self.bundle, self.covariates = bundle, dict(covariates or {})
+        self.acted: dict[str, dict[str, int]] = {}
+        self._compiled, self._frame = CompiledBundle(bundle), Frame(bundle.outputs)
 
-    def correct(test: CircularTest, command: Command) -> Floats:
-        compiled.reset()
-        values = _states(test, command, covariates or {})
-        rows = np.column_stack([values[name] for name in bundle.tick_inputs])
-        return _guarded(bundle, test, command, np.ascontiguousarray(rows), wanted)
+    def __call__(self, test: CircularTest, command: Command) -> Floats:
+        """Return mm along the two axes of the plane, one column for each step."""
+        self._compiled.reset()
+        values = _states(test, command, self.covariates)
+        rows = np.column_stack([values[name] for name in self.bundle.tick_inputs])
+        rows = np.ascontiguousarray(rows)
+        added, self.acted[test.direction] = _guarded(self.bundle, test, command, rows, self._wanted)
+        return added
 
-    return correct
+    def _wanted(self, inputs: Floats, place: Floats) -> Floats:
+        self._compiled.tick_inputs[:] = inputs
+        self._compiled.evaluate()
+        return self._frame.apply(self._compiled.outputs, place[0], place[1])
 
 
 def mill_evidence(
@@ -107,7 +117,8 @@ def mill_evidence(
     rng = np.random.default_rng([seed, 41])
     for done, (plane, radius, feed) in enumerate(plan.conditions, start=1):
         oracle = _oracle(bundle, make_mill, plane, radius, feed, delay_s)
-        ways = {"compensated": correction_of(bundle, covariates), "oracle": oracle}
+        served = ServedCorrection(bundle, covariates)
+        ways = {"compensated": served, "oracle": oracle}
         runs: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
         order = [WAYS[i] for _ in range(plan.repeats) for i in rng.permutation(len(WAYS))]
         tests = [_test(plane, radius, feed, d, way) for way in order for d in _DIRECTIONS]
@@ -118,7 +129,7 @@ def mill_evidence(
                     "direction": test.direction,
                     "angle_rad": np.radians(run.samples["angle_deg"]) % (2.0 * np.pi),
                     "deviation_um": run.samples["deviation_um"],
-                    "acted": {},
+                    "acted": served.acted[test.direction],
                 }
             )
         found = condition_result(plane, radius, feed, feed in plan.trained_feeds, runs)
@@ -204,7 +215,7 @@ def _oracle(
             return out
 
         rows = np.zeros((len(range(0, len(command.phase_rad), _EVERY)), 0))
-        return _guarded(bundle, test, command, rows, wanted)
+        return _guarded(bundle, test, command, rows, wanted)[0]
 
     return correct
 
@@ -230,8 +241,8 @@ def _states(
 
 def _guarded(
     bundle: Bundle, test: CircularTest, command: Command, inputs: Floats, wanted: Wanted
-) -> Floats:
-    """Send wanted corrections through the guard, one period late, shape (2, n) in mm."""
+) -> tuple[Floats, dict[str, int]]:
+    """Return corrections in mm (2, n) through the guard, one period late, and what it did."""
     boxes = {i.name: (i.low, i.high) for i in bundle.inputs}
     box = np.array([boxes[n] for n in bundle.tick_inputs]) if inputs.shape[1] else np.empty((0, 2))
     guard = Guard(bundle.safety, np.ascontiguousarray(box[:, 0]), np.ascontiguousarray(box[:, 1]))
@@ -246,4 +257,4 @@ def _guarded(
         safe = guard.step(asked, row, age_s=0.0, elapsed_s=TRANSPORT_S, enabled=True)
         sent[0, tick + 1], sent[1, tick + 1] = safe[number], safe[(number + 1) % 3]
     held = np.repeat(sent[:, :-1], _EVERY, axis=1)[:, : len(command.phase_rad)]
-    return np.asarray(held / UM_PER_MM)
+    return np.asarray(held / UM_PER_MM), guard.counted()

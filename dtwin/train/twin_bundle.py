@@ -23,6 +23,7 @@ from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.traced import NotTraceable, Traced, expressions_of
+from dtwin.train.traced_joints import JOINT_RANGES, traced_joints
 
 ANGLE, DIRECTION, SPEED = "path_angle_rad", "direction_sign", "commanded_speed_mm_s"
 RADIUS, PLANE = "radius_mm", "plane_id"
@@ -228,6 +229,7 @@ def _traced(
         ahead = speed.columns[0] / radius.columns[0]
         angle = angle + sign * ahead * horizon_s
     forward = builder.apply("step", sign)
+    joints = traced_joints(builder, horizon_s)
     out: dict[str, Expression] = {}
     for plane in twin.box.planes:
         ways = []
@@ -237,6 +239,8 @@ def _traced(
                 meta, Traced([angle]),  # type: ignore[arg-type]
                 feed_mm_s=speed, columns=logged, geometry={},  # type: ignore[arg-type]
             )  # fmt: skip
+            # What a robot's joints do is an input here, not computed from its geometry.
+            state.__dict__["joints"] = joints
             found = _regressors(effect, state, axis, term.shape)
             columns = expressions_of(found, builder, len(weights))
             ways.append(_weighted(builder, columns, weights))
@@ -305,12 +309,14 @@ def _inputs(used: set[str], twin: Twin, obs: Observations) -> list[Input]:
     }
     # Whether or not the equation uses them: outside of what was measured nothing is corrected.
     wanted = [ANGLE, DIRECTION, SPEED, RADIUS, PLANE]
-    channels = sorted(used - set(wanted))
+    joints = [name for name in JOINT_RANGES if name in used]
+    ranges |= {name: JOINT_RANGES[name] for name in joints}
+    channels = sorted(used - set(wanted) - set(joints))
     for name in channels:
         values = [float(m.covariates[name]) for m in obs.runs]
         ranges[name] = (min(values), max(values))
     out = []
-    for name in [*wanted, *channels]:
+    for name in [*wanted, *joints, *channels]:
         low, high = ranges[name]
         margin = _MARGIN * max(1.0, abs(low), abs(high))
         unit = PATH_INPUT_UNITS.get(name) or _CONTROLLER_UNITS.get(name) or name.rsplit("_", 1)[1]

@@ -81,7 +81,16 @@ def test_the_error_falls_by_what_was_predicted(told: Any) -> None:
     # Noise and mounting differ from session to session; what is removed does not.
     assert measured.before_um**2 - measured.after_um**2 == pytest.approx(removed, rel=0.15)
     assert measured.after_um < 1.25 * measured.oracle_um
+    assert measured.acted == {"ok": 1.0}
     assert all(v.passed for v in evidence_gate(evidence.as_dict(), bundle, real=False))
+
+
+def test_outside_of_what_was_measured_nothing_is_corrected(told: Any) -> None:
+    home, _ = told
+    wide = EvidencePlan((("XY", 200.0, 2000.0),), 2, (2000.0,))
+    (measured,) = _evidence(_served("latest", home), wide).conditions
+    assert measured.acted == {"outside_box": 1.0}
+    assert measured.after_um == pytest.approx(measured.before_um, rel=0.1)
 
 
 def test_a_lost_sign_makes_it_worse_and_the_gate_refuses(told: Any) -> None:
@@ -120,14 +129,72 @@ def test_what_is_not_confirmed_can_be_tried_but_never_be_champion(
     assert resolve("latest", "virtual-mill", Home(home)).version == 1
 
 
+def test_an_effect_that_is_not_needed_is_refused_with_what_to_do(
+    told: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, _ = told
+    monkeypatch.setenv("DTWIN_HOME", str(home))
+    effects = "scale_mismatch,squareness,backlash:X,straightness:Y"
+    fitted = ["twin", "fit", "mill-backlash", "--effects", effects, "--name", "wide"]
+    assert run(fitted)[0] == 0
+    code, output = run(["twin", "correct", "wide"])
+    assert code == 3
+    assert "straightness Y: not needed" in output
+    assert "dtwin twin remove wide straightness --axis Y" in output
+
+
+PROGRAM = "G21 G90 G17\nG0 X60 Y0\nG1 X50 Y0 F1500\nG3 X50 Y0 I-50 J0\nM30\n"
+
+
+def test_the_page_about_exports_does_what_it_says(
+    told: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, _ = told
+    monkeypatch.setenv("DTWIN_HOME", str(home))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "part.nc").write_text(PROGRAM, encoding="utf-8")
+    text = (ROOT / "docs" / "how-to" / "export.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```sh\n(.*?)^```", text, re.S | re.M)
+    forms = set()
+    for line in block.strip().splitlines():
+        code, output = run([*line.split()[1:], "--json"])
+        assert code == 0, output
+        result = json.loads(output)
+        assert Path(result["file"]).stat().st_size > 30
+        assert result["state"] == "champion"
+        forms.add(result["as"])
+    assert forms == {"c", "python", "latex", "st", "urscript", "comp", "csv", "gcode"}
+    trims = np.loadtxt(tmp_path / "x.comp")
+    play_mm = trims[:, 1] - trims[:, 2]
+    # The mill's truth: 3 um of play on X.
+    np.testing.assert_allclose(play_mm, 0.003, atol=0.0003)
+    assert (tmp_path / "part-corrected.nc").read_text("utf-8").count("G1") > 100
+    same = ["export", "latest", "--as", "c", "--out", "twin.h"]
+    for wrong, code in (
+        (same, "export.exists"),
+        (["export", "latest", "--as", "cobol", "--out", "n"], "export.form"),
+        (["export", "nobody", "--as", "c", "--out", "n"], "twin.unknown"),
+        (["export", "1", "--as", "c", "--out", "n"], "export.machine"),
+        (["export", "latest", "--as", "comp", "--out", "n"], "export.axis"),
+        (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "a", "--out", "n"],
+         "export.numbers"),
+        (["export", "latest", "--as", "gcode", "--out", "n"], "export.program"),
+    ):  # fmt: skip
+        ended, said = run(wrong)
+        assert ended == 1
+        assert code in said, said
+    assert not (tmp_path / "n").exists()
+    assert run(["export", "mill-a", "--as", "csv", "--out", "n"])[0] == 0
+
+
 def _served(model: str, home: Path) -> Bundle:
     found = resolve(model, "virtual-mill", Home(home))
     return Bundle.from_dict(json.loads(found.path.read_text("utf-8")))
 
 
-def _evidence(bundle: Bundle) -> Any:
+def _evidence(bundle: Bundle, plan: EvidencePlan = PLAN) -> Any:
     geometry = geometry_of_mill("backlash")
     return mill_evidence(
-        bundle, partial(virtual_mill, "backlash"), seed=3, plan=PLAN,
+        bundle, partial(virtual_mill, "backlash"), seed=3, plan=plan,
         delay_s=geometry["correction_delay_s"],
     )  # fmt: skip

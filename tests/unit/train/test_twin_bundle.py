@@ -108,6 +108,42 @@ def test_every_effect_of_the_library_is_frozen_as_it_is(
             "angular_error", "gravity_sag", "lateral_play_taper"} <= done  # fmt: skip
 
 
+def test_joint_effects_of_a_robot_are_frozen_too(obs: Observations) -> None:
+    geometry = {"type": "ur10e", "centre_mm": [-550.0, 0.0, 75.0], "tcp_mm": [0.0, 0.0, 158.3]}
+    robot = replace(obs, campaign=replace(obs.campaign, machine_geometry=geometry))
+    angle = np.linspace(0.1, 6.1, 7)
+    for name in ("joint_cyclic", "joint_reversal", "joint_offset"):
+        instance = Instance(LIBRARY[name], "2")
+        twin = twin_with(instance, robot)
+        graph = twin_bundle(twin, robot).bundle.tick_graph
+        for row in (0, 3, 9, 17):
+            meta = robot.runs[row]
+            state = circular_state(
+                meta, angle, feed_mm_s=meta.feed_mm_min / 60.0, columns={}, geometry=geometry
+            )
+            wanted = instance.effect.columns(state, "2", twin.terms[0].shape)
+            for i, t in enumerate(angle.tolist()):
+                joints = {
+                    f"{text}": float(values[i, j])
+                    for j in range(6)
+                    for text, values in (
+                        (f"q{j + 1}_rad", state.joints.q_rad),
+                        (f"qd{j + 1}_rad_s", state.joints.qd_rad_s),
+                        (f"lever_{j + 1}_mm_rad", state.joints.lever_mm),
+                    )
+                }
+                sign = 1.0 if meta.direction == "CCW" else -1.0
+                inputs = {"path_angle_rad": t, "direction_sign": sign, "plane_id":
+                          float(PLANES.index(meta.plane)), "radius_mm": meta.radius_mm,
+                          "commanded_speed_mm_s": meta.feed_mm_min / 60.0, **joints}  # fmt: skip
+                got = graph.evaluate(inputs, {})[0]["radial_um"]
+                value = float(wanted[i] @ twin.values(twin.terms[0]))
+                assert got == pytest.approx(value, rel=1e-9, abs=1e-12)
+    with pytest.raises(InputError) as refusal:
+        twin_bundle(twin_with(Instance(LIBRARY["joint_compliance"], "2"), robot), robot)
+    assert "moments of the joints" in str(refusal.value.got)
+
+
 def test_what_offsets_cannot_correct_is_left_out_with_the_reason(obs: Observations) -> None:
     choices = {i.effect.name: choose(Term(i, i.effect.start_shape)) for i in of_library(obs)}
     for name in ("instrument_artefact", "reversal_spike", "friction", "stick_slip"):

@@ -1,0 +1,116 @@
+"""The command that writes a correction for other controls: export."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dtwin.commands.output import emit
+from dtwin.errors import InputError
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(export)
+
+
+def export(
+    source: Annotated[
+        str,
+        typer.Argument(help="latest, trial, a bundle's .json, a version number, or a twin's name."),
+    ],
+    form: Annotated[
+        str, typer.Option("--as", help="c, st, python, latex, urscript, comp, csv or gcode.")
+    ],
+    out: Annotated[Path, typer.Option(help="File to write.")],
+    machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
+    axis: Annotated[str, typer.Option(help="Axis of a compensation file.")] = "",
+    travel: Annotated[
+        str | None, typer.Option(help="LOW,HIGH in mm of the tables; the measured radius without.")
+    ] = None,
+    origin: Annotated[
+        str, typer.Option(help="X,Y,Z in mm: centre of the measured circles on this machine.")
+    ] = "0,0,0",
+    points: Annotated[
+        int | None, typer.Option(help="Rows of a table, at most 256; as needed without.")
+    ] = None,
+    program: Annotated[Path | None, typer.Option(help="G-code to compensate.")] = None,
+    tolerance_um: Annotated[
+        float, typer.Option(help="How far chords may leave the compensated path.")
+    ] = 0.1,
+    effects_path: Annotated[
+        list[Path] | None, typer.Option(help="Your own effect file or folder; its code is run.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+) -> None:
+    """Write a registered correction as code, table or compensated program."""
+    from dtwin.atomic import write_text
+    from dtwin.config import home
+    from dtwin.physics.library import Library
+    from dtwin.pipeline.exports import FORMATS, Request, source_of
+    from dtwin.pipeline.exports import export as write
+
+    if form not in FORMATS:
+        raise InputError(
+            "no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS)
+        )
+    if out.exists() and not force:
+        raise InputError(
+            "the file is there already", code="export.exists", where=str(out), hint="--force"
+        )
+    low_high = _numbers(travel, 2, "--travel") if travel is not None else None
+    x, y, z = _numbers(origin, 3, "--origin")
+    request = Request(
+        form=form,
+        axis=axis.upper(),
+        travel_mm=None if low_high is None else (low_high[0], low_high[1]),
+        origin_mm=(x, y, z),
+        points=points,
+        program=program,
+        tolerance_um=tolerance_um,
+    )
+    found = source_of(home(), source, machine, Library(effects_path or []))
+    made = write(found, request)
+    write_text(out, made.text, "the export")
+    payload = {
+        "file": str(out),
+        "as": form,
+        "name": found.bundle.name,
+        "state": found.state,
+        "figures": dict(made.figures),
+        "left_out": dict(made.left_out),
+        "notes": list(made.notes),
+    }
+
+    def text() -> str:
+        lines = [f"{out} written: {found.bundle.name} ({found.state}) as {form}"]
+        lines += [f"  {name}: {_shown(value)}" for name, value in made.figures.items()]
+        lines += [f"  left out, {label}: {why}" for label, why in made.left_out.items()]
+        return "\n".join([*lines, *(f"  note: {note}" for note in made.notes)])
+
+    emit(payload, text, as_json=as_json)
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, dict):
+        return "; ".join(f"{k}: {_shown(v)}" for k, v in value.items())
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def _numbers(text: str, count: int, option: str) -> list[float]:
+    parts = text.split(",")
+    try:
+        values = [float(part) for part in parts]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(abs(v) < 1e6 for v in values):
+        raise InputError(
+            f"{option} needs {count} numbers",
+            code="export.numbers",
+            got=text[:80],
+            allowed="LOW,HIGH" if count == 2 else "X,Y,Z",
+        )
+    return values

@@ -1,0 +1,92 @@
+"""What stands at the head of an exported equation, and a C header around it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.export import identifier
+from dtwin.serve.export_plc import NOT_RUN
+
+_UNSAFE = re.compile(r"[^\w .,:+\-/^]")
+
+
+def commented(said: Sequence[str], first: str, last: str) -> str:
+    """Return lines as comments, with the remark that the form never ran on a controller.
+
+    Parameters
+    ----------
+    said : sequence of str
+        From ``said_of``.
+    first, last : str
+        What begins and ends a comment.
+    """
+    return "".join(f"{first}{line}{last}\n" for line in [*said, NOT_RUN])
+
+
+def said_of(bundle: Bundle, state: str) -> list[str]:
+    """Return what stands at the head of an equation, without characters that end a comment.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        What is exported.
+    state : str
+        What it may be used for.
+    """
+    lines = [
+        f"dtwin: {bundle.name} for machine {bundle.machine}, version {bundle.model_version}, "
+        f"state {state}",
+        f"bundle sha256 {bundle.sha256}",
+    ]
+    for o in bundle.outputs:
+        meaning = (
+            "predicted error, apply with its sign changed" if o.role == "error" else "correction"
+        )
+        lines.append(f"output {o.name}, {o.unit}, along {o.frame}: {meaning}")
+    lines.append(
+        "inputs in this order, valid in these ranges, outside of which nothing may be corrected:"
+    )
+    lines += [f"  {i.name}, {i.unit}: {i.low!r} to {i.high!r}" for i in bundle.inputs]
+    lines += [f"state {s.name}, {s.unit}, begins at {s.initial!r}" for s in bundle.states]
+    return [_UNSAFE.sub("?", line) for line in lines]
+
+
+def c_header(said: Sequence[str], bundle: Bundle, code: str) -> str:
+    """Return C code as a header that can be included twice, with a test of the valid ranges.
+
+    Parameters
+    ----------
+    said : sequence of str
+        From ``said_of``.
+    bundle : Bundle
+        What is exported.
+    code : str
+        From ``to_c``.
+    """
+    guard = f"DTWIN_{identifier(bundle.name).upper()}_H"
+    symbol = f"dtwin_{identifier(bundle.name).strip('_').lower()}"
+    boxes = {i.name: (i.low, i.high) for i in bundle.inputs}
+    tests = [
+        f"in[{n}] >= {boxes[name][0]!r} && in[{n}] <= {boxes[name][1]!r}"
+        for n, name in enumerate(bundle.tick_inputs)
+    ]
+    inside = " &&\n         ".join(tests) or "1"
+    return "\n".join(
+        [
+            "/*",
+            *(f" * {line}" for line in said),
+            " */",
+            f"#ifndef {guard}",
+            f"#define {guard}",
+            code.replace(f"\nvoid {symbol}(", f"\nstatic inline void {symbol}(").rstrip(),
+            "",
+            f"static inline int {symbol}_inside(const double *in) {{",
+            f"  return {inside};",
+            "}",
+            "",
+            "#endif",
+            "",
+        ]
+    )

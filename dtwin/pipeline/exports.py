@@ -1,0 +1,347 @@
+"""A registered correction in the languages and tables of other controls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.physics.effect import Effect
+from dtwin.physics.twin import Twin
+from dtwin.pipeline.axis_tables import (
+    MOST_TRIPLETS,
+    TOLERANCE_UM,
+    AxisTable,
+    axis_table,
+    compensation_file,
+    csv_table,
+)
+from dtwin.pipeline.export_heads import c_header, commented, said_of
+from dtwin.pipeline.gcode_compensation import compensate
+from dtwin.pipeline.twins import Twins
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import MAX_BYTES, read_json
+from dtwin.serve.export import identifier, to_c, to_latex, to_python
+from dtwin.serve.export_plc import NOT_RUN, to_structured_text, to_urscript
+from dtwin.serve.pointer import resolve
+from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.twin_axes import AXES, own_axis_only
+from dtwin.train.twin_bundle import choose
+
+EQUATIONS = ("c", "st", "python", "latex", "urscript")
+TABLES = ("comp", "csv", "gcode")
+FORMATS = (*EQUATIONS, *TABLES)
+_MAX_PROGRAM_BYTES = 20_000_000
+
+
+@dataclass(frozen=True)
+class Source:
+    """What is exported.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        The correction.
+    state : str
+        ``champion``, ``trial``, ``candidate`` ... and whether it is for a trial only.
+    twin : Twin or None
+        The twin behind it, reduced to what it corrects.
+    """
+
+    bundle: Bundle
+    state: str
+    twin: Twin | None
+
+
+@dataclass(frozen=True)
+class Request:
+    """How it is written.
+
+    Attributes
+    ----------
+    form : str
+        One of ``FORMATS``.
+    axis : str
+        Of a compensation file.
+    travel_mm : tuple of float, optional
+        Of the tables; the largest measured radius to both sides without.
+    origin_mm : tuple of float
+        Centre of the measured circles in the coordinates of the machine or program.
+    points : int, optional
+        Rows of a table.
+    program : Path, optional
+        Program to compensate.
+    tolerance_um : float
+        Of the chords of a compensated program.
+    """
+
+    form: str
+    axis: str = ""
+    travel_mm: tuple[float, float] | None = None
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    points: int | None = None
+    program: Path | None = None
+    tolerance_um: float = 0.1
+
+
+@dataclass(frozen=True)
+class Export:
+    """A written form.
+
+    Attributes
+    ----------
+    text : str
+        Content of the file.
+    figures : dict
+        Rows, interpolation error and the like.
+    left_out : dict of str to str
+        Effects that this form cannot hold, and why.
+    notes : tuple of str
+        What a user must know.
+    """
+
+    text: str
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+
+def source_of(
+    home: Home, name: str, machine: str | None, library: Mapping[str, Effect] | None = None
+) -> Source:
+    """Return what a name stands for.
+
+    Parameters
+    ----------
+    home : Home
+        Where state lives.
+    name : str
+        ``latest``, ``trial``, a bundle's ``.json`` file, a version number with its machine, or a
+        twin whose correction is registered.
+    machine : str or None
+        Machine; needed when there are several, and for a version number.
+    library : mapping of str to Effect, optional
+        Effects of twins.
+
+    Raises
+    ------
+    InputError
+        When there is no such thing.
+    """
+    registry = Registry(home)
+    if name in ("latest", "trial") or name.endswith(".json"):
+        found = resolve(name, machine, home, harmless=True)
+        bundle = Bundle.from_dict(read_json(found.path, MAX_BYTES))
+        version = _registered(registry, found.machine, found.version)
+        return _source(home, bundle, found.state, version, library)
+    if name.isdigit():
+        if machine is None:
+            raise InputError(
+                "a version number needs its machine", code="export.machine", got=name,
+                hint="--machine NAME; dtwin models lists both",
+            )  # fmt: skip
+        version = registry.version(machine, name)
+    else:
+        version = _of_twin(home, registry, name)
+    bundle = Bundle.from_dict(registry.bundle(version))
+    return _source(home, bundle, version.tags.get("state", "candidate"), version, library)
+
+
+def export(source: Source, request: Request) -> Export:
+    """Write a correction in one form.
+
+    Parameters
+    ----------
+    source : Source
+        What.
+    request : Request
+        How.
+
+    Raises
+    ------
+    InputError
+        When the form cannot hold it.
+    """
+    if request.form in EQUATIONS:
+        return _equation(source, request.form)
+    if source.twin is None:
+        raise InputError(
+            "this form needs the error of single axes",
+            code="export.axes",
+            where=source.bundle.name,
+            got="an equation along the path",
+            allowed="the correction of a twin",
+            hint="dtwin twin correct NAME, then dtwin export NAME",
+        )
+    if request.form == "gcode":
+        return _program(source.twin, request)
+    return _tables(source.twin, request)
+
+
+def _equation(source: Source, form: str) -> Export:
+    bundle = source.bundle
+    if bundle.window_graph is not None or bundle.feature_inputs:
+        raise InputError(
+            "the equation needs windows of sensor signals, which these forms do not hold",
+            code="export.window",
+            where=bundle.name,
+            hint="serve it: dtwin serve",
+        )
+    graph, inputs, states = bundle.tick_graph, bundle.tick_inputs, bundle.initial_state
+    outputs = tuple(o.name for o in bundle.outputs)
+    name = identifier(bundle.name).strip("_").lower()
+    said = said_of(source.bundle, source.state)
+    if form == "latex":
+        return Export("".join(f"% {line}\n" for line in said) + to_latex(graph) + "\n")
+    if form == "python":
+        box = "".join(f"    {i.name!r}: ({i.low!r}, {i.high!r}),\n" for i in bundle.inputs)
+        head = "".join(f"# {line}\n" for line in said) + f"BOX = {{\n{box}}}\n"
+        return Export(head + to_python(graph, name))
+    if form == "c":
+        return Export(c_header(said, bundle, to_c(graph, inputs, tuple(states), outputs, name)))
+    if form == "st":
+        text = to_structured_text(graph, inputs, states, f"DTWIN_{name.upper()}")
+        return Export(commented(said, "(* ", " *)") + text, notes=(NOT_RUN,))
+    text = to_urscript(graph, inputs, tuple(states), f"dtwin_{name}")
+    return Export(commented(said, "# ", "") + text, notes=(NOT_RUN,))
+
+
+def _tables(twin: Twin, request: Request) -> Export:
+    measured = [a for a in AXES if any(a in plane for plane in twin.box.planes)]
+    if request.form == "comp" and request.axis not in measured:
+        raise InputError(
+            "a compensation file is for one axis",
+            code="export.axis",
+            got=request.axis or "none",
+            allowed=", ".join(measured),
+            hint="--axis X",
+        )
+    axes = [request.axis] if request.form == "comp" else measured
+    reach = twin.box.radius_mm[1]
+    speed = twin.box.feed_mm_min[0] / 60.0
+    tables: list[AxisTable] = []
+    left_out: dict[str, str] = {}
+    for axis in axes:
+        number = AXES.index(axis)
+        origin = request.origin_mm[number]
+        travel = request.travel_mm or (origin - reach, origin + reach)
+        relative = (travel[0] - origin, travel[1] - origin)
+        refused = own_axis_only(twin.terms, twin, axis, relative, speed)
+        left_out |= {f"{label} on {axis}": reason for label, reason in refused.items()}
+        kept = replace(twin, terms=tuple(t for t in twin.terms if t.label not in refused))
+        tables.append(
+            axis_table(
+                kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed
+            )
+        )
+    text = compensation_file(tables[0]) if request.form == "comp" else csv_table(tables)
+    return Export(text, _table_figures(tables), left_out, tuple(_table_notes(request, tables)))
+
+
+def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
+    return {
+        "axes": {
+            t.axis: {
+                "rows": len(t.position_mm),
+                "travel_mm": [float(t.position_mm[0]), float(t.position_mm[-1])],
+                "interpolation_error_um": t.interpolation_um,
+                "largest_um": float(max(np.abs(t.forward_um).max(), np.abs(t.reverse_um).max())),
+            }
+            for t in tables
+        }
+    }
+
+
+def _table_notes(request: Request, tables: Sequence[AxisTable]) -> list[str]:
+    notes = [
+        f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:.2f} um off; "
+        f"a table of {MOST_TRIPLETS} rows is not enough for {TOLERANCE_UM:g} um"
+        for t in tables
+        if t.interpolation_um > TOLERANCE_UM and request.points is None
+    ]
+    if request.form == "comp":
+        notes.append("COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table")
+        notes.append("this file has not been loaded by a LinuxCNC in dtwin's tests")
+    return notes
+
+
+def _program(twin: Twin, request: Request) -> Export:
+    if request.program is None:
+        raise InputError(
+            "there is no program to compensate", code="export.program", hint="--program FILE"
+        )
+    if not 0.001 <= request.tolerance_um <= 100.0:
+        raise InputError(
+            "the tolerance makes no sense", code="export.tolerance",
+            got=f"{request.tolerance_um:g} um", allowed="0.001 to 100 um",
+        )  # fmt: skip
+    raw = read_bounded(request.program, _MAX_PROGRAM_BYTES)
+    try:
+        text = raw.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "the program is no plain text", code="gcode.text", where=str(request.program),
+            got=str(error)[:80],
+        ) from error  # fmt: skip
+    made = compensate(
+        text,
+        twin,
+        origin_mm=np.array(request.origin_mm),
+        where=request.program.name,
+        tolerance_um=request.tolerance_um,
+    )
+    notes = ["the tool's own program is changed: compare both before it runs"]
+    if made.outside:
+        notes.append(
+            f"{made.outside} of the evaluated points lie further out than "
+            f"{twin.box.radius_mm[1]:g} mm, where nothing was measured"
+        )
+    figures = {
+        "motions": made.points,
+        "largest_um": made.largest_um,
+        "interpolation_error_um": made.interpolation_um,
+        "points_outside": made.outside,
+    }
+    return Export(made.text, figures, {}, tuple(notes))
+
+
+def _source(
+    home: Home,
+    bundle: Bundle,
+    state: str,
+    version: RegisteredVersion | None,
+    library: Mapping[str, Effect] | None,
+) -> Source:
+    if version is None or "twin" not in version.tags:
+        return Source(bundle, state, None)
+    twin = Twins(home, library).newest(version.tags["twin"], int(version.tags["twin_version"]))
+    kept = tuple(t for t in twin.terms if choose(t).included)
+    if version.tags.get("trial_only"):
+        state = f"{state}, for a trial only: {version.tags['trial_only'][:120]}"
+    return Source(bundle, state, replace(twin, terms=kept))
+
+
+def _registered(registry: Registry, machine: str, number: int) -> RegisteredVersion | None:
+    try:
+        return registry.version(machine, str(number))
+    except InputError:
+        return None
+
+
+def _of_twin(home: Home, registry: Registry, name: str) -> RegisteredVersion:
+    twin = Twins(home).newest(name)
+    for version in registry.versions(twin.machine):
+        if version.tags.get("twin") == name:
+            return version
+    raise InputError(
+        "the twin's correction is not registered",
+        code="export.twin",
+        where=f"twin {name}",
+        hint=f"dtwin twin correct {name} checks and registers it",
+    )

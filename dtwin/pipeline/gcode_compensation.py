@@ -1,0 +1,174 @@
+"""A program whose points are moved by what the twin says the machine does wrong there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.physics.twin import Twin
+from dtwin.pipeline.gcode_program import Move, Passed, read_program
+from dtwin.schema import Floats
+from dtwin.train.twin_axes import Motion, axis_errors_um
+from dtwin.units import UM_PER_MM
+
+TOLERANCE_UM = 0.1
+_MOST_CHORDS = 2**16
+_JUMP_MM = 1e-5
+# No wave of a screw hides between two points.
+_LONGEST_CHORD_MM = 2.0
+_MOST_POINTS = 2_000_000
+# An axis that stands still keeps the side that it came from.
+_CREEP_MM_S = 1e-9
+
+
+@dataclass(frozen=True)
+class Compensated:
+    """A compensated program.
+
+    Attributes
+    ----------
+    text : str
+        The program.
+    points : int
+        Motions that were written.
+    largest_um : float
+        Largest shift of a point.
+    interpolation_um : float
+        Largest distance between the written chords and the compensated path, at their middles.
+    outside : int
+        Evaluated points outside of the positions that were measured.
+    """
+
+    text: str
+    points: int
+    largest_um: float
+    interpolation_um: float
+    outside: int
+
+
+def compensate(
+    text: str, twin: Twin, *, origin_mm: Floats, where: str, tolerance_um: float = TOLERANCE_UM
+) -> Compensated:
+    """Move every point of a program against the predicted error.
+
+    Lines and arcs become chords that stay within the tolerance of the compensated path; where an
+    axis turns round, the point is taken twice, once for each side of its lost motion.
+
+    Parameters
+    ----------
+    text : str
+        The program.
+    twin : Twin
+        The twin, reduced to what offsets can correct.
+    origin_mm : ndarray, shape (3,)
+        Centre of the measured circles in the coordinates of the program.
+    where : str
+        Name of the program, for messages.
+    tolerance_um : float
+        Largest distance between chords and path.
+
+    Raises
+    ------
+    InputError
+        When the program says something that is not understood, or needs too many points.
+    """
+    work = _Work(twin, origin_mm, tolerance_um)
+    lines = []
+    for item in read_program(text, where):
+        lines += [item.text] if isinstance(item, Passed) else work.move(item)
+        if work.points > _MOST_POINTS:
+            raise InputError(
+                "the program needs too many points",
+                code="gcode.size",
+                where=where,
+                got=f"more than {_MOST_POINTS}",
+                hint="allow a larger --tolerance-um",
+            )
+    return Compensated(
+        "\n".join(lines) + "\n", work.points, work.largest_um, work.interpolation_um, work.outside
+    )
+
+
+class _Work:
+    """What is remembered from motion to motion."""
+
+    def __init__(self, twin: Twin, origin_mm: Floats, tolerance_um: float) -> None:
+        self.twin, self.origin_mm, self.tolerance_um = twin, origin_mm, tolerance_um
+        self.side = np.zeros(3)
+        self.points = self.outside = 0
+        self.largest_um = self.interpolation_um = 0.0
+        self.written = np.full(3, np.nan)
+
+    def move(self, move: Move) -> list[str]:
+        """Return the lines of one motion."""
+        head = [move.rest] if move.rest else []
+        last = np.array([1.0])
+        if move.rapid:
+            self._turn(move.directions(last)[0])
+            return [*head, self._line("G0", move, self._targets(move, last)[0])]
+        if move.feed_mm_min <= 0.0:
+            raise InputError(
+                "a motion has no feed", code="gcode.feed", where=f"line {move.line}", hint="add F"
+            )
+        if move.started != move.known:
+            # Where this motion begins is not known: its end is.
+            self._turn(np.where(move.started, move.directions(last)[0], 0.0))
+            return [*head, self._line("G1", move, self._targets(move, last)[0])]
+        lines = head
+        for first, final in pairwise(move.quadrants()):
+            self._turn(move.directions(np.array([0.5 * (first + final)]))[0])
+            begin, *chords = self._chords(move, first, final)
+            if not np.all(np.abs(begin - self.written) < _JUMP_MM):
+                lines.append(self._line("G1", move, begin))
+            lines += [self._line("G1", move, target) for target in chords]
+        return lines
+
+    def _chords(self, move: Move, first: float, last: float) -> Floats:
+        """Return the corners of chords within the tolerance, shape (n + 1, 3)."""
+        n = max(1, math.ceil(move.length_mm * (last - first) / _LONGEST_CHORD_MM))
+        while True:
+            targets = self._targets(move, np.linspace(first, last, 2 * n + 1))
+            gap = targets[1::2] - 0.5 * (targets[:-1:2] + targets[2::2])
+            off_um = UM_PER_MM * float(np.linalg.norm(gap, axis=1).max())
+            if off_um <= self.tolerance_um or n >= _MOST_CHORDS:
+                self.interpolation_um = max(self.interpolation_um, off_um)
+                return np.asarray(targets[::2])
+            n *= 2
+
+    def _turn(self, direction: Floats) -> None:
+        moving = np.abs(direction) > 1e-9
+        self.side = np.where(moving, np.sign(direction), self.side)
+
+    def _targets(self, move: Move, shares: Floats) -> Floats:
+        points = move.points(shares)
+        speed = move.feed_mm_min / 60.0
+        # At a quadrant the axis that turns round has no speed, but a side.
+        velocity = np.maximum(np.abs(move.directions(shares)) * speed, _CREEP_MM_S) * self.side
+        # Of an axis that the program has not placed nothing is known; it counts as centred.
+        here = np.where(move.known, points - self.origin_mm, 0.0)
+        motion = Motion(here, velocity, self._acceleration(move, points, speed))
+        errors = axis_errors_um(self.twin, motion)
+        self.largest_um = max(self.largest_um, float(np.linalg.norm(errors, axis=1).max()))
+        reach = self.twin.box.radius_mm[1] * (1.0 + 1e-9)
+        self.outside += int((np.abs(here).max(axis=1) > reach).sum())
+        return np.asarray(points - errors / UM_PER_MM)
+
+    def _acceleration(self, move: Move, points: Floats, speed: float) -> Floats:
+        out = np.zeros(points.shape)
+        if move.centre_mm is not None:
+            plane = list(move.plane)
+            spokes = points[:, plane] - move.centre_mm
+            out[:, plane] = -(speed**2) * spokes / (spokes**2).sum(axis=1, keepdims=True)
+        return out
+
+    def _line(self, code: str, move: Move, target: Floats) -> str:
+        self.points += 1
+        self.written = target
+        places = zip("XYZ", target.tolist(), move.known, strict=True)
+        words = [f"{letter}{value:.5f}" for letter, value, known in places if known]
+        feed = [f"F{move.feed_mm_min:g}"] if code == "G1" else []
+        return " ".join([code, *words, *feed])

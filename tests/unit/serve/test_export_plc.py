@@ -1,0 +1,52 @@
+"""Structured text and URScript say what the graph computes, by an evaluator of what is emitted."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from emitted import StructuredText, URScript
+from test_export import INPUTS, STATES, every_operator, expected, samples
+
+from dtwin.errors import InputError
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.export_plc import to_structured_text, to_urscript
+
+
+def test_structured_text_agrees_and_remembers() -> None:
+    graph = every_operator()
+    block = StructuredText(to_structured_text(graph, INPUTS, {"s": 0.5, "u": 0.0}))
+    rows = []
+    for row in samples().tolist():
+        out = block.tick(dict(zip(INPUTS, row, strict=True)))
+        rows.append([out["a"], out["b"], block.memory["s"], block.memory["u"]])
+    np.testing.assert_allclose(np.array(rows), expected(graph), rtol=1e-12, atol=1e-12)
+
+
+def test_urscript_agrees_and_hands_its_states_back() -> None:
+    graph = every_operator()
+    script = URScript(to_urscript(graph, INPUTS, STATES))
+    state, rows = [0.5, 0.0], []
+    for row in samples().tolist():
+        values = script.functions["dtwin_correction"](*row, *state)
+        state = values[2:]
+        rows.append(values)
+    np.testing.assert_allclose(np.array(rows), expected(graph), rtol=1e-12, atol=1e-12)
+
+
+def test_only_what_is_used_is_written() -> None:
+    g = GraphBuilder()
+    graph = g.graph({"out": g.input("x") * 2.0})
+    assert "FUNCTION DTWIN" not in to_structured_text(graph, ("x",), {})
+    assert to_urscript(graph, ("x",), ()).count("def ") == 1
+
+
+@pytest.mark.parametrize("name", ["2x", "a__b", "tmp1", "x y", "x;y"])
+def test_a_name_that_could_become_code_is_refused(name: str) -> None:
+    g = GraphBuilder()
+    graph = g.graph({"out": g.input(name) * 2.0})
+    for write in (
+        lambda: to_structured_text(graph, (name,), {}),
+        lambda: to_urscript(graph, (name,), ()),
+    ):
+        with pytest.raises(InputError, match="no identifier"):
+            write()
