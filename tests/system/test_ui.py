@@ -174,7 +174,7 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     assert _heights(page)[-1] == pytest.approx(first, abs=0.005)
     page.goto(f"{bench.base}/twins/mill/versions?first=2&second=3")
     expect(page.get_by_role("heading", name="Version 2: add backlash X")).to_be_visible()
-    expect(page.get_by_role("heading", name="Version 3: fit")).to_be_visible()
+    expect(page.get_by_role("heading", name="Version 3: restore v1")).to_be_visible()
 
 
 def test_compare_draws_what_is_chosen(page: Page, bench: Workbench) -> None:
