@@ -22,7 +22,12 @@ _SLOWEST_FIRST = (
     "test_pipeline",
     "test_scheduled",
     "test_serve_command",
+    "test_ui",
+    "test_twin_correction",
     "test_readme",
+    "test_twins",
+    "test_tutorials",
+    "test_ui_models",
     "test_flow_run",
 )
 
