@@ -14,6 +14,7 @@ from dtwin.errors import InputError
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
     app.command()(export)
+    app.command("robot-program")(robot_program)
 
 
 def export(
@@ -114,3 +115,25 @@ def _numbers(text: str, count: int, option: str) -> list[float]:
             allowed="LOW,HIGH" if count == 2 else "X,Y,Z",
         )
     return values
+
+
+def robot_program(
+    out: Annotated[Path, typer.Option(help="URScript file to write.")] = Path("dtwin.script"),
+    limit_um: Annotated[float, typer.Option(help="Largest offset along each axis.")] = 500.0,
+    slew_um_s: Annotated[float, typer.Option(help="Fastest change of it.")] = 20_000.0,
+    watchdog_s: Annotated[
+        float, typer.Option(help="Silence after which the offset goes back to zero.")
+    ] = 0.05,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Write the URScript thread that lets a UR robot take corrections as a path offset."""
+    from dtwin.atomic import write_text
+    from dtwin.links.ur_program import correction_program
+
+    text = correction_program(limit_um, slew_um_s, watchdog_s)
+    if out.exists() and not force:
+        raise InputError(
+            "the file is there already", code="export.exists", where=str(out), hint="--force"
+        )
+    write_text(out, text, "the program")
+    print(f"{out} written: not yet run on a controller; how to start it is in its first lines")

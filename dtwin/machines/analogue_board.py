@@ -44,6 +44,8 @@ class AnalogueBoard:
     ----------
     port : str
         Its serial port.
+    changes : list of int
+        Clock cycles (16 MHz) at which a voltage changed.
     """
 
     def __init__(self, folder: Path, *, baud: int = 250_000, stuck_bits: int = 0) -> None:
@@ -52,6 +54,7 @@ class AnalogueBoard:
         self._volts: dict[str, tuple[float, float, float]] = {}
         self._changed = threading.Condition()
         self.port = ""
+        self.changes: list[int] = []
 
     def __enter__(self) -> Self:
         """Build what is not there, and switch the board on."""
@@ -110,5 +113,6 @@ class AnalogueBoard:
             words = line.split()
             if len(words) == 5 and words[1] in ("dac", "pwm"):
                 with self._changed:
+                    self.changes.append(int(words[0]))
                     self._volts[words[1]] = (float(words[2]), float(words[3]), float(words[4]))
                     self._changed.notify_all()

@@ -9,7 +9,7 @@ from typing import Any
 
 _TOKEN = re.compile(
     r"\s*(?:(?P<number>\d+\.\d+(?:[eE][+-]?\d+)?|\d+(?:[eE][+-]?\d+)?)|(?P<word>[A-Za-z_]\w*)"
-    r"|(?P<sign>:=|>=|<=|==|<>|\.\.|[-+*/%()\[\],;:<>=]))"
+    r"|(?P<sign>:=|>=|<=|==|!=|<>|\.\.|[-+*/%()\[\],;:<>=]))"
 )
 
 
@@ -38,7 +38,7 @@ class Reader:
         return word
 
     def expression(self, level: int = 0) -> Any:
-        levels = [(">", "<", ">=", "<=", "==", "=", "<>"), ("+", "-"), ("*", "/", "%", "MOD")]
+        levels = [(">", "<", ">=", "<=", "==", "!=", "=", "<>"), ("+", "-"), ("*", "/", "%", "MOD")]
         if level == len(levels):
             return self.factor()
         left = self.expression(level + 1)
@@ -87,7 +87,7 @@ _SIGNS: dict[str, Callable[[Any, Any], Any]] = {
     "+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b,
     "%": lambda a, b: a % b, "MOD": lambda a, b: a % b, ">": lambda a, b: a > b,
     "<": lambda a, b: a < b, ">=": lambda a, b: a >= b, "<=": lambda a, b: a <= b,
-    "==": lambda a, b: a == b, "=": lambda a, b: a == b,
+    "==": lambda a, b: a == b, "=": lambda a, b: a == b, "!=": lambda a, b: a != b,
 }  # fmt: skip
 
 

@@ -1,0 +1,130 @@
+"""The program that lets a UR robot take corrections: a URScript thread beside the running path.
+
+Not yet run on a controller; its arithmetic is evaluated in the tests. It superimposes a path
+offset in base coordinates (``path_offset_set``, PolyScope 5.6 and later).
+"""
+
+from __future__ import annotations
+
+from dtwin.errors import InputError
+from dtwin.links import ur_registers as registers
+from dtwin.links.state import APPLIED_SEQUENCE
+
+TICK_HZ = 500
+_LARGEST_UM = 2000.0
+
+_FUNCTIONS = """\
+def dtwin_within(value, limit):
+  if value > limit:
+    return limit
+  elif value < 0.0 - limit:
+    return 0.0 - limit
+  end
+  return value
+end
+
+def dtwin_towards(now, wanted, step):
+  return now + dtwin_within(wanted - now, step)
+end
+
+# Applied x, y, z in um, latched x, y, z, last sequence, ticks since it changed.
+def dtwin_correct(s, sequence, x, y, z):
+  local wanted = [s[3], s[4], s[5]]
+  local idle = s[7] + 1
+  if sequence != s[6]:
+    wanted = [dtwin_within(x, {limit}), dtwin_within(y, {limit}), dtwin_within(z, {limit})]
+    idle = 0
+  elif idle > {watchdog}:
+    wanted = [0.0, 0.0, 0.0]
+    idle = {watchdog}
+  end
+  return [dtwin_towards(s[0], wanted[0], {step}), dtwin_towards(s[1], wanted[1], {step}), \
+dtwin_towards(s[2], wanted[2], {step}), wanted[0], wanted[1], wanted[2], sequence, idle]
+end
+"""
+
+_THREAD = """\
+thread dtwin_correction():
+  path_offset_set_max_offset({limit_m}, 0.001)
+  path_offset_set_alpha_filter(1.0)
+  path_offset_enable()
+  # What stands in the registers from before is no correction: only a change of the number counts.
+  local s = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, read_input_integer_register({sequence_in}), {watchdog}]
+  while True:
+    s = dtwin_correct(s, read_input_integer_register({sequence_in}), \
+read_input_float_register({x_in}), read_input_float_register({y_in}), \
+read_input_float_register({z_in}))
+    path_offset_set(p[s[0] / 1000000.0, s[1] / 1000000.0, s[2] / 1000000.0, 0, 0, 0], 1)
+    write_output_integer_register({sequence_out}, s[6])
+    write_output_float_register({x_out}, s[0])
+    write_output_float_register({y_out}, s[1])
+    write_output_float_register({z_out}, s[2])
+    sync()
+  end
+end
+"""
+
+
+def correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) -> str:
+    """Return the arithmetic of one controller tick as URScript functions.
+
+    Parameters
+    ----------
+    limit_um : float
+        Largest offset along each axis.
+    slew_um_s : float
+        Fastest change of it.
+    watchdog_s : float
+        Time without a new sequence number after which the offset is led back to zero.
+
+    Raises
+    ------
+    InputError
+        When a limit is not positive, or the offset is larger than 2 mm.
+    """
+    if not (0.0 < limit_um <= _LARGEST_UM and slew_um_s > 0.0 and watchdog_s >= 2.0 / TICK_HZ):
+        raise InputError(
+            "these are no limits for a correction",
+            code="ur.limits",
+            got=f"{limit_um:g} um, {slew_um_s:g} um/s, watchdog {watchdog_s:g} s",
+            allowed=f"up to {_LARGEST_UM:g} um, a positive rate, a watchdog of 2 ticks or more",
+        )
+    return _FUNCTIONS.format(
+        limit=float(limit_um), step=float(slew_um_s / TICK_HZ), watchdog=round(watchdog_s * TICK_HZ)
+    )
+
+
+def correction_program(
+    limit_um: float = 500.0, slew_um_s: float = 20_000.0, watchdog_s: float = 0.05
+) -> str:
+    """Return what belongs before the motion of a robot's program, started by ``run``.
+
+    Parameters
+    ----------
+    limit_um, slew_um_s, watchdog_s : float
+        As for :func:`correction_functions`.
+    """
+    outputs = registers.OUTPUT_DOUBLES
+    x_out, y_out, z_out = (r for r, place in sorted(outputs.items()) if r >= 17)
+    sequence_out = next(r for r, p in registers.OUTPUT_INTS.items() if p == APPLIED_SEQUENCE)
+    functions = correction_functions(limit_um, slew_um_s, watchdog_s)
+    thread = _THREAD.format(
+        limit_m=limit_um / 1e6,
+        watchdog=round(watchdog_s * TICK_HZ),
+        sequence_in=registers.INPUT_SEQUENCE,
+        x_in=registers.INPUT_OFFSET_X,
+        y_in=registers.INPUT_OFFSET_X + 1,
+        z_in=registers.INPUT_OFFSET_X + 2,
+        sequence_out=sequence_out,
+        x_out=x_out,
+        y_out=y_out,
+        z_out=z_out,
+    )
+    return (
+        f"# Corrections of dtwin as a path offset in base coordinates. Not yet run on a controller.\n"
+        f"# Limits: {limit_um:g} um along each axis, {slew_um_s:g} um/s; back to zero {watchdog_s:g} s\n"
+        f"# after the last new sequence number. Begin it in the program with:\n"
+        f"#   dtwin_thread = run dtwin_correction()\n"
+        f"# and end it, before path_offset_disable(), with:  kill dtwin_thread\n"
+        f"{functions}\n{thread}"
+    )
