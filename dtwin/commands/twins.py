@@ -177,33 +177,28 @@ def discover_effects(
 
 @twin_app.command("learn")
 def learn_effect(
-    name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False
+    name: Name,
+    seed: Seed = 0,
+    symbolic: Annotated[
+        bool, typer.Option("--symbolic", help="A formula by symbolic regression, not a power law.")
+    ] = False,
+    effects_path: Paths = None,
+    as_json: Json = False,
 ) -> None:
     """Add a law for structure that no effect explains: a description, provisional."""
     twins = _twins(effects_path)
     before = twins.newest(name)
-    twin, gain = twins.learn(name, seed=seed)
+    if symbolic:
+        from dtwin.train.symbolic import OperonEngine
+
+        twin, learned = twins.learn_formula(name, OperonEngine(), seed=seed)
+        gain, said = learned.gain, f"\nformula, um: {learned.text}"
+    else:
+        twin, gain = twins.learn(name, seed=seed)
+        said = ""
     if not as_json:
-        print(f"gain on left-out conditions: {100 * gain:.1f} %")
+        print(f"gain on left-out conditions: {100 * gain:.1f} %{said}")
     _show_rung(twins, before.figures, twin, as_json=as_json)
-
-
-@twin_app.command("correct")
-def correct_machine(
-    name: Name,
-    trial: Annotated[
-        bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")
-    ] = False,
-    seed: Seed = 0,
-    effects_path: Paths = None,
-    as_json: Json = False,
-) -> None:
-    """Register the correction that a confirmed twin stands for, or say why not (exit 3)."""
-    from dtwin.pipeline.twin_correction import correct
-    from dtwin.report.correction import correction_text
-
-    found = correct(_twins(effects_path), name, trial=trial, seed=seed).as_dict()
-    emit(found, lambda: correction_text(found), as_json=as_json)
 
 
 @twin_app.command("confirm")

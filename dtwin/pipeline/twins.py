@@ -10,17 +10,15 @@ from typing import Any
 
 from dtwin.atomic import write_text
 from dtwin.config import Home
-from dtwin.errors import GateRefusal, InputError
+from dtwin.errors import InputError
 from dtwin.physics import localise
-from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
-from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.effect import Effect
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import fit
-from dtwin.physics.learned import learned_effect, learned_name
 from dtwin.physics.library import Library
-from dtwin.physics.problem import Term, set_up
+from dtwin.physics.problem import Term
 from dtwin.physics.twin import (
     Twin,
     chosen_terms,
@@ -30,8 +28,12 @@ from dtwin.physics.twin import (
 )
 from dtwin.pipeline.twin_data import Comparison, Loaded, load
 from dtwin.pipeline.twin_files import finite, read_document, twin_from
+from dtwin.pipeline.twin_formulas import WithFormulas
+from dtwin.pipeline.twin_learning import learn_formula, learn_law
 from dtwin.pipeline.twin_registration import note, registered
 from dtwin.schema import require_name
+from dtwin.train.residual_formula import ResidualFormula
+from dtwin.train.symbolic import Engine
 
 _MOST_RUNGS = 12
 
@@ -49,7 +51,8 @@ class Twins:
 
     def __init__(self, home: Home, library: Mapping[str, Effect] | None = None) -> None:
         self.home = home
-        self.library: Mapping[str, Effect] = Library() if library is None else library
+        others = Library() if library is None else library
+        self.library = WithFormulas(others, home.root / "formulas")
 
     @property
     def root(self) -> Path:
@@ -214,49 +217,14 @@ class Twins:
         return self._store(name, load(self.home, old.campaign), old.terms, f"restore v{version}")
 
     def learn(self, name: str, *, seed: int = 0) -> tuple[Twin, float]:
-        """Add the scaling law that describes unknown structure best, as a provisional effect.
+        """Add the scaling law that describes unknown structure best; see :func:`learn_law`."""
+        return learn_law(self, name, seed)
 
-        Parameters
-        ----------
-        name : str
-            The twin.
-        seed : int
-            Seed of permutations.
-
-        Returns
-        -------
-        twin : Twin
-            The new version.
-        gain : float
-            Mean relative gain on conditions that were left out of its fit.
-
-        Raises
-        ------
-        GateRefusal
-            When nothing is unknown, or no law holds on left-out conditions.
-        """
-        twin, found = self.diagnose(name, seed=seed)
-        if found.verdict != "unknown_effect" or not found.laws:
-            raise GateRefusal(
-                "there is no unknown structure that a scaling law describes",
-                code="twin.nothing_to_learn",
-                where=f"twin {name} version {twin.version}",
-                got=f"{found.verdict}: {found.headline}",
-            )
-        obs = load(self.home, twin.campaign).obs
-        problem = set_up(obs, twin.terms, [])
-        for law in found.laws:
-            effect = learned_effect(learned_name(law))
-            gain = left_out_gain(problem, problem.whitened(obs.regressors(Instance(effect), {})))
-            if gain > 0.0:
-                return self.add(name, effect.name), gain
-        raise GateRefusal(
-            "no law holds on conditions that were left out",
-            code="twin.law_does_not_hold",
-            where=f"twin {name} version {twin.version}",
-            got=found.laws[0].equation,
-            hint="measure more feeds or radii, or write the effect yourself",
-        )
+    def learn_formula(
+        self, name: str, engine: Engine, *, seed: int = 0
+    ) -> tuple[Twin, ResidualFormula]:
+        """Add a formula for unknown structure; see :func:`dtwin.pipeline.twin_learning`."""
+        return learn_formula(self, name, engine, seed)
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[Diagnosis]]:
         """Diagnose and add until nothing is missing, or nothing known would help.

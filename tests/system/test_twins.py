@@ -20,6 +20,7 @@ from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twin_intervention import confirm, interventions
 from dtwin.pipeline.twins import Twins
 from dtwin.report.twins import twin_text
+from dtwin.train.symbolic import OperonEngine
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -335,3 +336,33 @@ def test_an_older_version_can_be_restored_as_a_new_one(twins: Twins) -> None:
     # The comparison states the same noise floor as the fit.
     floor = twins.compare("mill-a").as_dict()["noise_floor_um"]
     assert floor == pytest.approx(third.figures["noise_floor_um"])
+
+
+def test_a_formula_is_learned_where_nothing_in_the_library_helps(
+    home: Home, tmp_path: Path
+) -> None:
+    load(home, str(write_campaign(tmp_path / "odd", "strange", name="odd-mill", machine="mill-c")))
+    twins = Twins(home)
+    first = twins.fit("odd-mill", KNOWN, "odd")
+    second, learned = twins.learn_formula("odd", OperonEngine())
+    assert learned.groups == 6
+    assert learned.gain > 0.7
+    assert second.figures["rms_after_um"] < 0.5 * first.figures["rms_after_um"]
+    (factor,) = [e for e in second.estimates if e.effect.startswith("learned_formula_")]
+    assert factor.value == pytest.approx(1.0, abs=0.1)
+    # Another process reads the formula back from its file.
+    again = Twins(home).newest("odd")
+    assert again.labels == second.labels
+    assert Twins(home).compare("odd").as_dict()["residual_rms_um"] == pytest.approx(
+        second.figures["rms_after_um"], rel=0.02
+    )
+    kept = home.root / "formulas" / f"{factor.effect}.json"
+    kept.write_text(json.dumps({"text": "__import__('os').system('true')"}))
+    with pytest.raises(InputError, match="not a formula"):
+        Twins(home).newest("odd")
+
+
+def test_nothing_is_learned_from_what_is_known(twins: Twins) -> None:
+    twins.fit("mill-march", KNOWN, "known")
+    with pytest.raises(GateRefusal, match="no unknown structure"):
+        twins.learn_formula("known", OperonEngine())
