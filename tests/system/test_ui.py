@@ -17,6 +17,7 @@ from conftest import require_program
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 from workbench_server import Workbench, running_workbench
 
+expect.set_options(timeout=PATIENCE_MS)
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
 FLAGS = [
