@@ -17,7 +17,6 @@ from conftest import require_program
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
 from workbench_server import Workbench, running_workbench
 
-expect.set_options(timeout=PATIENCE_MS)
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
 FLAGS = [
@@ -30,6 +29,7 @@ FLAGS = [
     "--disable-sync",
 ]
 PATIENCE_MS = 60_000
+expect.set_options(timeout=PATIENCE_MS)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,6 @@ from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.train.registry import Registry
 from dtwin.train.results import Candidate, Latency, Scores, TrainingReport
 
-expect.set_options(timeout=PATIENCE_MS)
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
 
