@@ -10,6 +10,7 @@ import typer
 
 from dtwin.commands import single
 from dtwin.commands.output import emit
+from dtwin.commands.tasks import TwinCommands
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,10 +28,14 @@ Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one
 Seed = Annotated[int, typer.Option(help="Seed of permutations.")]
 
 twin_app = typer.Typer(
-    help="Compare with measurements, see where it fails, add what is missing.",
+    cls=TwinCommands,
+    help="A machine's twin: compare with measurements, find what is missing, add it.",
     no_args_is_help=True,
 )
-effects_app = typer.Typer(help="Physical causes of error.", no_args_is_help=True)
+effects_app = typer.Typer(
+    help="Physical causes of error: what they look like, and what to do about them.",
+    no_args_is_help=True,
+)
 
 
 def register(app: typer.Typer) -> None:
