@@ -51,7 +51,7 @@ def residual_picture(name: str) -> str:
     known = ", ".join(
         dict.fromkeys(term.instance.effect.name.replace("_", " ") for term in first.terms)
     )
-    titles = ["as measured", f"known: {known}", *(r["action"] for r in rungs[1:])]
+    titles = ["as measured", f"fitted: {known}", *(r["action"] for r in rungs[1:])]
     rms_um = [rungs[0]["rms_before_um"], *(r["rms_after_um"] for r in rungs)]
     floor_um = float(rungs[-1]["noise_floor_um"])
     panels = [
@@ -61,7 +61,7 @@ def residual_picture(name: str) -> str:
     width, height = PANEL * len(panels), HEADER + PANEL + FOOTER
     note = (
         f"{worst.plane}, radius {worst.radius_mm:g} mm, {worst.feed_mm_min:g} mm/min, mean of the "
-        f"repeats; the figures are over all {len(obs.y_um)} runs"
+        f"repeats, centre and radius taken out; the figures are over all {len(obs.y_um)} runs"
     )
     return "\n".join(
         [

@@ -11,12 +11,12 @@ TASKS: dict[str, tuple[str, ...]] = {
     "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
     "Understand": ("twin", "effects", "report"),
     "Correct": ("features", "train", "models", "promote", "rollback"),
-    "Run": ("serve", "analogue", "up"),
+    "Run": ("serve", "robot-program", "export", "analogue", "up"),
 }
 TWIN_TASKS: dict[str, tuple[str, ...]] = {
     "Fit and look": ("fit", "compare", "recording", "show", "history"),
     "Find what is missing": ("diagnose", "discover", "learn"),
-    "Change": ("add", "remove"),
+    "Change": ("add", "remove", "restore"),
     "Prove and use": ("confirm", "correct"),
 }
 _OTHER = "More"
