@@ -206,6 +206,24 @@ def learn_effect(
     _show_rung(twins, before.figures, twin, as_json=as_json)
 
 
+@twin_app.command("correct")
+def correct_machine(
+    name: Name,
+    trial: Annotated[
+        bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")
+    ] = False,
+    seed: Seed = 0,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Register the correction that a confirmed twin stands for, or say why not (exit 3)."""
+    from dtwin.pipeline.twin_correction import correct
+    from dtwin.report.correction import correction_text
+
+    found = correct(_twins(effects_path), name, trial=trial, seed=seed).as_dict()
+    emit(found, lambda: correction_text(found), as_json=as_json)
+
+
 @twin_app.command("confirm")
 def confirm_effect(
     name: Name,
