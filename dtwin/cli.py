@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 import os
 import sys
+from typing import Annotated
 
 import typer
 
+from dtwin import __version__
 from dtwin.commands import analogue as analogue_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
@@ -18,12 +20,23 @@ from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
 from dtwin.commands import twins as twin_commands
 from dtwin.commands import ui as ui_command
+from dtwin.commands.tasks import MainCommands
 from dtwin.config import quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError, MissingPart
 
+_BEGIN = """\b
+New here?
+  dtwin demo --quick     the main job on a virtual robot, in small
+  dtwin ui               the workbench in your browser
+  dtwin check FILE       what a ball-bar file or a campaign folder shows
+Everything is kept in DTWIN_HOME, by default .dtwin in this folder.
+"""
+
 app = typer.Typer(
     name="dtwin",
+    cls=MainCommands,
     help="Measure, model and correct the accuracy of machine tools and robots.",
+    epilog=_BEGIN,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
@@ -38,6 +51,24 @@ analogue_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"dtwin {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    pass
 
 
 def main() -> None:

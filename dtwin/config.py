@@ -82,9 +82,15 @@ def quiet_environment() -> None:
 
 def sample_recording() -> Path:
     """Return the real UR10e ball-bar recording that travels with the package."""
+    return _data("samples/ur10e_xy_r100_f5000.b5r")
+
+
+def example_campaigns() -> Path:
+    """Return the folder of example campaigns that travels with the package."""
+    return _data("examples")
+
+
+def _data(name: str) -> Path:
     package = Path(__file__).parent
-    for folder in (package / "_data" / "samples", package.parent / "data" / "samples"):
-        candidate = folder / "ur10e_xy_r100_f5000.b5r"
-        if candidate.is_file():
-            return candidate
-    return package / "_data" / "samples" / "ur10e_xy_r100_f5000.b5r"
+    installed, checkout = package / "_data" / name, package.parent / "data" / name
+    return checkout if checkout.exists() and not installed.exists() else installed

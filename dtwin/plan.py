@@ -156,7 +156,7 @@ def read_plan(path: Path) -> Plan:
         document = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(
-            "the plan cannot be read", code="plan.file", where=str(path), got=str(error)
+            "the plan cannot be read", code="plan.file", where=str(path), got=error.strerror
         ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(

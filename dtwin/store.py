@@ -193,7 +193,7 @@ class Lake:
                 code="campaign.unknown",
                 got=name,
                 allowed=", ".join(self.campaigns()) or "none yet",
-                hint="dtwin ingest PATH",
+                hint="dtwin ingest PATH; without measurements: dtwin examples",
             )
         first = rows[0]
         return Campaign(

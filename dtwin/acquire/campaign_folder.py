@@ -135,6 +135,13 @@ def open_campaign(folder: Path) -> CampaignFolder:
         With the place of the first thing that is wrong.
     """
     path = folder / "campaign.toml" if folder.is_dir() else folder
+    if folder.is_dir() and not path.exists():
+        raise InputError(
+            "this folder is no campaign: it has no campaign.toml", code="file.missing",
+            where=str(folder),
+            hint="name a folder that dtwin record or dtwin simulate made, or a .b5r file; "
+            "your own: docs/how-to/ingest-your-own.md",
+        )  # fmt: skip
     try:
         document = tomllib.loads(read_bounded(path, MAX_TOML_BYTES).decode("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:

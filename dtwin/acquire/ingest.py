@@ -111,7 +111,10 @@ def open_source(
         )
         return campaign, [(list(test.runs), [])], 1
     if not path.exists():
-        raise InputError("no such file or folder", code="file.missing", where=str(path))
+        raise InputError(
+            "no such file or folder", code="file.missing", where=str(path),
+            hint="check the path; without measurements: dtwin examples",
+        )  # fmt: skip
     raise InputError(
         "cannot be ingested by itself",
         code="ingest.type",

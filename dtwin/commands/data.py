@@ -1,4 +1,4 @@
-"""Commands about measurements: check, ingest, runs, plan."""
+"""Commands about measurements: examples, check, ingest, runs, plan."""
 
 from __future__ import annotations
 
@@ -25,11 +25,40 @@ Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
+    app.command()(examples)
     app.command()(check)
     app.command()(ingest)
     app.command()(runs)
     app.command()(plan)
     app.command()(repair)
+
+
+def examples(
+    out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("examples"),
+    as_json: Json = False,
+) -> None:
+    """Copy small example campaigns here: with and without a hidden fault, and one spoilt run."""
+    import shutil
+
+    from dtwin.config import example_campaigns
+
+    if out.exists():
+        raise InputError(
+            "the folder is there already", code="examples.exists", where=str(out),
+            hint="dtwin examples --out ANOTHER",
+        )  # fmt: skip
+    try:
+        shutil.copytree(example_campaigns(), out)
+    except OSError as error:
+        raise InputError(
+            "the examples cannot be copied", code="examples.copy", where=str(out), got=str(error)
+        ) from error
+    found = sorted(str(p.parent) for p in out.glob("*/campaign.toml"))
+    emit(
+        {"campaigns": found},
+        lambda: "\n".join([*found, f"next: dtwin check {found[0]}", "or:   dtwin ui"]),
+        as_json=as_json,
+    )
 
 
 def check(

@@ -26,7 +26,7 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
-    """From a real recording and 81 tests to an equation served to a robot.
+    """The main job: from a real recording and 81 tests to an equation served to a robot.
 
     ``tracking`` recomputes the source thesis's tracking chain on the virtual cobot instead,
     ``position-map`` asks what its equation for the mill has learned.

@@ -10,6 +10,7 @@ import typer
 
 from dtwin.commands import single
 from dtwin.commands.output import emit
+from dtwin.commands.tasks import TwinCommands
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,10 +28,14 @@ Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one
 Seed = Annotated[int, typer.Option(help="Seed of permutations.")]
 
 twin_app = typer.Typer(
-    help="Compare with measurements, see where it fails, add what is missing.",
+    cls=TwinCommands,
+    help="A machine's twin: compare with measurements, find what is missing, add it.",
     no_args_is_help=True,
 )
-effects_app = typer.Typer(help="Physical causes of error.", no_args_is_help=True)
+effects_app = typer.Typer(
+    help="Physical causes of error: what they look like, and what to do about them.",
+    no_args_is_help=True,
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -199,6 +204,24 @@ def learn_effect(
     if not as_json:
         print(f"gain on left-out conditions: {100 * gain:.1f} %{said}")
     _show_rung(twins, before.figures, twin, as_json=as_json)
+
+
+@twin_app.command("correct")
+def correct_machine(
+    name: Name,
+    trial: Annotated[
+        bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")
+    ] = False,
+    seed: Seed = 0,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Register the correction that a confirmed twin stands for, or say why not (exit 3)."""
+    from dtwin.pipeline.twin_correction import correct
+    from dtwin.report.correction import correction_text
+
+    found = correct(_twins(effects_path), name, trial=trial, seed=seed).as_dict()
+    emit(found, lambda: correction_text(found), as_json=as_json)
 
 
 @twin_app.command("confirm")

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import os
 import re
+import signal
 import subprocess
-import sys
+import urllib.request
 from pathlib import Path
 
+import numpy as np
 import pytest
+from shown_commands import ROOT, Block, blocks, environment, follow, page, run
 
-ROOT = Path(__file__).parents[2]
-pytestmark = pytest.mark.system
+README = page("README.md")
+pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
 
 
-def blocks() -> list[list[str]]:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    return [b.strip().splitlines() for b in re.findall(r"^```\n(.*?)^```", text, re.S | re.M)]
+def below(heading: str) -> list[Block]:
+    """Return the blocks below a heading, up to the next one."""
+    return blocks(README.partition(f"\n## {heading}")[2].partition("\n## ")[0])
 
 
 def test_the_first_block_is_the_main_job_and_the_tests() -> None:
-    first = blocks()[0]
+    first = blocks(README)[0].lines
     assert len(first) == 2
     for line in first:
         program, script = line.split()
@@ -30,32 +32,60 @@ def test_the_first_block_is_the_main_job_and_the_tests() -> None:
     assert "pytest" in (ROOT / "tests" / "run.sh").read_text()
 
 
-def test_links_lead_somewhere() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", ["README.md", "data/README.md"])
+def test_links_lead_somewhere(name: str) -> None:
+    text = page(name)
     for target in re.findall(r"\]\(([^)#]+)\)", text):
-        assert (ROOT / target).exists(), target
+        assert ((ROOT / name).parent / target).exists(), target
 
 
-@pytest.mark.parametrize(
-    ("first", "ends_with"), [("dtwin check", "champion"), ("dtwin simulate", "reference")]
-)
-def test_a_block_of_commands_works(tmp_path: Path, first: str, ends_with: str) -> None:
-    steps = next(b for b in blocks() if b[0].startswith(first))
-    environment = dict(
-        os.environ,
-        DTWIN_HOME=str(tmp_path / "home"),
-        OMP_NUM_THREADS="1",
-        PATH=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+def test_every_block_is_executed_by_a_test_here() -> None:
+    executed = [blocks(README)[0]]
+    for heading in ("Five minutes", "The same in the browser", "The main job, step by step"):
+        executed += below(heading)
+    assert executed == blocks(README)
+
+
+def test_the_tour_prints_what_it_shows_and_draws_the_picture(tmp_path: Path) -> None:
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    follow(below("Five minutes"), tmp_path)
+    assert (tmp_path / "compare.html").stat().st_size > 100_000
+    command = "python docs/pictures/residual_falls.py mill-a residual-falls.svg"
+    assert f"`{command}`" in README
+    run(command, tmp_path)
+    drawn, kept = (
+        (folder / "residual-falls.svg").read_text(encoding="utf-8")
+        for folder in (tmp_path, ROOT / "docs" / "pictures")
     )
+    number = re.compile(r"-?\d+(?:\.\d+)?")
+    assert number.sub("#", drawn) == number.sub("#", kept)
+    values = [[float(n) for n in number.findall(text)] for text in (drawn, kept)]
+    # A tenth of a pixel may be rounded differently on another processor.
+    assert np.allclose(*values, rtol=0, atol=0.15)
+    the_workbench_shows("mill-a", tmp_path)
+
+
+def the_workbench_shows(twin: str, folder: Path) -> None:
+    (command,) = below("The same in the browser")[0].lines
+    server = subprocess.Popen(
+        [*command.split(), "--no-browser"],
+        cwd=folder,
+        env=environment(folder),
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert server.stdout is not None
+        address = server.stdout.readline().split()[-1].partition("?")[0]
+        with urllib.request.urlopen(f"{address.rstrip('/')}/twins") as answer:
+            assert twin in answer.read().decode("utf-8")
+    finally:
+        server.send_signal(signal.SIGINT)
+        server.wait(30)
+    assert server.returncode == 0
+
+
+def test_the_main_job_step_by_step_ends_with_a_champion(tmp_path: Path) -> None:
     (tmp_path / "data").symlink_to(ROOT / "data")
-    for step in steps:
-        done = subprocess.run(
-            ["bash", "-c", step],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, f"{step}\n{done.stdout}\n{done.stderr}"
-    assert ends_with in done.stdout
+    said = follow(below("The main job, step by step"), tmp_path)
+    assert "champion" in dict(said)["dtwin models"]

@@ -1,11 +1,14 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from dtwin import __version__
 
 
 def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
@@ -18,7 +21,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     assert shown.returncode == 0
     for command in ("demo", "plan", "simulate", "ingest", "runs", "check", "features", "train",
                     "models", "promote", "rollback", "serve", "report", "twin", "effects",
-                    "record", "up", "ui"):  # fmt: skip
+                    "record", "up", "ui", "examples", "analogue"):  # fmt: skip
         assert f"\n  {command} " in shown.stdout
     heavy = [
         "numpy",
@@ -36,8 +39,75 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     assert run(code=code).stdout.strip() == "[]"
 
 
-def test_without_a_command_the_help_is_shown() -> None:
-    assert "Usage:" in run().stdout + run().stderr
+def test_without_a_command_the_help_is_shown_and_says_where_to_begin() -> None:
+    shown = run()
+    assert "Usage:" in shown.stdout + shown.stderr
+    assert "dtwin demo --quick" in shown.stdout + shown.stderr
+
+
+def test_every_command_has_its_place_and_every_place_its_command() -> None:
+    from typer.main import get_command
+
+    from dtwin.cli import app
+    from dtwin.commands.tasks import TASKS, TWIN_TASKS
+
+    main = get_command(app)
+    for group, tasks in ((main, TASKS), (main.commands["twin"], TWIN_TASKS)):
+        placed = [name for task in tasks.values() for name in task]
+        assert sorted(placed) == sorted(group.commands)
+    assert "More:" not in run("--help").stdout
+
+
+def test_no_sentence_of_the_help_is_cut_off() -> None:
+    for group in ((), ("twin",)):
+        assert "..." not in run(*group, "--help").stdout.replace("[ARGS]...", "")
+
+
+def test_the_version_is_told() -> None:
+    assert run("--version").stdout == f"dtwin {__version__}\n"
+
+
+def test_a_mistyped_command_is_answered_with_the_right_one() -> None:
+    for words, meant in ((["simulat"], "simulate"), (["twin", "diagnos"], "diagnose")):
+        shown = run(*words)
+        assert (shown.returncode, f"Did you mean '{meant}'?" in shown.stderr) == (2, True)
+
+
+def test_completion_is_installed_and_completes_in_a_clean_home(tmp_path: Path) -> None:
+    environment = dict(
+        os.environ,
+        HOME=str(tmp_path),
+        PATH=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+    )
+    # A shell of its own, as completion is installed for the shell that asks.
+    script = """
+dtwin --install-completion >/dev/null || exit 1
+source ~/.bashrc
+COMP_WORDS=(dtwin twin dia) COMP_CWORD=2
+_dtwin_completion dtwin
+echo "${COMPREPLY[*]}"
+"""
+    done = subprocess.run(
+        ["bash", "-c", script], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "diagnose\n", done.stderr
+
+
+def test_the_first_mistakes_in_an_empty_folder_say_what_to_try(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    for words, told in (
+        (["check", "."], "it has no campaign.toml"),
+        (["ingest", "nowhere"], "dtwin examples"),
+        (["twin", "fit", "nowhere", "--effects", "backlash", "--name", "a"], "dtwin examples"),
+        (["twin", "diagnose", "nobody"], "dtwin twin fit"),
+    ):
+        shown = run(*words)
+        assert shown.returncode == 1
+        assert told in shown.stderr
+        assert "Traceback" not in shown.stderr
 
 
 def test_check_speaks_json_and_nothing_else(real_recording: Path) -> None:

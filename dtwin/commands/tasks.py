@@ -1,0 +1,59 @@
+"""The list of commands, by what a user wants to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.core import TyperGroup
+
+TASKS: dict[str, tuple[str, ...]] = {
+    "Begin": ("demo", "ui", "examples", "simulate"),
+    "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
+    "Understand": ("twin", "effects", "report"),
+    "Correct": ("features", "train", "models", "promote", "rollback"),
+    "Run": ("serve", "robot-program", "export", "analogue", "up"),
+}
+TWIN_TASKS: dict[str, tuple[str, ...]] = {
+    "Fit and look": ("fit", "compare", "recording", "show", "history"),
+    "Find what is missing": ("diagnose", "discover", "learn"),
+    "Change": ("add", "remove", "restore"),
+    "Prove and use": ("confirm", "correct"),
+}
+_OTHER = "More"
+_LONGEST = 200
+
+
+def _sections(tasks: dict[str, tuple[str, ...]], names: list[str]) -> dict[str, list[str]]:
+    """Return commands by task; one that nobody has put anywhere is shown all the same."""
+    placed = {name for task in tasks.values() for name in task}
+    found = {title: [n for n in task if n in names] for title, task in tasks.items()}
+    found[_OTHER] = [n for n in names if n not in placed]
+    return {title: task for title, task in found.items() if task}
+
+
+class _ByTask(TyperGroup):
+    tasks: dict[str, tuple[str, ...]]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write one section for each task, whole sentences instead of cut ones."""
+        width = max(map(len, self.commands))
+        for title, names in _sections(self.tasks, self.list_commands(ctx)).items():
+            with formatter.section(title):
+                formatter.write_dl(
+                    [
+                        (f"{name:<{width}}", self.commands[name].get_short_help_str(_LONGEST))
+                        for name in names
+                    ]
+                )
+
+
+class MainCommands(_ByTask):
+    """Commands of ``dtwin``."""
+
+    tasks = TASKS
+
+
+class TwinCommands(_ByTask):
+    """Commands of ``dtwin twin``."""
+
+    tasks = TWIN_TASKS

@@ -1,0 +1,89 @@
+"""Commands that a page shows, and the lines that it says they print."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from textwrap import dedent
+
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A fenced block: its language, and its lines."""
+
+    language: str
+    lines: list[str]
+
+
+def blocks(text: str) -> list[Block]:
+    """Return the fenced blocks of a Markdown page in their order."""
+    found: list[Block] = []
+    open_block: Block | None = None
+    for line in text.splitlines():
+        if not line.strip().startswith("```"):
+            if open_block is not None:
+                open_block.lines.append(line)
+        elif open_block is None:
+            open_block = Block(line.strip()[3:].split(" ")[0], [])
+        else:
+            found.append(
+                Block(open_block.language, dedent("\n".join(open_block.lines)).splitlines())
+            )
+            open_block = None
+    assert open_block is None, "a block is not closed"
+    return found
+
+
+def page(name: str) -> str:
+    """Return a page of the repository."""
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Return the environment of a reader whose state is below ``folder``."""
+    return dict(
+        os.environ,
+        DTWIN_HOME=str(folder / "home"),
+        OMP_NUM_THREADS="1",
+        PATH=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+    )
+
+
+def run(command: str, folder: Path, *, code: int = 0) -> str:
+    """Run a command as a reader would and return what it prints."""
+    done = subprocess.run(
+        ["bash", "-c", command],
+        cwd=folder,
+        env=environment(folder),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == code, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def follow(
+    shown: Sequence[Block], folder: Path, runner: Callable[[str, Path], str] = run
+) -> list[tuple[str, str]]:
+    """Run the ``sh`` blocks; every line of a ``text`` block must have been printed by the one before.
+
+    Returns commands with what they printed.
+    """
+    said: list[tuple[str, str]] = []
+    recent: set[str] = set()
+    for block in shown:
+        if block.language == "sh":
+            printed = [(command, runner(command, folder)) for command in block.lines if command]
+            said += printed
+            recent = {line.strip() for _, text in printed for line in text.splitlines()}
+        elif block.language == "text":
+            absent = [line for line in block.lines if line.strip() not in recent | {""}]
+            assert not absent, f"shown, but not printed: {absent}"
+    return said
