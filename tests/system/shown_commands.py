@@ -74,6 +74,8 @@ def follow(
 ) -> list[tuple[str, str]]:
     """Run the ``sh`` blocks; every line of a ``text`` block must have been printed by the one before.
 
+    A shown line may leave its end out with an ellipsis.
+
     Returns commands with what they printed.
     """
     said: list[tuple[str, str]] = []
@@ -84,6 +86,12 @@ def follow(
             said += printed
             recent = {line.strip() for _, text in printed for line in text.splitlines()}
         elif block.language == "text":
-            absent = [line for line in block.lines if line.strip() not in recent | {""}]
+            absent = [line for line in block.lines if not _printed(line.strip(), recent)]
             assert not absent, f"shown, but not printed: {absent}"
     return said
+
+
+def _printed(shown: str, recent: set[str]) -> bool:
+    if shown.endswith("…"):
+        return any(line.startswith(shown.rstrip("… ")) for line in recent)
+    return not shown or shown in recent

@@ -21,6 +21,12 @@ def commands(tutorial: str) -> list[str]:
     return [line for block in found for line in block.strip().splitlines()]
 
 
+def test_the_page_includes_the_effect_that_it_runs() -> None:
+    # A formatter once turned this line into Python, and the page showed that instead.
+    page = (ROOT / "docs" / "tutorials" / "missing-effect.md").read_text(encoding="utf-8")
+    assert '\n--8<-- "wobble.py"\n' in page
+
+
 def test_the_hidden_effect_is_found_added_and_the_unknown_one_is_learned(tmp_path: Path) -> None:
     environment = dict(
         os.environ,
