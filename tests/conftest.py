@@ -27,6 +27,7 @@ _SLOWEST_FIRST = (
     "test_readme",
     "test_twins",
     "test_tutorials",
+    "test_examples",
     "test_ui_models",
     "test_flow_run",
 )
