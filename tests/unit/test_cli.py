@@ -139,3 +139,13 @@ def test_a_missing_part_is_named_without_a_traceback(blocked: str) -> None:
     assert done.returncode == 1
     assert f"needs the package {blocked}" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_examples_are_copied_once_and_never_over_something(tmp_path: Path) -> None:
+    out = tmp_path / "examples"
+    copied = json.loads(run("examples", "--out", str(out), "--json").stdout)["campaigns"]
+    assert [Path(c).name for c in copied] == ["hidden-effect", "nothing-hidden", "spoilt-run"]
+    (out / "hidden-effect" / "campaign.toml").write_text("mine", encoding="utf-8")
+    again = run("examples", "--out", str(out))
+    assert (again.returncode, "examples.exists" in again.stderr) == (1, True)
+    assert (out / "hidden-effect" / "campaign.toml").read_text(encoding="utf-8") == "mine"
