@@ -79,6 +79,16 @@ def test_a_stream_of_corrections_keeps_its_order(board: AnalogueBoard) -> None:
         assert board.wait_for((5.0 + np.sin(299 / 20.0) / 25.0, 5.0, 6.196))
 
 
+def test_a_second_session_is_obeyed_by_a_board_that_did_not_restart(board: AnalogueBoard) -> None:
+    for corrections in (20, 1):
+        with AnalogueOutput(board.port, watchdog_ms=PATIENT_MS) as output:
+            output.engage()
+            for _ in range(corrections):
+                output.send(um(25.0, 0.0, 0.0))
+            output.settle()
+            assert board.wait_for((6.0, 5.0, 5.0))
+
+
 def test_silence_drops_the_correction_and_says_so(board: AnalogueBoard) -> None:
     output = AnalogueOutput(board.port, watchdog_ms=200)
     output.open()

@@ -264,6 +264,7 @@ static void obey(uint16_t sequence, const request_t *r) {
                      : r->argument[1] > MAX_TIMEOUT_MS ? MAX_TIMEOUT_MS
                                                        : r->argument[1];
         silent_ms = 0;
+        fresh = 1; /* a host that opened the port again counts from zero */
         go_neutral();
         tripped = 0;
         engaged = 1;
