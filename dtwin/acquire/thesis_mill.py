@@ -11,10 +11,10 @@ from dtwin.acquire.virtual_mill import PERIOD_S
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
-from dtwin.schema import Direction, Floats, Run
+from dtwin.schema import Direction, Floats, Plane, Run
 
 MACHINE = "told-right-mill"
-PLANE = "XY"
+PLANE: Plane = "XY"
 RADIUS_MM = 50.0
 FEEDS_MM_MIN = (100.0, 250.0, 500.0)
 DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
@@ -117,7 +117,7 @@ def designed_campaign(seed: int) -> list[Run]:
         Of the session and of the order.
     """
     rng = np.random.default_rng([seed, 17])
-    tests = []
+    tests: list[CircularTest] = []
     for radius in CAMPAIGN_RADII_MM:
         pairs = [(f, r) for r in range(1, CAMPAIGN_REPEATS + 1) for f in FEEDS_MM_MIN]
         for place, number in enumerate(rng.permutation(len(pairs))):

@@ -176,7 +176,8 @@ def _interleaved(
 ) -> tuple[list[CircularTest], list[str]]:
     """Return the circles in random order within each repeat, and the way of each."""
     rng = np.random.default_rng([seed, 41])
-    tests, places = [], []
+    tests: list[CircularTest] = []
+    places: list[str] = []
     for repeat in range(1, repeats + 1):
         block = [(name, feed) for name in names for feed in FEEDS_MM_MIN]
         for number in rng.permutation(len(block)):

@@ -9,6 +9,7 @@ from dtwin.report.text import table
 
 _LATER_HEAD = (
     "feed, mm/min", "runs", "before, um", "after, um", "after / before", "oracle, um",
+    "repeats, um",
     "raw before", "raw after",
 )  # fmt: skip
 
@@ -53,7 +54,8 @@ def _learned(found: Mapping[str, Any]) -> str:
             f"served in a later session: bar mounted anew, machine at {_span(later)} instead of "
             f"{_span(learned)}; all ways interleaved in random order, the run as unit",
             "(before, after: RMS with centre and radius of the mounting out, ratio with its 95 % "
-            "interval; raw: mean absolute reading)",
+            "interval; repeats: what circles without correction disagree by, at their temperatures; raw: "
+            "mean absolute reading)",
             table(_LATER_HEAD, _later(served)),
             f"{says}; {_promised(learned, served)}",
         ]
@@ -183,6 +185,7 @@ def _later(rows: Sequence[Mapping[str, Any]]) -> list[tuple[object, ...]]:
             f"{_um(c['after_um'])} +- {_um(c['after_ci_um'])}",
             f"{c['ratio']:.2f} +- {c['ratio_half_width']:.2f}",
             _um(c["oracle_um"]),
+            _um(c["floor_um"]),
             _um(c["raw_before_um"]),
             _um(c["raw_after_um"]),
         )
