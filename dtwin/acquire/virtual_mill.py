@@ -14,7 +14,7 @@ from dtwin.atomic import write_text
 from dtwin.errors import InputError
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
-from dtwin.schema import PLANES, Direction, Floats, Plane, Run
+from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run
 
 FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
 RADII_MM = (50.0, 150.0)
@@ -156,31 +156,58 @@ def simulate_mill(
             hint="give another --out",
         )
     mill = virtual_mill(hidden, seed=seed)
-    parameters = mill.parameters
     tests = standard_tests(seed, planes=PLANES[:1] if quick else PLANES)
     runs = mill.measure(tests)
+    campaign = Campaign(
+        name=name, machine="virtual-mill", machine_geometry=geometry_of_mill(hidden)
+    )
+    write_campaign(folder, campaign, runs, mill.parameters, progress)
+    return runs
+
+
+def write_campaign(
+    folder: Path,
+    campaign: Campaign,
+    runs: Sequence[Run],
+    truth: MillParameters,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> None:
+    """Write runs of the virtual mill as a campaign folder, with what is wrong in ``truth.toml``.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write; the campaign file comes last.
+    campaign : Campaign
+        Name, machine and geometry.
+    runs : sequence of Run
+        What was measured.
+    truth : MillParameters
+        The machine.
+    progress : callable, optional
+        Called with (done, total, what).
+    """
     lines = [
         "[campaign]",
-        f"name = {toml_value(name)}",
-        'machine = "virtual-mill"',
+        f"name = {toml_value(campaign.name)}",
+        f"machine = {toml_value(campaign.machine)}",
         'kind = "circular"',
         "[campaign.machine_geometry]",
-        *(f"{k} = {toml_value(v)}" for k, v in geometry_of_mill(hidden).items()),
+        *(f"{k} = {toml_value(v)}" for k, v in campaign.machine_geometry.items()),
     ]
     for number, run in enumerate(runs):
         _write_samples(folder / f"{run.meta.run_id}.csv", run)
         lines += _entry(run)
         if progress is not None:
             progress(number + 1, len(runs), run.meta.run_id)
-    truth = [f"{k} = {toml_value(v)}" for k, v in asdict(parameters).items() if _plain(v)]
+    told = [f"{k} = {toml_value(v)}" for k, v in asdict(truth).items() if _plain(v)]
     for letter in "xyz":
-        truth += ["", f"[{letter}]"]
-        truth += [f"{k} = {toml_value(v)}" for k, v in asdict(getattr(parameters, letter)).items()]
-    truth += ["", "[squareness_um_m]"]
-    truth += [f"{k} = {toml_value(v)}" for k, v in parameters.squareness_um_m.items()]
-    write_text(folder / "truth.toml", "\n".join([*truth, ""]), "the truth")
-    write_text(file, "\n".join([*lines, ""]), "the campaign file")
-    return runs
+        told += ["", f"[{letter}]"]
+        told += [f"{k} = {toml_value(v)}" for k, v in asdict(getattr(truth, letter)).items()]
+    told += ["", "[squareness_um_m]"]
+    told += [f"{k} = {toml_value(v)}" for k, v in truth.squareness_um_m.items()]
+    write_text(folder / "truth.toml", "\n".join([*told, ""]), "the truth")
+    write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
 
 
 def _wobble(moment: Moment) -> Floats:

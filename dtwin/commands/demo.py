@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     which: Annotated[
-        str, typer.Argument(help="Which demo: cobot, tracking, position-map.")
+        str, typer.Argument(help="Which demo: cobot, mill, tracking, position-map.")
     ] = "cobot",
     quick: Annotated[
         bool, typer.Option("--quick", help="A small campaign, for a first look.")
@@ -29,8 +29,12 @@ def demo(
     """The main job: from a real recording and 81 tests to an equation served to a robot.
 
     ``tracking`` recomputes the source thesis's tracking chain on the virtual cobot instead,
-    ``position-map`` asks what its equation for the mill has learned.
+    ``position-map`` asks what its equation for the mill has learned, ``mill`` tells that story to
+    the end: a map of one session makes a later one worse, a twin with what was missing does not.
     """
+    if which == "mill":
+        _mill(seed, quick=quick, as_json=as_json)
+        return
     others = {"tracking": _tracking, "position-map": _position_map}
     if which in others:
         others[which](seed, as_json=as_json)
@@ -40,7 +44,7 @@ def demo(
             "no such demo",
             code="demo.unknown",
             got=which[:40],
-            allowed=", ".join(["cobot", *others]),
+            allowed=", ".join(["cobot", "mill", *others]),
         )
     from dtwin.config import home
     from flows.page import shown_steps
@@ -52,6 +56,18 @@ def demo(
         size = quick_size() if quick else full_size()
         result = run_demo(home(), screen, size, seed=seed, steps=steps)
     emit(result, lambda: "", as_json=as_json)
+
+
+def _mill(seed: int, *, quick: bool, as_json: bool) -> None:
+    from functools import partial
+
+    from dtwin.config import home
+    from dtwin.pipeline.mill_story import mill_story
+    from dtwin.report.mill_story import mill_story_text
+
+    shown = partial(ProgressLine, quiet=as_json)
+    found = mill_story(home(), seed, quick=quick, progress=shown)
+    emit(found, lambda: mill_story_text(found), as_json=as_json)
 
 
 def _tracking(seed: int, *, as_json: bool) -> None:

@@ -182,6 +182,14 @@ def _on_the_mill(
     from dtwin.acquire.virtual_mill import virtual_mill
     from dtwin.train.mill_evidence import mill_evidence
 
+    if "hidden" not in geometry:
+        raise InputError(
+            "no virtual mill of this machine can be moved from here",
+            code="evidence.mill",
+            got=f"machine_geometry {', '.join(geometry)}",
+            allowed="a campaign of dtwin simulate --machine mill",
+            hint="dtwin demo mill measures its own evidence; else give a file to --evidence",
+        )
     return mill_evidence(
         bundle,
         partial(virtual_mill, str(geometry["hidden"])),

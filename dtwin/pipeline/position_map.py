@@ -31,7 +31,7 @@ RANGES = {
     "following error Y, um": (-5.0, 5.0),
     "accelerometer RMS, g": (0.0, 1.0),
 }
-_HARMONICS = 8
+HARMONICS = 8
 _DRAWS = 2**12
 
 
@@ -130,7 +130,7 @@ def _sessions(seed: int) -> list[dict[str, Any]]:
     runs = VirtualMill(tutorial_mill("backlash"), seed=seed).measure(tests)
     first = [r for r in runs if r.meta.setup == "first"]
     train = [r for r in first if r.meta.repeat <= TRAINED]
-    model = {d: _map_of([r for r in train if r.meta.direction == d]) for d in DIRECTIONS}
+    model = {d: fit_position_map([r for r in train if r.meta.direction == d]) for d in DIRECTIONS}
     kept = [r for r in first if r.meta.repeat > TRAINED]
     other = [r for r in runs if r.meta.setup == "second"]
     return [
@@ -139,16 +139,29 @@ def _sessions(seed: int) -> list[dict[str, Any]]:
     ]
 
 
-def _map_of(runs: Sequence[Run]) -> Floats:
-    columns = np.concatenate([_waves(run) for run in runs])
+def fit_position_map(runs: Sequence[Run]) -> Floats:
+    """Return the weights of ``position_waves`` that fit the readings best, shape (17,), um.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Circles of one direction.
+    """
+    columns = np.concatenate([position_waves(run) for run in runs])
     readings = np.concatenate([run.samples["deviation_um"] for run in runs])
     return np.asarray(np.linalg.lstsq(columns, readings, rcond=None)[0])
 
 
-def _waves(run: Run) -> Floats:
-    """Return what a function of the position on one circle can be, shape (n, 17)."""
+def position_waves(run: Run) -> Floats:
+    """Return what a function of the position on one circle can be, shape (n, 17).
+
+    Parameters
+    ----------
+    run : Run
+        A circle.
+    """
     angle = np.radians(run.samples["angle_deg"])
-    waves = [f(h * angle) for h in range(1, _HARMONICS + 1) for f in (np.cos, np.sin)]
+    waves = [f(h * angle) for h in range(1, HARMONICS + 1) for f in (np.cos, np.sin)]
     return np.stack([np.ones_like(angle), *waves], axis=1)
 
 
@@ -158,7 +171,7 @@ def _judged(runs: Sequence[Run], model: dict[Direction, Floats]) -> dict[str, An
     for run in runs:
         reading = run.samples["deviation_um"]
         assert run.meta.direction is not None
-        left = reading - _waves(run) @ model[run.meta.direction]
+        left = reading - position_waves(run) @ model[run.meta.direction]
         before.append(reading)
         after.append(left)
         mounted_before.append(_without_mounting(run, reading))

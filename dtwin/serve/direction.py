@@ -56,6 +56,16 @@ def correction_kernel(
             vector_um[frame - 3] += value
 
 
+@compiled
+def _kernel_many(
+    outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: Floats, plane_id: float,
+    vectors_um: Floats,
+) -> None:  # fmt: skip
+    """Write the correction vectors of successive ticks, shape (n, 3)."""
+    for tick in range(outputs.shape[0]):
+        correction_kernel(outputs[tick], frames, signs, angle_rad[tick], plane_id, vectors_um[tick])
+
+
 class Direction:
     """Maps the outputs of one bundle to the base frame.
 
@@ -77,3 +87,19 @@ class Direction:
         """Return the correction vector (3,) in um; the next call overwrites it."""
         correction_kernel(outputs, self._frames, self._signs, angle_rad, plane_id, self.vector_um)
         return self.vector_um
+
+    def run(self, outputs: Floats, angle_rad: Floats, plane_id: float) -> Floats:
+        """Return the correction vectors of successive ticks, shape (n, 3) in um.
+
+        Parameters
+        ----------
+        outputs : ndarray, shape (n, n_outputs)
+            In um.
+        angle_rad : ndarray, shape (n,)
+            Path angles.
+        plane_id : float
+            As in ``correction_kernel``.
+        """
+        vectors = np.empty((len(outputs), 3))
+        _kernel_many(outputs, self._frames, self._signs, angle_rad, plane_id, vectors)
+        return vectors

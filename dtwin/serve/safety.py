@@ -152,6 +152,23 @@ def guard_kernel(
     return reason
 
 
+@compiled
+def _guard_many(
+    wanted_um: Floats, inputs: Floats, low: Floats, high: Floats, span: float, elapsed_s: float,
+    limits: Floats, memory: Floats, out_um: Floats, sent_um: Floats, counts: NDArray[np.int64],
+) -> int:  # fmt: skip
+    """Guard successive ticks into ``sent_um``; return the last reason."""
+    reason = DISABLED
+    for tick in range(wanted_um.shape[0]):
+        factor = box_factor(inputs[tick], low, high, span)
+        reason = guard_kernel(
+            wanted_um[tick], factor, 0.0, 0.0, elapsed_s, True, True, limits, memory, out_um
+        )
+        counts[reason] += 1
+        sent_um[tick] = out_um
+    return reason
+
+
 class Guard:
     """Safety of one served model.
 
@@ -230,6 +247,25 @@ class Guard:
         )  # fmt: skip
         self.counts[self.reason] += 1
         return self.out_um
+
+    def run(self, wanted_um: Floats, inputs: Floats, *, elapsed_s: float) -> Floats:
+        """Return the corrections of successive ticks of fresh states, shape (n, 3).
+
+        Parameters
+        ----------
+        wanted_um : ndarray, shape (n, 3)
+            What the equation asks for.
+        inputs : ndarray, shape (n, k)
+            Inputs of the equation, for the validity box.
+        elapsed_s : float
+            Time from tick to tick.
+        """
+        sent = np.empty(wanted_um.shape)
+        self.reason = _guard_many(
+            np.ascontiguousarray(wanted_um), np.ascontiguousarray(inputs), self._low, self._high,
+            self._span, elapsed_s, self._limits, self._memory, self.out_um, sent, self.counts,
+        )  # fmt: skip
+        return sent
 
     def counted(self) -> dict[str, int]:
         """Return how often each reason acted."""

@@ -38,7 +38,6 @@ _CENTRED = SetupErrors(centre_mm=0.0, radius_um=0.0, jitter_us=0.0, trigger_samp
 # Another session: other mountings and other noise than those of the campaign.
 _SESSION = 7919
 MakeMill = Callable[..., VirtualMill]
-Wanted = Callable[[Floats, Floats], Floats]
 
 
 class ServedCorrection:
@@ -70,14 +69,10 @@ class ServedCorrection:
         self._compiled.reset()
         values = _states(test, command, self.covariates)
         rows = np.column_stack([values[name] for name in self.bundle.tick_inputs])
-        rows = np.ascontiguousarray(rows)
-        added, self.acted[test.direction] = _guarded(self.bundle, test, command, rows, self._wanted)
+        phase, number = command.phase_rad[::_EVERY], float(PLANES.index(test.plane))
+        wanted = self._frame.run(self._compiled.run(rows), phase, number)
+        added, self.acted[test.direction] = _guarded(self.bundle, test, command, rows, wanted)
         return added
-
-    def _wanted(self, inputs: Floats, place: Floats) -> Floats:
-        self._compiled.tick_inputs[:] = inputs
-        self._compiled.evaluate()
-        return self._frame.apply(self._compiled.outputs, place[0], place[1])
 
 
 def mill_evidence(
@@ -133,7 +128,7 @@ def mill_evidence(
                 }
             )
         found = condition_result(plane, radius, feed, feed in plan.trained_feeds, runs)
-        results.append(_by_direction(found, runs))
+        results.append(by_direction(found, runs))
         if plane == "XY":
             profiles[f"{plane} R{radius:g} F{feed:g}"] = {
                 way: {
@@ -162,12 +157,19 @@ def _test(plane: str, radius: float, feed: float, direction: Direction, way: str
     )  # fmt: skip
 
 
-def _by_direction(
+def by_direction(
     found: ConditionResult, runs: Mapping[str, Sequence[Mapping[str, Any]]]
 ) -> ConditionResult:
     """Return the result with intervals from the spread inside each direction.
 
     Both directions are always run; that their errors differ is not what repeats disagree by.
+
+    Parameters
+    ----------
+    found : ConditionResult
+        From ``condition_result``.
+    runs : dict of str to sequence of dict
+        The runs that it was made from.
     """
     widths = {}
     for way in ("uncompensated", "compensated"):
@@ -200,22 +202,35 @@ def _oracle(
         angle = np.degrees(np.radians(run.samples["angle_deg"])) % 360.0
         order = np.argsort(angle)
         known[direction] = angle[order], run.samples["deviation_um"][order]
+    return oracle_correction(bundle, known, delay_s)
+
+
+def oracle_correction(
+    bundle: Bundle, known: Mapping[str, tuple[Floats, Floats]], delay_s: float
+) -> Correction:
+    """Return a correction from an error that is known, under the guard of a bundle.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Whose clamp and slew limit hold.
+    known : mapping of str to (ndarray, ndarray)
+        By direction: path angles in degrees, ascending in 0 to 360, and the radial error in um.
+    delay_s : float
+        Between a correction and the motion that it causes.
+    """
 
     def correct(test: CircularTest, command: Command) -> Floats:
         angle_deg, error_um = known[test.direction]
         sign = 1.0 if test.direction == "CCW" else -1.0
         ahead = sign * delay_s * test.feed_mm_min / 60.0 / test.radius_mm
         number = PLANES.index(test.plane)
-
-        def wanted(_: Floats, place: Floats) -> Floats:
-            angle = place[0]
-            size = -np.interp(np.degrees(angle + ahead), angle_deg, error_um, period=360.0)
-            out = np.zeros(3)
-            out[number], out[(number + 1) % 3] = size * np.cos(angle), size * np.sin(angle)
-            return out
-
-        rows = np.zeros((len(range(0, len(command.phase_rad), _EVERY)), 0))
-        return _guarded(bundle, test, command, rows, wanted)[0]
+        phase = command.phase_rad[::_EVERY]
+        size = -np.interp(np.degrees(phase + ahead), angle_deg, error_um, period=360.0)
+        wanted = np.zeros((len(phase), 3))
+        wanted[:, number] = size * np.cos(phase)
+        wanted[:, (number + 1) % 3] = size * np.sin(phase)
+        return _guarded(bundle, test, command, np.zeros((len(phase), 0)), wanted)[0]
 
     return correct
 
@@ -240,21 +255,15 @@ def _states(
 
 
 def _guarded(
-    bundle: Bundle, test: CircularTest, command: Command, inputs: Floats, wanted: Wanted
+    bundle: Bundle, test: CircularTest, command: Command, inputs: Floats, wanted_um: Floats
 ) -> tuple[Floats, dict[str, int]]:
     """Return corrections in mm (2, n) through the guard, one period late, and what it did."""
     boxes = {i.name: (i.low, i.high) for i in bundle.inputs}
     box = np.array([boxes[n] for n in bundle.tick_inputs]) if inputs.shape[1] else np.empty((0, 2))
-    guard = Guard(bundle.safety, np.ascontiguousarray(box[:, 0]), np.ascontiguousarray(box[:, 1]))
+    guard = Guard(bundle.safety, box[:, 0], box[:, 1])
     number = PLANES.index(test.plane)
-    phase = command.phase_rad[::_EVERY]
-    sent = np.zeros((2, len(phase) + 1))
-    place = np.array([0.0, float(number)])
-    for tick in range(len(phase)):
-        place[0] = phase[tick]
-        row = inputs[tick]
-        asked = wanted(row, place)
-        safe = guard.step(asked, row, age_s=0.0, elapsed_s=TRANSPORT_S, enabled=True)
-        sent[0, tick + 1], sent[1, tick + 1] = safe[number], safe[(number + 1) % 3]
+    safe = guard.run(wanted_um, inputs, elapsed_s=TRANSPORT_S)
+    sent = np.zeros((2, len(safe) + 1))
+    sent[0, 1:], sent[1, 1:] = safe[:, number], safe[:, (number + 1) % 3]
     held = np.repeat(sent[:, :-1], _EVERY, axis=1)[:, : len(command.phase_rad)]
     return np.asarray(held / UM_PER_MM), guard.counted()
