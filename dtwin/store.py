@@ -83,7 +83,8 @@ class Lake:
         """Add runs; a run that is there with the same content is left alone.
 
         Data files are written and committed first, ``runs`` last and under a lock, so that a
-        kill at any moment leaves a run whole or invisible.
+        kill at any moment leaves a run whole or invisible. A run with a finding
+        ``recording.incomplete`` is marked incomplete.
 
         Parameters
         ----------
@@ -93,8 +94,6 @@ class Lake:
             Runs to add.
         rejected : sequence of RejectedRows
             Rows that were left out of their samples.
-
-        A run with a finding ``recording.incomplete`` is marked incomplete.
 
         Raises
         ------
