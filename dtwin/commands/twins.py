@@ -197,7 +197,7 @@ def learn_effect(
         from dtwin.train.symbolic import OperonEngine
 
         twin, learned = twins.learn_formula(name, OperonEngine(), seed=seed)
-        gain, said = learned.gain, f"\nformula, um: {learned.text}"
+        gain, said = learned.gain, f"\nformula, um: {learned.shown}"
     else:
         twin, gain = twins.learn(name, seed=seed)
         said = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -50,6 +51,11 @@ class ResidualFormula:
     nodes: int
     gain: float
     groups: int
+
+    @property
+    def shown(self) -> str:
+        """The formula with four digits, for people."""
+        return re.sub(r"\d+\.\d+(e-?\d+)?", lambda m: f"{float(m[0]):.4g}", self.text)
 
 
 def search_residual(
@@ -141,7 +147,7 @@ def formula_effect(name: str, text: str) -> Effect:
 def formula_text(formula: Formula, constants: Floats) -> str:
     """Return a formula with its constants as text that :func:`parse_formula` reads."""
     if formula.op == "constant":
-        return f"({float(constants[formula.place]):.9g})"
+        return f"({float(constants[formula.place])!r})"
     if formula.op == "input":
         return formula.name
     parts = [formula_text(arg, constants) for arg in formula.args]
