@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.daq_faults import daq_faults
-from dtwin.acquire.instrument import Description, OpenAndClose, Reading
+from dtwin.acquire.instrument import Description, Reading
 from dtwin.acquire.sample_ring import SampleRing
 from dtwin.errors import DeviceError, InputError
+from dtwin.links.opened import OpenAndClose
 from dtwin.schema import Finding, Floats
 
 MASTER_HZ = 13_107_200.0 / 256.0

@@ -115,30 +115,6 @@ class Instrument(Protocol):
         ...
 
 
-class OpenAndClose:
-    """The context manager of every instrument."""
-
-    def open(self) -> None:
-        """Connect and set up."""
-        raise NotImplementedError
-
-    def close(self) -> None:
-        """Release the device."""
-        raise NotImplementedError
-
-    def __enter__(self) -> Self:
-        self.open()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
-
-
 def record(instrument: Instrument, recorder: Recorder, wanted: Callable[[int], bool]) -> int:
     """Record a started instrument; losses are recorded as gaps.
 

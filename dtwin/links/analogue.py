@@ -13,13 +13,14 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Literal, Self
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.frames import Frame
+from dtwin.links.opened import OpenAndClose
 from dtwin.links.serial_line import SerialLink
 
 AXES = ("x", "y", "z")
@@ -111,7 +112,7 @@ class Answer:
         )  # fmt: skip
 
 
-class AnalogueOutput:
+class AnalogueOutput(OpenAndClose):
     """Three analogue corrections behind a serial port.
 
     Parameters
@@ -239,11 +240,6 @@ class AnalogueOutput:
     def close(self) -> None:
         """Release the port; the board goes neutral by itself."""
         self.link.close()
-
-    def __enter__(self) -> Self:
-        """Open the port."""
-        self.open()
-        return self
 
     def __exit__(
         self,

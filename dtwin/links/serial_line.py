@@ -6,16 +6,16 @@ import contextlib
 import errno
 import time
 from collections.abc import Iterator
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from dtwin.errors import DeviceError, MissingPart
 from dtwin.links.frames import SEQUENCES, Frame, FrameReader, encode
+from dtwin.links.opened import OpenAndClose
 
 _RESET_PULSE_S = 0.1
 
 
-class SerialLink:
+class SerialLink(OpenAndClose):
     """Frames to and from one device.
 
     Parameters
@@ -180,20 +180,6 @@ class SerialLink:
             code, text = "serial.absent", "there is no such serial port"
             hint = f"ports that are here: {', '.join(_ports()) or 'none'}"
         return DeviceError(text, code=code, where=self.port, got=str(error)[:200], hint=hint)
-
-    def __enter__(self) -> Self:
-        """Open the port."""
-        self.open()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Release the port."""
-        self.close()
 
 
 def _ports() -> list[str]:

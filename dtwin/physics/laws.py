@@ -137,9 +137,11 @@ def _late(obs: Observations) -> list[Observations]:
     """Return the runs with every logged channel as a slow body would follow it."""
     time_h = np.array([float(np.mean(c["time_h"])) for c in obs.columns])
     order = np.argsort(time_h, kind="stable")
+    length_h = float(np.ptp(time_h))
     out = []
-    for share in _SLOW:
-        constant_h = share * float(np.ptp(time_h))
+    # Runs that all bear one time say nothing of what came late.
+    for share in _SLOW if length_h > 0.0 else ():
+        constant_h = share * length_h
         columns = [dict(c) for c in obs.columns]
         for name in (n for n in obs.logged if n != "time_h"):
             value = [float(np.mean(obs.columns[row][name])) for row in order]

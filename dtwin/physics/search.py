@@ -191,21 +191,8 @@ def _is_material(
     """Tell whether an effect would change the reading by more than a share of the noise floor."""
     floor_um = problem.noise.floor_um if problem.noise is not None else 0.0
     visible = candidates.visible(plain, candidate.term)
-    return explained_rms_um(plain, visible) >= IMMATERIAL * floor_um
-
-
-def explained_rms_um(plain: Problem, visible: Floats) -> float:
-    """Return the RMS of what columns explain of an unweighted residual.
-
-    Parameters
-    ----------
-    plain : Problem
-        Campaign without weights.
-    visible : ndarray, shape (rows * 360, k)
-        Orthonormal columns, orthogonal to what is known.
-    """
     total = float(((visible.T @ plain.residual.ravel()) ** 2).sum())
-    return float((total / plain.obs.mask.sum()) ** 0.5)
+    return float((total / plain.obs.mask.sum()) ** 0.5) >= IMMATERIAL * floor_um
 
 
 def _group(

@@ -8,6 +8,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
+from chromium import FLAGS
 from conftest import require_program
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from running_servers import MACHINE, Up
@@ -20,15 +21,6 @@ from flows.train import train_flow
 pytest_plugins = ["scheduled_servers"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
-FLAGS = [
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
 PATIENCE_MS = 30_000
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from chromium import FLAGS
 from conftest import require_program
 from playwright.sync_api import Page, expect, sync_playwright
-from test_ui import FLAGS, PATIENCE_MS
+from test_ui import PATIENCE_MS
 from workbench_server import Workbench, running_workbench
 
 from dtwin.config import Home

@@ -142,3 +142,31 @@ def test_runs_of_other_rates_and_directions_of_angle_are_the_same_data() -> None
     assert same.mask.all()
     assert changed.mask.all()
     assert np.sqrt(((same.y_um - changed.y_um) ** 2).mean()) < 0.5
+
+
+def test_growth_that_lags_behind_its_channel_is_not_called_growth_with_it() -> None:
+    hot = SOUND.with_axis("X", growth_um_m_k=25.0)
+    slow = replace(hot, heat=HeatParameters(rise_c=4.0, lag_share=1.0))
+    at_once = replace(hot, heat=HeatParameters(rise_c=4.0))
+    tests = {
+        name: {
+            test.variable: test
+            for suspect in verdict(measured(VirtualMill(mill, 5))).suspects
+            if suspect.label == "thermal_growth X"
+            for test in suspect.laws
+        }
+        for name, mill in (("slow", slow), ("at once", at_once))
+    }
+    assert tests["slow"]["delay"].broken
+    assert not tests["at once"]["delay"].broken
+
+
+def test_runs_that_all_bear_one_time_are_judged_without_it() -> None:
+    mill = replace(SOUND.with_axis("X", growth_um_m_k=25.0), heat=HeatParameters(rise_c=4.0))
+    runs = [
+        replace(run, meta=replace(run.meta, started="2026-03-02T08:00:00Z"))
+        for run in measured(VirtualMill(mill, 5))
+    ]
+    tested = {test.variable for suspect in verdict(runs).suspects for test in suspect.laws}
+    assert tested
+    assert not tested & {"time", "delay"}

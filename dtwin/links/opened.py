@@ -1,0 +1,33 @@
+"""What every device is: something that is opened, and released whatever happens."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Any, Self
+
+
+class OpenAndClose(ABC):
+    """The context manager of every instrument, line and output."""
+
+    @abstractmethod
+    def open(self) -> Any:
+        """Connect and set up."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Release the device."""
+
+    def __enter__(self) -> Self:
+        """Open the device."""
+        self.open()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Release the device."""
+        self.close()
