@@ -51,7 +51,10 @@ def listening(pids: set[int]) -> set[str]:
     inodes = set()
     for pid in pids:
         for link in Path(f"/proc/{pid}/fd").iterdir():
-            target = str(link.readlink())
+            try:
+                target = str(link.readlink())
+            except FileNotFoundError:  # the server closed it between the listing and now
+                continue
             if target.startswith("socket:["):
                 inodes.add(target[8:-1])
     lines = Path("/proc/net/tcp").read_text().splitlines()[1:]
