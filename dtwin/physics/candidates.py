@@ -14,7 +14,7 @@ from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.gridding import N_BINS, bin_angle_rad
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Problem, Term
+from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.physics.score import NoiseLevel, Score, score_test
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.whitening import from_harmonics, to_harmonics
@@ -105,7 +105,7 @@ class Candidates:
         visible, share = tried[best]
         within = instance.effect.within_condition
         score = score_test(problem, visible, residual, level, within=within)
-        n_tried = _independent([v for v, _ in tried if v.size])
+        n_tried = independent([v for v, _ in tried if v.size])
         if any(shape.name == _PITCH_SHAPE for shape in instance.effect.shapes):
             n_tried = max(n_tried, _independent_pitches(self.obs))
         p_value = float(-np.expm1(n_tried * np.log1p(-min(score.p_value, 1.0 - 1e-12))))
@@ -123,7 +123,7 @@ class Candidates:
 
     def visible(self, problem: Problem, term: Term, given: Floats | None = None) -> Floats:
         """Return the columns of a term that nothing known can imitate."""
-        return problem.visible(self.whitened(problem, term), given)[0]
+        return problem.visible(self.whitened(problem, term), given, least_visible(term))[0]
 
     def whitened(self, problem: Problem, term: Term) -> Floats:
         """Return the whitened columns of a term, shape (rows * 360, k)."""
@@ -138,7 +138,7 @@ class Candidates:
         whitened = self.whitened(problem, term)
         if not whitened.any():
             return np.empty((len(whitened), 0)), 0.0
-        visible, share = problem.visible(whitened)
+        visible, share = problem.visible(whitened, least=least_visible(term))
         return visible, float(share.max())
 
     def _shapes(self, instance: Instance, residual: Floats) -> Iterable[Mapping[str, float]]:
@@ -271,8 +271,14 @@ def _independent_pitches(obs: Observations) -> float:
     return 2.0 * largest * (1.0 / _PITCH_MM[0] - 1.0 / _PITCH_MM[1])
 
 
-def _independent(visible: Sequence[Floats]) -> float:
-    """Return how many independent shapes were tried, by the overlap of their spaces."""
+def independent(visible: Sequence[Floats]) -> float:
+    """Return how many independent tests a family of columns stands for, by their overlap.
+
+    Parameters
+    ----------
+    visible : sequence of ndarray, shape (n, k_i)
+        Orthonormal columns of each.
+    """
     if len(visible) < 2:
         return 1.0
     gram = np.concatenate(visible, axis=1)

@@ -90,7 +90,8 @@ def diagnose(
     candidates = Candidates(obs, tried)
     plain = unweighted(obs, known)
     found = search(problem, plain, candidates, seed=seed, shown_by_channel=bool(channels))
-    return _concluded(blank, found, candidates, known, channels, residual, library)
+    moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
+    return _concluded(blank, found, candidates, known, channels, moving, residual, library)
 
 
 def _concluded(
@@ -99,6 +100,7 @@ def _concluded(
     candidates: Candidates,
     known: Sequence[Term],
     channels: Sequence[Channel],
+    moving: Sequence[str],
     residual: Floats,
     library: Mapping[str, Effect],
 ) -> Diagnosis:
@@ -132,7 +134,8 @@ def _concluded(
     tests = {c.term.label: _laws_of(found, candidates, c) for c in step.group[:_SHOWN]}
     group = [c for c in step.group if not _broken(tests.get(c.term.label, []))]
     shown = _suspects(found, candidates, known, group, tests)
-    wrong_law = not group
+    # A channel of the library's own that still moves with what is left has not been explained.
+    wrong_law = not group or any(not _is_foreign(name, library) for name in moving)
     if wrong_law or _much_left(found, blank.noise_floor_um):
         return replace(
             blank,
@@ -167,9 +170,9 @@ def _laws_of(found: Search, candidates: Candidates, candidate: Candidate) -> lis
     first = found.steps[0]
     problem = first.problem
     for step in found.steps[1:]:
-        whitened = candidates.whitened(problem, step.top.term)
-        visible, _ = problem.visible(whitened)
-        problem = problem.extended(visible, whitened)
+        term = step.top.term
+        visible = candidates.visible(problem, term)
+        problem = problem.extended(visible, candidates.whitened(problem, term))
     visible = candidates.visible(problem, candidate.term)
     if not visible.shape[1]:
         return []
@@ -216,7 +219,7 @@ def _suspects(
         label = candidate.term.label
         effect = candidate.term.instance.effect
         whitened = candidates.whitened(plain, candidate.term)
-        visible, _ = plain.visible(whitened)
+        visible = candidates.visible(plain, candidate.term)
         after = plain.extended(visible, whitened)
         gain = (step.gains if step else {}).get(label)
         if gain is None:

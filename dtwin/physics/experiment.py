@@ -15,7 +15,7 @@ from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
 from dtwin.physics.gridding import N_BINS, Condition
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Term, set_up, unweighted, weighted_like
+from dtwin.physics.problem import Term, least_visible, set_up, unweighted, weighted_like
 from dtwin.plan import Plan
 from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta
 
@@ -205,9 +205,9 @@ def detectable(
     out = []
     for instance in tried:
         effect = instance.effect
-        columns = obs.regressors(instance, effect.start_shape)
-        first = problem.whitened(columns)[:, :1]
-        visible, share = problem.visible(first)
+        term = Term(instance, effect.start_shape)
+        first = problem.whitened(obs.regressors(instance, term.shape))[:, :1]
+        visible, share = problem.visible(first, least=least_visible(term))
         parameter = effect.parameters[0]
         size = math.inf
         rms_um = math.nan
@@ -305,8 +305,8 @@ def _power(
     design = weighted_like(grown, known, problem.noise)
     profile = design.whitened(grown.regressors(wanted.instance, wanted.shape)) @ size
     other = design.whitened(grown.regressors(rival.instance, rival.shape))
-    imitated, _ = design.visible(other)
-    seen, share = design.visible(profile[:, None], imitated)
+    imitated, _ = design.visible(other, least=least_visible(rival))
+    seen, share = design.visible(profile[:, None], imitated, least_visible(wanted))
     if not seen.shape[1]:
         return 0.0
     variance = float(np.nanmean(problem.noise.variance))

@@ -15,7 +15,15 @@ from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches, probes
 from dtwin.physics.gridding import N_BINS
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Problem, Term, set_up, setup_columns, unweighted, weighted_like
+from dtwin.physics.problem import (
+    Problem,
+    Term,
+    least_visible,
+    set_up,
+    setup_columns,
+    unweighted,
+    weighted_like,
+)
 from dtwin.physics.score import noise_level
 from dtwin.physics.shapes import refined
 from dtwin.physics.solve import in_blocks, solve_blocks
@@ -198,7 +206,10 @@ def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
     """
     problem = unweighted(obs, [])
     seen = [
-        problem.visible(problem.whitened(obs.regressors(t.instance, t.shape)))[0] for t in terms
+        problem.visible(
+            problem.whitened(obs.regressors(t.instance, t.shape)), least=least_visible(t)
+        )[0]
+        for t in terms
     ]
     found = []
     for i, first in enumerate(terms):

@@ -14,6 +14,7 @@ from dtwin.physics.whitening import PureError, pure_error, to_harmonics
 from dtwin.schema import Floats
 
 INVISIBLE = 0.01
+_LEAST_OF_A_JOINT = 1e-7
 _RANK = 1e-9
 
 
@@ -75,7 +76,9 @@ class Problem:
         """Return columns of shape (rows, 360, k) as shape (rows * 360, k)."""
         return (to_harmonics(columns) * self.weights[:, None]).reshape(-1, columns.shape[2])
 
-    def visible(self, whitened: Floats, given: Floats | None = None) -> tuple[Floats, Floats]:
+    def visible(
+        self, whitened: Floats, given: Floats | None = None, least: float = INVISIBLE
+    ) -> tuple[Floats, Floats]:
         """Return the part of columns that the known effects cannot imitate.
 
         Parameters
@@ -84,6 +87,8 @@ class Problem:
             Whitened columns.
         given : ndarray, shape (rows * 360, q), optional
             Orthonormal columns, orthogonal to the basis, that are taken out too.
+        least : float
+            Columns of which a smaller share is left do not count as visible.
 
         Returns
         -------
@@ -97,7 +102,7 @@ class Problem:
             left = left - given @ (given.T @ left)
         total = (whitened**2).sum(axis=0)
         share = np.divide((left**2).sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
-        seen = share > INVISIBLE
+        seen = share > least
         return orthonormal(left[:, seen] / np.sqrt(total[seen])), share
 
     def extended(self, visible: Floats, whitened: Floats) -> Problem:
@@ -115,6 +120,15 @@ class Problem:
             basis=np.concatenate([self.basis, visible], axis=1),
             raw=np.concatenate([self.raw, _scaled(whitened)], axis=1),
         )
+
+
+def least_visible(term: Term) -> float:
+    """Return the share of a term's sum of squares that must be left beside what is known.
+
+    An error of a joint moves the whole circle first. What is left is a thousandth of it, and
+    exact, for it comes from the kinematics.
+    """
+    return _LEAST_OF_A_JOINT if term.instance.effect.per == "joint" else INVISIBLE
 
 
 def set_up(obs: Observations, known: Sequence[Term], within: Sequence[Term]) -> Problem:
@@ -205,9 +219,9 @@ def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
         columns = np.concatenate([obs.regressors(t.instance, t.shape) for t in within], axis=2)
         whitened = plain.whitened(columns)
         moving, _ = plain.visible(whitened)
-        # Time and temperature: each costs one degree of freedom in the harmonics it touches.
         extended = plain.extended(moving, whitened)
-        found = pure_error(extended.residual, obs.condition_of, share, 2)
+        columns = moving.reshape(obs.n_rows, N_BINS, -1)
+        found = pure_error(extended.residual, obs.condition_of, share, columns)
         if found is not None:
             return found
     return pure_error(plain.residual, obs.condition_of, share)

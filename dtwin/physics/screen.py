@@ -12,7 +12,7 @@ from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
 
-ALPHA = 0.005
+ALPHA = 0.004
 _DRAWS = 4999
 _HIGHEST_HARMONIC = 8
 
@@ -56,7 +56,8 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     Notes
     -----
     Only what a channel does *inside* conditions is looked at, so that conditions cannot stand
-    for it. A bystander that is correlated with the channel found explains nothing more once
+    for it; alone and times the feed, since a warm machine may err more the faster it moves.
+    A bystander that is correlated with the channel found explains nothing more once
     that one is taken out.
     """
     obs = problem.obs
@@ -72,9 +73,12 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
         return []
     _, of_row = np.unique(obs.clusters, return_inverse=True)
     orders = _orders(problem, of_row, np.random.default_rng(seed))
+    ways = np.stack([np.ones(obs.n_rows), obs.feed_mm_s / obs.feed_mm_s.mean()])
     found: list[Channel] = []
     while channels:
-        tested = {name: _test(spread, values, orders, of_row) for name, values in channels.items()}
+        tested = {
+            name: _test(spread, values, ways, orders, of_row) for name, values in channels.items()
+        }
         ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
         best = max(
             (n for n in ranked if tested[n][0] == tested[ranked[0]][0]),
@@ -86,7 +90,8 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
         chosen = channels.pop(best)
         instead = tuple(name for name, values in channels.items() if _alike(values, chosen))
         found.append(Channel(best, p_value, tested[best][1], instead))
-        spread = _without(spread, chosen)
+        for way in ways if np.ptp(ways[1]) > 0.0 else ways[:1]:
+            spread = _without(spread, chosen * way)
         channels = {
             name: _without(values[:, None], chosen)[:, 0]
             for name, values in channels.items()
@@ -95,15 +100,22 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     return found
 
 
-def _test(spread: Floats, values: Floats, orders: Indices, of_row: Indices) -> tuple[float, float]:
-    """Return p-value and share of the spread; tests keep their runs together."""
+def _test(
+    spread: Floats, values: Floats, ways: Floats, orders: Indices, of_row: Indices
+) -> tuple[float, float]:
+    """Return p-value and share of the spread; tests keep their runs together.
+
+    The best way for the channel to act counts, in the order measured as in every other order.
+    """
     gram = spread @ spread.T
-    found = float(values @ gram @ values / (values @ values))
     mean = np.bincount(of_row, values) / np.bincount(of_row)
-    own = values - mean[of_row]
-    shuffled = mean[orders][:, of_row] + own
-    power = np.einsum("di,ij,dj->d", shuffled, gram, shuffled, optimize=True)
-    drawn = power / np.maximum((shuffled**2).sum(axis=1), 1e-300)
+    shuffled = mean[orders][:, of_row] + values - mean[of_row]
+    found = max(float(v @ gram @ v / (v @ v)) for v in values * ways)
+    drawn = np.zeros(len(orders))
+    for way in ways:
+        v = shuffled * way
+        power = np.einsum("di,di->d", v @ gram, v)
+        drawn = np.maximum(drawn, power / np.maximum((v**2).sum(axis=1), 1e-300))
     share = found / max(float(np.trace(gram)), 1e-300)
     # The order that was measured is one of the permutations and must count as one.
     reached = drawn >= found * (1.0 - 1e-9)

@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from dtwin.physics.candidates import Candidate, Candidates, probes
+import numpy as np
+
+from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.problem import Problem
 from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
 from dtwin.physics.shapes import refined
-from dtwin.schema import Floats
 
-ALPHA = 0.04
+ALPHA = 0.03
 _MOST_STEPS = 4
 _LEADING = 6
 _GROUP_GAIN = 0.5
@@ -140,7 +141,7 @@ def search(
         whitened = candidates.whitened(problem, step.top.term)
         problem = problem.extended(step.top.visible, whitened)
         unweighted = candidates.whitened(plain, step.top.term)
-        plain = plain.extended(plain.visible(unweighted)[0], unweighted)
+        plain = plain.extended(candidates.visible(plain, step.top.term), unweighted)
         fits.append(lack_of_fit(problem, problem.residual, seed))
         systematic.append(systematic_rms_um(problem.obs, in_angle(plain)))
         shown_by_channel = False
@@ -154,12 +155,19 @@ def search(
 
 
 def holm(tested: list[Candidate]) -> dict[str, float]:
-    """Return Holm's adjusted p-values by label."""
+    """Return Holm's adjusted p-values by label.
+
+    Effects that these runs cannot tell apart are one test, not several: the number of tests is
+    scaled by how many of them are independent.
+    """
     ordered = sorted(tested, key=lambda c: c.score.p_value)
+    share = independent([c.visible for c in ordered]) / max(len(ordered), 1)
     out: dict[str, float] = {}
     worst = 0.0
     for rank, candidate in enumerate(ordered):
-        worst = max(worst, min(1.0, candidate.score.p_value * (len(ordered) - rank)))
+        worst = max(
+            worst, min(1.0, candidate.score.p_value * max(1.0, share * (len(ordered) - rank)))
+        )
         out[candidate.term.label] = worst
     return out
 
@@ -173,7 +181,8 @@ def _step(
     p_values: Mapping[str, float],
     invisible: tuple[str, ...],
 ) -> Step | None:
-    leading = sorted(significant, key=lambda c: -c.score.gain)[:_LEADING]
+    runs = int(problem.obs.run_of.max()) + 1
+    leading = sorted(significant, key=lambda c: -_worth(c, runs))[:_LEADING]
     gains = {
         c.term.label: left_out_gain(problem, candidates.whitened(problem, c.term)) for c in leading
     }
@@ -183,6 +192,13 @@ def _step(
     top = _refined(problem, candidates, kept[0], level)
     group = _group(problem, candidates, level, top, tested)
     return Step(problem, level, top, group, p_values, tuple(tested), gains, invisible)
+
+
+def _worth(candidate: Candidate, runs: int) -> float:
+    """Return the gain, less what every free parameter costs: Schwarz's criterion over runs."""
+    k = candidate.visible.shape[1]
+    free = k + len(candidate.term.instance.effect.shapes)
+    return candidate.score.gain - candidate.score.expected / k * free * float(np.log(runs))
 
 
 def _is_material(
@@ -204,14 +220,13 @@ def _group(
 ) -> tuple[Candidate, ...]:
     """Return what leaves the top one nothing significant to explain: a 95 % confidence set."""
     group = [top]
-    columns = candidates.whitened(problem, top.term)
     for found in sorted(tested, key=lambda c: -c.score.gain):
         if found.term.label == top.term.label:
             continue
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
-        if _adds_nothing(problem, columns, top, other, candidates, level):
+        if _adds_nothing(problem, top, other, candidates, level):
             group.append(other)
     return tuple(group)
 
@@ -227,14 +242,13 @@ def _refined(
 
 def _adds_nothing(
     problem: Problem,
-    columns: Floats,
     top: Candidate,
     other: Candidate,
     candidates: Candidates,
     level: NoiseLevel,
 ) -> bool:
     given = problem.extended(other.visible, candidates.whitened(problem, other.term))
-    left, _ = given.visible(columns)
+    left = candidates.visible(given, top.term)
     if not left.shape[1]:
         return True
     within = top.term.instance.effect.within_condition

@@ -99,7 +99,7 @@ def within_condition(rows: Floats, condition_of: Indices) -> tuple[Floats, Indic
 
 
 def pure_error(
-    residual: Floats, condition_of: Indices, mask_share: float, lost_dof: int = 0
+    residual: Floats, condition_of: Indices, mask_share: float, fitted: Floats | None = None
 ) -> PureError | None:
     """Estimate the noise from repeats.
 
@@ -111,8 +111,9 @@ def pure_error(
         Condition of each row.
     mask_share : float
         Share of the bins that was measured.
-    lost_dof : int
-        Degrees of freedom that a fit inside the conditions has used.
+    fitted : ndarray, shape (rows, 360, k), optional
+        Orthonormal columns that were fitted: inside conditions they have used up degrees of
+        freedom, each in the harmonics that it touches.
 
     Returns
     -------
@@ -123,10 +124,11 @@ def pure_error(
     repeated = m > 1
     n_conditions = len(set(condition_of[repeated].tolist()))
     full_dof = int(repeated.sum()) - n_conditions
-    dof = full_dof - lost_dof
+    lost = np.zeros(N_BINS) if fitted is None else _used_up(fitted, condition_of)
+    dof = int(full_dof - np.ceil(lost.max() - 1e-9))
     if dof < 2:
         return None
-    power = (deviation[repeated] ** 2).mean(axis=0) * full_dof / dof
+    power = (deviation[repeated] ** 2).mean(axis=0) * full_dof / (full_dof - lost)
     floor_um = float(np.sqrt(power.sum() / (N_BINS * mask_share)))
     smooth = _smoothed(power)
     weights = 1.0 / np.sqrt(np.maximum(smooth, _FLOOR * np.median(smooth)))
@@ -136,6 +138,13 @@ def pure_error(
     for condition in sorted(set(condition_of[repeated].tolist())):
         variance[condition] = (white[condition_of == condition] ** 2).mean()
     return PureError(floor_um, weights, variance, dof)
+
+
+def _used_up(fitted: Floats, condition_of: Indices) -> Floats:
+    """Return the degrees of freedom inside conditions that columns cost, shape (360,)."""
+    inside, m = within_condition(fitted, condition_of)
+    share = (m - 1) / np.maximum(m, 1)
+    return np.asarray(np.einsum("n,nqk->q", share, inside**2))
 
 
 def _smoothed(power: Floats) -> Floats:

@@ -36,7 +36,7 @@ EFFECT = Effect(
     remedy="Joint-side table by angle.",
     reference="[D] transmission error through the Jacobian",
     per="joint",
-    shapes=(ShapeParameter("order", "1/turn", 1.0, (1.0, 2.0, 100.0, 200.0)),),
+    shapes=(ShapeParameter("order", "1/turn", 1.0, (1.0, 2.0, *range(8, 104, 8), 200.0)),),
     confusables=(
         "cyclic_error",
         "joint_offset",
