@@ -30,7 +30,9 @@ from table import table_text
 
 import dtwin.physics
 
-SHORT_ROWS = ("null_plain", "single_one", "unknown_gear_harmonic", "one_repeat")
+SHORT_ROWS = (
+    "null_plain", "single_one", "unknown_gear_harmonic", "one_repeat", "robot_joint_one",
+)  # fmt: skip
 SHORT_CASES = 3
 WITH_CONTROLS = 20
 Key = tuple[str, int]

@@ -123,12 +123,9 @@ def _concluded(
             if blank.spread:
                 said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
             return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
-        said = f"no known effect explains it: {words}"
-        if unexplained:
-            said += f"; it moves with {', '.join(unexplained)}"
         return replace(
-            blank, verdict="unknown_effect", headline=said, suspects=shown, laws=laws,
-            closest=_closest(found.tested),
+            blank, verdict="unknown_effect", headline=_unexplained(words, unexplained),
+            suspects=shown, laws=laws, closest=_closest(found.tested),
         )  # fmt: skip
     step = found.steps[0]
     tests = {c.term.label: _laws_of(found, candidates, c) for c in step.group[:_SHOWN]}
@@ -140,7 +137,7 @@ def _concluded(
         return replace(
             blank,
             verdict="unknown_effect",
-            headline=f"no known effect explains it: {words}",
+            headline=_unexplained(words, [c.name for c in channels]),
             suspects=tuple(replace(s, in_group=False) for s in shown),
             laws=tuple(search_laws(step.problem)),
             closest=step.top.term.label,
@@ -151,6 +148,11 @@ def _concluded(
     if foreign:
         said += f"; besides, something moves with {', '.join(c.name for c in foreign)}"
     return replace(blank, verdict=verdict, headline=said, suspects=shown)
+
+
+def _unexplained(words: str, moving: Sequence[str]) -> str:
+    said = f"no known effect explains it: {words}"
+    return f"{said}; it moves with {', '.join(moving)}" if moving else said
 
 
 def _much_left(found: Search, floor_um: float) -> bool:

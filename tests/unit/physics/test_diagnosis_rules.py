@@ -1,0 +1,86 @@
+"""Rules of the diagnosis that hold whatever the machine is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.virtual_mill import standard_tests
+from dtwin.machines.mill import Moment, VirtualMill
+from dtwin.machines.mill_parameters import HeatParameters, MillParameters
+from dtwin.physics.candidates import Candidate
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.effect import Instance
+from dtwin.physics.gridding import N_BINS
+from dtwin.physics.library import Library
+from dtwin.physics.observations import observe
+from dtwin.physics.problem import Term
+from dtwin.physics.score import Score
+from dtwin.physics.search import holm
+from dtwin.physics.twin import chosen_terms
+from dtwin.physics.whitening import harmonic_numbers, pure_error
+from dtwin.schema import Floats
+
+LIBRARY = Library()
+NAMES = (("squareness", "XY"), ("scale_mismatch", "XY"), ("servo_mismatch", "XY"))
+
+
+def candidates(*columns: Floats) -> list[Candidate]:
+    return [
+        Candidate(
+            Term(Instance(LIBRARY[name], axis)),
+            column[:, None] / np.linalg.norm(column),
+            1.0,
+            Score(0.01, 1.0, 0.1, 20.0),
+        )
+        for (name, axis), column in zip(NAMES, columns, strict=True)
+    ]
+
+
+def test_effects_that_cannot_be_told_apart_count_as_one_test() -> None:
+    one, two, three = np.eye(3)
+    apart = holm(candidates(one, two, three))
+    alike = holm(candidates(one, one, one))
+    assert max(apart.values()) == pytest.approx(0.03)
+    assert max(alike.values()) == pytest.approx(0.01)
+
+
+def test_the_floor_is_the_noise_whatever_was_fitted_inside_conditions() -> None:
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((36, N_BINS))
+    condition_of = np.repeat(np.arange(12), 3)
+    moving = np.zeros((36, N_BINS, 2))
+    for k in range(2):
+        moving[:, k, k] = rng.standard_normal(36)
+        moving[:, k, k] /= np.linalg.norm(moving[:, k, k])
+    flat = moving.reshape(-1, 2)
+    left = noise - (flat @ (flat.T @ noise.ravel())).reshape(noise.shape)
+    found = pure_error(left, condition_of, 1.0, moving)
+    assert found is not None
+    assert found.floor_um == pytest.approx(1.0, rel=0.02)
+    # Only the harmonics that were touched are scaled up for the freedom that was spent.
+    bare = pure_error(left, condition_of, 1.0)
+    assert bare is not None
+    untouched = harmonic_numbers() > 20
+    assert found.weights[untouched] == pytest.approx(bare.weights[untouched], rel=0.01)
+    assert found.dof < bare.dof
+
+
+def test_heat_times_feed_is_not_called_a_wrong_scale() -> None:
+    hot = replace(
+        MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0),
+        heat=HeatParameters(rise_c=3.0),
+    )
+
+    def faster_is_worse(moment: Moment) -> Floats:
+        share = moment.test.feed_mm_min / 2000.0
+        return 1.2 * moment.rise_c * share * np.cos(2 * moment.angle_rad + 0.4)
+
+    mill = VirtualMill(hot, seed=4, disturbance=faster_is_worse)
+    obs = observe(mill.campaign(), mill.measure(standard_tests(mill.seed, planes=("XY",))))
+    found = diagnose(obs, chosen_terms(["scale_mismatch", "squareness"], LIBRARY, obs), LIBRARY)
+    assert found.verdict == "unknown_effect", found.headline
+    assert "temperature_c" in [channel.name for channel in found.channels]
+    assert "temperature_c" in found.headline
