@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from chromium import FLAGS
 from conftest import require_program
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
@@ -204,13 +205,14 @@ def test_magnification_takes_german_and_english_numbers(page: Page, bench: Workb
     expect(page.get_by_text("not a magnification")).to_be_visible()
 
 
-def test_every_page_is_reached_by_keyboard_and_fits_a_phone(
+def test_every_page_is_reached_by_keyboard_fits_a_phone_and_passes_axe(
     browser: Browser, bench: Workbench
 ) -> None:
     phone = browser.new_page(viewport={"width": 390, "height": 800})
     phone.set_default_timeout(PATIENCE_MS)
     phone.goto(bench.address)
     phone.wait_for_url("**/campaigns")
+    barriers: dict[str, str] = {}
     phone.keyboard.press("Tab")
     assert phone.evaluate("document.activeElement.textContent") == "Skip to the content"
     for path in ("/campaigns", "/campaigns/mill-backlash", "/twins", "/twins/mill",
@@ -224,7 +226,11 @@ def test_every_page_is_reached_by_keyboard_and_fits_a_phone(
             ".map(e => e.outerHTML)"
         )
         assert unnamed == [], path
+        broken = Axe().run(phone)
+        if broken.violations_count:
+            barriers[path] = broken.generate_report()
     phone.close()
+    assert not barriers, "\n".join(f"{path}: {report}" for path, report in barriers.items())
 
 
 def test_a_real_recording_is_dropped_on_the_page(
