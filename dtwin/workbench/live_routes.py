@@ -10,19 +10,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import plotly.graph_objects as go
 from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse, Response
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.report.live_plots import circle_figure, correction_figure, waiting_figure
 from dtwin.report.model_plots import jitter_figure
+from dtwin.serve.live_board import COLUMNS, Seen, read_board
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.pages import drawn, rendered
 
 router = APIRouter()
 _NEWEST = 20
 _TAIL_BYTES = 2_000_000
+_RECENT_S = 5.0
+_SHOWN_S = 20.0
+_CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_z_um") + 1)
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,65 @@ def live(request: Request) -> dict[str, Any]:
         "serving": [vars(s) for s in servings(home)],
         "sessions": [{k: s[k] for k in ("machine", "started", "ended")} for s in sessions(home)],
     }
+
+
+@router.get("/api/live/{machine}/now")
+def now(request: Request, machine: str) -> dict[str, Any]:
+    """Return the figures of the newest seconds of a loop that runs."""
+    seen = _board(request, machine)
+    interval, age = seen.column("interval_s"), seen.column("age_s")
+    recent = seen.column("stamp_s") >= seen.column("stamp_s")[-1] - _RECENT_S
+    interval, age = interval[recent & np.isfinite(interval)], age[recent]
+    answered = seen.ticks + seen.missed
+    rate_hz = 1.0 / float(interval.mean()) if len(interval) and interval.mean() > 0.0 else None
+    return {
+        "ticks": seen.ticks,
+        "rate_hz": rate_hz,
+        "late_or_missed": (seen.late + seen.missed) / answered,
+        "age_ms": [1e3 * float(v) for v in np.percentile(age, (50, 99))],
+        "jitter_us_p99": 1e6 * float(np.percentile(np.abs(interval - seen.period_s), 99))
+        if len(interval)
+        else None,
+        "correction_um": seen.rows[-1, _CORRECTION].tolist(),
+        "clamp_um": seen.clamp_um,
+        "reasons": {n: c for n, c in seen.reasons.items() if n not in ("ok", "disabled")},
+    }
+
+
+@router.get("/api/live/{machine}/correction")
+def correction(request: Request, machine: str) -> Response:
+    """Return the corrections of the newest seconds."""
+    seen = _board(request, machine)
+    t_s = seen.column("stamp_s") - seen.column("stamp_s")[-1]
+    kept = t_s >= -_SHOWN_S
+    return drawn(correction_figure(t_s[kept], seen.rows[kept][:, _CORRECTION], seen.clamp_um))
+
+
+@router.get("/api/live/{machine}/circle")
+def circle(request: Request, machine: str) -> Response:
+    """Return the newest circle with and without the correction."""
+    seen = _board(request, machine)
+    segment = seen.column("segment")
+    same = np.cumprod((segment == segment[-1])[::-1])[::-1].astype(bool)
+    rows = seen.rows[same]
+    at = COLUMNS.index("actual_x_mm")
+    figure = circle_figure(
+        rows[:, at : at + 3],
+        rows[-1, at + 3 : at + 6],
+        float(rows[-1, at + 6]),
+        rows[:, _CORRECTION],
+    )
+    return drawn(figure or waiting_figure("no whole circle was seen yet"))
+
+
+def _board(request: Request, machine: str) -> Seen:
+    seen = read_board(machine, bench_of(request).home)
+    if seen is None or not seen.ticks:
+        raise InputError(
+            "no loop of this machine shows its figures", code="live.none", got=machine[:80],
+            hint="reload the page",
+        )  # fmt: skip
+    return seen
 
 
 @router.get("/api/live/{machine}/{number}/jitter")

@@ -302,11 +302,44 @@ async function watchJobs() {
 
 async function watchLive() {
   if (!document.querySelector("[data-live]")) return;
+  all("[data-now]").forEach(watchNow);
   const seen = JSON.stringify(await ask("/api/live"));
   for (;;) {
     await pause(1500);
     const now = await ask("/api/live").catch(() => null);
     if (now && JSON.stringify(now) !== seen) { location.reload(); return; }
+  }
+}
+
+const plain = (value, digits) => (value === null ? "–" : Number(value.toPrecision(digits)).toString());
+
+function tellNow(list, now) {
+  const said = {
+    rate: plain(now.rate_hz, 4),
+    ticks: String(now.ticks),
+    late: (100 * now.late_or_missed).toFixed(2),
+    age: now.age_ms.map((ms) => plain(ms, 2)).join(" / "),
+    jitter: plain(now.jitter_us_p99, 3),
+    correction: now.correction_um.map((um) => um.toFixed(1)).join("  "),
+    limits: Object.entries(now.reasons).map(([name, n]) => `${name.replaceAll("_", " ")} ${n}`).join(", ") || "none",
+  };
+  for (const field of all("[data-key]", list)) field.textContent = said[field.dataset.key];
+}
+
+async function watchNow(list) {
+  const section = list.closest("section");
+  const figures = all("[data-moving] figure", section);
+  for (;;) {
+    if (!document.hidden) {
+      const now = await ask(list.dataset.now).catch(() => null);
+      section.querySelector("[data-silent]").hidden = Boolean(now);
+      section.querySelector("[data-moving]").hidden = !now;
+      if (now) {
+        tellNow(list, now);
+        await Promise.all(figures.map(draw));
+      }
+    }
+    await pause(1000);
   }
 }
 

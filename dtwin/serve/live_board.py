@@ -1,0 +1,218 @@
+"""What a serving loop shows while it runs: the newest ticks in memory that other processes read.
+
+The loop writes a row and never waits for a reader. The memory belongs to no disk, so that no write
+of a tick waits for one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import mmap
+import os
+import stat
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.links import state as layout
+from dtwin.schema import Floats
+from dtwin.serve.machine_file import machine_folder
+from dtwin.serve.safety import REASONS
+
+COLUMNS = (
+    "stamp_s", "interval_s", "age_s", "window_age_s", "correction_x_um", "correction_y_um",
+    "correction_z_um", "reason", "actual_x_mm", "actual_y_mm", "actual_z_mm", "centre_x_mm",
+    "centre_y_mm", "centre_z_mm", "radius_mm", "segment",
+)  # fmt: skip
+"""Columns of a row, in their order."""
+
+_FORMAT = 2026.0
+_CAPACITY = 16384
+_HEADER = 32
+_FORMAT_AT, _PID, _STARTED, _TICKS, _LATE, _MISSED, _CLAMP, _PERIOD = range(8)
+_REASONS = 8
+_SHAPE = (_HEADER + _CAPACITY * len(COLUMNS),)
+_BYTES = 8 * _SHAPE[0]
+_MEMORY = Path("/dev/shm")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a board shows.
+
+    Attributes
+    ----------
+    pid : int
+        Process that writes it.
+    started_s : float
+        Seconds since 1970.
+    ticks, late, missed : int
+        Since the start.
+    clamp_um, period_s : float
+        Longest correction that is allowed, and nominal period.
+    reasons : mapping of str to int
+        How often each reason of the guard acted.
+    rows : ndarray, shape (n, columns)
+        The newest ticks, oldest first, in the order of ``COLUMNS``.
+    """
+
+    pid: int
+    started_s: float
+    ticks: int
+    late: int
+    missed: int
+    clamp_um: float
+    period_s: float
+    reasons: Mapping[str, int]
+    rows: Floats
+
+    def column(self, name: str) -> Floats:
+        """Return one column of the rows, shape (n,)."""
+        return np.asarray(self.rows[:, COLUMNS.index(name)])
+
+
+class LiveBoard:
+    """The writing end.
+
+    Parameters
+    ----------
+    memory : ndarray, shape (words,)
+        Shared memory.
+    clamp_um, period_s : float
+        As in ``Seen``.
+    started_s : float
+        Seconds since 1970.
+    """
+
+    def __init__(self, memory: Floats, clamp_um: float, period_s: float, started_s: float) -> None:
+        self._head = memory[:_HEADER]
+        self._rows = memory[_HEADER:].reshape(_CAPACITY, len(COLUMNS))
+        self._row = np.zeros(len(COLUMNS))
+        self._count = 0
+        self._head[_PID], self._head[_STARTED] = os.getpid(), started_s
+        self._head[_CLAMP], self._head[_PERIOD] = clamp_um, period_s
+        self._head[_FORMAT_AT] = _FORMAT
+
+    def show(
+        self, state: Floats, correction_um: Floats, reason: int, times_s: tuple[float, float, float],
+        counts: tuple[int, int],
+    ) -> None:  # fmt: skip
+        """Show a tick.
+
+        Parameters
+        ----------
+        state : ndarray, shape (N,)
+            Newest state of the controller.
+        correction_um : ndarray, shape (3,)
+            What was sent for it.
+        reason : int
+            Reason of the guard.
+        times_s : tuple of float
+            Interval since the tick before, age of the state, age of the window.
+        counts : tuple of int
+            Late and missed ticks so far.
+        """
+        row = self._row
+        row[0] = state[layout.TIMESTAMP]
+        row[1:4] = times_s
+        row[4:7] = correction_um
+        row[7] = reason
+        row[8:11] = state[layout.ACTUAL_TCP : layout.ACTUAL_TCP + 3]
+        row[11:14] = state[layout.CENTRE : layout.CENTRE + 3]
+        row[14] = state[layout.RADIUS]
+        row[15] = state[layout.SEGMENT_ID]
+        self._rows[self._count % _CAPACITY] = row
+        self._count += 1
+        head = self._head
+        head[_REASONS + reason] += 1
+        head[_LATE], head[_MISSED] = counts
+        head[_TICKS] = self._count
+
+
+@contextlib.contextmanager
+def live_board(
+    machine: str, home: Home, *, clamp_um: float, period_s: float, started_s: float
+) -> Iterator[LiveBoard | None]:
+    """Open the board of a machine while the block runs; None where there is no memory for it.
+
+    Parameters
+    ----------
+    machine : str
+        Machine that is served.
+    home : Home
+        State folder; two of them have two boards.
+    clamp_um, period_s, started_s : float
+        As in ``Seen``.
+    """
+    path = _path(machine, home)
+    try:
+        path.unlink(missing_ok=True)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+    except OSError:
+        yield None
+        return
+    try:
+        os.posix_fallocate(file, 0, _BYTES)
+        shared = mmap.mmap(file, _BYTES)
+    except OSError:
+        path.unlink(missing_ok=True)
+        yield None
+        return
+    finally:
+        os.close(file)
+    memory: Floats = np.frombuffer(shared, dtype=np.float64)
+    # Every page is touched now, none for the first time in a tick.
+    memory[:] = 0.0
+    try:
+        yield LiveBoard(memory, clamp_um, period_s, started_s)
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def read_board(machine: str, home: Home) -> Seen | None:
+    """Return what the board of a machine shows; None when there is none.
+
+    A board of another user, or of another version, is none.
+    """
+    try:
+        file = os.open(_path(machine, home), os.O_RDONLY | os.O_NOFOLLOW)
+    except OSError:
+        return None
+    try:
+        found = os.fstat(file)
+        mine = found.st_uid == os.getuid() and stat.S_ISREG(found.st_mode)
+        if not mine or found.st_size != _BYTES:
+            return None
+        with mmap.mmap(file, _BYTES, prot=mmap.PROT_READ) as shared:
+            memory = np.frombuffer(bytes(shared), dtype=np.float64)
+    finally:
+        os.close(file)
+    head, rows = memory[:_HEADER], memory[_HEADER:].reshape(_CAPACITY, len(COLUMNS))
+    if head[_FORMAT_AT] != _FORMAT:
+        return None
+    ticks = int(head[_TICKS])
+    # The oldest row of a full board may be half overwritten.
+    kept = min(ticks, _CAPACITY - 1)
+    order = np.arange(ticks - kept, ticks) % _CAPACITY
+    counts = head[_REASONS : _REASONS + len(REASONS)]
+    return Seen(
+        pid=int(head[_PID]),
+        started_s=float(head[_STARTED]),
+        ticks=ticks,
+        late=int(head[_LATE]),
+        missed=int(head[_MISSED]),
+        clamp_um=float(head[_CLAMP]),
+        period_s=float(head[_PERIOD]),
+        reasons={name: int(n) for name, n in zip(REASONS, counts, strict=True) if n},
+        rows=rows[order],
+    )
+
+
+def _path(machine: str, home: Home) -> Path:
+    name = machine_folder(machine, home).name
+    label = hashlib.sha256(str(home.root).encode()).hexdigest()[:12]
+    return _MEMORY / f"dtwin-{os.getuid()}-{label}-{name}"
