@@ -123,7 +123,7 @@ def robot_program(
     slew_um_s: Annotated[float, typer.Option(help="Fastest change of it.")] = 20_000.0,
     watchdog_s: Annotated[
         float, typer.Option(help="Silence after which the offset goes back to zero.")
-    ] = 0.05,
+    ] = 0.012,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Write the URScript thread that lets a UR robot take corrections as a path offset."""
