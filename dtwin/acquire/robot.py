@@ -62,7 +62,10 @@ class RobotRecorder(OpenAndClose):
         """Connect; see ``UrLink``."""
         if self._link is None:
             self._link = UrLink(
-                self.host, self._rate_hz, connect_timeout_s=self._timeout_s, realtime=False,
+                self.host,
+                self._rate_hz,
+                connect_timeout_s=self._timeout_s,
+                realtime=False,
                 writes=False,
             )
 

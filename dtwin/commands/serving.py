@@ -49,6 +49,12 @@ def serve(
     covariate: Annotated[
         list[str] | None, typer.Option(help="Value of a covariate input, as NAME=NUMBER.")
     ] = None,
+    patience: Annotated[
+        float,
+        typer.Option(
+            help="Seconds to wait for a lost link or an unlocked protective stop; 0 ends at once."
+        ),
+    ] = 0.0,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
     """Correct a robot live with a promoted model; Ctrl-C releases the correction."""
@@ -58,7 +64,7 @@ def serve(
 
     request = ServeRequest(
         model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
-        _covariates(covariate or []),
+        _covariates(covariate or []), patience,
     )  # fmt: skip
     served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
@@ -85,7 +91,7 @@ def render_served(served: Served) -> str:
         f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:.1f} um",
         f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
         f"states missed ({100 * timing['late_share']:.2f} % together), "
-        f"{timing['timeouts']} waits without a state",
+        f"{timing['timeouts']} waits without a state, {status.reconnects} links came back",
         "",
         _percentiles("stage_us", timing["stage_us"]),
         "",

@@ -133,6 +133,11 @@ class UrLink:
         """Process id of the driver."""
         return self._process.pid
 
+    @property
+    def newest(self) -> layout.RobotState:
+        """State (N,) that was returned last."""
+        return self._buffer[: layout.N]
+
     def wait_state(self, timeout_s: float) -> layout.RobotState | None:
         """Return the newest state that was not returned before.
 

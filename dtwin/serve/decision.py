@@ -55,6 +55,11 @@ class Decision:
     sensors : SensorSource, optional
         Required when the bundle has feature inputs.
 
+    Attributes
+    ----------
+    hold : bool
+        Whether the correction is held at zero, as for a machine that stands still.
+
     Raises
     ------
     InputError
@@ -93,6 +98,7 @@ class Decision:
         self.guard = Guard(bundle.safety, box[:, 0], box[:, 1])
         self.direction = Direction(bundle.outputs)
         self.window_age_s = 0.0
+        self.hold = False
         self._prepare_window(sensors)
         self._warm_up()
 
@@ -157,14 +163,18 @@ class Decision:
             self._take_window()
         windowed = perf_counter_ns()
         self._state[:] = state
-        self._path.update(state)
+        # The feed that the program asks for is not the one that the slider leaves of it.
+        self._state[layout.FEED] *= state[layout.SPEED_SCALING]
+        self._path.update(self._state)
         np.take(self._pool, self._take, out=self._tick, mode="clip")
         self.compiled.tick_inputs[:] = self._tick
         pathed = perf_counter_ns()
         self.compiled.evaluate()
         evaluated = perf_counter_ns()
         wanted = self.direction.apply(self.compiled.outputs, self._pool[0], state[layout.PLANE_ID])
-        device_ok = state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
+        device_ok = (
+            not self.hold and state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
+        )
         safe = self.guard.step(
             wanted, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
             window_age_s=self.window_age_s, enabled=enabled, device_ok=bool(device_ok),

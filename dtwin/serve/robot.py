@@ -1,0 +1,223 @@
+"""Serving one robot: what ends it, what it waits for, and how it comes back after a lost link."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable
+
+from dtwin.errors import DeviceError, GateRefusal
+from dtwin.links import state as layout
+from dtwin.links.ur import UrLink
+from dtwin.serve.decision import Decision
+from dtwin.serve.journal import Note
+from dtwin.serve.loop import Mode, ServeStatus, ServingLoop
+
+RATE_HZ = 500.0
+_FIRST_STATE_S = 5.0
+_CONNECT_S = 5.0
+_BACK_OFF_S, _LONGEST_BACK_OFF_S = 0.1, 5.0
+_POLL_S = 0.02
+
+Admit = Callable[[UrLink], str]
+Stop = Callable[[], bool]
+
+
+@dataclasses.dataclass(frozen=True)
+class RobotRequest:
+    """How to serve a robot.
+
+    Attributes
+    ----------
+    host : str
+        Address of the controller.
+    mode : {"live", "shadow", "dry-run"}
+        As in ``ServingLoop``.
+    duration_s : float
+        Time to serve; infinite until stopped.
+    patience_s : float
+        How long to wait for a lost link to come back, and for a protective stop to be unlocked;
+        0 ends the serving at once.
+    priority : int
+        Real-time priority, 0 for none.
+    """
+
+    host: str
+    mode: Mode = "live"
+    duration_s: float = math.inf
+    patience_s: float = 0.0
+    priority: int = 60
+
+
+class RobotServing:
+    """One robot, over as many links as it takes.
+
+    A lost link is looked for again with a back-off that doubles from 0.1 s to 5 s. A link that
+    comes back is admitted anew, and the correction begins at zero under its slew limit. A
+    protective stop may be unlocked within the patience; after an emergency stop serving ends.
+
+    Parameters
+    ----------
+    request : RobotRequest
+        How to serve.
+    decision : Decision
+        Features, equation, direction and safety.
+    admit : callable
+        Judges what answers at the address, returns what it is, or raises ``GateRefusal``.
+    note : callable
+        Takes events.
+
+    Attributes
+    ----------
+    device : str
+        What ``admit`` returned.
+    reconnects : int
+        Links that came back.
+    realtime : bool
+        Whether the newest driver was given real-time priority.
+    """
+
+    def __init__(self, request: RobotRequest, decision: Decision, admit: Admit, note: Note) -> None:
+        self._request, self._decision, self._admit, self._note = request, decision, admit, note
+        self.device, self.reconnects, self.realtime = "", 0, False
+        self._link = self._connected()
+        self._loop: ServingLoop | None = None
+
+    def close(self) -> None:
+        """Close the link."""
+        self._link.close()
+
+    def run(self, asked: Stop) -> ServeStatus:
+        """Serve until the time is up, ``asked`` says so, or something fails for good.
+
+        Parameters
+        ----------
+        asked : callable
+            Whether somebody asked for the end.
+        """
+        until_s = time.monotonic() + self._request.duration_s
+        first = self._first_sequence()
+        self._loop = loop = ServingLoop(
+            self._decision, self._link, period_s=1.0 / RATE_HZ, mode=self._request.mode,
+            first_sequence=first, note=self._note,
+        )  # fmt: skip
+        while True:
+            stops = _Stops(asked, loop, self._decision, self._request)
+            left_s = until_s - time.monotonic()
+            status = loop.run(max(left_s, 0.0), stop=stops, priority=self._request.priority)
+            status = dataclasses.replace(status, reconnects=self.reconnects)
+            if status.fault is not None and self._may_return(status.ended):
+                self._note("link_lost", why=status.ended, said=status.fault["message"])
+                if self._reconnect(asked, until_s):
+                    loop.use(self._link, self._first_sequence())
+                    continue
+                if asked():
+                    return dataclasses.replace(status, ended="stopped", fault=None)
+            fault = stops.fault(self._request.host)
+            if status.fault is None and fault is not None:
+                return dataclasses.replace(status, ended=stops.why, fault=fault.as_dict())
+            return status
+
+    def _may_return(self, code: str) -> bool:
+        return self._request.patience_s > 0.0 and code.startswith("ur.")
+
+    def _connected(self) -> UrLink:
+        request = self._request
+        link = UrLink(
+            request.host, RATE_HZ, connect_timeout_s=_CONNECT_S, realtime=request.priority > 0,
+            writes=request.mode != "shadow",
+        )  # fmt: skip
+        try:
+            self.device = self._admit(link)
+            if link.wait_state(_FIRST_STATE_S) is None:
+                raise DeviceError(
+                    "the robot sends no states", code="ur.silent", where=f"robot at {request.host}"
+                )
+        except BaseException:
+            link.close()
+            raise
+        self.realtime = link.realtime
+        return link
+
+    def _first_sequence(self) -> int:
+        """Return a number that the controller sees as a change: it may have latched any."""
+        newest = self._link.newest
+        latched = 0 if self._request.mode == "shadow" else int(newest[layout.APPLIED_SEQUENCE])
+        return latched % layout.SEQUENCE_LIMIT + 1
+
+    def _reconnect(self, asked: Stop, until_s: float) -> bool:
+        """Look for the robot until it answers, the patience is over, or the end is asked for."""
+        self._link.close()
+        give_up_s = min(time.monotonic() + self._request.patience_s, until_s)
+        wait_s, tries = _BACK_OFF_S, 0
+        while _waited(wait_s, give_up_s, asked):
+            tries += 1
+            try:
+                self._link = self._connected()
+            except GateRefusal as refusal:
+                self._note("refused_on_return", why=refusal.code)
+                return False
+            except DeviceError as error:
+                self._note("still_lost", why=error.code, tries=tries)
+                wait_s = min(2.0 * wait_s, _LONGEST_BACK_OFF_S)
+                continue
+            self.reconnects += 1
+            self._note("reconnected", tries=tries)
+            return True
+        return False
+
+
+def _waited(wait_s: float, give_up_s: float, asked: Stop) -> bool:
+    """Wait, and return whether another try is wanted."""
+    until_s = time.monotonic() + wait_s
+    while time.monotonic() < until_s:
+        if asked() or time.monotonic() > give_up_s:
+            return False
+        time.sleep(_POLL_S)
+    return True
+
+
+class _Stops:
+    """Asked every tick whether to end, and afterwards why."""
+
+    def __init__(
+        self, asked: Stop, loop: ServingLoop, decision: Decision, request: RobotRequest
+    ) -> None:
+        self._asked, self._watch, self._guard = asked, loop.watch, decision.guard
+        self._sensors, self._patience_s = decision.sensors, request.patience_s
+        self.why = ""
+
+    def __call__(self) -> bool:
+        condition = self._watch.condition
+        if condition == "emergency_stop" or (
+            condition == "protective_stop"
+            and time.monotonic() - self._watch.since_s >= self._patience_s
+        ):
+            self.why = "safety_stop"
+        elif self._guard.latched:
+            self.why = "latched"
+        elif self._asked():
+            self.why = "stopped"
+        return bool(self.why)
+
+    def fault(self, host: str) -> DeviceError | None:
+        """Return what a stop that nobody asked for means."""
+        if self.why == "safety_stop":
+            return DeviceError(
+                "the robot stopped for safety; the correction was released",
+                code="serve.safety_stop",
+                where=f"robot at {host}",
+                got=self._watch.condition.replace("_", " "),
+                hint="clear the stop at the robot, find its cause, then serve again",
+            )
+        if self.why == "latched":
+            broken = self._sensors.fault() if self._sensors is not None else None
+            return DeviceError(
+                "too many faults; the correction was released and stays so",
+                code="serve.latched",
+                where=f"robot at {host}",
+                got=f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else ""),
+                hint="the reasons in the status say which; serve again to arm it",
+            )
+        return None
