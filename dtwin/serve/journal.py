@@ -12,7 +12,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
@@ -91,13 +91,15 @@ class Journal:
 
 
 @contextlib.contextmanager
-def journal(path: Path) -> Iterator[Journal]:
+def journal(path: Path, announce: Callable[[str], None]) -> Iterator[Journal]:
     """Keep a journal while the block runs; an exception that leaves the block is its reason.
 
     Parameters
     ----------
     path : Path
         File to append to.
+    announce : callable
+        Is told, at the end, when lines could not be written.
     """
     kept = Journal(path)
     try:
@@ -105,7 +107,11 @@ def journal(path: Path) -> Iterator[Journal]:
     except BaseException as error:
         kept.close(getattr(error, "code", type(error).__name__), said=str(error)[:300])
         raise
-    kept.close("done")
+    else:
+        kept.close("done")
+    finally:
+        if not kept.complete:
+            announce(f"the events {path} are not complete: not every line could be written")
 
 
 class _Writer:

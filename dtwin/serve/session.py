@@ -230,7 +230,7 @@ def _serve_resolved(
         announce(f"trial: the correction is limited to {limit_um:.1f} um, a quarter of its clamp")
     tcp_mm = read_machine(resolved.machine, home).tcp
     with contextlib.ExitStack() as held:
-        events = held.enter_context(journal(events_path(home, resolved.machine)))
+        events = held.enter_context(journal(events_path(home, resolved.machine), announce))
         if request.mode != "shadow":
             held.enter_context(lease(request.host, resolved.machine, home))
         window = compiled.bundle.window
