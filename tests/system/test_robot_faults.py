@@ -129,9 +129,7 @@ def test_one_client_may_write_and_any_may_listen(robot: VirtualRobot) -> None:
         assert again.wait_state(5.0) is not None
 
 
-def test_somebody_who_writes_by_the_side_ends_the_serving(
-    robot: VirtualRobot, home: Home
-) -> None:
+def test_somebody_who_writes_by_the_side_ends_the_serving(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     server = Server("--json", f"--host={robot.host}")
     wait_until_corrected(robot)
