@@ -174,6 +174,9 @@ class UrLink:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._state_ready)
 
+    def begin(self) -> None:
+        """Nothing to do: the robot's program takes whatever has a new number."""
+
     def send(self, offset_um: layout.Floats, sequence: int) -> None:
         """Hand a correction to the driver, which sends it at once.
 

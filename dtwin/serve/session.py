@@ -25,6 +25,12 @@ from dtwin.errors import (
 )
 from dtwin.features.windows import WindowContract
 from dtwin.links.ur import UrLink
+from dtwin.serve.analogue_link import (
+    NO_TOOL_MM,
+    AnalogueLink,
+    AnalogueWiring,
+    within_travel,
+)
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.controller_kind import is_virtual
@@ -32,8 +38,8 @@ from dtwin.serve.decision import Decision, SensorSource
 from dtwin.serve.journal import journal
 from dtwin.serve.lease import lease
 from dtwin.serve.loop import Mode, ServeStatus
+from dtwin.serve.machine_serving import RATE_HZ, MachineServing, ServingRequest
 from dtwin.serve.pointer import Resolved, read_machine, resolve
-from dtwin.serve.robot import RobotRequest, RobotServing
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.signals import stop_on_signals
 
@@ -70,6 +76,8 @@ class ServeRequest:
     patience_s : float
         How long to wait for a lost link to come back, and for a protective stop to be unlocked;
         0 ends the serving at once.
+    analogue : AnalogueWiring or None
+        Board and state feed of an analogue correction; None for a robot at ``host``.
     """
 
     model: str = "latest"
@@ -81,6 +89,20 @@ class ServeRequest:
     priority: int = 60
     covariates: Mapping[str, float] = field(default_factory=dict)
     patience_s: float = 0.0
+    analogue: AnalogueWiring | None = None
+
+    @property
+    def place(self) -> str:
+        """Where the machine's end is: a robot's address, or a board's port."""
+        return self.host if self.analogue is None else self.analogue.port
+
+    def serving(self) -> ServingRequest:
+        """Return how the machine is to be served."""
+        end = "robot" if self.analogue is None else "board"
+        duration_s = math.inf if self.duration_s is None else self.duration_s
+        return ServingRequest(
+            f"{end} at {self.place}", self.mode, duration_s, self.patience_s, self.priority
+        )
 
     def __post_init__(self) -> None:
         """Refuse a time that is none."""
@@ -160,7 +182,7 @@ class Served:
                 "bundle": str(found.path),
                 "sha256": found.sha256,
             },
-            "host": self.request.host,
+            "host": self.request.place,
             "device": self.device,
             "trial": self.trial,
             "clamp_um": self.clamp_um,
@@ -210,7 +232,7 @@ def serve(
     try:
         served = _serve_resolved(request, resolved, home, announce, open_sensors)
     except DtwinError as error:
-        record = {"ended": error.code, "fault": error.as_dict(), "host": request.host}
+        record = {"ended": error.code, "fault": error.as_dict(), "host": request.place}
         model = {"version": resolved.version, "state": resolved.state}
         _write_log(home, resolved.machine, started, {**record, "model": model}, announce)
         raise
@@ -228,47 +250,65 @@ def _serve_resolved(
         compiled = with_trial_clamp(compiled)
         limit_um = compiled.bundle.safety.clamp_um
         announce(f"trial: the correction is limited to {limit_um:.1f} um, a quarter of its clamp")
-    tcp_mm = read_machine(resolved.machine, home).tcp
+    if request.analogue is None:
+        tcp_mm = read_machine(resolved.machine, home).tcp
+    else:
+        compiled, tcp_mm = within_travel(compiled), NO_TOOL_MM
     with contextlib.ExitStack() as held:
         events = held.enter_context(journal(events_path(home, resolved.machine), announce))
         if request.mode != "shadow":
-            held.enter_context(lease(request.host, resolved.machine, home))
+            held.enter_context(lease(request.place, resolved.machine, home))
         window = compiled.bundle.window
         sensors = held.enter_context(open_sensors(window)) if open_sensors and window else None
         decision = Decision(compiled, tcp_mm, request.covariates, sensors)
-
-        def admit(link: UrLink) -> str:
-            device = "virtual" if is_virtual(link.host) else "real"
-            require_evidence(compiled.bundle, device, mode=request.mode, trial=trial)
-            return device
-
-        serving = RobotServing(_robot_request(request), decision, admit, events.note)
+        door = _Door(request, compiled.bundle, trial)
+        serving = MachineServing(request.serving(), decision, door, events.note)
         held.callback(serving.close)
         time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
         announce(
-            f"serving the {serving.device} controller at {request.host}, {request.mode}, {time_text}"
+            f"serving the {door.device} controller at {request.place}, {request.mode}, {time_text}"
         )
         model = {"version": resolved.version, "state": resolved.state}
-        events.note("serving", host=request.host, mode=request.mode, model=model, pid=os.getpid())
+        events.note("serving", at=request.place, mode=request.mode, model=model, pid=os.getpid())
         with stop_on_signals() as asked:
             status = serving.run(asked)
         events.note("released" if status.released else "not_released", why=status.ended)
         return Served(
-            request, resolved, serving.device, trial, compiled.bundle.safety.clamp_um, status,
+            request, resolved, door.device, trial, compiled.bundle.safety.clamp_um, status,
             serving.realtime,
         )  # fmt: skip
+
+
+class _Door:
+    """Opens a link of the kind that was asked for, and judges what answers."""
+
+    def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool) -> None:
+        self._request, self._bundle, self._trial = request, bundle, trial
+        self.device = ""
+
+    def __call__(self) -> UrLink | AnalogueLink:
+        request = self._request
+        writes = request.mode != "shadow"
+        if request.analogue is not None:
+            # Nothing that a serial port answers proves that no machine hangs on it.
+            self._judge("real")
+            return AnalogueLink(request.analogue, writes=writes, moves=request.mode == "live")
+        link = UrLink(request.host, RATE_HZ, realtime=request.priority > 0, writes=writes)
+        try:
+            self._judge("virtual" if is_virtual(link.host) else "real")
+        except BaseException:
+            link.close()
+            raise
+        return link
+
+    def _judge(self, device: str) -> None:
+        self.device = device
+        require_evidence(self._bundle, device, mode=self._request.mode, trial=self._trial)
 
 
 def events_path(home: Home, machine: str) -> Path:
     """Return the file of the events of a machine's sessions."""
     return home.logs / f"serve-{machine}.events.jsonl"
-
-
-def _robot_request(request: ServeRequest) -> RobotRequest:
-    duration_s = math.inf if request.duration_s is None else request.duration_s
-    return RobotRequest(
-        request.host, request.mode, duration_s, request.patience_s, request.priority
-    )
 
 
 def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:

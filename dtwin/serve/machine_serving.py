@@ -1,4 +1,4 @@
-"""Serving one robot: what ends it, what it waits for, and how it comes back after a lost link."""
+"""Serving one machine: what ends it, what it waits for, and how a lost link comes back."""
 
 from __future__ import annotations
 
@@ -6,32 +6,57 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable
+from typing import Protocol
 
 from dtwin.errors import DeviceError, GateRefusal
 from dtwin.links import state as layout
-from dtwin.links.ur import UrLink
 from dtwin.serve.decision import Decision
 from dtwin.serve.journal import Note
-from dtwin.serve.loop import Mode, ServeStatus, ServingLoop
+from dtwin.serve.loop import Link, Mode, ServeStatus, ServingLoop
 
 RATE_HZ = 500.0
 _FIRST_STATE_S = 5.0
-_CONNECT_S = 5.0
+# Of faults that a new link may end.
+_LINK_CODES = ("ur.", "states.", "serial.", "analogue.tripped")
 _BACK_OFF_S, _LONGEST_BACK_OFF_S = 0.1, 5.0
 _POLL_S = 0.02
 
-Admit = Callable[[UrLink], str]
 Stop = Callable[[], bool]
 
 
+class OpenLink(Link, Protocol):
+    """A link that was opened for one machine."""
+
+    @property
+    def newest(self) -> layout.RobotState:
+        """State (N,) that was returned last."""
+        ...
+
+    @property
+    def realtime(self) -> bool:
+        """Whether its own process was given real-time priority."""
+        ...
+
+    def begin(self) -> None:
+        """Take corrections from now on."""
+        ...
+
+    def close(self) -> None:
+        """Release the correction and everything else."""
+        ...
+
+
+Connect = Callable[[], OpenLink]
+
+
 @dataclasses.dataclass(frozen=True)
-class RobotRequest:
-    """How to serve a robot.
+class ServingRequest:
+    """How to serve a machine.
 
     Attributes
     ----------
-    host : str
-        Address of the controller.
+    where : str
+        The machine's end, for messages.
     mode : {"live", "shadow", "dry-run"}
         As in ``ServingLoop``.
     duration_s : float
@@ -41,17 +66,20 @@ class RobotRequest:
         0 ends the serving at once.
     priority : int
         Real-time priority, 0 for none.
+    rate_hz : float
+        Of the controller's states.
     """
 
-    host: str
+    where: str
     mode: Mode = "live"
     duration_s: float = math.inf
     patience_s: float = 0.0
     priority: int = 60
+    rate_hz: float = RATE_HZ
 
 
-class RobotServing:
-    """One robot, over as many links as it takes.
+class MachineServing:
+    """One machine, over as many links as it takes.
 
     A lost link is looked for again with a back-off that doubles from 0.1 s to 5 s. A link that
     comes back is admitted anew, and the correction begins at zero under its slew limit. A
@@ -59,28 +87,29 @@ class RobotServing:
 
     Parameters
     ----------
-    request : RobotRequest
+    request : ServingRequest
         How to serve.
     decision : Decision
         Features, equation, direction and safety.
-    admit : callable
-        Judges what answers at the address, returns what it is, or raises ``GateRefusal``.
+    connect : callable
+        Opens a link, or raises: ``DeviceError`` when nobody answers, ``GateRefusal`` when what
+        answers may not be served.
     note : callable
         Takes events.
 
     Attributes
     ----------
-    device : str
-        What ``admit`` returned.
     reconnects : int
         Links that came back.
     realtime : bool
         Whether the newest driver was given real-time priority.
     """
 
-    def __init__(self, request: RobotRequest, decision: Decision, admit: Admit, note: Note) -> None:
-        self._request, self._decision, self._admit, self._note = request, decision, admit, note
-        self.device, self.reconnects, self.realtime = "", 0, False
+    def __init__(
+        self, request: ServingRequest, decision: Decision, connect: Connect, note: Note
+    ) -> None:
+        self._request, self._decision, self._connect, self._note = request, decision, connect, note
+        self.reconnects, self.realtime = 0, False
         self._link = self._connected()
         self._loop: ServingLoop | None = None
 
@@ -99,12 +128,13 @@ class RobotServing:
         until_s = time.monotonic() + self._request.duration_s
         first = self._first_sequence()
         self._loop = loop = ServingLoop(
-            self._decision, self._link, period_s=1.0 / RATE_HZ, mode=self._request.mode,
+            self._decision, self._link, period_s=1.0 / self._request.rate_hz, mode=self._request.mode,
             first_sequence=first, note=self._note,
         )  # fmt: skip
         while True:
             stops = _Stops(asked, loop, self._decision, self._request)
             left_s = until_s - time.monotonic()
+            self._link.begin()
             status = loop.run(max(left_s, 0.0), stop=stops, priority=self._request.priority)
             status = dataclasses.replace(status, reconnects=self.reconnects)
             if status.fault is not None and self._may_return(status.ended):
@@ -114,25 +144,20 @@ class RobotServing:
                     continue
                 if asked():
                     return dataclasses.replace(status, ended="stopped", fault=None)
-            fault = stops.fault(self._request.host)
+            fault = stops.fault(self._request.where)
             if status.fault is None and fault is not None:
                 return dataclasses.replace(status, ended=stops.why, fault=fault.as_dict())
             return status
 
     def _may_return(self, code: str) -> bool:
-        return self._request.patience_s > 0.0 and code.startswith("ur.")
+        return self._request.patience_s > 0.0 and code.startswith(_LINK_CODES)
 
-    def _connected(self) -> UrLink:
-        request = self._request
-        link = UrLink(
-            request.host, RATE_HZ, connect_timeout_s=_CONNECT_S, realtime=request.priority > 0,
-            writes=request.mode != "shadow",
-        )  # fmt: skip
+    def _connected(self) -> OpenLink:
+        link = self._connect()
         try:
-            self.device = self._admit(link)
             if link.wait_state(_FIRST_STATE_S) is None:
                 raise DeviceError(
-                    "the robot sends no states", code="ur.silent", where=f"robot at {request.host}"
+                    "the machine sends no states", code="states.silent", where=self._request.where
                 )
         except BaseException:
             link.close()
@@ -147,7 +172,7 @@ class RobotServing:
         return latched % layout.SEQUENCE_LIMIT + 1
 
     def _reconnect(self, asked: Stop, until_s: float) -> bool:
-        """Look for the robot until it answers, the patience is over, or the end is asked for."""
+        """Look for the machine until it answers, the patience is over, or the end is asked for."""
         self._link.close()
         give_up_s = min(time.monotonic() + self._request.patience_s, until_s)
         wait_s, tries = _BACK_OFF_S, 0
@@ -182,7 +207,7 @@ class _Stops:
     """Asked every tick whether to end, and afterwards why."""
 
     def __init__(
-        self, asked: Stop, loop: ServingLoop, decision: Decision, request: RobotRequest
+        self, asked: Stop, loop: ServingLoop, decision: Decision, request: ServingRequest
     ) -> None:
         self._asked, self._watch, self._guard = asked, loop.watch, decision.guard
         self._sensors, self._patience_s = decision.sensors, request.patience_s
@@ -201,22 +226,22 @@ class _Stops:
             self.why = "stopped"
         return bool(self.why)
 
-    def fault(self, host: str) -> DeviceError | None:
+    def fault(self, where: str) -> DeviceError | None:
         """Return what a stop that nobody asked for means."""
         if self.why == "safety_stop":
             return DeviceError(
-                "the robot stopped for safety; the correction was released",
+                "the machine stopped for safety; the correction was released",
                 code="serve.safety_stop",
-                where=f"robot at {host}",
+                where=where,
                 got=self._watch.condition.replace("_", " "),
-                hint="clear the stop at the robot, find its cause, then serve again",
+                hint="clear the stop at the machine, find its cause, then serve again",
             )
         if self.why == "latched":
             broken = self._sensors.fault() if self._sensors is not None else None
             return DeviceError(
                 "too many faults; the correction was released and stays so",
                 code="serve.latched",
-                where=f"robot at {host}",
+                where=where,
                 got=f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else ""),
                 hint="the reasons in the status say which; serve again to arm it",
             )
