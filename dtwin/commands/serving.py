@@ -65,6 +65,7 @@ def serve(
     states: Annotated[
         str | None, typer.Option(help="HOST:PORT of the control's state feed, for the board.")
     ] = None,
+    states_hz: Annotated[float, typer.Option(help="How often that feed sends a state.")] = 500.0,
     calibration: Annotated[
         Path | None, typer.Option(help="What dtwin analogue calibrate wrote.")
     ] = None,
@@ -80,7 +81,7 @@ def serve(
 
     request = ServeRequest(
         model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
-        _covariates(covariate or []), patience, _wiring(link, port, states, calibration, watchdog_ms),
+        _covariates(covariate or []), patience, _wiring(link, port, states, states_hz, calibration, watchdog_ms),
     )  # fmt: skip
     served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
@@ -168,7 +169,12 @@ def _mode(shadow: bool, dry_run: bool) -> Mode:
 
 
 def _wiring(
-    link: str, port: str | None, states: str | None, calibration: Path | None, watchdog_ms: int
+    link: str,
+    port: str | None,
+    states: str | None,
+    states_hz: float,
+    calibration: Path | None,
+    watchdog_ms: int,
 ) -> AnalogueWiring | None:
     if link == "ur" and port is None and states is None and calibration is None:
         return None
@@ -181,7 +187,7 @@ def _wiring(
         )
     from dtwin.serve.analogue_link import AnalogueWiring
 
-    return AnalogueWiring(port, states, calibration, watchdog_ms)
+    return AnalogueWiring(port, states, calibration, watchdog_ms, states_hz)
 
 
 def _sensors(file: Path | None) -> OpenSensors | None:

@@ -31,12 +31,25 @@ class AnalogueWiring:
         What ``dtwin analogue calibrate`` wrote; None only for a run that sends zeros or nothing.
     watchdog_ms : int
         Silence after which the board goes neutral by itself.
+    states_hz : float
+        How often the feed sends a state.
     """
 
     port: str
     states: str
     calibration: Path | None = None
     watchdog_ms: int = 100
+    states_hz: float = 500.0
+
+    def __post_init__(self) -> None:
+        """Refuse a rate that is none."""
+        if not 1.0 <= self.states_hz <= 10_000.0:
+            raise InputError(
+                "the state feed cannot have this rate",
+                code="states.rate",
+                got=f"{self.states_hz} Hz",
+                allowed="1 to 10000 Hz",
+            )
 
     def axes(self, *, moves: bool) -> tuple[AxisCalibration, ...]:
         """Return the calibration of x, y and z.

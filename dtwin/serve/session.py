@@ -101,8 +101,9 @@ class ServeRequest:
         end = "robot" if self.analogue is None else "board"
         duration_s = math.inf if self.duration_s is None else self.duration_s
         return ServingRequest(
-            f"{end} at {self.place}", self.mode, duration_s, self.patience_s, self.priority
-        )
+            f"{end} at {self.place}", self.mode, duration_s, self.patience_s, self.priority,
+            RATE_HZ if self.analogue is None else self.analogue.states_hz,
+        )  # fmt: skip
 
     def __post_init__(self) -> None:
         """Refuse a time that is none."""
