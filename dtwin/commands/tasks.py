@@ -10,7 +10,7 @@ TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
     "Understand": ("twin", "effects", "report"),
-    "Correct": ("features", "train", "models", "promote", "rollback"),
+    "Correct": ("features", "train", "models", "promote", "recheck", "rollback"),
     "Run": ("serve", "robot-program", "robot-targets", "export", "analogue", "up"),
 }
 TWIN_TASKS: dict[str, tuple[str, ...]] = {

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-from dtwin.errors import DeviceError, GateRefusal
+from dtwin.errors import DeviceError, DtwinError, GateRefusal
 from dtwin.links import state as layout
 from dtwin.serve.decision import Decision
 from dtwin.serve.journal import Note
@@ -22,6 +22,7 @@ _BACK_OFF_S, _LONGEST_BACK_OFF_S = 0.1, 5.0
 _POLL_S = 0.02
 
 Stop = Callable[[], bool]
+Withdrawn = Callable[[], str]
 
 
 class OpenLink(Link, Protocol):
@@ -96,6 +97,8 @@ class MachineServing:
         answers may not be served.
     note : callable
         Takes events.
+    withdrawn : callable, optional
+        Asked every tick; a text says why the model may not be served any more.
 
     Attributes
     ----------
@@ -106,8 +109,10 @@ class MachineServing:
     """
 
     def __init__(
-        self, request: ServingRequest, decision: Decision, connect: Connect, note: Note
-    ) -> None:
+        self, request: ServingRequest, decision: Decision, connect: Connect, note: Note,
+        withdrawn: Withdrawn = str,
+    ) -> None:  # fmt: skip
+        self._withdrawn = withdrawn
         self._request, self._decision, self._connect, self._note = request, decision, connect, note
         self.reconnects, self.realtime = 0, False
         self._link = self._connected()
@@ -132,7 +137,7 @@ class MachineServing:
             first_sequence=first, note=self._note,
         )  # fmt: skip
         while True:
-            stops = _Stops(asked, loop, self._decision, self._request)
+            stops = _Stops(asked, loop, self._decision, self._request, self._withdrawn)
             left_s = until_s - time.monotonic()
             self._link.begin()
             status = loop.run(max(left_s, 0.0), stop=stops, priority=self._request.priority)
@@ -207,10 +212,12 @@ class _Stops:
     """Asked every tick whether to end, and afterwards why."""
 
     def __init__(
-        self, asked: Stop, loop: ServingLoop, decision: Decision, request: ServingRequest
-    ) -> None:
+        self, asked: Stop, loop: ServingLoop, decision: Decision, request: ServingRequest,
+        withdrawn: Withdrawn,
+    ) -> None:  # fmt: skip
         self._asked, self._watch, self._guard = asked, loop.watch, decision.guard
         self._sensors, self._patience_s = decision.sensors, request.patience_s
+        self._withdrawn, self._reason = withdrawn, ""
         self.why = ""
 
     def __call__(self) -> bool:
@@ -224,9 +231,12 @@ class _Stops:
             self.why = "latched"
         elif self._asked():
             self.why = "stopped"
+        else:
+            self._reason = self._withdrawn()
+            self.why = "withdrawn" if self._reason else ""
         return bool(self.why)
 
-    def fault(self, where: str) -> DeviceError | None:
+    def fault(self, where: str) -> DtwinError | None:
         """Return what a stop that nobody asked for means."""
         if self.why == "safety_stop":
             return DeviceError(
@@ -235,6 +245,14 @@ class _Stops:
                 where=where,
                 got=self._watch.condition.replace("_", " "),
                 hint="clear the stop at the machine, find its cause, then serve again",
+            )
+        if self.why == "withdrawn":
+            return GateRefusal(
+                "the model was withdrawn while it was served; the correction was released",
+                code="serve.withdrawn",
+                where=where,
+                got=self._reason,
+                hint="dtwin models shows the history; serve again for the champion of now",
             )
         if self.why == "latched":
             broken = self._sensors.fault() if self._sensors is not None else None

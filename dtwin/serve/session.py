@@ -18,6 +18,7 @@ from dtwin.config import Home
 from dtwin.errors import (
     EXIT_DEVICE,
     EXIT_DONE,
+    EXIT_GATE,
     EXIT_INTERRUPTED,
     DtwinError,
     GateRefusal,
@@ -31,6 +32,7 @@ from dtwin.serve.analogue_link import (
     AnalogueWiring,
     within_travel,
 )
+from dtwin.serve.barred import BarredWatch
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.controller_kind import is_virtual
@@ -165,7 +167,9 @@ class Served:
 
     @property
     def exit_code(self) -> int:
-        """4 after a fault, 130 when stopped before the time that was asked for, else 0."""
+        """4 after a fault, 3 when the model was withdrawn, 130 when stopped before the time that was asked for, else 0."""
+        if self.status.ended == "withdrawn":
+            return EXIT_GATE
         if self.status.fault is not None:
             return EXIT_DEVICE
         early = self.status.ended == "stopped" and self.request.duration_s is not None
@@ -263,7 +267,10 @@ def _serve_resolved(
         sensors = held.enter_context(open_sensors(window)) if open_sensors and window else None
         decision = Decision(compiled, tcp_mm, request.covariates, sensors)
         door = _Door(request, compiled.bundle, trial)
-        serving = MachineServing(request.serving(), decision, door, events.note)
+        serving = MachineServing(
+            request.serving(), decision, door, events.note,
+            BarredWatch(resolved.machine, home, resolved.version),
+        )  # fmt: skip
         held.callback(serving.close)
         time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
         announce(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from served_robot import (
+    MACHINE,
     Server,
     applied_um,
     events,
@@ -27,6 +28,7 @@ from dtwin.config import home as dtwin_home
 from dtwin.errors import DeviceError
 from dtwin.links import state as layout
 from dtwin.links.ur import UrLink
+from dtwin.serve.barred import bar
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input
 
@@ -255,3 +257,19 @@ def test_a_full_disk_costs_lines_and_never_the_correction(robot: VirtualRobot, h
     assert status["log"].startswith("not written: No space left")
     assert "are not complete" in err
     wait_until_released(robot)
+
+
+def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(
+    robot: VirtualRobot, home: Home
+) -> None:
+    promote(home)
+    server = Server("--json", f"--host={robot.host}")
+    wait_until_corrected(robot)
+    bar(MACHINE, home, 3, "the error is larger with the correction: all 30.0 -> 40.0 um")
+    code, out, _ = server.end()
+    status = json.loads(out)
+    assert (code, status["ended"], status["released"]) == (3, "withdrawn", True)
+    assert status["fault"]["got"].startswith("the error is larger")
+    wait_until_released(robot)
+    code, out, _ = Server("--json", f"--host={robot.host}").end()
+    assert (code, json.loads(out)["error"]["code"]) == (3, "serve.not_passed")
