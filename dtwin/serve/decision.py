@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.catalogue import feature_column
+from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID
 from dtwin.features.motion import PATH_INPUTS, PathInputs
 from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
@@ -18,6 +19,9 @@ from dtwin.schema import Floats
 from dtwin.serve.direction import Direction
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
+from dtwin.serve.sensor_trouble import SATURATED, saturated_kernel
+
+_TROUBLE = {VALID: "", CONSTANT: "stuck", NOT_FINITE: "not finite"}
 
 
 class SensorSource(Protocol):
@@ -59,6 +63,8 @@ class Decision:
     ----------
     hold : bool
         Whether the correction is held at zero, as for a machine that stands still.
+    sensor_trouble : str
+        Which channel of the newest window is stuck, saturated or not finite; empty when none is.
 
     Raises
     ------
@@ -99,6 +105,7 @@ class Decision:
         self.direction = Direction(bundle.outputs)
         self.window_age_s = 0.0
         self.hold = False
+        self.sensor_trouble = ""
         self._prepare_window(sensors)
         self._warm_up()
 
@@ -121,13 +128,14 @@ class Decision:
         self._values, self._codes = np.zeros(shape), np.zeros(shape[0], dtype=np.int64)
         columns = [feature_column(c, f) for c in contract.channels for f in contract.features]
         self._picked = np.array([columns.index(n) for n in bundle.feature_inputs], dtype=np.int64)
-        self._channel = self._picked // shape[1]
+        self._channel, self._names = self._picked // shape[1], contract.channels
 
     def _warm_up(self) -> None:
         """Have every kernel loaded before the first tick, where loading would cost deadlines."""
         if self._uses_window:
             n = self._kernel.n_samples
             self._kernel.compute(self._samples.reshape(-1), 0, n, self._values, self._codes)
+            saturated_kernel(self._samples[0])
             self.compiled.window(self._features)
         uses, self._uses_window = self._uses_window, False
         stages, state = np.zeros(6, dtype=np.int64), layout.empty_state()
@@ -209,8 +217,14 @@ class Decision:
         n = self._kernel.n_samples
         self._kernel.compute(self._samples.reshape(-1), 0, n, self._values, self._codes)
         np.take(self._values.reshape(-1), self._picked, out=self._features, mode="clip")
+        self.sensor_trouble = ""
         for k in range(len(self._picked)):
             # A dead or broken channel must stop the correction, not feed it zeros.
-            if self._codes[self._channel[k]]:
+            channel = self._channel[k]
+            wrong = _TROUBLE[self._codes[channel]]
+            if not wrong and saturated_kernel(self._samples[channel]) == SATURATED:
+                wrong = "saturated"
+            if wrong:
                 self._features[k] = np.nan
+                self.sensor_trouble = f"{self._names[channel]}: {wrong}"
         self.compiled.window(self._features)

@@ -238,7 +238,7 @@ class ServingLoop:
             state, age_s=now_s - self.link.received_s, elapsed_s=elapsed_s, enabled=True,
             stages=row,
         )  # fmt: skip
-        self.watch.reason(self.decision.guard.reason, now_s)
+        self.watch.reason(self.decision.guard.reason, now_s, self.decision.sensor_trouble)
         before_ns = time.perf_counter_ns()
         self._send(safe)
         done_ns = time.perf_counter_ns()

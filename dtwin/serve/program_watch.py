@@ -67,13 +67,24 @@ class ProgramWatch:
             self._change(found, now_s)
         return found != "running" or now_s < self._free_at_s
 
-    def reason(self, number: int, now_s: float) -> None:
-        """Note why the guard acts when that has changed, at most twenty times a second."""
+    def reason(self, number: int, now_s: float, sensors: str = "") -> None:
+        """Note why the guard acts when that has changed, at most twenty times a second.
+
+        Parameters
+        ----------
+        number : int
+            Position in ``REASONS``.
+        now_s : float
+            Monotonic time.
+        sensors : str
+            Which sensor is in trouble, for a guard that acts on it.
+        """
         name = REASONS[number]
         name = "correcting" if name in _HARMLESS else name
         if name != self._reason and now_s - self._noted_s > _NOTE_EVERY_S:
             self._reason, self._noted_s = name, now_s
-            self._note("guard", why=name)
+            about = {"sensors": sensors} if sensors and name == "not_finite" else {}
+            self._note("guard", why=name, **about)
 
     def _change(self, found: str, now_s: float) -> None:
         before, self.condition, self.since_s = self.condition, found, now_s

@@ -25,12 +25,14 @@ from virtual_robot import VirtualRobot, virtual_robot
 
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
-from dtwin.errors import DeviceError
+from dtwin.errors import DeviceError, DtwinError
+from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
 from dtwin.links.ur import UrLink
 from dtwin.serve.barred import bar
 from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.interface import Input
+from dtwin.serve.interface import Input, SafetyLimits
+from dtwin.serve.session import ServeRequest, serve
 
 pytestmark = pytest.mark.system
 
@@ -273,3 +275,61 @@ def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(
     wait_until_released(robot)
     code, out, _ = Server("--json", f"--host={robot.host}").end()
     assert (code, json.loads(out)["error"]["code"]) == (3, "serve.not_passed")
+
+
+class SpoiledWindows:
+    """One window every 10 ms, of a sensor that goes through its faults."""
+
+    def __init__(self, contract: WindowContract) -> None:
+        self.contract = contract
+        self._rng = np.random.default_rng(0)
+        self._began_s = self._delivered_s = time.monotonic()
+
+    def newest_window(self) -> tuple[np.ndarray | None, float]:
+        now_s = time.monotonic()
+        phase = min(int((now_s - self._began_s) / 0.4), 6)
+        age_s = now_s - self._delivered_s
+        if phase == 5 or age_s < 0.01:
+            return None, age_s
+        self._delivered_s = now_s
+        block = 0.1 * self._rng.standard_normal((1, self.contract.n_samples))
+        if phase == 1:
+            block[:] = 0.25
+        elif phase == 3:
+            np.clip(block, -0.05, 0.05, out=block)
+        return block, 0.0
+
+    def fault(self) -> DtwinError | None:
+        return None
+
+    def __enter__(self) -> SpoiledWindows:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+def test_a_stuck_a_saturated_and_a_silent_sensor_lead_to_zero_by_name(
+    robot: VirtualRobot, home: Home
+) -> None:
+    g = GraphBuilder()
+    promote(
+        home,
+        inputs=[Input("wrist_x_rms_g", "g", "sensor", 110.0, "feature", 0.0, 2.0)],
+        window=WindowContract(1652.0, 150, 15, ("wrist_x_g",), ("rms",)),
+        tick_graph=g.graph({"radial_error_um": 200.0 * g.input("wrist_x_rms_g")}),
+        safety=SafetyLimits(
+            clamp_um=40.0, slew_um_s=2000.0, stale_s=0.3, window_stale_s=0.1, trips_to_latch=99
+        ),
+    )
+    request = ServeRequest(host=robot.host, duration_s=2.8, priority=0)
+    status = serve(request, home, lambda _: None, SpoiledWindows).status
+    assert (status.ended, status.released) == ("duration", True)
+    told = [(line["why"], line.get("sensors", "")) for line in noted(home, "guard")]
+    for one in (
+        ("not_finite", "wrist_x_g: stuck"),
+        ("not_finite", "wrist_x_g: saturated"),
+        ("stale_window", ""),
+    ):
+        assert told[told.index(one) + 1][0] == "correcting", told
+    wait_until_released(robot)
