@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import time
@@ -283,10 +284,12 @@ class SpoiledWindows:
     def __init__(self, contract: WindowContract) -> None:
         self.contract = contract
         self._rng = np.random.default_rng(0)
-        self._began_s = self._delivered_s = time.monotonic()
+        self._began_s = self._delivered_s = math.nan
 
     def newest_window(self) -> tuple[np.ndarray | None, float]:
         now_s = time.monotonic()
+        if math.isnan(self._began_s):
+            self._began_s = self._delivered_s = now_s
         phase = min(int((now_s - self._began_s) / 0.4), 6)
         age_s = now_s - self._delivered_s
         if phase == 5 or age_s < 0.01:
