@@ -53,6 +53,8 @@ from dtwin.machines.rtde_session import Session
 _LOG_LENGTH = 500_000
 _CATCH_UP_TICKS = 250
 _PRIORITY = 70
+# A fieldbus writes again and again; this long it is the last before each tick.
+_INTRUDED_TICKS = 25
 
 
 class RtdeServer:
@@ -113,6 +115,7 @@ class RtdeServer:
         self._owners: dict[str, Session] = {}
         self._offsets = OffsetLog(1.0 / self._rate_hz)
         self._clock_shift_s = 0.0
+        self._intruder, self._intruded_until_tick = 0, -1
         self._stopping = False
         self._commands = b""
         self._listener = socket.create_server((host, port), backlog=8)
@@ -194,6 +197,8 @@ class RtdeServer:
             self._end_program()
             if self._stopping:
                 return
+        if self._tick < self._intruded_until_tick:
+            self._registers[layout.REGISTER_SEQUENCE] = self._intruder
         self._controller.step(self._registers)
         self._tick += 1
         self._state[:] = self._controller.state()
@@ -257,7 +262,8 @@ class RtdeServer:
         elif action == "resume":
             self._controller.resume(self._speed_factor)
         elif action == "intrude":
-            self._registers[layout.REGISTER_SEQUENCE] = int(command["sequence"])
+            self._intruder = int(command["sequence"])
+            self._intruded_until_tick = self._tick + _INTRUDED_TICKS
         elif action == "clock_jump":
             self._clock_shift_s += float(command["seconds"])
         elif action == "offset_log":

@@ -50,6 +50,18 @@ def promote(home: Home, state: str = "champion", **changes: Any) -> Path:
     return path
 
 
+_STARTED: list[subprocess.Popen[str]] = []
+
+
+def end_what_is_left() -> None:
+    """End the servers that a failed test left behind: they would hold the robot's registers."""
+    for process in _STARTED:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
+    _STARTED.clear()
+
+
 class Server:
     """One ``dtwin serve`` process."""
 
@@ -58,6 +70,7 @@ class Server:
             [sys.executable, "-m", "dtwin", "serve", "--priority=0", *options],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
+        _STARTED.append(self.process)
         self.said = ""
 
     def wait_for(self, words: str, timeout_s: float = 60.0) -> None:

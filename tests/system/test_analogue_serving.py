@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from control_feed import RATE_HZ, ControlFeed, SpoilingLine
-from served_robot import Server, events, promote
+from served_robot import Server, end_what_is_left, events, promote
 
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
@@ -56,6 +56,12 @@ def board(programs: Path, tmp_path: Path) -> Iterator[AnalogueBoard]:
 def feed() -> Iterator[ControlFeed]:
     with ControlFeed() as running:
         yield running
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left() -> Iterator[None]:
+    yield
+    end_what_is_left()
 
 
 @pytest.fixture

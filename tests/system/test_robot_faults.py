@@ -17,6 +17,7 @@ from served_robot import (
     MACHINE,
     Server,
     applied_um,
+    end_what_is_left,
     events,
     promote,
     wait_until_corrected,
@@ -40,6 +41,12 @@ pytestmark = pytest.mark.system
 PUSH_UM = np.array([100.0, -40.0, 15.0])
 CONTROLLER_STEP_UM = 20_000.0 / 500.0
 FEED_MM_MIN = 3000.0
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left() -> Iterator[None]:
+    yield
+    end_what_is_left()
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from served_robot import (
     Server,
     applied_um,
     bundle,
+    end_what_is_left,
     logged,
     promote,
     served,
@@ -40,6 +41,12 @@ from dtwin.serve.pointer import machine_folder, write_pointer
 from dtwin.serve.session import ServeRequest, require_evidence, serve
 
 pytestmark = pytest.mark.system
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left() -> Iterator[None]:
+    yield
+    end_what_is_left()
 
 
 @pytest.fixture
