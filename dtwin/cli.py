@@ -15,6 +15,7 @@ from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import exporting as exporting_command
 from dtwin.commands import modelling as modelling_commands
+from dtwin.commands import rechecking as rechecking_command
 from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
@@ -45,6 +46,7 @@ demo_command.register(app)
 data_commands.register(app)
 record_command.register(app)
 modelling_commands.register(app)
+rechecking_command.register(app)
 serving_commands.register(app)
 twin_commands.register(app)
 analogue_commands.register(app)

@@ -20,7 +20,7 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import drift, measuring, modelling
+from dtwin.pipeline import drift, measuring, modelling, rechecking
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
@@ -129,6 +129,12 @@ def make_champion(
 ) -> tuple[Path | None, str]:
     """Make a version champion, or return why not."""
     return modelling.make_champion(home(), version, found, comment)
+
+
+@task(name="recheck", task_run_name="recheck of {machine}", **_ONCE)
+def recheck(machine: str, seed: int, blocks: int) -> rechecking.Rechecked:
+    """Measure with and without a champion again, and withdraw it when it harms."""
+    return rechecking.recheck(home(), machine, seed=seed, blocks=blocks, progress=logged("circles"))
 
 
 @task(name="figures", task_run_name="figures of {campaign}", **_REPEATABLE)

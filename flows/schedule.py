@@ -15,6 +15,7 @@ from flows.campaign import campaign_flow
 from flows.diagnose import diagnose_flow, publish_drift
 from flows.ingest import ingest_flow
 from flows.promote import promote_flow
+from flows.recheck import recheck_flow
 from flows.train import publish_training, train_flow
 
 DEPLOYMENT = "local"
@@ -51,12 +52,12 @@ def scheduled_training_flow(seed: int = 1) -> dict[str, Any] | State[dict[str, A
 
 
 def deployments(cron: str | None) -> list[RunnerDeployment]:
-    """Return every flow as a deployment, the scheduled training with its times.
+    """Return every flow as a deployment, scheduled training and recheck with their times.
 
     Parameters
     ----------
     cron : str or None
-        When to train; None for only when somebody starts it.
+        When to train and to check champions; None for only when somebody starts it.
     """
     scheduled = RunnerDeployment.from_flow(
         scheduled_training_flow,
@@ -65,9 +66,17 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         description="New data -> candidate, compared with the champion. Never promotes.",
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
+    checked = RunnerDeployment.from_flow(
+        recheck_flow,
+        DEPLOYMENT,
+        cron=cron,
+        description="Circles with and without each champion; one that harms is withdrawn.",
+        entrypoint_type=EntrypointType.MODULE_PATH,
+    )
     others = (campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow)
     return [
         scheduled,
+        checked,
         *(
             RunnerDeployment.from_flow(
                 known, DEPLOYMENT, entrypoint_type=EntrypointType.MODULE_PATH

@@ -62,7 +62,11 @@ class RobotRecorder(OpenAndClose):
         """Connect; see ``UrLink``."""
         if self._link is None:
             self._link = UrLink(
-                self.host, self._rate_hz, connect_timeout_s=self._timeout_s, realtime=False
+                self.host,
+                self._rate_hz,
+                connect_timeout_s=self._timeout_s,
+                realtime=False,
+                writes=False,
             )
 
     def describe(self) -> Description:
@@ -73,7 +77,7 @@ class RobotRecorder(OpenAndClose):
         """Return whether the controller is stopped or runs slower than programmed."""
         state = self._next_state()
         findings = []
-        if not state[layout.RUNTIME_RUNNING]:
+        if state[layout.RUNTIME_RUNNING] != layout.RUNNING:
             text = "no program runs on the robot"
             findings.append(Finding("robot.idle", "info", text))
         scaling = float(state[layout.SPEED_SCALING])

@@ -15,6 +15,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
     app.command()(export)
     app.command("robot-program")(robot_program)
+    app.command("robot-targets")(robot_targets)
 
 
 def export(
@@ -112,7 +113,7 @@ def _numbers(text: str, count: int, option: str) -> list[float]:
             f"{option} needs {count} numbers",
             code="export.numbers",
             got=text[:80],
-            allowed="LOW,HIGH" if count == 2 else "X,Y,Z",
+            allowed={2: "LOW,HIGH", 3: "X,Y,Z"}.get(count, f"{count} numbers and commas"),
         )
     return values
 
@@ -123,7 +124,7 @@ def robot_program(
     slew_um_s: Annotated[float, typer.Option(help="Fastest change of it.")] = 20_000.0,
     watchdog_s: Annotated[
         float, typer.Option(help="Silence after which the offset goes back to zero.")
-    ] = 0.05,
+    ] = 0.012,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Write the URScript thread that lets a UR robot take corrections as a path offset."""
@@ -137,3 +138,61 @@ def robot_program(
         )
     write_text(out, text, "the program")
     print(f"{out} written: not yet run on a controller; how to start it is in its first lines")
+
+
+def robot_targets(
+    targets: Annotated[Path, typer.Argument(help="CSV: name,x_mm,y_mm,z_mm,feed_mm_min.")],
+    centre: Annotated[str, typer.Option(help="X,Y,Z in mm: where the path angle is counted from.")],
+    joints: Annotated[
+        str, typer.Option(help="J1,...,J6 in degrees near the targets: branch and tool's attitude.")
+    ],
+    out: Annotated[Path, typer.Option(help="CSV file to write.")] = Path("corrected.csv"),
+    plane: Annotated[str, typer.Option(help="XY, YZ or ZX.")] = "XY",
+    model: Annotated[str, typer.Option(help="latest, trial, or a bundle's .json file.")] = "latest",
+    machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+) -> None:
+    """Rewrite a robot's next targets by a promoted correction, for controls that take no offset."""
+    import numpy as np
+
+    from dtwin.atomic import write_text
+    from dtwin.config import home
+    from dtwin.serve.bundle_file import load_bundle
+    from dtwin.serve.pointer import read_machine, resolve
+    from dtwin.serve.targets import TargetCorrection, TargetFrame, corrected_csv, read_targets
+
+    frame = TargetFrame(
+        plane,
+        np.array(_numbers(centre, 3, "--centre")),
+        np.radians(_numbers(joints, 6, "--joints")),
+    )
+    wanted = read_targets(targets)
+    if out.exists() and not force:
+        raise InputError(
+            "the file is there already", code="export.exists", where=str(out), hint="--force"
+        )
+    found = resolve(model, machine, home(), harmless=False)
+    compiled = load_bundle(found.path, found.machine)
+    correction = TargetCorrection(compiled, read_machine(found.machine, home()).tcp, frame)
+    made = list(correction.corrected(wanted))
+    write_text(out, corrected_csv(made), "the targets")
+    longest_um = max(float(np.linalg.norm(m.offset_um)) for m in made)
+    untouched = sum(not m.offset_um.any() for m in made)
+    payload = {
+        "file": str(out),
+        "model": found.describe(),
+        "evidence": compiled.bundle.provenance.evidence,
+        "targets": len(made),
+        "longest_um": longest_um,
+        "not_corrected": untouched,
+    }
+    emit(
+        payload,
+        lambda: (
+            f"{out} written: {len(made)} targets by {found.describe()}\n"
+            f"  longest correction {longest_um:.1f} um, {untouched} not corrected (the last "
+            f"column says why); evidence: {compiled.bundle.provenance.evidence}"
+        ),
+        as_json=as_json,
+    )

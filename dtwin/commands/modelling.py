@@ -241,7 +241,7 @@ def promote(
     from dtwin.train.registry import Registry
 
     registry = Registry(home())
-    found = registry.version(_machine(registry, machine), version)
+    found = registry.version(machine_named(registry, machine), version)
     if trial:
         path = put_on_trial(home(), found, comment)
         emit(
@@ -285,7 +285,7 @@ def rollback(
     from dtwin.train.registry import Registry
 
     registry = Registry(home())
-    restored = go_back(registry, home(), _machine(registry, machine), comment)
+    restored = go_back(registry, home(), machine_named(registry, machine), comment)
     emit(
         {"champion": restored.version},
         lambda: f"champion again: version {restored.version}",
@@ -320,7 +320,14 @@ def report(
     emit({"report": str(target)}, lambda: str(target), as_json=as_json)
 
 
-def _machine(registry: Registry, named: str | None) -> str:
+def machine_named(registry: Registry, named: str | None) -> str:
+    """Return the machine that was named, or the only one that has a model.
+
+    Raises
+    ------
+    InputError
+        When none has a model, or several have and none was named.
+    """
     known = registry.machines()
     if named is not None:
         return named

@@ -14,6 +14,7 @@ from dtwin.errors import EXIT_DONE, EXIT_INTERRUPTED, DtwinError, InputError
 from dtwin.report.text import table
 
 if TYPE_CHECKING:
+    from dtwin.serve.analogue_link import AnalogueWiring
     from dtwin.serve.loop import Mode
     from dtwin.serve.session import OpenSensors, Served
 
@@ -49,16 +50,38 @@ def serve(
     covariate: Annotated[
         list[str] | None, typer.Option(help="Value of a covariate input, as NAME=NUMBER.")
     ] = None,
+    patience: Annotated[
+        float,
+        typer.Option(
+            help="Seconds to wait for a lost link or an unlocked protective stop; 0 ends at once."
+        ),
+    ] = 0.0,
+    link: Annotated[
+        str, typer.Option(help="ur: a robot over RTDE; analogue: a board that gives voltages.")
+    ] = "ur",
+    port: Annotated[
+        str | None, typer.Option(help="Serial port of the board, like /dev/ttyACM0.")
+    ] = None,
+    states: Annotated[
+        str | None, typer.Option(help="HOST:PORT of the control's state feed, for the board.")
+    ] = None,
+    states_hz: Annotated[float, typer.Option(help="How often that feed sends a state.")] = 500.0,
+    calibration: Annotated[
+        Path | None, typer.Option(help="What dtwin analogue calibrate wrote.")
+    ] = None,
+    watchdog_ms: Annotated[
+        int, typer.Option(help="Silence after which the board goes neutral by itself.")
+    ] = 100,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
-    """Correct a robot live with a promoted model; Ctrl-C releases the correction."""
+    """Correct a machine live with a promoted model; Ctrl-C releases the correction."""
     from dtwin.config import home
     from dtwin.serve.session import ServeRequest
     from dtwin.serve.session import serve as serve_session
 
     request = ServeRequest(
         model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
-        _covariates(covariate or []),
+        _covariates(covariate or []), patience, _wiring(link, port, states, states_hz, calibration, watchdog_ms),
     )  # fmt: skip
     served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
@@ -76,7 +99,7 @@ def render_served(served: Served) -> str:
     found = served.resolved
     head = (
         f"{found.machine} version {found.version} ({found.state}) on the {served.device} "
-        f"controller at {served.request.host}: {status.mode}, {status.clock} clock"
+        f"controller at {served.request.place}: {status.mode}, {status.clock} clock"
     )
     kept = "released" if status.released else "NOT confirmed as released by this end"
     lines = [
@@ -85,7 +108,7 @@ def render_served(served: Served) -> str:
         f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:.1f} um",
         f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
         f"states missed ({100 * timing['late_share']:.2f} % together), "
-        f"{timing['timeouts']} waits without a state",
+        f"{timing['timeouts']} waits without a state, {status.reconnects} links came back",
         "",
         _percentiles("stage_us", timing["stage_us"]),
         "",
@@ -143,6 +166,28 @@ def _mode(shadow: bool, dry_run: bool) -> Mode:
             allowed="--shadow (send nothing) or --dry-run (send zeros)",
         )
     return "shadow" if shadow else "dry-run" if dry_run else "live"
+
+
+def _wiring(
+    link: str,
+    port: str | None,
+    states: str | None,
+    states_hz: float,
+    calibration: Path | None,
+    watchdog_ms: int,
+) -> AnalogueWiring | None:
+    if link == "ur" and port is None and states is None and calibration is None:
+        return None
+    if link != "analogue" or port is None or states is None:
+        raise InputError(
+            "the link is not described",
+            code="serve.link",
+            got=f"--link {link}, --port {port}, --states {states}",
+            allowed="--link ur, or --link analogue with --port and --states",
+        )
+    from dtwin.serve.analogue_link import AnalogueWiring
+
+    return AnalogueWiring(port, states, calibration, watchdog_ms, states_hz)
 
 
 def _sensors(file: Path | None) -> OpenSensors | None:

@@ -10,8 +10,8 @@ TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
     "Understand": ("twin", "effects", "report"),
-    "Correct": ("features", "train", "models", "promote", "rollback"),
-    "Run": ("serve", "robot-program", "export", "analogue", "up"),
+    "Correct": ("features", "train", "models", "promote", "recheck", "rollback"),
+    "Run": ("serve", "robot-program", "robot-targets", "export", "analogue", "up"),
 }
 TWIN_TASKS: dict[str, tuple[str, ...]] = {
     "Fit and look": ("fit", "compare", "recording", "show", "history"),

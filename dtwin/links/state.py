@@ -71,6 +71,13 @@ FEED = 45
 APPLIED_SEQUENCE = 46
 APPLIED = 47
 
+RUNNING, STOPPED, PAUSED = 1.0, 0.0, -1.0
+"""Values of ``runtime_running``: a paused program comes back by itself, a stopped one does not."""
+
+SAFE, PROTECTIVE_STOP, EMERGENCY = 1.0, 0.0, -1.0
+"""Values of ``safety_ok``: a stop that an operator unlocks, and one after which nothing moves
+again before somebody has looked (emergency stop, violation, fault)."""
+
 PLANE_OF_ID: tuple[str, ...] = ("XY", "YZ", "ZX")
 """``plane_id`` counts through this tuple."""
 

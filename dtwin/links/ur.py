@@ -26,10 +26,14 @@ from dtwin.links import state as layout
 from dtwin.links.ur_memory import SharedMemory
 
 _CLOSE_S = 2.0
+# Beyond the driver's own limit of silence: it should have spoken.
+_STUCK_S = 1.0
 _HINTS = {
     "ur.absent": "switch the robot on, check address and cable, and that RTDE (port 30004) is on",
     "ur.package": "pip install '.[serve]' in a checkout of dtwin",
-    "ur.refused": "update PolyScope, or end the other program that writes the same registers",
+    "ur.refused": "update PolyScope, and see the controller's log",
+    "ur.registers_owned": "end the other client: a second dtwin, a fieldbus (EtherNet/IP, "
+    "PROFINET, MODBUS), or a link that the controller has not yet noticed to be dead",
     "ur.link_lost": "check cable and controller, then connect again",
     "ur.silent": "check whether the controller is overloaded or paused, then connect again",
 }
@@ -50,6 +54,8 @@ class UrLink:
         Silence after which the link counts as broken.
     realtime : bool
         Ask for real-time priority of the driver; ``self.realtime`` tells whether it was given.
+    writes : bool
+        Claim the input registers; false for a link that only listens.
 
     Raises
     ------
@@ -67,6 +73,7 @@ class UrLink:
         connect_timeout_s: float = 5.0,
         lost_after_s: float = 2.0,
         realtime: bool = True,
+        writes: bool = True,
     ) -> None:
         if not 1.0 <= frequency_hz <= 500.0:
             raise InputError(
@@ -77,6 +84,8 @@ class UrLink:
             )
         self.host = host
         self.realtime = False
+        self._lost_after_s, self._heard_s = lost_after_s, time.monotonic()
+        self._writes = writes
         self._fault: DeviceError | None = None
         self._closed = False
         self._memory_file = SharedMemory.create()
@@ -97,6 +106,7 @@ class UrLink:
         options = [f"--{name}={number}" for name, number in descriptors.items()]
         options += [f"--host={host}", f"--frequency-hz={frequency_hz}"]
         options += [f"--lost-after-s={lost_after_s}"] + (["--realtime"] if realtime else [])
+        options += ["--writes"] if writes else []
         self._process = subprocess.Popen(
             [sys.executable, "-m", "dtwin.links.ur_worker", *options],
             stdin=subprocess.PIPE,
@@ -123,6 +133,11 @@ class UrLink:
         """Process id of the driver."""
         return self._process.pid
 
+    @property
+    def newest(self) -> layout.RobotState:
+        """State (N,) that was returned last."""
+        return self._buffer[: layout.N]
+
     def wait_state(self, timeout_s: float) -> layout.RobotState | None:
         """Return the newest state that was not returned before.
 
@@ -146,17 +161,21 @@ class UrLink:
         while True:
             written = self._memory.states_written
             if written != self._seen and self._memory.read_state(self._buffer):
-                self._seen = written
+                self._seen, self._heard_s = written, time.monotonic()
                 return self._buffer[: layout.N]
             left_s = max(deadline_s - time.monotonic(), 0.0)
             ready, _, _ = select.select([self._state_ready, self._messages], [], [], left_s)
             if not ready:
+                self._require_driver()
                 return None
             if self._messages in ready:
                 self._read_messages()
             if self._state_ready in ready:
                 with contextlib.suppress(BlockingIOError):
                     os.eventfd_read(self._state_ready)
+
+    def begin(self) -> None:
+        """Nothing to do: the robot's program takes whatever has a new number."""
 
     def send(self, offset_um: layout.Floats, sequence: int) -> None:
         """Hand a correction to the driver, which sends it at once.
@@ -223,6 +242,14 @@ class UrLink:
         if self._closed:
             raise DeviceError("the link to the robot is closed", code="ur.closed", where=self.host)
         if self._fault is not None:
+            raise self._fault
+
+    def _require_driver(self) -> None:
+        """Raise when the driver has outstayed its own limit of silence without a word."""
+        if time.monotonic() - self._heard_s > self._lost_after_s + _STUCK_S:
+            self._process.kill()
+            text = "the robot driver process hangs; it was ended"
+            self._fault = self._error("ur.driver_stuck", text)
             raise self._fault
 
     def _await_connection(self, timeout_s: float) -> None:

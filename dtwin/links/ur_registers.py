@@ -39,7 +39,42 @@ OUTPUT_DOUBLES: dict[int, int] = {
 }
 """Output double register -> place in the robot state."""
 
-RUNTIME_PLAYING = 2
-RUNTIME_STOPPED = 1
-SAFETY_BITS_STOPPED = 0b1111_1111_1100
-"""Any of these bits of ``safety_status_bits`` means that the robot is not in normal mode."""
+RUNTIME_STATES: dict[float, int] = {layout.RUNNING: 2, layout.STOPPED: 1, layout.PAUSED: 4}
+"""``runtime_running`` -> the controller's ``runtime_state``."""
+
+SAFETY_BITS: dict[float, int] = {
+    layout.SAFE: 0b1,
+    layout.PROTECTIVE_STOP: 0b100_0000_0100,
+    layout.EMERGENCY: 0b100_1100_0000,
+}
+"""``safety_ok`` -> ``safety_status_bits`` of a controller that reports just that."""
+
+SAFETY_MODES: dict[float, int] = {
+    layout.SAFE: 1,
+    layout.PROTECTIVE_STOP: 3,
+    layout.EMERGENCY: 7,
+}
+"""``safety_ok`` -> ``safety_mode``."""
+
+_PLAYING = 2
+_PAUSING_PAUSED_RESUMING = (3, 4, 5)
+_STOPPED_BITS = 0b1111_1111_1100
+_EMERGENCY_BITS = 0b0011_1110_0000
+
+
+def runtime_running(runtime_state: int) -> float:
+    """Return what a controller's ``runtime_state`` means: RUNNING, STOPPED or PAUSED."""
+    if runtime_state == _PLAYING:
+        return layout.RUNNING
+    return layout.PAUSED if runtime_state in _PAUSING_PAUSED_RESUMING else layout.STOPPED
+
+
+def safety_ok(status_bits: int) -> float:
+    """Return what ``safety_status_bits`` mean: SAFE, PROTECTIVE_STOP or EMERGENCY.
+
+    Recovery mode and safeguard stop count as protective stops; emergency stops of robot or
+    system, violations and faults as emergencies.
+    """
+    if not status_bits & _STOPPED_BITS:
+        return layout.SAFE
+    return layout.EMERGENCY if status_bits & _EMERGENCY_BITS else layout.PROTECTIVE_STOP

@@ -32,6 +32,8 @@ _EARLY_S = 0.0004
 _SETTLE_S = 0.05
 _PRIORITY = 60
 _SET_TIMER_SLACK = 29
+# What ur_rtde says when the controller answers IN_USE to an input recipe.
+_OWNED = "already in use"
 
 _VARIABLES = [
     "timestamp",
@@ -43,6 +45,7 @@ _VARIABLES = [
     "actual_TCP_pose",
     "target_TCP_speed",
     "speed_scaling",
+    "target_speed_fraction",
     "runtime_state",
     "safety_status_bits",
     f"output_int_register_{registers.OUTPUT_FEED}",
@@ -75,10 +78,9 @@ def read_state(receive: Any, state: layout.RobotState) -> None:
         state[layout.ACTUAL_TCP : layout.ACTUAL_TCP + 3] = receive.getActualTCPPose()[:3]
         state[layout.TARGET_SPEED : layout.TARGET_SPEED + 3] = receive.getTargetTCPSpeed()[:3]
         state[layout.TARGET_TCP : layout.TARGET_SPEED + 3] *= 1000.0
-        state[layout.SPEED_SCALING] = receive.getSpeedScaling()
-        state[layout.RUNTIME_RUNNING] = receive.getRuntimeState() == registers.RUNTIME_PLAYING
-        bits = receive.getSafetyStatusBits()
-        state[layout.SAFETY_OK] = (bits & registers.SAFETY_BITS_STOPPED) == 0
+        state[layout.SPEED_SCALING] = receive.getSpeedScalingCombined()
+        state[layout.RUNTIME_RUNNING] = registers.runtime_running(receive.getRuntimeState())
+        state[layout.SAFETY_OK] = registers.safety_ok(receive.getSafetyStatusBits())
         feed = receive.getOutputIntRegister(registers.OUTPUT_FEED)
         state[layout.FEED] = feed / registers.FEED_SCALE
         for number, place in registers.OUTPUT_INTS.items():
@@ -112,6 +114,7 @@ class Worker:
     def __init__(self, chosen: argparse.Namespace) -> None:
         self._host, self._frequency_hz = chosen.host, chosen.frequency_hz
         self._lost_after_s = chosen.lost_after_s
+        self._writes = chosen.writes
         self._memory = SharedMemory(chosen.memory)
         self._state_ready, self._correction_ready = chosen.state_ready, chosen.correction_ready
         self._messages = chosen.messages
@@ -143,9 +146,13 @@ class Worker:
             raise Fault("ur.absent", f"no robot controller answers ({error})") from error
         try:
             self._receive = RTDEReceiveInterface(self._host, self._frequency_hz, _VARIABLES)
-            self._io = RTDEIOInterface(self._host)
+            if self._writes:
+                self._io = RTDEIOInterface(self._host)
         except (RuntimeError, ValueError) as error:
             first = str(error).strip().splitlines()[0]
+            if _OWNED in first:
+                text = "another client owns the correction's input registers"
+                raise Fault("ur.registers_owned", text) from error
             raise Fault("ur.refused", f"the controller refused the connection ({first})") from error
 
     def run(self) -> None:
@@ -198,7 +205,7 @@ class Worker:
 
     def _forward(self) -> None:
         os.eventfd_read(self._correction_ready)
-        if self._memory.read_correction(self._correction):
+        if self._io is not None and self._memory.read_correction(self._correction):
             write_correction(self._io, self._correction)
 
     def _require_link(self, silent_s: float) -> None:
@@ -227,6 +234,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--frequency-hz", type=float, required=True)
     parser.add_argument("--lost-after-s", type=float, required=True)
     parser.add_argument("--realtime", action="store_true")
+    parser.add_argument("--writes", action="store_true", help="claim the input registers")
     for name in ("memory", "state-ready", "correction-ready", "messages"):
         parser.add_argument(f"--{name}", type=int, required=True)
     return parser.parse_args()

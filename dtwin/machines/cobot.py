@@ -80,7 +80,7 @@ class VirtualCobot:
         """
         condition = condition.standard()
         plan = self.plan(condition)
-        return self.recording_of(condition, plan, self._run(plan), setup, repeat)
+        return self.recording_of(condition, plan, self.run(plan), setup, repeat)
 
     def controller(self, condition: CircleCondition, *, setup: str, repeat: int) -> CobotController:
         """Return the machine's controller about to run a condition, for a closed loop."""
@@ -112,7 +112,7 @@ class VirtualCobot:
         """
         condition = condition.standard()
         plan = self.plan(condition)
-        truths = self._run(plan).truths
+        truths = self.run(plan).truths
         vector_um = UM_PER_MM * (truths[:, m_.TCP : m_.TCP + 3] - truths[:, :3])
         _, _, radial = path_geometry(plan, condition.plane, truths[:, :3])
         t_s = np.arange(len(truths)) / self.parameters.controller.rate_hz
@@ -159,7 +159,8 @@ class VirtualCobot:
         mounting = (setup, repeat, self.setup(setup, condition.plane))
         return record(self.parameters, condition, plan, ticks, mounting, self._matrices, rng)
 
-    def _run(self, plan: MotionPlan) -> RunTicks:
+    def run(self, plan: MotionPlan) -> RunTicks:
+        """Return every tick of a program without correction, on the machine's clock."""
         mechanism, memory = self._machine(plan)
         n = round(plan.duration_s * self.parameters.controller.rate_hz)
         states, truths = np.zeros((n, layout.N)), np.zeros((n, m_.TRUTH_N))

@@ -90,9 +90,30 @@ class CobotController:
 
     def protective_stop(self) -> None:
         """Stop the program and report it, as a robot does after a collision."""
+        self._halt(layout.STOPPED, layout.PROTECTIVE_STOP)
+
+    def emergency_stop(self) -> None:
+        """Stop the program as the emergency button does."""
+        self._halt(layout.STOPPED, layout.EMERGENCY)
+
+    def pause(self) -> None:
+        """Hold the program where it is; the thread that applies the offset goes on."""
+        self._halt(layout.PAUSED, layout.SAFE)
+
+    def resume(self, speed_factor: float = 1.0) -> None:
+        """Unlock any stop and go on with the program."""
+        self._halt(layout.RUNNING, layout.SAFE)
+        self.set_speed_scaling(speed_factor)
+
+    @property
+    def commanded_um(self) -> Floats:
+        """Offset (3,) that the program asks of the drives now, before their delay and lag."""
+        return m_.commanded_offset_um(self._memory)
+
+    def _halt(self, running: float, safety: float) -> None:
         set_speed_factor(self._memory, 0.0)
-        self._constants[layout.RUNTIME_RUNNING] = 0.0
-        self._constants[layout.SAFETY_OK] = 0.0
+        self._constants[layout.RUNTIME_RUNNING] = running
+        self._constants[layout.SAFETY_OK] = safety
 
     def recording(self) -> CobotRecording:
         """Return what the instruments recorded, with the correction's effect in it."""

@@ -128,6 +128,11 @@ def adopt_sequence(memory: Floats, sequence: int) -> None:
     memory[_SEQUENCE] = sequence
 
 
+def commanded_offset_um(memory: Floats) -> Floats:
+    """Return the offset (3,) that was latched, limited in size and rate, in um."""
+    return 1e3 * memory[_SLEWED : _SLEWED + 3]
+
+
 def path_time_s(memory: Floats) -> float:
     """Return how far the program has run."""
     return float(memory[_PATH_TIME])

@@ -11,8 +11,10 @@ from dtwin.kinematics import kernel, plane_axes
 from dtwin.machines.parameters import MotionParameters
 from dtwin.schema import Floats, standard_plane
 
-START_S, DURATION_S, SPEED, RAMP_S, JERK_S, IS_ARC, RADIUS0, ANGLE0, SIGN, LENGTH = range(10)
-_COLUMNS = 10
+START_S, DURATION_S, SPEED, RAMP_S, JERK_S, KIND, RADIUS0, ANGLE0, SIGN, LENGTH = range(10)
+LINE_FROM, LINE_TOWARDS, COLUMNS = 10, 13, 16
+# Kinds of segment: straight along the radius, on the arc, straight from point to point.
+RADIAL, ARC, LINE = 0.0, 1.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -68,8 +70,8 @@ class MotionPlan:
 
     Attributes
     ----------
-    segments : ndarray, shape (n, 10)
-        One row per straight feed or arc, columns as named in this module.
+    segments : ndarray, shape (n, 16)
+        One row per straight move or arc, columns as named in this module.
     frame : ndarray, shape (3, 3)
         Rows: first and second axis of the plane, centre in mm.
     duration_s : float
@@ -142,8 +144,12 @@ def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Flo
     way = segment[SIGN] * travelled_kernel(
         time_s, segment[DURATION_S], segment[SPEED], segment[RAMP_S], segment[JERK_S]
     )
+    if segment[KIND] == LINE:
+        for i in range(3):
+            position_mm[i] = segment[LINE_FROM + i] + way * segment[LINE_TOWARDS + i]
+        return current
     radius, angle = segment[RADIUS0], segment[ANGLE0]
-    if segment[IS_ARC] > 0.5:
+    if segment[KIND] == ARC:
         angle += way / radius
     else:
         radius += way
@@ -172,7 +178,7 @@ def jolt_kernel(
         Receives the pulse in mm/s^2, base frame; zero outside a pulse.
     """
     acceleration[:] = 0.0
-    if segment[IS_ARC] < 0.5:
+    if segment[KIND] != ARC:
         return
     since = time_s - segment[START_S]
     share, angle = jolts[0] * jolts[1], segment[ANGLE0]
@@ -221,7 +227,7 @@ def plan_motion(
         steps.append((True, arc * radius, radius, angle, condition.sign))
         angle += condition.sign * arc
     steps.append((False, motion.infeed_mm, radius, angle, 1.0))
-    segments = np.zeros((len(steps), _COLUMNS))
+    segments = np.zeros((len(steps), COLUMNS))
     clock_s = motion.rest_s
     for row, (is_arc, length_mm, radius0_mm, angle0, sign) in zip(segments, steps, strict=True):
         speed = feed if is_arc else min(feed, motion.infeed_speed_mm_s)
@@ -231,6 +237,19 @@ def plan_motion(
     ends = (start + condition.sign * lead, angle - condition.sign * lead)
     frame = np.vstack([*plane_axes(condition.plane), centre_mm])
     return MotionPlan(segments, frame, float(clock_s + motion.rest_s), (ends[0], ends[1]))
+
+
+def line_segment(length_mm: float, speed_mm_s: float, motion: MotionParameters) -> Floats:
+    """Return the row (16,) of a straight move without its start time, points and kind.
+
+    Parameters
+    ----------
+    length_mm, speed_mm_s : float
+        Way, and the speed that is asked for.
+    motion : MotionParameters
+        Acceleration and jerk.
+    """
+    return _segment(False, length_mm, speed_mm_s, 0.0, 0.0, 1.0, motion)
 
 
 def _segment(
@@ -248,4 +267,5 @@ def _segment(
     ramp_s = speed_mm_s / motion.acceleration_mm_s2
     duration_s = length_mm / speed_mm_s + ramp_s + jerk_s
     shape = [0.0, duration_s, speed_mm_s, ramp_s, jerk_s]
-    return np.array([*shape, float(is_arc), radius0_mm, angle0_rad, sign, length_mm])
+    path = [ARC if is_arc else RADIAL, radius0_mm, angle0_rad, sign, length_mm]
+    return np.array([*shape, *path, *np.zeros(COLUMNS - LINE_FROM)])

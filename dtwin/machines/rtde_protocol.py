@@ -18,6 +18,7 @@ from dtwin.links import ur_registers as registers
 from dtwin.schema import Floats
 
 REQUEST_VERSION, CONTROLLER_VERSION, TEXT_MESSAGE = 86, 118, 77
+NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"
 SETUP_OUTPUTS, SETUP_INPUTS, START, PAUSE, DATA = 79, 73, 83, 80, 85
 _HEADER = struct.Struct(">HB")
 _CONTROLLER = (5, 15, 0, 0)
@@ -125,6 +126,10 @@ def _choice(place: int, yes: int, no: int) -> Callable[[Floats], tuple[int, ...]
     return lambda state: (yes if state[place] > 0.5 else no,)
 
 
+def _coded(place: int, codes: dict[float, int]) -> Callable[[Floats], tuple[int, ...]]:
+    return lambda state: (codes[float(state[place])],)
+
+
 _READERS: dict[str, Callable[[Floats], tuple[float, ...]]] = {
     "timestamp": _scalar(layout.TIMESTAMP),
     "target_q": _vector(layout.TARGET_Q),
@@ -134,14 +139,13 @@ _READERS: dict[str, Callable[[Floats], tuple[float, ...]]] = {
     "target_TCP_pose": _pose(layout.TARGET_TCP),
     "actual_TCP_pose": _pose(layout.ACTUAL_TCP),
     "target_TCP_speed": _speed,
-    "speed_scaling": _scalar(layout.SPEED_SCALING),
+    # The share of the trajectory limiter; the slider's is the other factor.
+    "speed_scaling": lambda state: (1.0,),
     "target_speed_fraction": _scalar(layout.SPEED_SCALING),
-    "runtime_state": _choice(
-        layout.RUNTIME_RUNNING, registers.RUNTIME_PLAYING, registers.RUNTIME_STOPPED
-    ),
+    "runtime_state": _coded(layout.RUNTIME_RUNNING, registers.RUNTIME_STATES),
     "robot_mode": lambda state: (7,),
-    "safety_mode": _choice(layout.SAFETY_OK, 1, 3),
-    "safety_status_bits": _choice(layout.SAFETY_OK, 0b1, 0b100),
+    "safety_mode": _coded(layout.SAFETY_OK, registers.SAFETY_MODES),
+    "safety_status_bits": _coded(layout.SAFETY_OK, registers.SAFETY_BITS),
     "robot_status_bits": _choice(layout.RUNTIME_RUNNING, 0b11, 0b01),
     **{
         f"output_int_register_{number}": _whole(place)

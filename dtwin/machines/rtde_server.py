@@ -9,7 +9,13 @@ standard output, and ends when its input ends::
     {"do": "half_frame"}                    send half a frame, then cut the connection
     {"do": "slow", "factor": 4}             send every fourth state only (1 ends it)
     {"do": "speed", "factor": 0.5}          move the speed slider
-    {"do": "protective_stop"}               stop for safety
+    {"do": "protective_stop"}               stop for safety, as after a collision
+    {"do": "emergency_stop"}                stop as the emergency button does
+    {"do": "pause"}                         hold the program
+    {"do": "resume"}                        unlock any stop, go on with the program
+    {"do": "intrude", "sequence": 7}        write the registers as a fieldbus would, by the side
+    {"do": "clock_jump", "seconds": -5.0}   shift the controller's clock
+    {"do": "offset_log", "path": "..."}     write what the program commanded, tick by tick, as .npz
     {"do": "latency_log", "path": "..."}    write what arrived when, as .npz
     {"do": "recording", "path": "..."}      write the ball bar of the newest finished run
     {"do": "status"}                        ticks, late ticks, clients
@@ -29,6 +35,7 @@ import socket
 import sys
 import time
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -39,11 +46,15 @@ from dtwin.links import ur_registers as registers
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import CircleCondition
+from dtwin.machines.offset_log import OffsetLog
+from dtwin.machines.parameters import load_parameters
 from dtwin.machines.rtde_session import Session
 
 _LOG_LENGTH = 500_000
 _CATCH_UP_TICKS = 250
 _PRIORITY = 70
+# A fieldbus writes again and again; this long it is the last before each tick.
+_INTRUDED_TICKS = 25
 
 
 class RtdeServer:
@@ -101,6 +112,10 @@ class RtdeServer:
         self._speed_factor = 1.0
         self._log: deque[tuple[float, float, float]] = deque(maxlen=_LOG_LENGTH)
         self._sessions: list[Session] = []
+        self._owners: dict[str, Session] = {}
+        self._offsets = OffsetLog(1.0 / self._rate_hz)
+        self._clock_shift_s = 0.0
+        self._intruder, self._intruded_until_tick = 0, -1
         self._stopping = False
         self._commands = b""
         self._listener = socket.create_server((host, port), backlog=8)
@@ -156,11 +171,14 @@ class RtdeServer:
             if source is self._listener:
                 with contextlib.suppress(BlockingIOError):
                     connection, _ = self._listener.accept()
-                    self._sessions.append(Session(connection, self._rate_hz, self._write))
+                    self._sessions.append(self._session(connection))
             elif source is control:
                 self._read_control(control)
             else:
                 source.receive()
+
+    def _session(self, connection: socket.socket) -> Session:
+        return Session(connection, self._rate_hz, self._write, self._owners)
 
     def _write(self, name: str, value: float) -> None:
         """Take one variable; the sequence number makes the offsets count."""
@@ -179,10 +197,18 @@ class RtdeServer:
             self._end_program()
             if self._stopping:
                 return
+        if self._tick < self._intruded_until_tick:
+            self._registers[layout.REGISTER_SEQUENCE] = self._intruder
         self._controller.step(self._registers)
         self._tick += 1
         self._state[:] = self._controller.state()
-        self._state[layout.TIMESTAMP] = self._tick / self._rate_hz
+        self._state[layout.TIMESTAMP] = self._tick / self._rate_hz + self._clock_shift_s
+        self._offsets.add(
+            self._tick,
+            self._registers[layout.REGISTER_SEQUENCE],
+            self._controller.commanded_um,
+            self._registers[layout.REGISTER_OFFSET :],
+        )
         if time.perf_counter() >= self._quiet_until_s:
             for session in self._sessions:
                 session.publish(self._tick, self._state, self._slowdown)
@@ -231,8 +257,17 @@ class RtdeServer:
         elif action == "speed":
             self._speed_factor = float(command["factor"])
             self._controller.set_speed_scaling(self._speed_factor)
-        elif action == "protective_stop":
-            self._controller.protective_stop()
+        elif action in ("protective_stop", "emergency_stop", "pause"):
+            getattr(self._controller, action)()
+        elif action == "resume":
+            self._controller.resume(self._speed_factor)
+        elif action == "intrude":
+            self._intruder = int(command["sequence"])
+            self._intruded_until_tick = self._tick + _INTRUDED_TICKS
+        elif action == "clock_jump":
+            self._clock_shift_s += float(command["seconds"])
+        elif action == "offset_log":
+            self._offsets.save(command["path"])
         elif action == "latency_log":
             self._write_log(command["path"])
         elif action == "recording":
@@ -244,6 +279,7 @@ class RtdeServer:
         return {"did": action}
 
     def _drop(self) -> None:
+        self._offsets.cut_tick = self._tick
         for session in self._sessions:
             session.close()
 
@@ -270,6 +306,14 @@ class RtdeServer:
         return {"samples": len(recording.deviation_mm)}
 
 
+def _cobot(seed: int, watchdog_s: float | None) -> VirtualCobot:
+    parameters = load_parameters()
+    if watchdog_s is not None:
+        controller = replace(parameters.controller, watchdog_s=watchdog_s)
+        parameters = replace(parameters, controller=controller)
+    return VirtualCobot(parameters, seed=seed)
+
+
 def _say(message: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(message) + "\n")
     sys.stdout.flush()
@@ -292,6 +336,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--feed-mm-min", type=float, default=3000.0)
     parser.add_argument("--direction", default="CCW", choices=["CCW", "CW"])
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--watchdog-s", type=float, help="silence after which the program leads the offset to zero"
+    )
     parser.add_argument("--repeat-forever", action="store_true")
     parser.add_argument(
         "--realtime", action="store_true", help="real-time priority, as a controller has"
@@ -308,7 +355,7 @@ def main() -> int:
     )
     try:
         server = RtdeServer(
-            VirtualCobot(seed=chosen.seed),
+            _cobot(chosen.seed, chosen.watchdog_s),
             condition,
             host=chosen.host,
             port=chosen.port,

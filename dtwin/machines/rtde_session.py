@@ -24,6 +24,8 @@ class Session:
         Rate of the controller.
     on_input : callable
         Receives the name and value of every variable that the client writes, in order.
+    owners : dict of str to Session
+        Who writes which input variable, common to all clients: one may write each.
     """
 
     def __init__(
@@ -31,6 +33,7 @@ class Session:
         connection: socket.socket,
         rate_hz: float,
         on_input: Callable[[str, float], None],
+        owners: dict[str, Session],
     ) -> None:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -38,6 +41,7 @@ class Session:
         self.open = True
         self._rate_hz = rate_hz
         self._on_input = on_input
+        self._owners = owners
         self._reader = rtde.FrameReader()
         self._outputs: dict[int, rtde.OutputRecipe] = {}
         self._inputs: dict[int, rtde.InputRecipe] = {}
@@ -51,6 +55,8 @@ class Session:
     def close(self) -> None:
         """Close the connection."""
         self.open = False
+        for name in [name for name, owner in self._owners.items() if owner is self]:
+            del self._owners[name]
         with contextlib.suppress(OSError):
             self.connection.close()
 
@@ -131,8 +137,13 @@ class Session:
     def _setup_inputs(self, payload: bytes) -> None:
         number = len(self._inputs) + 1
         recipe = rtde.input_recipe(payload)
-        usable = "NOT_FOUND" not in recipe.types
+        types = [
+            rtde.IN_USE if self._owners.get(name, self) is not self else kind
+            for name, kind in zip(recipe.names, recipe.types, strict=True)
+        ]
+        usable = not {rtde.NOT_FOUND, rtde.IN_USE} & set(types)
         if usable:
             self._inputs[number] = recipe
-        reply = bytes([number if usable else 0]) + ",".join(recipe.types).encode()
+            self._owners |= dict.fromkeys(recipe.names, self)
+        reply = bytes([number if usable else 0]) + ",".join(types).encode()
         self.send(rtde.frame(rtde.SETUP_INPUTS, reply))

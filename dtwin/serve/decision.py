@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.catalogue import feature_column
+from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID
 from dtwin.features.motion import PATH_INPUTS, PathInputs
 from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
@@ -18,6 +19,9 @@ from dtwin.schema import Floats
 from dtwin.serve.direction import Direction
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
+from dtwin.serve.sensor_trouble import SATURATED, saturated_kernel
+
+_TROUBLE = {VALID: "", CONSTANT: "stuck", NOT_FINITE: "not finite"}
 
 
 class SensorSource(Protocol):
@@ -54,6 +58,13 @@ class Decision:
         Values of covariate inputs.
     sensors : SensorSource, optional
         Required when the bundle has feature inputs.
+
+    Attributes
+    ----------
+    hold : bool
+        Whether the correction is held at zero, as for a machine that stands still.
+    sensor_trouble : str
+        Which channel of the newest window is stuck, saturated or not finite; empty when none is.
 
     Raises
     ------
@@ -93,6 +104,8 @@ class Decision:
         self.guard = Guard(bundle.safety, box[:, 0], box[:, 1])
         self.direction = Direction(bundle.outputs)
         self.window_age_s = 0.0
+        self.hold = False
+        self.sensor_trouble = ""
         self._prepare_window(sensors)
         self._warm_up()
 
@@ -115,13 +128,14 @@ class Decision:
         self._values, self._codes = np.zeros(shape), np.zeros(shape[0], dtype=np.int64)
         columns = [feature_column(c, f) for c in contract.channels for f in contract.features]
         self._picked = np.array([columns.index(n) for n in bundle.feature_inputs], dtype=np.int64)
-        self._channel = self._picked // shape[1]
+        self._channel, self._names = self._picked // shape[1], contract.channels
 
     def _warm_up(self) -> None:
         """Have every kernel loaded before the first tick, where loading would cost deadlines."""
         if self._uses_window:
             n = self._kernel.n_samples
             self._kernel.compute(self._samples.reshape(-1), 0, n, self._values, self._codes)
+            saturated_kernel(self._samples[0])
             self.compiled.window(self._features)
         uses, self._uses_window = self._uses_window, False
         stages, state = np.zeros(6, dtype=np.int64), layout.empty_state()
@@ -157,14 +171,18 @@ class Decision:
             self._take_window()
         windowed = perf_counter_ns()
         self._state[:] = state
-        self._path.update(state)
+        # The feed that the program asks for is not the one that the slider leaves of it.
+        self._state[layout.FEED] *= state[layout.SPEED_SCALING]
+        self._path.update(self._state)
         np.take(self._pool, self._take, out=self._tick, mode="clip")
         self.compiled.tick_inputs[:] = self._tick
         pathed = perf_counter_ns()
         self.compiled.evaluate()
         evaluated = perf_counter_ns()
         wanted = self.direction.apply(self.compiled.outputs, self._pool[0], state[layout.PLANE_ID])
-        device_ok = state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
+        device_ok = (
+            not self.hold and state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
+        )
         safe = self.guard.step(
             wanted, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
             window_age_s=self.window_age_s, enabled=enabled, device_ok=bool(device_ok),
@@ -199,8 +217,14 @@ class Decision:
         n = self._kernel.n_samples
         self._kernel.compute(self._samples.reshape(-1), 0, n, self._values, self._codes)
         np.take(self._values.reshape(-1), self._picked, out=self._features, mode="clip")
+        self.sensor_trouble = ""
         for k in range(len(self._picked)):
             # A dead or broken channel must stop the correction, not feed it zeros.
-            if self._codes[self._channel[k]]:
+            channel = self._channel[k]
+            wrong = _TROUBLE[self._codes[channel]]
+            if not wrong and saturated_kernel(self._samples[channel]) == SATURATED:
+                wrong = "saturated"
+            if wrong:
                 self._features[k] = np.nan
+                self.sensor_trouble = f"{self._names[channel]}: {wrong}"
         self.compiled.window(self._features)

@@ -13,12 +13,16 @@ from dtwin.errors import DeviceError
 from dtwin.links import state as layout
 from dtwin.schema import Floats
 from dtwin.serve.decision import Decision
+from dtwin.serve.journal import Note, no_journal
+from dtwin.serve.program_watch import ProgramWatch
 from dtwin.serve.realtime import realtime
 from dtwin.serve.safety import REASONS
 from dtwin.serve.timing import LoopTiming
 
 Mode = Literal["live", "shadow", "dry-run"]
 _RELEASE_MARGIN_S = 0.25
+# A controller's stamp that goes ahead by this much more than our own clock has jumped.
+_CLOCK_JUMP_S = 0.5
 
 
 class Link(Protocol):
@@ -81,6 +85,8 @@ class ServeStatus:
         Longest correction that was computed and let through.
     last_sequence : int
         Sequence number of the last correction sent; 0 when none was.
+    reconnects : int
+        Links that were lost and came back.
     """
 
     clock: Literal["wall", "machine"]
@@ -93,6 +99,7 @@ class ServeStatus:
     fault: dict[str, str] | None = None
     largest_um: float = 0.0
     last_sequence: int = 0
+    reconnects: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -114,20 +121,40 @@ class ServingLoop:
         Whether corrections are sent, withheld, or replaced by zeros.
     first_sequence : int
         Sequence number to start from.
+    note : callable
+        Takes events.
     """
 
     def __init__(
         self, decision: Decision, link: Link, *, period_s: float = 0.002, mode: Mode = "live",
-        first_sequence: int = 1,
+        first_sequence: int = 1, note: Note = no_journal,
     ) -> None:  # fmt: skip
         self.decision, self.link, self.mode = decision, link, mode
         self.timing = LoopTiming(period_s)
-        self._period_s = period_s
+        self.watch = ProgramWatch(note)
+        self._note, self._period_s = note, period_s
+        self._first = first_sequence
         self._sequence = first_sequence - 1
         self._sent_zero, self._largest_um = True, 0.0
         self._zero = np.zeros(3)
-        self._last_s = self._last_stamp_s = np.nan
+        self._last_s = self._last_stamp_s = self._seen_s = np.nan
         self._segment = np.nan
+
+    def use(self, link: Link, first_sequence: int) -> None:
+        """Go on with another link; the correction begins at zero, the counts go on.
+
+        Parameters
+        ----------
+        link : Link
+            Source and actuator.
+        first_sequence : int
+            Sequence number to start from.
+        """
+        self.link = link
+        self._first, self._sequence = first_sequence, first_sequence - 1
+        self._last_s = self._last_stamp_s = self._seen_s = self._segment = np.nan
+        self.decision.reset()
+        self.decision.guard.out_um[:] = 0.0
 
     def run(
         self, duration_s: float, *, stop: Callable[[], bool] | None = None, priority: int = 60,
@@ -196,11 +223,22 @@ class ServingLoop:
         self._segment = segment
         interval_s = now_s - self._last_s
         elapsed_s = interval_s if interval_s >= 0 else self._period_s
+        step_s = float(state[layout.TIMESTAMP]) - self._last_stamp_s
+        silent_s, self._seen_s = now_s - self._seen_s, now_s
+        if step_s < 0.0 or step_s > silent_s + _CLOCK_JUMP_S:
+            self._note("clock_jump", step_s=round(step_s, 3))
+            self.decision.reset()
+            self._last_stamp_s = float(state[layout.TIMESTAMP])
+            self._without_state(enabled=True)
+            return
+        self._require_own_numbers(int(state[layout.APPLIED_SEQUENCE]))
+        self.decision.hold = self.watch.hold(state, now_s)
         row = self.timing.stages()
         safe = self.decision.decide(
             state, age_s=now_s - self.link.received_s, elapsed_s=elapsed_s, enabled=True,
             stages=row,
         )  # fmt: skip
+        self.watch.reason(self.decision.guard.reason, now_s, self.decision.sensor_trouble)
         before_ns = time.perf_counter_ns()
         self._send(safe)
         done_ns = time.perf_counter_ns()
@@ -208,7 +246,7 @@ class ServingLoop:
         stamp_s = float(state[layout.TIMESTAMP])
         self.timing.applied(int(state[layout.APPLIED_SEQUENCE]), stamp_s)
         self.timing.tick(
-            interval_s, stamp_s - self._last_stamp_s, time.monotonic() - self.link.received_s,
+            interval_s, step_s, time.monotonic() - self.link.received_s,
             self.decision.window_age_s, stamp_s=stamp_s,
             sequence=0 if self.mode == "shadow" else self._sequence,
         )  # fmt: skip
@@ -222,7 +260,30 @@ class ServingLoop:
             elapsed_s=elapsed_s if elapsed_s >= 0 else self._period_s, age_s=age_s,
             enabled=enabled,
         ))  # fmt: skip
+        self.watch.reason(self.decision.guard.reason, now_s)
         self._last_s = now_s
+
+    def _require_own_numbers(self, echoed: int) -> None:
+        """Raise when the controller acts on a number that nobody here has sent.
+
+        Raises
+        ------
+        DeviceError
+            Then somebody else writes the correction's registers.
+        """
+        if self.mode == "shadow" or echoed == 0:
+            return
+        limit = layout.SEQUENCE_LIMIT
+        behind = (self._sequence - echoed) % limit
+        # One before the first: what the controller held when we came.
+        if behind > (self._sequence - self._first + 1) % limit:
+            raise DeviceError(
+                "another client writes the correction's registers; ours was released",
+                code="serve.other_writer",
+                got=f"the controller acts on number {echoed}",
+                allowed=f"{self._first} to {self._sequence}",
+                hint="end the other program or fieldbus that writes these registers",
+            )
 
     def _send(self, safe_um: Floats) -> None:
         length = float(np.sqrt(safe_um @ safe_um))

@@ -6,6 +6,7 @@ what serving must know of the machine itself. A trial never touches the champion
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Literal
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.schema import require_name
+from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json, write_json
 from dtwin.serve.fields import one_of, only_fields, text, whole
@@ -200,12 +202,15 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
             allowed="latest, trial, or the path of a bundle's .json file",
             hint="dtwin promote moves the pointer that latest follows",
         )  # fmt: skip
+    why = barred_why(found.machine, home, found.version)
+    if why and found.state in _SERVED_LIVE:
+        found = dataclasses.replace(found, state="barred")
     if found.state not in _SERVED_LIVE and not harmless:
         raise GateRefusal(
             f"version {found.version} is {found.state} and may not correct a machine",
             code="serve.not_passed",
             where=str(found.path),
-            got=found.state,
+            got=f"{found.state}: {why}" if why else found.state,
             allowed=", ".join(_SERVED_LIVE),
             hint="dtwin promote it, or look at it with --shadow or --dry-run",
         )

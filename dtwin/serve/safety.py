@@ -113,7 +113,8 @@ def guard_kernel(
         reason = STALE_WINDOW
     elif not finite:
         reason = NOT_FINITE
-    fault = reason != OK
+    # A machine that stands still is no fault of the loop: it costs no trip.
+    fault = reason != OK and reason != DEVICE
     if enabled and memory[_ARMED] == 0.0:
         memory[_LATCH] = memory[_COUNT] = memory[_FAULT] = 0.0
     memory[_ARMED] = 1.0 if enabled else 0.0

@@ -6,31 +6,41 @@ import contextlib
 import dataclasses
 import json
 import math
+import os
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import (
     EXIT_DEVICE,
     EXIT_DONE,
+    EXIT_GATE,
     EXIT_INTERRUPTED,
-    DeviceError,
     DtwinError,
     GateRefusal,
     InputError,
 )
 from dtwin.features.windows import WindowContract
-from dtwin.links import state as layout
 from dtwin.links.ur import UrLink
+from dtwin.serve.analogue_link import (
+    NO_TOOL_MM,
+    AnalogueLink,
+    AnalogueWiring,
+    within_travel,
+)
+from dtwin.serve.barred import BarredWatch
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.controller_kind import is_virtual
 from dtwin.serve.decision import Decision, SensorSource
+from dtwin.serve.journal import journal
 from dtwin.serve.lease import lease
-from dtwin.serve.loop import Mode, ServeStatus, ServingLoop
+from dtwin.serve.loop import Mode, ServeStatus
+from dtwin.serve.machine_serving import RATE_HZ, MachineServing, ServingRequest
 from dtwin.serve.pointer import Resolved, read_machine, resolve
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.signals import stop_on_signals
@@ -38,8 +48,6 @@ from dtwin.serve.signals import stop_on_signals
 TRIAL_SHARE = 0.25
 """Share of a bundle's clamp that a trial may use."""
 
-_FIRST_STATE_S = 5.0
-_RATE_HZ = 500.0
 
 Announce = Callable[[str], None]
 OpenSensors = Callable[[WindowContract], AbstractContextManager[SensorSource]]
@@ -67,6 +75,11 @@ class ServeRequest:
         Real-time priority, 0 for none.
     covariates : mapping of str to float
         Values of covariate inputs.
+    patience_s : float
+        How long to wait for a lost link to come back, and for a protective stop to be unlocked;
+        0 ends the serving at once.
+    analogue : AnalogueWiring or None
+        Board and state feed of an analogue correction; None for a robot at ``host``.
     """
 
     model: str = "latest"
@@ -77,9 +90,32 @@ class ServeRequest:
     trial: bool = False
     priority: int = 60
     covariates: Mapping[str, float] = field(default_factory=dict)
+    patience_s: float = 0.0
+    analogue: AnalogueWiring | None = None
+
+    @property
+    def place(self) -> str:
+        """Where the machine's end is: a robot's address, or a board's port."""
+        return self.host if self.analogue is None else self.analogue.port
+
+    def serving(self) -> ServingRequest:
+        """Return how the machine is to be served."""
+        end = "robot" if self.analogue is None else "board"
+        duration_s = math.inf if self.duration_s is None else self.duration_s
+        return ServingRequest(
+            f"{end} at {self.place}", self.mode, duration_s, self.patience_s, self.priority,
+            RATE_HZ if self.analogue is None else self.analogue.states_hz,
+        )  # fmt: skip
 
     def __post_init__(self) -> None:
         """Refuse a time that is none."""
+        if not 0.0 <= self.patience_s < math.inf:
+            raise InputError(
+                "the patience is not a time to wait",
+                code="serve.patience",
+                got=f"{self.patience_s} s",
+                allowed="0 s or more",
+            )
         if self.duration_s is not None and not 0.0 < self.duration_s < math.inf:
             raise InputError(
                 "the duration is not a time to serve",
@@ -131,7 +167,9 @@ class Served:
 
     @property
     def exit_code(self) -> int:
-        """4 after a fault, 130 when stopped before the time that was asked for, else 0."""
+        """4 after a fault, 3 when the model was withdrawn, 130 when stopped before the time that was asked for, else 0."""
+        if self.status.ended == "withdrawn":
+            return EXIT_GATE
         if self.status.fault is not None:
             return EXIT_DEVICE
         early = self.status.ended == "stopped" and self.request.duration_s is not None
@@ -149,7 +187,7 @@ class Served:
                 "bundle": str(found.path),
                 "sha256": found.sha256,
             },
-            "host": self.request.host,
+            "host": self.request.place,
             "device": self.device,
             "trial": self.trial,
             "clamp_um": self.clamp_um,
@@ -199,7 +237,7 @@ def serve(
     try:
         served = _serve_resolved(request, resolved, home, announce, open_sensors)
     except DtwinError as error:
-        record = {"ended": error.code, "fault": error.as_dict(), "host": request.host}
+        record = {"ended": error.code, "fault": error.as_dict(), "host": request.place}
         model = {"version": resolved.version, "state": resolved.state}
         _write_log(home, resolved.machine, started, {**record, "model": model}, announce)
         raise
@@ -217,23 +255,68 @@ def _serve_resolved(
         compiled = with_trial_clamp(compiled)
         limit_um = compiled.bundle.safety.clamp_um
         announce(f"trial: the correction is limited to {limit_um:.1f} um, a quarter of its clamp")
-    tcp_mm = read_machine(resolved.machine, home).tcp
+    if request.analogue is None:
+        tcp_mm = read_machine(resolved.machine, home).tcp
+    else:
+        compiled, tcp_mm = within_travel(compiled), NO_TOOL_MM
     with contextlib.ExitStack() as held:
+        events = held.enter_context(journal(events_path(home, resolved.machine), announce))
         if request.mode != "shadow":
-            held.enter_context(lease(request.host, resolved.machine, home))
+            held.enter_context(lease(request.place, resolved.machine, home))
         window = compiled.bundle.window
         sensors = held.enter_context(open_sensors(window)) if open_sensors and window else None
         decision = Decision(compiled, tcp_mm, request.covariates, sensors)
-        link = held.enter_context(UrLink(request.host, _RATE_HZ, realtime=request.priority > 0))
-        device = "virtual" if is_virtual(request.host) else "real"
-        require_evidence(compiled.bundle, device, mode=request.mode, trial=trial)
-        time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
-        announce(f"serving the {device} controller at {request.host}, {request.mode}, {time_text}")
-        status = _run(request, decision, link)
-        return Served(
-            request, resolved, device, trial, compiled.bundle.safety.clamp_um, status,
-            link.realtime,
+        door = _Door(request, compiled.bundle, trial)
+        serving = MachineServing(
+            request.serving(), decision, door, events.note,
+            BarredWatch(resolved.machine, home, resolved.version),
         )  # fmt: skip
+        held.callback(serving.close)
+        time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
+        announce(
+            f"serving the {door.device} controller at {request.place}, {request.mode}, {time_text}"
+        )
+        model = {"version": resolved.version, "state": resolved.state}
+        events.note("serving", at=request.place, mode=request.mode, model=model, pid=os.getpid())
+        with stop_on_signals() as asked:
+            status = serving.run(asked)
+        events.note("released" if status.released else "not_released", why=status.ended)
+        return Served(
+            request, resolved, door.device, trial, compiled.bundle.safety.clamp_um, status,
+            serving.realtime,
+        )  # fmt: skip
+
+
+class _Door:
+    """Opens a link of the kind that was asked for, and judges what answers."""
+
+    def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool) -> None:
+        self._request, self._bundle, self._trial = request, bundle, trial
+        self.device = ""
+
+    def __call__(self) -> UrLink | AnalogueLink:
+        request = self._request
+        writes = request.mode != "shadow"
+        if request.analogue is not None:
+            # Nothing that a serial port answers proves that no machine hangs on it.
+            self._judge("real")
+            return AnalogueLink(request.analogue, writes=writes, moves=request.mode == "live")
+        link = UrLink(request.host, RATE_HZ, realtime=request.priority > 0, writes=writes)
+        try:
+            self._judge("virtual" if is_virtual(link.host) else "real")
+        except BaseException:
+            link.close()
+            raise
+        return link
+
+    def _judge(self, device: str) -> None:
+        self.device = device
+        require_evidence(self._bundle, device, mode=self._request.mode, trial=self._trial)
+
+
+def events_path(home: Home, machine: str) -> Path:
+    """Return the file of the events of a machine's sessions."""
+    return home.logs / f"serve-{machine}.events.jsonl"
 
 
 def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
@@ -261,67 +344,6 @@ def require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) ->
         allowed="evidence: real",
         hint="try it under a tight clamp with --trial, or look at it with --shadow",
     )
-
-
-class _Stops:
-    """Asked every tick whether to end, and afterwards why."""
-
-    def __init__(self, asked: Callable[[], bool], decision: Decision, newest: Any) -> None:
-        self._asked, self._guard, self._newest = asked, decision.guard, newest
-        self._sensors = decision.sensors
-        self.why = ""
-
-    def __call__(self) -> bool:
-        if self._newest[layout.SAFETY_OK] < 0.5:
-            self.why = "safety_stop"
-        elif self._guard.latched:
-            self.why = "latched"
-        elif self._asked():
-            self.why = "stopped"
-        return bool(self.why)
-
-    def fault(self, host: str) -> DeviceError | None:
-        """Return what a stop that nobody asked for means."""
-        if self.why == "safety_stop":
-            return DeviceError(
-                "the robot stopped for safety; the correction was released",
-                code="serve.safety_stop",
-                where=f"robot at {host}",
-                hint="clear the stop at the robot, find its cause, then serve again",
-            )
-        if self.why == "latched":
-            broken = self._sensors.fault() if self._sensors is not None else None
-            return DeviceError(
-                "too many faults; the correction was released and stays so",
-                code="serve.latched",
-                where=f"robot at {host}",
-                got=f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else ""),
-                hint="the reasons in the status say which; serve again to arm it",
-            )
-        return None
-
-
-def _run(request: ServeRequest, decision: Decision, link: UrLink) -> ServeStatus:
-    # The link's buffer: later calls overwrite it, so it always shows the newest state.
-    newest = link.wait_state(_FIRST_STATE_S)
-    if newest is None:
-        raise DeviceError(
-            "the robot sends no states", code="ur.silent", where=f"robot at {request.host}"
-        )
-    # What the robot latched last would not count as a change.
-    latched = 0 if request.mode == "shadow" else int(newest[layout.APPLIED_SEQUENCE])
-    first = latched % layout.SEQUENCE_LIMIT + 1
-    loop = ServingLoop(
-        decision, link, period_s=1.0 / _RATE_HZ, mode=request.mode, first_sequence=first
-    )
-    duration_s = math.inf if request.duration_s is None else request.duration_s
-    with stop_on_signals() as asked:
-        stops = _Stops(asked, decision, newest)
-        status = loop.run(duration_s, stop=stops, priority=request.priority)
-    fault = stops.fault(request.host)
-    if status.fault is None and fault is not None:
-        return dataclasses.replace(status, ended=stops.why, fault=fault.as_dict())
-    return status
 
 
 def _write_log(

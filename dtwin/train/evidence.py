@@ -6,21 +6,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from dtwin.links import state as layout
-from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
+from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.decision import Decision
-from dtwin.serve.loop import serve_lockstep
-from dtwin.serve.runtime import CompiledBundle
-from dtwin.serve.safety import Guard
+from dtwin.train.circles import TICK_S, evaluate_circle, rms_per_run, run_circle
 
 Progress = Callable[[int, int, str], None]
-_TICK_S = 0.002
 # Two-sided 95 % points of Student's t, by degrees of freedom.
 _T95 = {1: 12.706, 2: 4.303, 3: 3.182, 4: 2.776, 5: 2.571, 6: 2.447, 7: 2.365, 8: 2.306, 10: 2.228}
 WAYS = ("uncompensated", "compensated", "oracle")
@@ -220,7 +215,7 @@ def virtual_evidence(
         delays={
             "actuator_delay_s": controller.actuator_delay_s,
             "actuator_lag_s": controller.actuator_lag_s,
-            "transport_s": _TICK_S,
+            "transport_s": TICK_S,
         },
         profiles=profiles,
     )
@@ -246,12 +241,6 @@ def plan_within(conditions: Sequence[tuple[str, float, float]], repeats: int = 2
     return EvidencePlan(tuple(circles), repeats, tuple(feeds))
 
 
-class _Oracle(Protocol):
-    def decide(self, state: Floats) -> Floats:
-        """Return the correction for a state."""
-        ...
-
-
 def _measure_condition(job: tuple[Any, ...]) -> dict[str, list[dict[str, Any]]]:
     content, seed, tcp, plane, radius, feed, repeats = job
     bundle = Bundle.from_dict(content)
@@ -264,47 +253,11 @@ def _measure_condition(job: tuple[Any, ...]) -> dict[str, list[dict[str, Any]]]:
             for direction in ("CCW", "CW"):
                 serial += 1
                 condition = CircleCondition(plane, radius, feed, direction)
-                recording, acted = _run(
+                recording, acted = run_circle(
                     cobot, bundle, np.array(tcp), condition, setup, 100 + serial, way
                 )
-                found[way].append(_evaluate(recording, direction) | {"acted": acted})
+                found[way].append(evaluate_circle(recording, direction) | {"acted": acted})
     return found
-
-
-def _run(
-    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, condition: CircleCondition,
-    setup: str, repeat: int, way: str,
-) -> tuple[CobotRecording, dict[str, int]]:  # fmt: skip
-    if way == "uncompensated":
-        return cobot.measure(condition, setup=setup, repeat=repeat), {}
-    controller = cobot.controller(condition, setup=setup, repeat=repeat)
-    if way == "compensated":
-        status = serve_lockstep(Decision(CompiledBundle(bundle), tcp_mm), controller)
-        return controller.recording(), status.reasons
-    _, _, vector_um = cobot.repeatable_error_um(condition)
-    motion = cobot.parameters.controller
-    ahead = round((motion.actuator_delay_s + motion.actuator_lag_s) / _TICK_S)
-    guard = Guard(bundle.safety, np.empty(0), np.empty(0))
-    tick = 0
-    while not controller.done:
-        place = min(tick + ahead, len(vector_um) - 1)
-        safe = guard.step(
-            -vector_um[place], np.empty(0), age_s=0.0, elapsed_s=_TICK_S, enabled=True
-        )
-        controller.step(layout.correction_registers(tick + 1, safe))
-        tick += 1
-    return controller.recording(), guard.counted()
-
-
-def _evaluate(recording: CobotRecording, direction: str) -> dict[str, Any]:
-    start, end = recording.window
-    arc = 2.0 * math.pi if recording.condition.plane == "XY" else math.pi
-    turned = np.arange(end - start) / (end - start) * arc
-    return {
-        "direction": direction,
-        "angle_rad": turned if direction == "CCW" else arc - turned,
-        "deviation_um": recording.deviation_mm[start:end] * 1000.0,
-    }
 
 
 def condition_result(
@@ -321,7 +274,7 @@ def condition_result(
     runs : dict of str to sequence of dict
         By way: ``direction``, ``angle_rad``, ``deviation_um`` and ``acted`` of every run.
     """
-    rms = {way: _rms_per_run(runs[way]) for way in WAYS}
+    rms = {way: rms_per_run(runs[way]) for way in WAYS}
     before, after = rms["uncompensated"], rms["compensated"]
     return ConditionResult(
         plane=plane,
@@ -343,18 +296,6 @@ def _shares(counts: Sequence[Mapping[str, int]]) -> dict[str, float]:
     total = sum(sum(c.values()) for c in counts)
     names = sorted({name for c in counts for name in c})
     return {n: sum(c.get(n, 0) for c in counts) / total for n in names} if total else {}
-
-
-def _rms_per_run(runs: Sequence[Mapping[str, Any]]) -> Floats:
-    """Return each run's RMS after the set-up's centre and radius, common to the way's runs."""
-    angle = np.concatenate([r["angle_rad"] for r in runs])
-    value = np.concatenate([r["deviation_um"] for r in runs])
-    basis = np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)])
-    rest = value - basis @ np.linalg.lstsq(basis, value, rcond=None)[0]
-    parts = np.split(rest, np.cumsum([len(r["angle_rad"]) for r in runs])[:-1])
-    for run, part in zip(runs, parts, strict=True):
-        run["rest_um"] = part  # type: ignore[index]
-    return np.array([math.sqrt(float(np.mean(part**2))) for part in parts])
 
 
 def _half_width(values: Floats) -> float:

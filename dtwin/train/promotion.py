@@ -11,11 +11,12 @@ from typing import Any, Literal
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.pointer import machine_folder, write_machine, write_pointer
 from dtwin.train.gates import Verdict, evidence_gate, offline_gates
-from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.registry import RegisteredVersion, Registry, model_name
 
 HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
@@ -99,6 +100,7 @@ def promote(
     path = _freeze(home, found, bundle, verdicts, kind)
     previous = _champion(registry, found.machine)
     _write_machine(found.machine, home, geometry)
+    allow(found.machine, home, int(found.version))
     write_pointer(found.machine, home, path, int(found.version), "champion")
     if previous is not None and previous.version != found.version:
         registry.mark(previous, {"state": "previous"}, alias="previous")
@@ -175,12 +177,58 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
             where=str(path),
             hint="promote that version again",
         )
+    replaced = present is not None and present.version != previous.version
     write_pointer(machine, home, path, int(previous.version), "champion")
+    if present is not None and replaced:
+        bar(machine, home, int(present.version), comment or "rolled back")
     registry.mark(previous, {"state": "champion"}, alias="champion")
-    if present is not None and present.version != previous.version:
-        registry.mark(present, {"state": "barred"})
+    if present is not None and replaced:
+        registry.mark(present, {"state": "barred", "barred_why": comment[:500]})
         _remember(home, present, "rollback", comment, [])
     return registry.version(machine, previous.version)
+
+
+def withdraw(
+    registry: Registry, home: Home, machine: str, reason: str
+) -> tuple[RegisteredVersion, RegisteredVersion | None]:
+    """Take the champion away: sessions that serve it release, and the one before it comes back.
+
+    Without a version to go back to, nothing is served any more.
+
+    Parameters
+    ----------
+    registry, home
+        As in :func:`promote`.
+    machine : str
+        The machine.
+    reason : str
+        Why; kept in the history, in the registry and beside the bundles.
+
+    Returns
+    -------
+    withdrawn, restored : tuple
+        The version that was barred, and the champion from now on, None when there is none.
+
+    Raises
+    ------
+    InputError
+        When there is no champion.
+    """
+    present = registry.version(machine, "champion")
+    # First what moves the machine, then the books.
+    bar(machine, home, int(present.version), reason)
+    try:
+        restored = rollback(registry, home, machine, reason)
+    except (InputError, StoreError):
+        restored = present
+    if restored.version != present.version:
+        return present, restored
+    path = _bundle_path(home, present)
+    write_pointer(machine, home, path, int(present.version), "barred")
+    registry.mark(present, {"state": "barred", "barred_why": reason[:500]})
+    registry.client.delete_registered_model_alias(model_name(machine), "champion")
+    _remember(home, present, "rollback", reason, [])
+    return present, None
 
 
 def history(home: Home, machine: str) -> list[dict[str, Any]]:

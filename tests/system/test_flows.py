@@ -15,7 +15,14 @@ from running_servers import MACHINE, Up, wait_for
 from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.pipeline.modelling import (
+    geometry_of,
+    make_champion,
+    measure_evidence,
+    put_on_trial,
+)
 from dtwin.pipeline.twins import Twins
+from dtwin.train.evidence import EvidencePlan
 from dtwin.train.registry import Registry
 from flows import _plots
 from flows._artifacts import slug
@@ -25,6 +32,7 @@ from flows.cron import require_cron
 from flows.diagnose import diagnose_flow
 from flows.ingest import ingest_flow
 from flows.reach import running
+from flows.recheck import recheck_flow
 
 pytest_plugins = ["scheduled_servers"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
@@ -120,6 +128,26 @@ def test_a_user_s_mistake_fails_the_run_with_the_reason(up: Up) -> None:
     assert "no such campaign" in failed["state"]["message"]
     wanted = {"task_runs": {"flow_run_id": {"any_": [failed["id"]]}}}
     assert [t["run_count"] for t in up.ask("/task_runs/filter", wanted)] == [1], "was retried"
+
+
+def test_a_champion_that_harms_another_machine_is_withdrawn_by_the_flow(up: Up) -> None:
+    registry = Registry(up.home)
+    left_out = run(recheck_flow, machine=MACHINE)[MACHINE]
+    assert (left_out["verdict"], left_out["reason"]) == ("left out", "no such model version")
+    candidate = registry.version(MACHINE, "candidate")
+    put_on_trial(up.home, candidate)
+    geometry = geometry_of(registry, candidate)
+    plan = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
+    evidence = measure_evidence(up.home, candidate, geometry, seed=0, plan=plan)
+    path, reason = make_champion(up.home, candidate, evidence.as_dict())
+    assert path, reason
+    # Another arm under the same name: its errors are others, and the equation adds its own.
+    found = run(recheck_flow, machine=MACHINE, seed=9, blocks=2)[MACHINE]
+    assert (found["verdict"], found["withdrawn"], found["restored"]) == ("worse", True, None)
+    named = [r for r in up.runs_of("recheck") if r["state"]["name"] == "Withdrawn"]
+    assert "larger with the correction" in named[-1]["state"]["message"]
+    rows = cells(up.artifacts_of(named[-1])[f"recheck-{MACHINE}"])
+    assert [row["condition"] for row in rows] == ["YZ R150 F5000", "all"]
 
 
 def test_a_named_server_that_is_silent_is_said_so(up: Up, monkeypatch: pytest.MonkeyPatch) -> None:

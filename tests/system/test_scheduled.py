@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,13 +13,24 @@ from running_servers import MACHINE, measured
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError
+from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.drift import champion_of, check_drift, trained_rows
 from dtwin.pipeline.measuring import ingest
-from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
+from dtwin.pipeline.modelling import (
+    geometry_of,
+    make_champion,
+    measure_evidence,
+    put_on_trial,
+    train,
+)
+from dtwin.pipeline.rechecking import recheck
 from dtwin.pipeline.scheduled import news, scheduled_training
 from dtwin.plan import training_plan
+from dtwin.serve.pointer import resolve
 from dtwin.store import Lake
 from dtwin.train.evidence import EvidencePlan
+from dtwin.train.promotion import check_version, history
 from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
@@ -142,3 +154,53 @@ def test_a_campaign_that_cannot_train_still_judges_the_champion(
     assert "no controller signals" in " ".join(done.campaigns.values())
     tags = Registry(home).version(MACHINE, "champion").tags
     assert "drift.check" in tags
+
+
+def turned_gears() -> VirtualCobot:
+    """The machine after its gears were put back half a turn of the error round: its sign flipped."""
+    sound = VirtualCobot(seed=0).parameters
+    flipped = tuple(tuple(-size for size in row) for row in sound.joints.order_amplitude_urad)
+    joints = replace(sound.joints, order_amplitude_urad=flipped)
+    return VirtualCobot(replace(sound, joints=joints), seed=0)
+
+
+def test_a_champion_that_still_helps_is_kept(home: Home) -> None:
+    done = recheck(home, MACHINE, blocks=2, seed=0)
+    assert (done.found.verdict, done.withdrawn) == ("helps", False), done.found.reason
+    assert done.found.conditions[-1].after_um < done.found.conditions[-1].before_um
+    champion = Registry(home).version(MACHINE, "champion")
+    assert champion.version == done.version.version
+    assert " helps: " in champion.tags["recheck"]
+    assert resolve("latest", MACHINE, home).state == "champion"
+
+
+def test_a_champion_that_harms_a_changed_machine_is_rolled_back(
+    home: Home,
+) -> None:
+    # The version of the worn machine has its turn, so that there is one to go back to.
+    registry = Registry(home)
+    first = registry.version(MACHINE, "champion")
+    later = registry.version(MACHINE, "2")
+    put_on_trial(home, later)
+    evidence = measure_evidence(home, later, geometry_of(registry, later), seed=0, plan=CIRCLES)
+    path, reason = make_champion(home, later, evidence.as_dict())
+    assert path, reason
+    done = recheck(home, MACHINE, cobot=turned_gears(), blocks=2, seed=0)
+    assert (done.found.verdict, done.withdrawn, done.restored) == ("worse", True, first.version)
+    assert resolve("latest", MACHINE, home).version == int(first.version)
+    barred = registry.version(MACHINE, "2")
+    assert barred.tags["state"] == "barred"
+    assert barred.tags["barred_why"] == done.found.reason
+    last = history(home, MACHINE)[-1]
+    assert (last["action"], last["comment"]) == ("rollback", done.found.reason)
+    assert check_version(registry, barred)[1][-1].passed is False
+
+
+def test_without_a_champion_before_nothing_is_served_any_more(home: Home) -> None:
+    done = recheck(home, MACHINE, cobot=turned_gears(), blocks=2, seed=0)
+    assert (done.withdrawn, done.restored) == (True, "")
+    with pytest.raises(GateRefusal, match="may not correct a machine") as refused:
+        resolve("latest", MACHINE, home)
+    assert "larger with the correction" in (refused.value.got or "")
+    with pytest.raises(InputError):
+        Registry(home).version(MACHINE, "champion")

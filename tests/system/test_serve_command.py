@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
-import select
-import signal
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import typer
+from served_robot import (
+    MACHINE,
+    Server,
+    applied_um,
+    bundle,
+    end_what_is_left,
+    logged,
+    promote,
+    served,
+    wait_until_corrected,
+    wait_until_released,
+)
 from typer.testing import CliRunner
 from virtual_robot import RTDE_PORT, VirtualRobot, free_address, virtual_robot
 
@@ -28,42 +34,19 @@ from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.features.windows import WindowContract
 from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import create_bundle, save_bundle
+from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.controller_kind import is_virtual
-from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
-from dtwin.serve.pointer import machine_folder, write_machine, write_pointer
+from dtwin.serve.interface import Input, Provenance, SafetyLimits
+from dtwin.serve.pointer import machine_folder, write_pointer
 from dtwin.serve.session import ServeRequest, require_evidence, serve
 
 pytestmark = pytest.mark.system
 
-MACHINE = "cobot-a"
 
-
-def bundle(**changes: Any) -> Bundle:
-    """First harmonic of the path angle; lenient about the timing of a busy test host."""
-    g = GraphBuilder()
-    angle = g.input("path_angle_rad")
-    arguments: dict[str, Any] = {
-        "name": "first-harmonic",
-        "machine": MACHINE,
-        "model_version": 3,
-        "inputs": [Input("path_angle_rad", "rad", "path", 500.0, "path", -50.0, 50.0)],
-        "outputs": [Output("radial_error_um", "path_radial")],
-        "tick_graph": g.graph({"radial_error_um": 24.0 + 0.0 * g.apply("sin", angle)}),
-        "safety": SafetyLimits(clamp_um=40.0, slew_um_s=2000.0, stale_s=0.3, trips_to_latch=9),
-        "provenance": Provenance(evidence="virtual"),
-    }
-    return create_bundle(**(arguments | changes))
-
-
-def promote(home: Home, state: str = "champion", **changes: Any) -> Path:
-    made = bundle(**changes)
-    path = machine_folder(MACHINE, home) / f"v{made.model_version}.json"
-    save_bundle(made, path)
-    write_pointer(MACHINE, home, path, made.model_version, state)  # type: ignore[arg-type]
-    write_machine(MACHINE, home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
-    return path
+@pytest.fixture(autouse=True)
+def _nothing_left() -> Iterator[None]:
+    yield
+    end_what_is_left()
 
 
 @pytest.fixture
@@ -81,64 +64,6 @@ def robot() -> Iterator[VirtualRobot]:
 def own_robot() -> Iterator[VirtualRobot]:
     with virtual_robot("--feed-mm-min=3000") as running:
         yield running
-
-
-class Server:
-    """One ``dtwin serve`` process."""
-
-    def __init__(self, *options: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "dtwin", "serve", "--priority=0", *options],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-        )  # fmt: skip
-        self.said = ""
-
-    def wait_for(self, words: str, timeout_s: float = 60.0) -> None:
-        assert self.process.stderr is not None
-        until = time.monotonic() + timeout_s
-        while words not in self.said:
-            ready, _, _ = select.select([self.process.stderr], [], [], until - time.monotonic())
-            assert ready, f"never said {words!r}: {self.said}"
-            received = os.read(self.process.stderr.fileno(), 65536).decode()
-            assert received, f"ended without {words!r}: {self.said}"
-            self.said += received
-
-    def interrupt(self) -> None:
-        self.process.send_signal(signal.SIGINT)
-
-    def end(self) -> tuple[int, str, str]:
-        out, err = self.process.communicate(timeout=90)
-        return self.process.returncode, out, self.said + err
-
-
-def served(*options: str) -> tuple[int, dict[str, Any], str]:
-    server = Server("--json", *options)
-    code, out, err = server.end()
-    assert "Traceback" not in err
-    return code, json.loads(out), err
-
-
-def applied_um(robot: VirtualRobot) -> float:
-    return float(max(abs(x) for x in robot.do("status")["applied_um"]))
-
-
-def wait_until_corrected(robot: VirtualRobot) -> None:
-    until = time.monotonic() + 60
-    while applied_um(robot) < 15.0:
-        assert time.monotonic() < until
-        time.sleep(0.02)
-
-
-def wait_until_released(robot: VirtualRobot) -> None:
-    until = time.monotonic() + 10
-    while applied_um(robot) > 0.5:
-        assert time.monotonic() < until
-        time.sleep(0.02)
-
-
-def logged(home: Home) -> list[dict[str, Any]]:
-    lines = (home.logs / f"serve-{MACHINE}.jsonl").read_text().splitlines()
-    return [json.loads(line) for line in lines]
 
 
 def test_serves_for_the_time_that_was_asked_for(robot: VirtualRobot, home: Home) -> None:

@@ -44,11 +44,20 @@ class VirtualRobot:
 
 
 @contextmanager
-def virtual_robot(*options: str) -> Iterator[VirtualRobot]:
-    host = free_address()
+def virtual_robot(
+    *options: str, watchdog_s: float | None = 0.05, host: str = ""
+) -> Iterator[VirtualRobot]:
+    """Run one; its watchdog is patient with a busy test computer, None leaves its own."""
+    host = host or free_address()
     command = [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}"]
     process = subprocess.Popen(
-        [*command, "--repeat-forever", "--control", *options],
+        [
+            *command,
+            "--repeat-forever",
+            "--control",
+            *([] if watchdog_s is None else [f"--watchdog-s={watchdog_s}"]),
+            *options,
+        ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -1,0 +1,56 @@
+"""The command that checks a champion again: recheck."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dtwin.commands.modelling import Json, Machine, machine_named
+from dtwin.commands.output import ProgressLine, emit
+from dtwin.errors import EXIT_GATE
+from dtwin.report.text import table
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.command()(recheck)
+
+
+def recheck(
+    machine: Machine = None,
+    runs: Annotated[
+        Path | None, typer.Option(help="Circles measured on a real machine (JSON).")
+    ] = None,
+    blocks: Annotated[int, typer.Option(help="Passes over all conditions.", min=2, max=1000)] = 3,
+    seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Measure with and without the champion again; when it harms, release and roll back (exit 3)."""
+    from dtwin.config import home
+    from dtwin.pipeline.rechecking import recheck as check_again
+    from dtwin.pipeline.rechecking import runs_file
+    from dtwin.train.registry import Registry
+
+    done = check_again(
+        home(), machine_named(Registry(home()), machine),
+        runs=runs_file(runs) if runs is not None else None,
+        blocks=blocks, seed=seed, progress=ProgressLine("circles", quiet=as_json),
+    )  # fmt: skip
+    head = ("condition", "without um", "with um", "growth um", "± um", "pairs")
+
+    def text() -> str:
+        rows = [
+            [c.name, c.before_um, c.after_um, c.growth_um, c.half_width_um, c.pairs]
+            for c in done.found.conditions
+        ]
+        lines = [table(head, rows), f"{done.found.verdict}: {done.found.reason}"]
+        if done.withdrawn:
+            now = f"champion again: version {done.restored}" if done.restored else "none is served"
+            lines.append(f"version {done.version.version} is withdrawn; {now}")
+        return "\n".join(lines)
+
+    emit(done.as_dict(), text, as_json=as_json)
+    if done.withdrawn:
+        raise typer.Exit(EXIT_GATE)

@@ -1,0 +1,102 @@
+"""Which versions were withdrawn: a small file that a running session looks at every second."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.serve.bundle_file import read_json, write_json
+from dtwin.serve.machine_file import machine_folder
+
+_FILE = "barred.json"
+_MAX_BYTES = 100_000
+_LOOK_EVERY_S = 1.0
+
+
+def bar(machine: str, home: Home, version: int, reason: str) -> None:
+    """Withdraw a version: sessions that serve it release and end, and none begins.
+
+    Parameters
+    ----------
+    machine : str
+        The machine.
+    home : Home
+        Where state lives.
+    version : int
+        Version in the registry.
+    reason : str
+        Why, for people.
+
+    Raises
+    ------
+    StoreError
+        When the file cannot be written.
+    """
+    write_json(_path(machine, home), _read(machine, home) | {str(version): reason[:500]})
+
+
+def allow(machine: str, home: Home, version: int) -> None:
+    """Take a version off the list, when it was promoted after all; none is no mistake."""
+    found = _read(machine, home)
+    if found.pop(str(version), None) is not None:
+        write_json(_path(machine, home), found)
+
+
+def barred_why(machine: str, home: Home, version: int) -> str:
+    """Return why a version was withdrawn, empty when it was not."""
+    return _read(machine, home).get(str(version), "")
+
+
+class BarredWatch:
+    """Asked every tick, looks once a second, whether a version was withdrawn.
+
+    Parameters
+    ----------
+    machine, home, version
+        As for ``bar``.
+    """
+
+    def __init__(self, machine: str, home: Home, version: int) -> None:
+        self._machine, self._home, self._version = machine, home, version
+        self._file = _path(machine, home)
+        self._stamp = self._look()
+        self._next_s = time.monotonic() + _LOOK_EVERY_S
+
+    def __call__(self) -> str:
+        """Return why, empty while the version may be served."""
+        if time.monotonic() < self._next_s:
+            return ""
+        self._next_s = time.monotonic() + _LOOK_EVERY_S
+        stamp = self._look()
+        if stamp == self._stamp:
+            return ""
+        self._stamp = stamp
+        try:
+            return barred_why(self._machine, self._home, self._version)
+        except InputError:
+            return "the list of withdrawn versions cannot be read"
+
+    def _look(self) -> tuple[int, int]:
+        try:
+            found = self._file.stat()
+        except OSError:
+            return 0, 0
+        return found.st_mtime_ns, found.st_ino
+
+
+def _path(machine: str, home: Home) -> Path:
+    return machine_folder(machine, home) / _FILE
+
+
+def _read(machine: str, home: Home) -> dict[str, str]:
+    path = _path(machine, home)
+    if not path.exists():
+        return {}
+    found = read_json(path, _MAX_BYTES)
+    if not isinstance(found, dict):
+        raise InputError(
+            "the list of withdrawn versions is malformed", code="barred.file", where=str(path)
+        )
+    return {str(key): str(value) for key, value in found.items()}

@@ -1,0 +1,94 @@
+"""What the robot's program is doing, and when a correction may come back after it stopped."""
+
+from __future__ import annotations
+
+import math
+
+from dtwin.links import state as layout
+from dtwin.schema import Floats
+from dtwin.serve.journal import Note, no_journal
+from dtwin.serve.safety import REASONS
+
+SETTLE_S = 1.0
+"""How long a robot must have run again, after a stop, before it is corrected again."""
+
+_NOTE_EVERY_S = 0.05
+_HARMLESS = ("ok", "shrunk", "clamped", "slew_limited")
+
+
+def condition_of(state: Floats) -> str:
+    """Return what a state says of the program: the strongest of its reasons to stand still.
+
+    Parameters
+    ----------
+    state : ndarray, shape (N,)
+        State of the controller.
+
+    Returns
+    -------
+    str
+        ``running``, ``paused``, ``stopped``, ``protective_stop`` or ``emergency_stop``.
+    """
+    safety, running = state[layout.SAFETY_OK], state[layout.RUNTIME_RUNNING]
+    if safety != layout.SAFE:
+        return "protective_stop" if safety == layout.PROTECTIVE_STOP else "emergency_stop"
+    if running == layout.RUNNING:
+        return "running"
+    return "paused" if running == layout.PAUSED else "stopped"
+
+
+class ProgramWatch:
+    """Holds the correction back while the program stands, and notes why.
+
+    Parameters
+    ----------
+    note : callable
+        Takes events.
+    settle_s : float
+        As ``SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
+
+    Attributes
+    ----------
+    condition : str
+        As :func:`condition_of`.
+    """
+
+    def __init__(self, note: Note = no_journal, settle_s: float = SETTLE_S) -> None:
+        self.condition = ""
+        self.since_s = math.nan
+        self._note, self._settle_s = note, settle_s
+        self._free_at_s = -math.inf
+        self._reason, self._noted_s = "", -math.inf
+
+    def hold(self, state: Floats, now_s: float) -> bool:
+        """Tell whether the correction is to be held at zero for this state."""
+        found = condition_of(state)
+        if found != self.condition:
+            self._change(found, now_s)
+        return found != "running" or now_s < self._free_at_s
+
+    def reason(self, number: int, now_s: float, sensors: str = "") -> None:
+        """Note why the guard acts when that has changed, at most twenty times a second.
+
+        Parameters
+        ----------
+        number : int
+            Position in ``REASONS``.
+        now_s : float
+            Monotonic time.
+        sensors : str
+            Which sensor is in trouble, for a guard that acts on it.
+        """
+        name = REASONS[number]
+        name = "correcting" if name in _HARMLESS else name
+        if name != self._reason and now_s - self._noted_s > _NOTE_EVERY_S:
+            self._reason, self._noted_s = name, now_s
+            about = {"sensors": sensors} if sensors and name == "not_finite" else {}
+            self._note("guard", why=name, **about)
+
+    def _change(self, found: str, now_s: float) -> None:
+        before, self.condition, self.since_s = self.condition, found, now_s
+        if before.endswith("_stop") or before == "stopped":
+            self._free_at_s = now_s + self._settle_s
+        if before or found != "running":
+            self._note("program", was=before or "unknown", now=found)

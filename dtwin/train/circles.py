@@ -1,0 +1,94 @@
+"""One circle of the virtual cobot with or without a correction, and its error as a figure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+import numpy as np
+
+from dtwin.links import state as layout
+from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.decision import Decision
+from dtwin.serve.loop import serve_lockstep
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.safety import Guard
+
+Way = Literal["uncompensated", "compensated", "oracle"]
+TICK_S = 0.002
+
+
+def run_circle(
+    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, condition: CircleCondition,
+    setup: str, repeat: int, way: str,
+) -> tuple[CobotRecording, dict[str, int]]:  # fmt: skip
+    """Return the recording of one circle in lock-step, and how often each guard acted.
+
+    Parameters
+    ----------
+    cobot : VirtualCobot
+        The machine.
+    bundle : Bundle
+        What is served; the oracle takes its limits.
+    tcp_mm : ndarray, shape (3,)
+        Tool centre point.
+    condition, setup, repeat
+        What is run, in which mounting of the bar, which repeat.
+    way : {"uncompensated", "compensated", "oracle"}
+        Nothing, the bundle, or the machine's repeatable error known exactly.
+    """
+    if way == "uncompensated":
+        return cobot.measure(condition, setup=setup, repeat=repeat), {}
+    controller = cobot.controller(condition, setup=setup, repeat=repeat)
+    if way == "compensated":
+        status = serve_lockstep(Decision(CompiledBundle(bundle), tcp_mm), controller)
+        return controller.recording(), status.reasons
+    _, _, vector_um = cobot.repeatable_error_um(condition)
+    motion = cobot.parameters.controller
+    ahead = round((motion.actuator_delay_s + motion.actuator_lag_s) / TICK_S)
+    guard = Guard(bundle.safety, np.empty(0), np.empty(0))
+    tick = 0
+    while not controller.done:
+        place = min(tick + ahead, len(vector_um) - 1)
+        safe = guard.step(-vector_um[place], np.empty(0), age_s=0.0, elapsed_s=TICK_S, enabled=True)
+        controller.step(layout.correction_registers(tick + 1, safe))
+        tick += 1
+    return controller.recording(), guard.counted()
+
+
+def evaluate_circle(recording: CobotRecording, direction: str) -> dict[str, Any]:
+    """Return ``direction``, ``angle_rad`` and ``deviation_um`` of a recording's measured arc."""
+    start, end = recording.window
+    arc = 2.0 * math.pi if recording.condition.plane == "XY" else math.pi
+    turned = np.arange(end - start) / (end - start) * arc
+    return {
+        "direction": direction,
+        "angle_rad": turned if direction == "CCW" else arc - turned,
+        "deviation_um": recording.deviation_mm[start:end] * 1000.0,
+    }
+
+
+def rms_per_run(runs: Sequence[Mapping[str, Any]]) -> Floats:
+    """Return each run's RMS after the set-up's centre and radius, common to these runs.
+
+    Parameters
+    ----------
+    runs : sequence of dict
+        From ``evaluate_circle``; each gets its remainder under ``rest_um``.
+
+    Returns
+    -------
+    ndarray, shape (runs,)
+        In um.
+    """
+    angle = np.concatenate([r["angle_rad"] for r in runs])
+    value = np.concatenate([r["deviation_um"] for r in runs])
+    basis = np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)])
+    rest = value - basis @ np.linalg.lstsq(basis, value, rcond=None)[0]
+    parts = np.split(rest, np.cumsum([len(r["angle_rad"]) for r in runs])[:-1])
+    for run, part in zip(runs, parts, strict=True):
+        run["rest_um"] = part  # type: ignore[index]
+    return np.array([math.sqrt(float(np.mean(part**2))) for part in parts])

@@ -1,0 +1,293 @@
+"""Whether a champion still helps: circles with and without it, later, interleaved and randomised."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+from scipy.stats import t as student
+
+from dtwin.errors import InputError
+from dtwin.machines.cobot import CircleCondition, VirtualCobot
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
+
+Verdict = Literal["helps", "unclear", "worse"]
+_LEVEL = 0.05
+_FEWEST_PAIRS = 3
+_FIELDS: dict[str, type | tuple[type, ...]] = {
+    "plane": str,
+    "radius_mm": (int, float),
+    "feed_mm_min": (int, float),
+    "direction": str,
+    "block": int,
+    "compensated": bool,
+    "rms_um": (int, float),
+}
+
+
+@dataclass(frozen=True)
+class CheckedRun:
+    """One circle, with or without the correction.
+
+    Attributes
+    ----------
+    plane, radius_mm, feed_mm_min, direction
+        What was run.
+    block : int
+        Pass over all conditions; the two ways of one block make a pair.
+    compensated : bool
+        Whether the champion was served.
+    rms_um : float
+        Set-up-corrected error.
+    """
+
+    plane: str
+    radius_mm: float
+    feed_mm_min: float
+    direction: str
+    block: int
+    compensated: bool
+    rms_um: float
+
+    @property
+    def condition(self) -> tuple[str, float, float]:
+        """Plane, radius and feed."""
+        return self.plane, self.radius_mm, self.feed_mm_min
+
+
+@dataclass(frozen=True)
+class ConditionCheck:
+    """What pairs of one condition say.
+
+    Attributes
+    ----------
+    name : str
+        Such as ``YZ R150 F5000``; ``all`` over every condition.
+    before_um, after_um : float
+        Mean error without and with the correction.
+    growth_um, half_width_um : float
+        Mean difference of the pairs, and half its confidence interval; all intervals of a check
+        hold together with 95 % (Bonferroni).
+    pairs : int
+        Number of pairs.
+    """
+
+    name: str
+    before_um: float
+    after_um: float
+    growth_um: float
+    half_width_um: float
+    pairs: int
+
+    @property
+    def worse(self) -> bool:
+        """Whether the error is larger with the correction, beyond the interval."""
+        return self.growth_um > self.half_width_um
+
+    @property
+    def better(self) -> bool:
+        """Whether it is smaller, beyond the interval."""
+        return self.growth_um < -self.half_width_um
+
+
+@dataclass(frozen=True)
+class Recheck:
+    """The verdict on a champion.
+
+    Attributes
+    ----------
+    verdict : {"helps", "unclear", "worse"}
+        ``worse`` when any condition, or all together, are worse beyond their interval.
+    reason : str
+        In words.
+    conditions : tuple of ConditionCheck
+        Every condition, and ``all`` last.
+    """
+
+    verdict: Verdict
+    reason: str
+    conditions: tuple[ConditionCheck, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        rows = [asdict(c) | {"worse": c.worse, "better": c.better} for c in self.conditions]
+        return {"verdict": self.verdict, "reason": self.reason, "conditions": rows}
+
+
+def interleaved_runs(
+    bundle: Bundle, cobot: VirtualCobot, *, tcp_mm: Floats,
+    conditions: Sequence[tuple[str, float, float]], blocks: int = 3, seed: int = 0,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> list[CheckedRun]:  # fmt: skip
+    """Measure circles with and without a correction on the virtual cobot, in random order.
+
+    Every block holds each condition in both directions, with and without, in an order of its own.
+    The bar stays mounted; centre and radius of a set-up are fitted for each way as in the
+    evidence for promotion.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        What is served.
+    cobot : VirtualCobot
+        The machine as it is now.
+    tcp_mm : ndarray, shape (3,)
+        Tool centre point.
+    conditions : sequence of (plane, radius_mm, feed_mm_min)
+        What is run.
+    blocks : int
+        Passes over all of it.
+    seed : int
+        Of order and noise.
+    progress : callable, optional
+        Called with (done, total, what).
+    """
+    rng = np.random.default_rng([seed, 83])
+    jobs = [
+        (condition, direction, way)
+        for condition in conditions
+        for direction in ("CCW", "CW")
+        for way in ("uncompensated", "compensated")
+    ]
+    found: dict[Any, list[dict[str, Any]]] = defaultdict(list)
+    order = [(block, jobs[i]) for block in range(blocks) for i in rng.permutation(len(jobs))]
+    total = len(order)
+    for number, (block, ((plane, radius, feed), direction, way)) in enumerate(order):
+        recording, _ = run_circle(
+            cobot, bundle, tcp_mm, CircleCondition(plane, radius, feed, direction),
+            f"recheck-{seed}-{plane}-{radius:g}", 1000 * (seed + 1) + number, way,
+        )  # fmt: skip
+        run = evaluate_circle(recording, direction) | {"block": block}
+        found[(plane, radius, feed), way].append(run)
+        if progress is not None:
+            progress(number + 1, total, f"{plane} R{radius:g} F{feed:g}, {way}")
+    return [
+        CheckedRun(
+            plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms)
+        )
+        for ((plane, radius, feed), way), runs in found.items()
+        for run, rms in zip(runs, rms_per_run(runs), strict=True)
+    ]
+
+
+def judge(runs: Sequence[CheckedRun]) -> Recheck:
+    """Say whether a correction still helps, the pair of runs as unit.
+
+    Parameters
+    ----------
+    runs : sequence of CheckedRun
+        Pairs: with and without, of the same condition, direction and block.
+
+    Raises
+    ------
+    InputError
+        When runs have no partner, or a condition has fewer than three pairs.
+    """
+    pairs = _pairs(runs)
+    level = _LEVEL / (len(pairs) + 1)
+    checks = [_check(_named(c), np.array(found), level) for c, found in pairs.items()]
+    checks.append(_together([np.array(found) for found in pairs.values()], level))
+    worse = [c for c in checks if c.worse]
+    if worse:
+        told = "; ".join(_told(c) for c in worse)
+        return Recheck("worse", f"the error is larger with the correction: {told}", tuple(checks))
+    if checks[-1].better:
+        return Recheck("helps", f"the correction still helps: {_told(checks[-1])}", tuple(checks))
+    return Recheck("unclear", f"neither helps nor harms: {_told(checks[-1])}", tuple(checks))
+
+
+def read_runs(content: object, where: str) -> list[CheckedRun]:
+    """Return the runs of a real machine's check: a JSON list of objects.
+
+    Parameters
+    ----------
+    content : object
+        What was read: each object has the fields of ``CheckedRun``.
+    where : str
+        For messages.
+
+    Raises
+    ------
+    InputError
+        When it is something else.
+    """
+    rows = content if isinstance(content, list) else []
+    good = bool(rows) and all(
+        isinstance(row, Mapping)
+        and set(row) == set(_FIELDS)
+        and all(isinstance(row[name], kind) for name, kind in _FIELDS.items())
+        and math.isfinite(row["rms_um"])
+        and row["rms_um"] >= 0.0
+        for row in rows
+    )
+    if not good:
+        raise InputError(
+            "these are no runs of a check",
+            code="recheck.runs",
+            where=where,
+            got=str(content)[:120],
+            allowed=f"a list of objects with {', '.join(_FIELDS)}",
+        )
+    return [CheckedRun(**row) for row in rows]
+
+
+def _pairs(runs: Sequence[CheckedRun]) -> dict[tuple[str, float, float], list[tuple[float, float]]]:
+    ways: dict[Any, dict[bool, list[float]]] = defaultdict(lambda: {False: [], True: []})
+    for run in runs:
+        ways[run.condition, run.direction, run.block][run.compensated].append(run.rms_um)
+    pairs: dict[tuple[str, float, float], list[tuple[float, float]]] = defaultdict(list)
+    for (condition, direction, block), found in ways.items():
+        if len(found[False]) != 1 or len(found[True]) != 1:
+            raise InputError(
+                "every block needs each circle once with and once without the correction",
+                code="recheck.pairs",
+                got=f"{_named(condition)} {direction}, block {block}: {len(found[True])} with, "
+                f"{len(found[False])} without",
+            )
+        pairs[condition].append((found[False][0], found[True][0]))
+    for condition, found_pairs in pairs.items():
+        if len(found_pairs) < _FEWEST_PAIRS:
+            raise InputError(
+                "too few pairs to know an interval",
+                code="recheck.few",
+                got=f"{_named(condition)}: {len(found_pairs)}",
+                allowed=f"{_FEWEST_PAIRS} or more",
+            )
+    return pairs
+
+
+def _check(name: str, pairs: Floats, level: float) -> ConditionCheck:
+    growth = pairs[:, 1] - pairs[:, 0]
+    n = len(growth)
+    wide = float(student.ppf(1.0 - level / 2.0, n - 1)) * float(np.std(growth, ddof=1))
+    before, after = pairs.mean(axis=0).tolist()
+    return ConditionCheck(name, before, after, float(growth.mean()), wide / math.sqrt(n), n)
+
+
+def _together(groups: Sequence[Floats], level: float) -> ConditionCheck:
+    """Return the mean over all pairs, its interval from the spread inside the conditions."""
+    every = np.concatenate(groups)
+    growths = [g[:, 1] - g[:, 0] for g in groups]
+    n, freedom = len(every), len(every) - len(groups)
+    spread = math.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in growths) / freedom)
+    wide = float(student.ppf(1.0 - level / 2.0, freedom)) * spread / math.sqrt(n)
+    before, after = every.mean(axis=0).tolist()
+    return ConditionCheck("all", before, after, after - before, wide, n)
+
+
+def _named(condition: tuple[str, float, float]) -> str:
+    plane, radius_mm, feed_mm_min = condition
+    return f"{plane} R{radius_mm:g} F{feed_mm_min:g}"
+
+
+def _told(check: ConditionCheck) -> str:
+    return (
+        f"{check.name} {check.before_um:.1f} -> {check.after_um:.1f} um, by {check.growth_um:+.1f} "
+        f"± {check.half_width_um:.1f} um over {check.pairs} pairs"
+    )

@@ -1,0 +1,76 @@
+"""Check champions again, on a schedule; one that harms is released and rolled back."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from prefect import flow
+from prefect.client.schemas.objects import State
+from prefect.states import Completed
+
+from dtwin.config import home
+from dtwin.errors import InputError
+from dtwin.pipeline.rechecking import Rechecked
+from dtwin.train.registry import Registry
+from flows import _artifacts, _tasks
+
+
+@flow(name="recheck", flow_run_name="recheck")
+def recheck_flow(
+    machine: str | None = None, seed: int = 0, blocks: int = 3
+) -> dict[str, Any] | State[dict[str, Any]]:
+    """Measure circles with and without each champion; withdraw the ones that harm.
+
+    A real machine's circles have to be measured on it: it is left out here, with that reason.
+    The run ends as ``Withdrawn`` when a champion was taken away.
+
+    Parameters
+    ----------
+    machine : str, optional
+        Only this one.
+    seed : int
+        Seed of the virtual machine, of order and noise.
+    blocks : int
+        Passes over all conditions.
+    """
+    registry = Registry(home())
+    machines = [machine] if machine is not None else registry.machines()
+    result: dict[str, Any] = {}
+    withdrawn = []
+    for name in machines:
+        try:
+            done = _tasks.recheck(name, seed, blocks)
+        except InputError as error:
+            result[name] = {"verdict": "left out", "reason": error.message}
+            continue
+        publish_recheck(done)
+        result[name] = done.as_dict()
+        if done.withdrawn:
+            withdrawn.append(name)
+    if withdrawn:
+        reason = "; ".join(result[name]["reason"] for name in withdrawn)
+        return Completed(name="Withdrawn", message=reason, data=result)
+    return result
+
+
+def publish_recheck(done: Rechecked) -> None:
+    """Leave the table of a check, and what came of it.
+
+    Parameters
+    ----------
+    done : Rechecked
+        The check.
+    """
+    name = done.version.machine
+    now = f"version {done.restored} is champion again" if done.restored else "nothing is served"
+    came = f"withdrawn, {now}" if done.withdrawn else "kept"
+    _artifacts.publish_table(
+        f"recheck-{name}",
+        ("condition", "without um", "with um", "growth um", "± um", "pairs"),
+        [
+            [c.name, *(f"{v:.1f}" for v in (c.before_um, c.after_um, c.growth_um, c.half_width_um)),
+             str(c.pairs)]
+            for c in done.found.conditions
+        ],
+        f"Version {done.version.version}: {done.found.reason}; {came}",
+    )  # fmt: skip
