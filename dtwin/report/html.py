@@ -10,6 +10,13 @@ import plotly.io as pio
 from jinja2 import Environment
 from plotly.offline import get_plotlyjs
 
+# Plotly's own button would upload the chart to its cloud.
+_CONFIG = {
+    "displaylogo": False,
+    "responsive": True,
+    "modeBarButtonsToRemove": ["sendChartToCloud"],
+    "plotlyServerURL": "",
+}
 _PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta name="viewport" content="width=device-width, initial-scale=1">
@@ -114,6 +121,6 @@ def _figure_html(figure: go.Figure) -> str:
             figure,
             full_html=False,
             include_plotlyjs=False,
-            config={"displaylogo": False, "responsive": True},
+            config=_CONFIG,
         )
     )

@@ -12,6 +12,8 @@ from dtwin.units import UM_PER_MM
 _MOST_DRAWN = 1500
 _WHOLE_TURN_RAD = 1.9 * np.pi
 _BINS = 180
+# Off the circle by more than this share of the radius is no circle.
+_NEAR = 0.01
 
 
 def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float) -> go.Figure:
@@ -51,57 +53,76 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float) -> go
 
 
 def circle_figure(
-    position_mm: Floats, centre_mm: Floats, radius_mm: float, correction_um: Floats
+    position_mm: Floats, centre_mm: Floats, radius_mm: Floats, correction_um: Floats
 ) -> go.Figure | None:
-    """Return the newest circle as the controller sees it, with what the correction adds.
+    """Return the newest whole circle as the controller sees it, with and without the correction.
 
-    Without the correction the path would have been shorter or longer by the radial part of the
-    correction: that is drawn as the uncompensated circle. What the controller cannot see, as a
-    ball bar would, is in neither of the two.
+    The radial part of the correction is what it added to the path: without it, that much would
+    be missing. What the controller cannot see, as a ball bar would, is in neither of the two.
 
     Parameters
     ----------
     position_mm : ndarray, shape (n, 3)
-        Actual tool positions of one segment, oldest first.
-    centre_mm : ndarray, shape (3,)
-        Centre of the circle.
-    radius_mm : float
-        Its radius.
+        Actual tool positions, oldest first.
+    centre_mm : ndarray, shape (n, 3)
+        Centre of the circle that is run; any value beside one.
+    radius_mm : ndarray, shape (n,)
+        Its radius; 0 beside one.
     correction_um : ndarray, shape (n, 3)
         Corrections that were sent.
 
     Returns
     -------
     Figure or None
-        None when it is no circle, or not yet a turn.
+        None when no whole turn is in it.
     """
     arm = position_mm - centre_mm
-    if radius_mm <= 0.0 or len(arm) < _BINS:
-        return None
-    first, second = sorted(np.argsort(-arm.var(axis=0))[:2])
-    if (int(first), int(second)) == (0, 2):
+    length = np.linalg.norm(arm, axis=1)
+    step = np.linalg.norm(np.diff(arm, axis=0, prepend=arm[:1]), axis=1)
+    outward = np.abs(np.diff(length, prepend=length[:1]))
+    near = np.abs(length - radius_mm) < _NEAR * radius_mm
+    # Ways to the circle and from it go outward, stops go nowhere.
+    around = np.flatnonzero(near & (step > 3.0 * outward))
+    here = np.column_stack([centre_mm, radius_mm])[around]
+    ends = np.flatnonzero((np.diff(here, axis=0) != 0.0).any(axis=1)) + 1
+    for rows in np.split(around, ends)[::-1]:
+        if len(rows) > _BINS:
+            radial_um = (correction_um[rows] * arm[rows]).sum(axis=1) / length[rows]
+            seen_um = (length[rows] - radius_mm[rows]) * UM_PER_MM
+            figure = _turn_figure(arm[rows], float(radius_mm[rows[-1]]), seen_um, radial_um)
+            if figure is not None:
+                return figure
+    return None
+
+
+def _turn_figure(
+    arm_mm: Floats, radius_mm: float, seen_um: Floats, radial_um: Floats
+) -> go.Figure | None:
+    """Return the newest turn of a stretch on the circle; None when it is shorter."""
+    first, second = (int(i) for i in sorted(np.argsort(-arm_mm.var(axis=0))[:2]))
+    if (first, second) == (0, 2):
         # ZX turns from Z towards X.
         first, second = second, first
-    angle = np.unwrap(np.arctan2(arm[:, second], arm[:, first]))
+    angle = np.unwrap(np.arctan2(arm_mm[:, second], arm_mm[:, first]))
     newest = np.abs(angle - angle[-1]) <= 2.0 * np.pi
-    if abs(angle[-1] - angle[newest][0]) < _WHOLE_TURN_RAD:
+    # The other sense before it is another circle.
+    turned = np.flatnonzero(np.diff(np.sign(np.diff(angle))))
+    newest[: turned[-1] + 1 if len(turned) else 0] = False
+    if not newest.any() or np.ptp(angle[newest]) < _WHOLE_TURN_RAD:
         return None
-    arm, angle, sent = arm[newest], angle[newest], correction_um[newest]
-    length = np.linalg.norm(arm, axis=1)
-    seen_um = (length - radius_mm) * UM_PER_MM
-    radial_um = (sent * arm).sum(axis=1) / length
-    bins = (np.degrees(angle) // (360 / _BINS)).astype(int) % _BINS
+    bins = (np.degrees(angle[newest]) // (360 / _BINS)).astype(int) % _BINS
     count = np.bincount(bins, minlength=_BINS)
+    known = count > 0
     middle = (np.arange(_BINS) + 0.5) * 360.0 / _BINS
     figure = go.Figure()
     for name, values, colour, dash in (
         ("with the correction", seen_um, COLOURS["second"], "solid"),
         ("without it", seen_um - radial_um, COLOURS["measured"], "dot"),
     ):
-        mean = np.bincount(bins, values, _BINS)[count > 0] / count[count > 0]
+        mean = np.bincount(bins, values[newest], _BINS)[known] / count[known]
         figure.add_trace(
             go.Scatter(
-                x=middle[count > 0].tolist(),
+                x=middle[known].tolist(),
                 y=mean.round(3).tolist(),
                 name=name,
                 mode="lines",

@@ -14,6 +14,7 @@ from dtwin.links import state as layout
 from dtwin.schema import Floats
 from dtwin.serve.decision import Decision
 from dtwin.serve.journal import Note, no_journal
+from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.program_watch import ProgramWatch
 from dtwin.serve.realtime import realtime
 from dtwin.serve.safety import REASONS
@@ -123,13 +124,16 @@ class ServingLoop:
         Sequence number to start from.
     note : callable
         Takes events.
+    board : LiveBoard, optional
+        Shows every tick to other processes.
     """
 
     def __init__(
         self, decision: Decision, link: Link, *, period_s: float = 0.002, mode: Mode = "live",
-        first_sequence: int = 1, note: Note = no_journal,
+        first_sequence: int = 1, note: Note = no_journal, board: LiveBoard | None = None,
     ) -> None:  # fmt: skip
         self.decision, self.link, self.mode = decision, link, mode
+        self._board = board
         self.timing = LoopTiming(period_s)
         self.watch = ProgramWatch(note)
         self._note, self._period_s = note, period_s
@@ -250,6 +254,10 @@ class ServingLoop:
             self.decision.window_age_s, stamp_s=stamp_s,
             sequence=0 if self.mode == "shadow" else self._sequence,
         )  # fmt: skip
+        if self._board is not None:
+            ages_s = (interval_s, now_s - self.link.received_s, self.decision.window_age_s)
+            counts = (self.timing.late, self.timing.missed)
+            self._board.show(state, safe, self.decision.guard.reason, ages_s, counts)
         self._last_s, self._last_stamp_s = now_s, stamp_s
 
     def _without_state(self, *, enabled: bool) -> None:

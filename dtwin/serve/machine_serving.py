@@ -12,6 +12,7 @@ from dtwin.errors import DeviceError, DtwinError, GateRefusal
 from dtwin.links import state as layout
 from dtwin.serve.decision import Decision
 from dtwin.serve.journal import Note
+from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.loop import Link, Mode, ServeStatus, ServingLoop
 
 RATE_HZ = 500.0
@@ -99,6 +100,8 @@ class MachineServing:
         Takes events.
     withdrawn : callable, optional
         Asked every tick; a text says why the model may not be served any more.
+    board : LiveBoard, optional
+        Shows every tick to other processes.
 
     Attributes
     ----------
@@ -110,9 +113,9 @@ class MachineServing:
 
     def __init__(
         self, request: ServingRequest, decision: Decision, connect: Connect, note: Note,
-        withdrawn: Withdrawn = str,
+        withdrawn: Withdrawn = str, board: LiveBoard | None = None,
     ) -> None:  # fmt: skip
-        self._withdrawn = withdrawn
+        self._withdrawn, self._board = withdrawn, board
         self._request, self._decision, self._connect, self._note = request, decision, connect, note
         self.reconnects, self.realtime = 0, False
         self._link = self._connected()
@@ -134,7 +137,7 @@ class MachineServing:
         first = self._first_sequence()
         self._loop = loop = ServingLoop(
             self._decision, self._link, period_s=1.0 / self._request.rate_hz, mode=self._request.mode,
-            first_sequence=first, note=self._note,
+            first_sequence=first, note=self._note, board=self._board,
         )  # fmt: skip
         while True:
             stops = _Stops(asked, loop, self._decision, self._request, self._withdrawn)

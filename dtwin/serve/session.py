@@ -7,6 +7,7 @@ import dataclasses
 import json
 import math
 import os
+import time
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -39,6 +40,7 @@ from dtwin.serve.controller_kind import is_virtual
 from dtwin.serve.decision import Decision, SensorSource
 from dtwin.serve.journal import journal
 from dtwin.serve.lease import lease
+from dtwin.serve.live_board import live_board
 from dtwin.serve.loop import Mode, ServeStatus
 from dtwin.serve.machine_serving import RATE_HZ, MachineServing, ServingRequest
 from dtwin.serve.pointer import Resolved, read_machine, resolve
@@ -267,9 +269,16 @@ def _serve_resolved(
         sensors = held.enter_context(open_sensors(window)) if open_sensors and window else None
         decision = Decision(compiled, tcp_mm, request.covariates, sensors)
         door = _Door(request, compiled.bundle, trial)
+        board = None
+        # A shadow holds no lease: the board belongs to who holds it.
+        if request.mode != "shadow":
+            board = held.enter_context(live_board(
+                resolved.machine, home, clamp_um=compiled.bundle.safety.clamp_um,
+                period_s=1.0 / request.serving().rate_hz, started_s=time.time(),
+            ))  # fmt: skip
         serving = MachineServing(
             request.serving(), decision, door, events.note,
-            BarredWatch(resolved.machine, home, resolved.version),
+            BarredWatch(resolved.machine, home, resolved.version), board,
         )  # fmt: skip
         held.callback(serving.close)
         time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"

@@ -20,12 +20,14 @@ from dtwin.errors import InputError
 from dtwin.report.live_plots import circle_figure, correction_figure, waiting_figure
 from dtwin.report.model_plots import jitter_figure
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
+from dtwin.serve.session import events_path
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.pages import drawn, rendered
 
 router = APIRouter()
 _NEWEST = 20
 _TAIL_BYTES = 2_000_000
+_EVENTS = ".events.jsonl"
 _RECENT_S = 5.0
 _SHOWN_S = 20.0
 _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_z_um") + 1)
@@ -54,9 +56,11 @@ class Serving:
 def live_page(request: Request) -> Response:
     """Show what is served now, and the sessions that ended."""
     home = bench_of(request).home
+    serving = servings(home)
     return rendered(
-        request, "live.html", title="Live", serving=servings(home), sessions=sessions(home)
-    )
+        request, "live.html", title="Live", serving=serving, sessions=sessions(home),
+        events={s.machine: _newest_lines(events_path(home, s.machine))[::-1] for s in serving},
+    )  # fmt: skip
 
 
 @router.get("/api/live")
@@ -105,16 +109,9 @@ def correction(request: Request, machine: str) -> Response:
 def circle(request: Request, machine: str) -> Response:
     """Return the newest circle with and without the correction."""
     seen = _board(request, machine)
-    segment = seen.column("segment")
-    same = np.cumprod((segment == segment[-1])[::-1])[::-1].astype(bool)
-    rows = seen.rows[same]
     at = COLUMNS.index("actual_x_mm")
-    figure = circle_figure(
-        rows[:, at : at + 3],
-        rows[-1, at + 3 : at + 6],
-        float(rows[-1, at + 6]),
-        rows[:, _CORRECTION],
-    )
+    position, centre, radius = np.split(seen.rows[:, at : at + 7], [3, 6], axis=1)
+    figure = circle_figure(position, centre, radius[:, 0], seen.rows[:, _CORRECTION])
     return drawn(figure or waiting_figure("no whole circle was seen yet"))
 
 
@@ -175,12 +172,16 @@ def sessions(home: Home) -> list[dict[str, Any]]:
     """Return the newest sessions of every machine as their logs state them, newest first."""
     found: list[dict[str, Any]] = []
     for path in sorted(home.logs.glob("serve-*.jsonl")):
+        if path.name.endswith(_EVENTS):
+            continue
         machine = path.stem.removeprefix("serve-")
         found += [{"machine": machine, **line} for line in _newest_lines(path)]
     return sorted(found, key=lambda s: str(s.get("started", "")), reverse=True)
 
 
 def _newest_lines(path: Path) -> list[Mapping[str, Any]]:
+    if not path.exists():
+        return []
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _TAIL_BYTES))

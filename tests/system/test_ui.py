@@ -22,6 +22,8 @@ from workbench_server import Workbench, running_workbench
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 
 PATIENCE_MS = 60_000
+# Plotly's button that uploads a chart to its cloud.
+SHARES = ".modebar-btn[data-title^='Share']"
 expect.set_options(timeout=PATIENCE_MS)
 
 
@@ -146,6 +148,8 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     page.wait_for_url("**/twins/mill")
     _settled(page)
     expect(page.get_by_text("noise floor ±", exact=False).first).to_be_visible()
+    expect(page.locator(".modebar-btn").first).to_be_attached()
+    expect(page.locator(SHARES)).to_have_count(0)
     page.screenshot(path=tmp_path / "compare.png", full_page=True)
 
     page.get_by_role("link", name="Diagnose", exact=True).click()
@@ -317,6 +321,8 @@ def test_the_report_is_one_file_that_needs_nothing_else(
     expect(opened.get_by_role("heading", name="Machine virtual-mill: twin mill")).to_be_visible()
     expect(opened.locator(".js-plotly-plot").first).to_be_visible()
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)
+    expect(opened.locator(".modebar-btn").first).to_be_attached()
+    expect(opened.locator(SHARES)).to_have_count(0)
     opened.close()
 
 

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import json
+import math
 import signal
+import statistics
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from chromium import FLAGS
+from conftest import require_program
+from playwright.sync_api import expect, sync_playwright
+from served_robot import MACHINE, Server, promote, wait_until_corrected, wait_until_released
+from virtual_robot import virtual_robot
 from workbench_server import Workbench, running_workbench
+
+from dtwin.config import home as dtwin_home
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
@@ -78,3 +88,46 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     assert "0.40 <small>%, 3 late, 1 missed" in text
     figure = json.loads(bench.ask("/api/live/mill-a/0/jitter")[1])
     assert figure["data"][0]["x"] == ["<10", ">=10"]
+
+
+def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Real server, real ur-rtde client, virtual controller on the wall clock."""
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path))
+    promote(dtwin_home())
+    program = require_program("chromium", "chromium")
+    with (
+        virtual_robot("--feed-mm-min=12000", "--radius-mm=50") as robot,
+        running_workbench(tmp_path) as workbench,
+        sync_playwright() as playwright,
+    ):
+        browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
+        page = browser.new_page(viewport={"width": 1024, "height": 1300})
+        page.set_default_timeout(60_000)
+        expect.set_options(timeout=60_000)
+        server = Server(f"--host={robot.host}")
+        wait_until_corrected(robot)
+        page.goto(workbench.address)
+        page.wait_for_url("**/campaigns")
+        page.goto(f"{workbench.base}/live")
+        now = page.locator("[data-now]")
+        expect(now.locator("[data-key=rate]")).not_to_have_text("\u2013")
+        first = int(now.locator("[data-key=ticks]").inner_text())
+        expect(now.locator("[data-key=ticks]")).not_to_have_text(str(first))
+        assert int(now.locator("[data-key=ticks]").inner_text()) > first
+        expect(page.locator("figcaption", has_text="newest circle of R50")).to_be_visible()
+        # The promoted equation foretells 24 um along the radius: so much is taken away.
+        seen = json.loads(workbench.ask(f"/api/live/{MACHINE}/now")[1])
+        assert math.hypot(*seen["correction_um"]) == pytest.approx(24.0, rel=0.01)
+        with_it, without = page.evaluate(
+            "document.querySelectorAll('[data-moving] .canvas')[1].data.map(d => d.y)"
+        )
+        assert statistics.mean(with_it) - statistics.mean(without) == pytest.approx(-24.0, rel=0.02)
+        page.screenshot(path=tmp_path / "live.png", full_page=True)
+        page.get_by_role("button", name="Stop and release the correction").click()
+        assert server.end()[0] == 0
+        wait_until_released(robot)
+        expect(page.get_by_text("Nothing is being served")).to_be_visible()
+        assert workbench.ask(f"/api/live/{MACHINE}/now")[0] == 400
+        browser.close()
