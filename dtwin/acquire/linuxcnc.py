@@ -24,7 +24,6 @@ from dtwin.schema import PLANES, Campaign, Direction, Plane, Run, RunMeta
 MACHINE = "linuxcnc-mill"
 DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 _POLL_S = 0.05
-_START_S = 2.0
 # Between a state and the motion that its correction causes, measured with F6000 circles.
 _LINK_DELAY_S = 0.004
 While = Callable[[Callable[[], bool]], None]
@@ -110,7 +109,6 @@ def run_circles(
         bridge.ask(do="record", file="samples.txt")
         bridge.ask(do="run", program="circles.ngc")
         try:
-            _until_running(bridge)
             if during is None:
                 while not _ended(bridge):
                     time.sleep(_POLL_S)
@@ -124,18 +122,6 @@ def run_circles(
             )
     del overruns  # Of the time before the recording, too; gaps are found in the samples.
     return traces(read_samples(session.folder / "samples.txt"), circles)
-
-
-def _until_running(bridge: Bridge) -> None:
-    until_s = time.monotonic() + _START_S
-    while _ended(bridge):
-        if time.monotonic() > until_s:
-            said = bridge.ask(do="status")
-            raise DeviceError(
-                "the program does not start", code="linuxcnc.program",
-                got="; ".join(said["messages"])[:400] or "no message",
-            )  # fmt: skip
-        time.sleep(_POLL_S)
 
 
 def _ended(bridge: Bridge) -> bool:
@@ -179,6 +165,7 @@ def geometry(faults: MillFaults) -> dict[str, Any]:
     return {
         "type": "mill",
         "controller": "LinuxCNC, simulated time",
+        "virtual": True,
         "correction_delay_s": _LINK_DELAY_S + faults.delay_s,
     }
 

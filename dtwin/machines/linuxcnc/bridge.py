@@ -17,6 +17,7 @@ import time
 
 _START_S = 30.0
 _SERVO_S = 0.001
+_COMMAND_S = 5.0
 _AXES = "xyz"
 _POLL_S = 1e-4
 _CONTEXT = range(8)
@@ -72,14 +73,27 @@ class Control:
     def run(self, program: str) -> dict:
         """Start a program."""
         with self.lock:
+            self.poll()
             self.messages.clear()
-            self.command.mode(self.api.MODE_AUTO)
-            self.command.wait_complete(5.0)
-            self.command.program_open(str(self.folder / program))
-            self.command.wait_complete(5.0)
-            self.command.auto(self.api.AUTO_RUN, 1)
-            self.command.wait_complete(5.0)
+            self.tell("mode AUTO", lambda: self.command.mode(self.api.MODE_AUTO))
+            self.tell("open", lambda: self.command.program_open(str(self.folder / program)))
+            # Its completion is that of the whole program: it is only watched to begin.
+            self.command.auto(self.api.AUTO_RUN, 0)
+            until_s = time.monotonic() + _COMMAND_S
+            while self.poll().interp_state == self.api.INTERP_IDLE:
+                if time.monotonic() > until_s:
+                    raise RuntimeError("the program does not begin: " + "; ".join(self.messages))
+                time.sleep(0.001)
         return self.status()
+
+    def tell(self, what: str, command: "object") -> None:
+        """Give a command and wait until it is done."""
+        command()
+        done = self.command.wait_complete(_COMMAND_S)
+        if done != self.api.RCS_DONE:
+            self.poll()
+            told = "; ".join(self.messages) or f"LinuxCNC said {done}"
+            raise RuntimeError(f"{what}: {told}")
 
     def status(self) -> dict:
         """Return whether a program runs, and what was reported."""

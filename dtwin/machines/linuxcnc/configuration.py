@@ -38,9 +38,9 @@ class MillFaults:
         Of the bar, um.
     """
 
-    position_gain: float = 50.0
-    feed_forward_x: float = 0.995
-    feed_forward_y: float = 0.99
+    position_gain: float = 300.0
+    feed_forward_x: float = 1.0135
+    feed_forward_y: float = 0.9865
     play_x: float = 0.006
     play_y: float = 0.0
     scale_x: float = 60e-6
@@ -68,8 +68,8 @@ class MillFaults:
 
     @property
     def delay_s(self) -> float:
-        """Lag of the faster axis behind its command."""
-        return (1.0 - max(self.feed_forward_x, self.feed_forward_y)) / self.position_gain
+        """Mean lag of the two axes behind their commands."""
+        return (1.0 - 0.5 * (self.feed_forward_x + self.feed_forward_y)) / self.position_gain
 
 
 def ini_text(compensation: Mapping[str, str]) -> str:

@@ -18,7 +18,7 @@ pin in float centre_y;
 pin in float centre_z;
 pin in float nominal "Length of the bar; 0 without a circle.";
 pin out float deviation "Of the bar's length, um.";
-param rw float position_gain = 50.0 "Of the position loops, 1/s.";
+param rw float position_gain = 300.0 "Of the position loops, 1/s.";
 param rw float feed_forward_x = 0.995 "Share of the commanded speed that is fed forward.";
 param rw float feed_forward_y = 0.995;
 param rw float feed_forward_z = 0.995;

@@ -12,5 +12,6 @@ for file in components/*.so; do ln -sf "/mnt/$file" modules/; done
 mount --bind modules "$modules"
 mount --bind tmp /tmp
 ip link set lo up
+ip -o link | cut -d: -f2 > networks.txt
 export HOME=/mnt RTAPI_FIFO_PATH=/mnt/rtapi.fifo
 exec "$@"
