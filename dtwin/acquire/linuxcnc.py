@@ -107,20 +107,19 @@ def run_circles(
     (session.folder / "circles.ngc").write_text(program(circles), encoding="ascii")
     with Bridge(session.socket_path) as bridge:
         bridge.ask(do="record", file="samples.txt")
-        bridge.ask(do="run", program="circles.ngc")
         try:
+            bridge.ask(do="run", program="circles.ngc")
             if during is None:
                 while not _ended(bridge):
                     time.sleep(_POLL_S)
             else:
                 during(lambda: _ended(bridge))
         finally:
-            overruns = bridge.ask(do="stop_record")["overruns"]
+            bridge.ask(do="stop_record")
         if messages := bridge.ask(do="status")["messages"]:
             raise DeviceError(
                 "LinuxCNC reports something", code="linuxcnc.message", got="; ".join(messages)[:400]
             )
-    del overruns  # Of the time before the recording, too; gaps are found in the samples.
     return traces(read_samples(session.folder / "samples.txt"), circles)
 
 

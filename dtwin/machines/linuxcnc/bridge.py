@@ -81,7 +81,7 @@ class Control:
             self.command.auto(self.api.AUTO_RUN, 0)
             until_s = time.monotonic() + _COMMAND_S
             while self.poll().interp_state == self.api.INTERP_IDLE:
-                if time.monotonic() > until_s:
+                if self.messages or time.monotonic() > until_s:
                     raise RuntimeError("the program does not begin: " + "; ".join(self.messages))
                 time.sleep(0.001)
         return self.status()
@@ -100,8 +100,10 @@ class Control:
         with self.lock:
             stat = self.poll()
             idle = stat.interp_state == self.api.INTERP_IDLE and stat.inpos and stat.queue == 0
+            # After a dwell all of this looks idle for a moment; the command itself is not done.
+            done = stat.exec_state == self.api.EXEC_DONE and stat.state == self.api.RCS_DONE
             return {
-                "running": not (idle and stat.exec_state == self.api.EXEC_DONE),
+                "running": not (idle and done),
                 "enabled": bool(stat.enabled),
                 "messages": list(self.messages),
             }
@@ -119,15 +121,13 @@ class Control:
         return {}
 
     def stop_record(self) -> dict:
-        """End the recording; say how many samples the controller could not hand over."""
-        import hal
-
+        """End the recording."""
         time.sleep(0.05)
         if self.recorder is not None:
             self.recorder.send_signal(signal.SIGTERM)
             self.recorder.wait(5.0)
             self.recorder = None
-        return {"overruns": int(hal.get_value("sampler.0.overruns"))}
+        return {}
 
 
 class Registers:

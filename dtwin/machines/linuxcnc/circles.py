@@ -131,14 +131,24 @@ def read_samples(path: Path) -> Floats:
     DeviceError
         When it is empty, broken, or samples are missing.
     """
+    rows: list[list[bytes]] = []
+    whole = True
     with path.open("rb") as file:
-        rows = [line.split() for line in file if line.endswith(b"\n")]
-    # The first word is about samples from before the recording.
-    rows = rows[1:] if rows and rows[0] == [b"overrun"] else rows
-    if any(len(row) != _COLUMNS for row in rows) or len(rows) < 2:
+        for line in file:
+            row = line.split()
+            if row == [b"overrun"]:
+                # What went missing before the first circle does not matter.
+                whole = not any(float(r[1]) > 0.0 for r in rows)
+                rows = [] if whole else rows
+            elif line.endswith(b"\n"):
+                rows.append(row)
+            if not whole:
+                break
+    if not whole or any(len(row) != _COLUMNS for row in rows) or len(rows) < 2:
         raise DeviceError(
             "the sampler's recording is not whole", code="linuxcnc.samples", where=path.name,
-            got="an overrun" if any(b"overrun" in row for row in rows) else f"{len(rows)} rows",
+            got=f"{len(rows)} rows" if whole else "an overrun during a circle",
+            hint="the computer was too busy to fetch the samples; measure again",
         )  # fmt: skip
     samples = np.array(rows, dtype=float)
     gaps = np.flatnonzero(np.diff(samples[:, 0]) != 1.0)
