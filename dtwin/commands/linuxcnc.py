@@ -103,7 +103,9 @@ def _measured(
 
     # The machine is simulated: nothing can be harmed by a version on trial.
     named = None if model.endswith(".json") else MACHINE
-    bundle = Bundle.from_dict(read_json(resolve(model, named, home(), harmless=True).path, MAX_BYTES))
+    bundle = Bundle.from_dict(
+        read_json(resolve(model, named, home(), harmless=True).path, MAX_BYTES)
+    )
     found = measure_live(session, bundle, circles, line)
     return [m.trace for m in found], served_figures(found)
 

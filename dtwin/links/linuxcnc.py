@@ -23,6 +23,7 @@ _ANSWER_S = 20.0
 _EVERY_CYCLES = 2
 PERIOD_S = 0.002
 """Between two states: two cycles of the servo thread."""
+_NO_RADIUS_MM = -1.0
 _NUMBER, _DIRECTION, _RADIUS, _CENTRE, _PLANE, _FEED = 0, 1, 2, 3, 6, 7
 
 
@@ -159,7 +160,7 @@ class LinuxcncLink:
         state[layout.SAFETY_OK] = float(said["enabled"])
         state[layout.SEGMENT_ID] = told[_NUMBER]
         # Between circles there is no radius: outside of every box, so that nothing is corrected.
-        state[layout.RADIUS] = told[_RADIUS] if running else 0.0
+        state[layout.RADIUS] = told[_RADIUS] if running else _NO_RADIUS_MM
         state[layout.PLANE_ID], state[layout.FEED] = told[_PLANE], told[_FEED]
         state[layout.DIRECTION_SIGN] = told[_DIRECTION] if running else 1.0
         state[layout.CENTRE : layout.CENTRE + 3] = told[_CENTRE : _CENTRE + 3]

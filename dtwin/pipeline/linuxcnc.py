@@ -100,9 +100,7 @@ class LiveCorrection:
             asked += 1
             return asked % _ASK_EVERY == 0 and ended()
 
-        loop = ServingLoop(
-            self.decision, link, period_s=PERIOD_S, first_sequence=self._sequence
-        )
+        loop = ServingLoop(self.decision, link, period_s=PERIOD_S, first_sequence=self._sequence)
         # Where real-time priority is allowed it would starve the controller, which has none.
         status = loop.run(_LONGEST_S, stop=stop, priority=0)
         self._sequence = status.last_sequence + 1

@@ -31,6 +31,8 @@ def _named(found: Mapping[str, Any]) -> str:
         (e["effect"], e["name"], f"{e['value']:.4g} ± {e['uncertainty']:.2g}", e["unit"])
         for e in found["estimates"]
     ]
+    if found["objections"]:
+        lines.append("  on trial only: " + "; ".join(found["objections"]))
     return "\n".join([*lines, table(("corrected", "parameter", "value (k = 2)", "unit"), rows)])
 
 
@@ -52,8 +54,8 @@ def _corrected(found: Mapping[str, Any]) -> str:
     lines = [
         f"2 of 3  circles of {found['radius_mm']:g} mm, a radius that the twin has not seen, bar "
         "mounted anew",
-        "(RMS of the bar with one centre and radius for all circles of a way, 95 % interval over "
-        "runs; before and live in random order in one session; tables are read at LinuxCNC's start "
+        "(RMS of the bar with one centre and radius for all circles of a way, 95 % interval of the "
+        "mean, the run as unit; before and live in random order in one session; tables are read at LinuxCNC's start "
         "only: a session of their own)",
         table(head, rows),
         f"live: {served['circles']} circles, guard {_counts(served['acted'])}; "

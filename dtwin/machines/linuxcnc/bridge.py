@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+from typing import Any
 
 _START_S = 30.0
 _SERVO_S = 0.001
@@ -63,14 +64,14 @@ class Control:
                 raise RuntimeError("the axes do not home: " + "; ".join(self.messages))
             time.sleep(0.02)
 
-    def poll(self) -> "object":
+    def poll(self) -> Any:
         """Return the newest status, and keep what the control reports."""
         self.stat.poll()
         while found := self.errors.poll():
             self.messages.append(str(found[1]))
         return self.stat
 
-    def run(self, program: str) -> dict:
+    def run(self, program: str) -> dict[str, Any]:
         """Start a program."""
         with self.lock:
             self.poll()
@@ -86,7 +87,7 @@ class Control:
                 time.sleep(0.001)
         return self.status()
 
-    def tell(self, what: str, command: "object") -> None:
+    def tell(self, what: str, command: Any) -> None:
         """Give a command and wait until it is done."""
         command()
         done = self.command.wait_complete(_COMMAND_S)
@@ -95,7 +96,7 @@ class Control:
             told = "; ".join(self.messages) or f"LinuxCNC said {done}"
             raise RuntimeError(f"{what}: {told}")
 
-    def status(self) -> dict:
+    def status(self) -> dict[str, Any]:
         """Return whether a program runs, and what was reported."""
         with self.lock:
             stat = self.poll()
@@ -108,7 +109,7 @@ class Control:
                 "messages": list(self.messages),
             }
 
-    def record(self, file: str) -> dict:
+    def record(self, file: str) -> dict[str, Any]:
         """Begin to write the sampler's stream; what it held from before is dropped."""
         import hal
 
@@ -120,7 +121,7 @@ class Control:
             self.recorder = subprocess.Popen(["halsampler", "-t"], stdout=out)
         return {}
 
-    def stop_record(self) -> dict:
+    def stop_record(self) -> dict[str, Any]:
         """End the recording."""
         time.sleep(0.05)
         if self.recorder is not None:
@@ -139,13 +140,13 @@ class Registers:
         self.hal = hal
         self.seen = 0
 
-    def send(self, offset_um: list, sequence: int) -> None:
+    def send(self, offset_um: list[float], sequence: int) -> None:
         """Write the three values, then the number that makes them count."""
         for axis, value in zip(_AXES, offset_um, strict=True):
             self.hal.set_p(f"correction.{axis}", repr(float(value)))
         self.hal.set_p("correction.sequence", str(int(sequence)))
 
-    def wait(self, cycles: int, timeout_s: float) -> "dict | None":
+    def wait(self, cycles: int, timeout_s: float) -> "dict[str, Any] | None":
         """Return the state when the servo thread has run so often since the last one."""
         until_s = time.monotonic() + timeout_s
         while True:
@@ -171,7 +172,9 @@ class Registers:
         }
 
 
-def answer(request: dict, control: Control, registers: Registers) -> "dict | None":
+def answer(
+    request: dict[str, Any], control: Control, registers: Registers
+) -> "dict[str, Any] | None":
     """Do what a line asks for; a correction is not answered."""
     what = request["do"]
     if what == "send":
@@ -209,7 +212,7 @@ def serve(connection: socket.socket, control: Control) -> None:
                 stream.flush()
 
 
-def attach() -> "object":
+def attach() -> Any:
     """Join HAL, which a process does once and in its main thread."""
     import hal
 

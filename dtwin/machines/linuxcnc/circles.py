@@ -48,7 +48,7 @@ class Circle:
                 "the circle does not fit the machine", code="linuxcnc.radius",
                 got=f"{self.radius_mm:g} mm", allowed=f"5 to {0.9 * TRAVEL_MM:g} mm",
             )  # fmt: skip
-        if not (100.0 <= self.feed_mm_min and speed * speed / self.radius_mm
+        if not (self.feed_mm_min >= 100.0 and speed * speed / self.radius_mm
                 <= _LARGEST_ACCELERATION_MM_S2):  # fmt: skip
             raise InputError(
                 "the axes cannot hold this feed on this circle", code="linuxcnc.feed",

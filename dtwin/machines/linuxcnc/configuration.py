@@ -39,8 +39,8 @@ class MillFaults:
     """
 
     position_gain: float = 300.0
-    feed_forward_x: float = 1.0135
-    feed_forward_y: float = 0.9865
+    feed_forward_x: float = 0.994
+    feed_forward_y: float = 1.006
     play_x: float = 0.006
     play_y: float = 0.0
     scale_x: float = 60e-6

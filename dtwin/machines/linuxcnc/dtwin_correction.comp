@@ -51,7 +51,8 @@ FUNCTION(_) {
         shorten(target, limit);
     } else if (latched && silent_s > watchdog_s) {
         latched = 0;
-        trips++;
+        /* A client that goes away at zero has done it right. */
+        if (target[0] != 0.0 || target[1] != 0.0 || target[2] != 0.0) trips++;
         for (i = 0; i < 3; i++) target[i] = 0.0;
     }
     for (i = 0; i < 3; i++) change[i] = target[i] - applied[i];

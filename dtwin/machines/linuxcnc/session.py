@@ -10,7 +10,6 @@ import tempfile
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from dtwin.errors import DeviceError, MissingPart
 from dtwin.links.opened import OpenAndClose
