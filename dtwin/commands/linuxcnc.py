@@ -13,6 +13,7 @@ from dtwin.errors import InputError
 if TYPE_CHECKING:
     from dtwin.machines.linuxcnc.circles import Circle, Trace
     from dtwin.machines.linuxcnc.session import LinuxcncSession
+    from dtwin.serve.bundle import Bundle
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
@@ -74,9 +75,9 @@ def measure(
         _numbers(feed, "--feed"),
         repeats,
     )
-    circles = plan.circles(seed)
+    circles, bundle = plan.circles(seed), _bundle(model)
     with LinuxcncSession(compensation=_tables(comp or []), seed=seed) as session:
-        measured, served = _measured(session, circles, model, quiet=as_json)
+        measured, served = _measured(session, circles, bundle, quiet=as_json)
         write_circles(out, measured, session.faults, out.name)
     emit(
         {"folder": str(out), "runs": len(measured), "served": served},
@@ -86,28 +87,32 @@ def measure(
 
 
 def _measured(
-    session: LinuxcncSession, circles: list[Circle], model: str | None, *, quiet: bool
+    session: LinuxcncSession, circles: list[Circle], bundle: Bundle | None, *, quiet: bool
 ) -> tuple[list[Trace], dict[str, object]]:
     line = ProgressLine("circles", quiet=quiet)
-    if model is None:
+    if bundle is None:
         from dtwin.acquire.linuxcnc import run_circles
 
-        line(0, len(circles))
         return run_circles(session, circles), {}
+    from dtwin.pipeline.linuxcnc import measure_live, served_figures
+
+    found = measure_live(session, bundle, circles, line)
+    return [m.trace for m in found], served_figures(found)
+
+
+def _bundle(model: str | None) -> Bundle | None:
+    if model is None:
+        return None
     from dtwin.acquire.linuxcnc import MACHINE
     from dtwin.config import home
-    from dtwin.pipeline.linuxcnc import measure_live, served_figures
     from dtwin.serve.bundle import Bundle
     from dtwin.serve.bundle_file import MAX_BYTES, read_json
     from dtwin.serve.pointer import resolve
 
     # The machine is simulated: nothing can be harmed by a version on trial.
     named = None if model.endswith(".json") else MACHINE
-    bundle = Bundle.from_dict(
-        read_json(resolve(model, named, home(), harmless=True).path, MAX_BYTES)
-    )
-    found = measure_live(session, bundle, circles, line)
-    return [m.trace for m in found], served_figures(found)
+    path = resolve(model, named, home(), harmless=True).path
+    return Bundle.from_dict(read_json(path, MAX_BYTES))
 
 
 def _said(out: Path, runs: int, served: dict[str, object]) -> str:
