@@ -120,7 +120,8 @@ def _said(out: Path, runs: int, served: dict[str, object]) -> str:
     if served:
         lines.append(
             f"served live: {served['acted']}, largest {served['largest_um']:.1f} um, "
-            f"dropped by the controller's watchdog {served['watchdog_trips']} times"
+            f"dropped by the controller's watchdog {served['watchdog_trips']} times, "
+            f"circles not corrected throughout: {served['interrupted']}"
         )
     return "\n".join([*lines, f"next: dtwin twin fit {out} --effects scale_mismatch,squareness,"
                               f"servo_mismatch --name {out.name}"])  # fmt: skip

@@ -116,14 +116,17 @@ class LinuxcncLink:
     ----------
     trips : int
         How often the component dropped a correction since it was loaded.
-    sent : list of (float, float, float, float)
-        Time on the controller's clock of the newest state, and the correction, in um.
+    circles_seen : int
+        How many circles have begun since the link was made.
+    in_circle : bool
+        Whether one is being run.
     """
 
     def __init__(self, bridge: Bridge) -> None:
         self.bridge = bridge
         self.trips = 0
-        self.sent: list[tuple[float, float, float, float]] = []
+        self.circles_seen = 0
+        self.in_circle = False
         self._received_s = -np.inf
         self._state = layout.empty_state()
 
@@ -152,6 +155,8 @@ class LinuxcncLink:
         self.trips = int(said["trips"])
         state, told = self._state, said["context"]
         running = told[_NUMBER] > 0.0
+        self.circles_seen += int(running and not self.in_circle)
+        self.in_circle = running
         state[layout.TIMESTAMP] = said["t_s"]
         state[layout.TARGET_TCP : layout.TARGET_TCP + 3] = said["position_mm"]
         state[layout.ACTUAL_TCP : layout.ACTUAL_TCP + 3] = said["actual_mm"]
@@ -180,7 +185,6 @@ class LinuxcncLink:
         """
         x, y, z = offset_um.tolist()
         self.bridge.tell(do="send", offset_um=[x, y, z], sequence=sequence)
-        self.sent.append((float(self._state[layout.TIMESTAMP]), x, y, z))
 
 
 def _gone(path: Path, error: OSError | None) -> DeviceError:

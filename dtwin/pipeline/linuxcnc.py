@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -19,8 +20,8 @@ from dtwin.serve.loop import ServeStatus, ServingLoop
 from dtwin.serve.runtime import CompiledBundle
 
 Progress = Callable[[int, int, str], None]
-# How often the loop asks whether the program has ended: every quarter of a second.
-_ASK_EVERY = 125
+_PATIENCE_S = 15.0
+_POLL_S = 0.05
 _LONGEST_S = 3600.0
 _NO_TOOL = np.zeros(3)
 
@@ -80,6 +81,8 @@ class LiveCorrection:
 
             def serve(ended: Callable[[], bool]) -> None:
                 found.append(self._serve(link, ended))
+                while not ended():
+                    time.sleep(_POLL_S)
 
             (trace,) = run_circles(self.session, [circle], serve)
             trips = int(bridge.ask(do="get", pin="correction.trips")["value"]) - before
@@ -93,12 +96,13 @@ class LiveCorrection:
     def _serve(self, link: LinuxcncLink, ended: Callable[[], bool]) -> ServeStatus:
         self.decision.reset()
         self.decision.guard.reset()
-        asked = 0
+        begun_s = time.monotonic()
 
         def stop() -> bool:
-            nonlocal asked
-            asked += 1
-            return asked % _ASK_EVERY == 0 and ended()
+            if link.circles_seen:
+                return not link.in_circle
+            # LinuxCNC's status can keep a busy computer waiting: it is asked only when nothing comes.
+            return time.monotonic() - begun_s > _PATIENCE_S and ended()
 
         loop = ServingLoop(self.decision, link, period_s=PERIOD_S, first_sequence=self._sequence)
         # Where real-time priority is allowed it would starve the controller, which has none.
@@ -152,6 +156,8 @@ def served_figures(measured: Sequence[LiveTrace]) -> dict[str, Any]:
             acted[reason] = acted.get(reason, 0) + count
     return {
         "circles": len(measured),
+        # Latched, or dropped by the controller: not corrected throughout.
+        "interrupted": sum(bool(m.trips or m.status.reasons.get("latched")) for m in measured),
         "acted": acted,
         "watchdog_trips": sum(m.trips for m in measured),
         "largest_um": max((m.status.largest_um for m in measured), default=0.0),

@@ -62,6 +62,11 @@ def _corrected(found: Mapping[str, Any]) -> str:
         f"largest {served['largest_um']:.1f} um; dropped by the controller's watchdog "
         f"{served['watchdog_trips']} times",
     ]
+    if served["interrupted"]:
+        lines.append(
+            f"in {served['interrupted']} of them the computer was too busy to correct throughout; "
+            "they are in the table as they were"
+        )
     lines += [f"not in the tables: {k}: {v}" for k, v in found["table_left_out"].items()]
     return "\n".join(lines)
 

@@ -21,14 +21,15 @@ from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
 from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
 from dtwin.pipeline.axis_tables import AxisTable, compensation_file
-from dtwin.pipeline.linuxcnc import LiveCorrection
+from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
-FEED, RADIUS = 6000.0, 15.0
+RADIUS = 15.0
+PATIENCE = 6
 # One fault only, so that what a correction must do is known without a fit.
 SCALE = 200e-6
 FAULTS = MillFaults(
@@ -156,14 +157,26 @@ def test_a_circle_shows_the_machines_error_and_the_correction_takes_it_away(
         assert ovality_um(trace) == pytest.approx(1e3 * SCALE * RADIUS / 2.0, abs=0.15)
     live = LiveCorrection(session, served())
     for circle in circles():
-        found = live.run(circle)
+        found = undisturbed(live, circle)
         assert found.status.released
         assert found.status.largest_um > 1.0
         assert abs(ovality_um(found.trace)) < 0.35
         assert np.abs(found.trace.offset_mm).max() > 1e-3
     # The check can fail: with its sign lost the correction doubles the error.
-    wrong = LiveCorrection(session, served(-1.0)).run(circles()[0])
+    wrong = undisturbed(LiveCorrection(session, served(-1.0)), circles()[0])
     assert ovality_um(wrong.trace) > 1.7 * ovality_um(before[0])
+
+
+def undisturbed(live: LiveCorrection, circle: Circle) -> LiveTrace:
+    """Run a circle until the computer had time for all of it.
+
+    Without real-time kernel a busy test computer halts LinuxCNC for longer than the guard allows.
+    """
+    for _ in range(PATIENCE):
+        found = live.run(circle)
+        if not (found.trips or {"latched", "stale"} & set(found.status.reasons)):
+            break
+    return found
 
 
 def test_a_killed_client_leaves_no_correction(session: LinuxcncSession, tmp_path: Path) -> None:
