@@ -58,6 +58,9 @@ def measure(
     comp: Annotated[
         list[str] | None, typer.Option(help="Compensation file of an axis, like X=x.comp.")
     ] = None,
+    faults: Annotated[
+        Path | None, typer.Option(help="What is wrong with the machine, like a truth.toml.")
+    ] = None,
     model: Annotated[
         str | None, typer.Option(help="Correction to serve live: latest, trial, or a file.")
     ] = None,
@@ -66,9 +69,11 @@ def measure(
 ) -> None:
     """Run circles both ways, recorded by the controller's sampler, as a campaign folder."""
     from dtwin.acquire.linuxcnc import CirclePlan, require_free, write_circles
+    from dtwin.machines.linuxcnc.configuration import MillFaults, read_faults
     from dtwin.machines.linuxcnc.session import LinuxcncSession
 
     require_free(out)
+    wrong = MillFaults() if faults is None else read_faults(faults)
     plan = CirclePlan(
         tuple(plane.split(",")),  # type: ignore[arg-type]
         _numbers(radius, "--radius"),
@@ -76,7 +81,7 @@ def measure(
         repeats,
     )
     circles, bundle = plan.circles(seed), _bundle(model)
-    with LinuxcncSession(compensation=_tables(comp or []), seed=seed) as session:
+    with LinuxcncSession(wrong, _tables(comp or []), seed=seed) as session:
         measured, served = _measured(session, circles, bundle, quiet=as_json)
         write_circles(out, measured, session.faults, out.name)
     emit(

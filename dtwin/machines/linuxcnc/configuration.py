@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -12,6 +13,10 @@ AXES = "XYZ"
 TRAVEL_MM = 150.0
 _MAX_COMP_BYTES = 100_000
 _MOST_TRIPLETS = 256
+_RANGES = {
+    "position_gain": (1.0, 900.0), "noise": (0.0, 100.0),
+    "feed_forward_x": (0.0, 2.0), "feed_forward_y": (0.0, 2.0),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,42 @@ class MillFaults:
     def delay_s(self) -> float:
         """Mean lag of the two axes behind their commands."""
         return (1.0 - 0.5 * (self.feed_forward_x + self.feed_forward_y)) / self.position_gain
+
+
+def read_faults(path: Path) -> MillFaults:
+    """Return faults from a TOML file, such as the ``truth.toml`` of a campaign.
+
+    Parameters
+    ----------
+    path : Path
+        Attributes of ``MillFaults``; those that it does not name keep their value.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, names something else, or a value is no sensible number.
+    """
+    names = [f.name for f in fields(MillFaults)]
+    try:
+        with path.open("rb") as file:
+            given = tomllib.loads(file.read(_MAX_COMP_BYTES).decode("utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError(
+            "the faults cannot be read",
+            code="linuxcnc.faults",
+            where=str(path),
+            got=str(error)[:120],
+        ) from error
+    for name, value in given.items():
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        low, high = _RANGES.get(name, (-1.0, 1.0))
+        if name not in names or not number or not low <= value <= high:
+            raise InputError(
+                "this is no fault of the simulated mill", code="linuxcnc.faults", where=str(path),
+                got=f"{name[:40]} = {str(value)[:40]}",
+                allowed=f"{low:g} to {high:g}" if name in names else ", ".join(names),
+            )  # fmt: skip
+    return MillFaults(**{name: float(value) for name, value in given.items()})
 
 
 def ini_text(compensation: Mapping[str, str]) -> str:

@@ -11,7 +11,12 @@ import pytest
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.machines.linuxcnc import session
 from dtwin.machines.linuxcnc.circles import Circle, program, read_samples, traces
-from dtwin.machines.linuxcnc.configuration import compensation_text, ini_text
+from dtwin.machines.linuxcnc.configuration import (
+    MillFaults,
+    compensation_text,
+    ini_text,
+    read_faults,
+)
 
 
 def test_a_program_runs_each_plane_its_own_way() -> None:
@@ -88,3 +93,21 @@ def test_without_linuxcnc_the_package_is_named(monkeypatch: pytest.MonkeyPatch) 
     with pytest.raises(MissingPart) as caught:
         session.require_linuxcnc()
     assert "linuxcnc-uspace" in str(caught.value.hint)
+
+
+def test_faults_are_numbers_that_the_mill_has(tmp_path: Path) -> None:
+    file = tmp_path / "truth.toml"
+    file.write_text("play_y = 0.01\nnoise = 0\n", encoding="utf-8")
+    assert read_faults(file) == MillFaults(play_y=0.01, noise=0.0)
+    for text in (
+        "play = 1.0",
+        "play_x = 'a'",
+        "play_x = nan",
+        "position_gain = 1e9",
+        "play_x",
+        "noise = true",
+    ):
+        file.write_text(text, encoding="utf-8")
+        with pytest.raises(InputError) as caught:
+            read_faults(file)
+        assert caught.value.code == "linuxcnc.faults"
