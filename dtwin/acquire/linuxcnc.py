@@ -26,7 +26,7 @@ DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 _POLL_S = 0.05
 # Between a state and the motion that its correction causes, measured with F6000 circles.
 _LINK_DELAY_S = 0.004
-While = Callable[[Callable[[], bool]], None]
+While = Callable[[Callable[[], None], Callable[[], bool]], None]
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,8 @@ def run_circles(
     circles : sequence of Circle
         In order.
     during : callable, optional
-        Called with a function that tells whether the program has ended; returns when it has.
+        Called with a function that starts the program, and one that tells whether it has ended;
+        returns when it has.
 
     Raises
     ------
@@ -106,14 +107,18 @@ def run_circles(
     """
     (session.folder / "circles.ngc").write_text(program(circles), encoding="ascii")
     with Bridge(session.socket_path) as bridge:
+
+        def begin() -> None:
+            bridge.ask(do="run", program="circles.ngc")
+
         bridge.ask(do="record", file="samples.txt")
         try:
-            bridge.ask(do="run", program="circles.ngc")
             if during is None:
+                begin()
                 while not _ended(bridge):
                     time.sleep(_POLL_S)
             else:
-                during(lambda: _ended(bridge))
+                during(begin, lambda: _ended(bridge))
         finally:
             bridge.ask(do="stop_record")
         if messages := bridge.ask(do="status")["messages"]:

@@ -79,8 +79,8 @@ class LiveCorrection:
             link = LinuxcncLink(bridge)
             before = int(bridge.ask(do="get", pin="correction.trips")["value"])
 
-            def serve(ended: Callable[[], bool]) -> None:
-                found.append(self._serve(link, ended))
+            def serve(begin: Callable[[], None], ended: Callable[[], bool]) -> None:
+                found.append(self._serve(link, begin, ended))
                 while not ended():
                     time.sleep(_POLL_S)
 
@@ -93,12 +93,19 @@ class LiveCorrection:
             )
         return LiveTrace(trace, status, trips)
 
-    def _serve(self, link: LinuxcncLink, ended: Callable[[], bool]) -> ServeStatus:
+    def _serve(
+        self, link: LinuxcncLink, begin: Callable[[], None], ended: Callable[[], bool]
+    ) -> ServeStatus:
         self.decision.reset()
         self.decision.guard.reset()
-        begun_s = time.monotonic()
+        begun_s = 0.0
 
         def stop() -> bool:
+            nonlocal begun_s
+            if not begun_s:
+                # Only now: the loop may need a second to lock its memory, which is part of a circle.
+                begin()
+                begun_s = time.monotonic()
             if link.circles_seen:
                 return not link.in_circle
             # LinuxCNC's status can keep a busy computer waiting: it is asked only when nothing comes.
