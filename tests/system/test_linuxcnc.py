@@ -216,20 +216,30 @@ def test_limits_hold_inside_the_controller(session: LinuxcncSession) -> None:
         wait_for(bridge, lambda s: max(map(abs, s["applied_mm"])) < 1e-6)
 
 
-def test_an_exported_compensation_file_acts_after_a_restart() -> None:
+def test_an_exported_compensation_file_acts_and_nothing_is_left_behind(
+    session: LinuxcncSession,
+) -> None:
     play_mm = 0.010
-    faults = replace(FAULTS, play_x=play_mm)
+    with Bridge(session.socket_path) as bridge:
+        bridge.ask(do="set", pin="plant.play-x", value=play_mm)
+        (without,) = run_circles(session, circles()[:1])
+        bridge.ask(do="set", pin="plant.play-x", value=0.0)
     at = np.array([-60.0, 0.0, 60.0])
     forward, reverse = (1e3 * (SCALE * at - half) for half in (play_mm / 2, -play_mm / 2))
     rows = compensation_file(AxisTable("X", at, forward, reverse, 0.0))
-    left = {}
-    for name, tables in (("without", {}), ("with", {"X": rows})):
-        with LinuxcncSession(faults, tables) as running:
-            (trace,) = run_circles(running, circles()[:1])
-            left[name] = float(np.std(trace.deviation_um))
+    with LinuxcncSession(replace(FAULTS, play_x=play_mm), {"X": rows}) as compensated:
+        (trace,) = run_circles(compensated, circles()[:1])
+        inside, folder = processes_in(compensated), compensated.folder
     # The rest is the moment at each reversal that LinuxCNC takes to go from trim to trim.
-    assert left["without"] > 2.5
-    assert left["with"] < 0.25 * left["without"]
+    before_um, after_um = (float(np.std(t.deviation_um)) for t in (without, trace))
+    assert before_um > 2.5
+    assert after_um < 0.25 * before_um
+    assert inside
+    deadline_s = time.monotonic() + 10.0
+    while any(Path(f"/proc/{p}/cmdline").exists() for p in inside):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    assert not folder.exists()
 
 
 def test_what_the_program_gets_wrong_is_said(session: LinuxcncSession) -> None:
@@ -239,19 +249,6 @@ def test_what_the_program_gets_wrong_is_said(session: LinuxcncSession) -> None:
         run_circles(session, [beyond])
     # It still works afterwards.
     assert len(run_circles(session, circles()[:1])) == 1
-
-
-def test_nothing_is_left_behind() -> None:
-    session = LinuxcncSession(FAULTS)
-    session.open()
-    inside, folder = processes_in(session), session.folder
-    assert inside
-    session.close()
-    deadline_s = time.monotonic() + 10.0
-    while any(Path(f"/proc/{p}/cmdline").exists() for p in inside):
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-    assert not folder.exists()
 
 
 def state(bridge: Bridge) -> dict:  # type: ignore[type-arg]
