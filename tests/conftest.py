@@ -22,6 +22,7 @@ _SLOWEST_FIRST = (
     "test_pipeline",
     "test_scheduled",
     "test_serve_command",
+    "test_linuxcnc",
     "test_ui",
     "test_twin_correction",
     "test_readme",

@@ -187,6 +187,35 @@ def write_campaign(
     progress : callable, optional
         Called with (done, total, what).
     """
+    told = [f"{k} = {toml_value(v)}" for k, v in asdict(truth).items() if _plain(v)]
+    for letter in "xyz":
+        told += ["", f"[{letter}]"]
+        told += [f"{k} = {toml_value(v)}" for k, v in asdict(getattr(truth, letter)).items()]
+    told += ["", "[squareness_um_m]"]
+    told += [f"{k} = {toml_value(v)}" for k, v in truth.squareness_um_m.items()]
+    write_text(folder / "truth.toml", "\n".join([*told, ""]), "the truth")
+    write_runs(folder, campaign, runs, progress)
+
+
+def write_runs(
+    folder: Path,
+    campaign: Campaign,
+    runs: Sequence[Run],
+    progress: Callable[[int, int, str], None] | None = None,
+) -> None:
+    """Write circular runs as a campaign folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write; the campaign file comes last.
+    campaign : Campaign
+        Name, machine and geometry.
+    runs : sequence of Run
+        What was measured.
+    progress : callable, optional
+        Called with (done, total, what).
+    """
     lines = [
         "[campaign]",
         f"name = {toml_value(campaign.name)}",
@@ -200,13 +229,6 @@ def write_campaign(
         lines += _entry(run)
         if progress is not None:
             progress(number + 1, len(runs), run.meta.run_id)
-    told = [f"{k} = {toml_value(v)}" for k, v in asdict(truth).items() if _plain(v)]
-    for letter in "xyz":
-        told += ["", f"[{letter}]"]
-        told += [f"{k} = {toml_value(v)}" for k, v in asdict(getattr(truth, letter)).items()]
-    told += ["", "[squareness_um_m]"]
-    told += [f"{k} = {toml_value(v)}" for k, v in truth.squareness_um_m.items()]
-    write_text(folder / "truth.toml", "\n".join([*told, ""]), "the truth")
     write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
 
 

@@ -18,7 +18,7 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     which: Annotated[
-        str, typer.Argument(help="Which demo: cobot, mill, tracking, position-map.")
+        str, typer.Argument(help="Which demo: cobot, mill, linuxcnc, tracking, position-map.")
     ] = "cobot",
     quick: Annotated[
         bool, typer.Option("--quick", help="A small campaign, for a first look.")
@@ -31,7 +31,11 @@ def demo(
     ``tracking`` recomputes the source thesis's tracking chain on the virtual cobot instead,
     ``position-map`` asks what its equation for the mill has learned, ``mill`` tells that story to
     the end: a map of one session makes a later one worse, a twin with what was missing does not.
+    ``linuxcnc`` corrects circles of the real controller, live and by its compensation files.
     """
+    if which == "linuxcnc":
+        _linuxcnc(seed, quick=quick, as_json=as_json)
+        return
     if which == "mill":
         _mill(seed, quick=quick, as_json=as_json)
         return
@@ -44,7 +48,7 @@ def demo(
             "no such demo",
             code="demo.unknown",
             got=which[:40],
-            allowed=", ".join(["cobot", "mill", *others]),
+            allowed=", ".join(["cobot", "mill", "linuxcnc", *others]),
         )
     from dtwin.config import home
     from flows.page import shown_steps
@@ -68,6 +72,18 @@ def _mill(seed: int, *, quick: bool, as_json: bool) -> None:
     shown = partial(ProgressLine, quiet=as_json)
     found = mill_story(home(), seed, quick=quick, progress=shown)
     emit(found, lambda: mill_story_text(found), as_json=as_json)
+
+
+def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
+    from functools import partial
+
+    from dtwin.config import home
+    from dtwin.pipeline.linuxcnc_story import FULL, QUICK, linuxcnc_story
+    from dtwin.report.linuxcnc import linuxcnc_text
+
+    shown = partial(ProgressLine, quiet=as_json)
+    found = linuxcnc_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
+    emit(found, lambda: linuxcnc_text(found), as_json=as_json)
 
 
 def _tracking(seed: int, *, as_json: bool) -> None:

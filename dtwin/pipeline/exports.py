@@ -267,7 +267,9 @@ def _table_notes(request: Request, tables: Sequence[AxisTable]) -> list[str]:
     ]
     if request.form == "comp":
         notes.append("COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table")
-        notes.append("this file has not been loaded by a LinuxCNC in dtwin's tests")
+        notes.append(
+            "LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure"
+        )
     return notes
 
 

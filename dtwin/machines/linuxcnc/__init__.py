@@ -1,0 +1,1 @@
+"""A real LinuxCNC in simulation: its machine is a component of its own HAL."""
