@@ -24,7 +24,7 @@ from dtwin.schema import PLANES, Campaign, Direction, Plane, Run, RunMeta
 MACHINE = "linuxcnc-mill"
 DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 _POLL_S = 0.05
-# Between a state and the motion that its correction causes, measured with F6000 circles.
+# Between a state and the motion that its correction causes: an estimate, four servo periods.
 _LINK_DELAY_S = 0.004
 While = Callable[[Callable[[], None], Callable[[], bool]], None]
 

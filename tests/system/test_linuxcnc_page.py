@@ -18,7 +18,8 @@ def test_the_page_is_followed(tmp_path: Path) -> None:
     try:
         require_linuxcnc()
     except MissingPart as error:
-        if os.environ.get("DTWIN_REQUIRE_ALL"):
+        # A kernel that forbids namespaces is no part that could be installed.
+        if os.environ.get("DTWIN_REQUIRE_ALL") and error.code != "linuxcnc.namespaces":
             raise
         pytest.skip(f"{error}: {error.hint}")
     said = follow(blocks(page("docs/how-to/linuxcnc.md")), tmp_path)
