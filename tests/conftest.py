@@ -79,3 +79,12 @@ def require_program(name: str, package: str) -> str:
             pytest.fail(reason)
         pytest.skip(reason)
     return found
+
+
+@pytest.fixture
+def artifacts(request: pytest.FixtureRequest) -> Path:
+    """Folder in which pictures of a test module stay: ``DTWIN_ARTIFACTS``, else ``.artifacts``."""
+    root = Path(os.environ.get("DTWIN_ARTIFACTS") or request.config.rootpath / ".artifacts")
+    folder = root / request.path.stem
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
