@@ -120,9 +120,9 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
         # The promoted equation foretells 24 um along the radius: so much is taken away.
         seen = json.loads(workbench.ask(f"/api/live/{MACHINE}/now")[1])
         assert math.hypot(*seen["correction_um"]) == pytest.approx(24.0, rel=0.01)
-        with_it, without = page.evaluate(
-            "document.querySelectorAll('[data-moving] .canvas')[1].data.map(d => d.y)"
-        )
+        drawn = "document.querySelectorAll('[data-moving] .canvas')[1].data.map(d => d.y)"
+        page.wait_for_function(f"() => {drawn}.length === 2")
+        with_it, without = page.evaluate(drawn)
         assert statistics.mean(with_it) - statistics.mean(without) == pytest.approx(-24.0, rel=0.02)
         page.screenshot(path=artifacts / "live.png", full_page=True)
         page.get_by_role("button", name="Stop and release the correction").click()
