@@ -31,6 +31,14 @@ _SLOWEST_FIRST = (
     "test_examples",
     "test_ui_models",
     "test_flow_run",
+    "test_robot_faults",
+    "test_exam_short",
+    "test_single_recording",
+    "test_record_command",
+    "test_mill_story",
+    "test_up",
+    "test_linuxcnc_page",
+    "test_analogue_serving",
 )
 
 

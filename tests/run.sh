@@ -8,4 +8,4 @@ set -euo pipefail
 .venv/bin/mypy
 .venv/bin/lint-imports
 NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet --site-dir .dtwin/site
-OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 2 --no-loadscope-reorder "$@"
+OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 3 --no-loadscope-reorder "$@"
