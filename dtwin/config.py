@@ -105,6 +105,11 @@ def sample_recording() -> Path:
     return _data("samples/ur10e_xy_r100_f5000.b5r")
 
 
+def published_table(name: str) -> Path:
+    """Return a file of published numbers that travels with the package."""
+    return _data(f"published/{name}")
+
+
 def example_campaigns() -> Path:
     """Return the folder of example campaigns that travels with the package."""
     return _data("examples")
