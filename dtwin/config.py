@@ -85,6 +85,11 @@ def sample_recording() -> Path:
     return _data("samples/ur10e_xy_r100_f5000.b5r")
 
 
+def lathe_network() -> Path:
+    """Return the published network of a lathe's positioning error that travels with the package."""
+    return _data("published/lathe_z_network.json")
+
+
 def example_campaigns() -> Path:
     """Return the folder of example campaigns that travels with the package."""
     return _data("examples")

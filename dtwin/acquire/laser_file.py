@@ -23,6 +23,7 @@ SIGN_TOLERANCE = 1e-6 + 1e-9
 _MAX_BYTES = 64 * 1024 * 1024
 _NAMES = frozenset(COLUMNS)
 Sense = Literal["decrease", "increase"]
+_SENSES: tuple[Sense, ...] = ("decrease", "increase")
 
 
 @dataclass(frozen=True)
@@ -153,11 +154,12 @@ def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:
     """
     position, reading = test.column("Position"), test.column("LasRead")
     stated = test.column("LinearError")
-    senses: tuple[Sense, ...] = ("decrease", "increase")
-    for sense in senses:
-        computed = linear_error(position, reading, float(position[0]), sense)
+    for sense in _SENSES:
+        # The first row may be missing, so the zero is what all rows agree on.
+        travelled = linear_error(position, reading, 0.0, sense)
         for right in (True, False):
-            if np.max(np.abs(stated - (computed if right else -computed))) <= SIGN_TOLERANCE:
+            zero = (stated if right else -stated) - travelled
+            if np.max(np.abs(zero - np.median(zero))) <= SIGN_TOLERANCE:
                 return sense, right
     return None, True
 

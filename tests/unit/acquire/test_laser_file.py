@@ -63,7 +63,8 @@ def test_turned_readings_and_turned_errors_are_told_apart(tmp_path: Path) -> Non
     assert sign_rule(LaserTest(turned, test.averages, [])) == ("increase", True)
     wrong = test.raw * [1, 1, -1, 1, 1, 1, 1]
     assert sign_rule(LaserTest(wrong, test.averages, [])) == ("decrease", False)
-    mixed = test.raw + np.array([0, 0, 0.001, 0, 0, 0, 0])
+    mixed = test.raw.copy()
+    mixed[2:, 2] += 0.001
     assert sign_rule(LaserTest(mixed, test.averages, []))[0] is None
 
 
@@ -80,7 +81,7 @@ def test_what_is_written_is_read_again_with_its_averages(tmp_path: Path) -> None
 def test_a_spoilt_line_is_kept_aside_and_no_file_is_refused(tmp_path: Path) -> None:
     test = read_laser_file(written(tmp_path, PRINTED_X + "-6.16000\t-0.83\n-6.02 x 0 0 0 0 0\n"))
     assert [(r["row"], len(test.raw)) for r in test.rejects] == [(8, 6), (9, 6)]
-    for text in ("\n", "Position LasRead\n1 2\n", "hello\n"):
+    for text in ("1 2 3 4 5 6 7\n", "Position LasRead\n1 2\n", "hello\n"):
         with pytest.raises(InputError, match="laser file"):
             read_laser_file(written(tmp_path, text))
 
