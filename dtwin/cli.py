@@ -14,6 +14,7 @@ from dtwin.commands import analogue as analogue_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import exporting as exporting_command
+from dtwin.commands import lathe as lathe_commands
 from dtwin.commands import linuxcnc as linuxcnc_commands
 from dtwin.commands import modelling as modelling_commands
 from dtwin.commands import rechecking as rechecking_command
@@ -52,6 +53,7 @@ serving_commands.register(app)
 twin_commands.register(app)
 analogue_commands.register(app)
 linuxcnc_commands.register(app)
+lathe_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)

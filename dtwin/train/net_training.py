@@ -202,7 +202,9 @@ def _rprop(
         if sse <= goal:
             return net.with_parameters(best), epoch
         agree = np.sign(gradient * before)
-        steps = np.clip(steps * np.where(agree > 0, 1.2, np.where(agree < 0, 0.5, 1.0)), 1e-12, 50.0)
+        steps = np.clip(
+            steps * np.where(agree > 0, 1.2, np.where(agree < 0, 0.5, 1.0)), 1e-12, 50.0
+        )
         gradient = np.where(agree < 0, 0.0, gradient)
         values, before = values - np.sign(gradient) * steps, gradient
     return net.with_parameters(best), epochs
