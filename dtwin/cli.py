@@ -15,6 +15,7 @@ from dtwin.commands import cell as cell_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import exporting as exporting_command
+from dtwin.commands import lathe as lathe_commands
 from dtwin.commands import linuxcnc as linuxcnc_commands
 from dtwin.commands import modelling as modelling_commands
 from dtwin.commands import rechecking as rechecking_command
@@ -54,6 +55,7 @@ twin_commands.register(app)
 analogue_commands.register(app)
 linuxcnc_commands.register(app)
 cell_commands.register(app)
+lathe_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)

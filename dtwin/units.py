@@ -32,6 +32,7 @@ UNITS: dict[str, str] = {
     "n": "N",
     "nm": "N*m",
     "kg": "kg",
+    "kpa": "kPa",
     "1": "1",
 }
 

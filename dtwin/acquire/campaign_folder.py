@@ -12,6 +12,7 @@ from typing import Any, cast
 import numpy as np
 
 from dtwin.acquire.b5r import read_b5r
+from dtwin.acquire.linear_runs import LASER_SUFFIXES, read_laser_runs, with_pitch
 from dtwin.acquire.recovery import signal_findings
 from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.tabular import read_columns
@@ -232,6 +233,11 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
             for t in traces
         ]
         return [_with_programmed_angles(run) for run in runs], []
+    if suffix in LASER_SUFFIXES and campaign.kind == "linear":
+        runs, rows = read_laser_runs(entry.file, campaign, entry.stated)
+        done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", count=True) for r in runs]
+        kept = [RejectedRows(done[0].meta.run_id, str(entry.file), rows)] if rows else []
+        return [with_pitch(run, campaign) for run in done], kept
     return _read_table(entry, campaign)
 
 
@@ -249,10 +255,11 @@ def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
         source=str(entry.file),
     )
     rejected = [RejectedRows(entry.run_id, str(entry.file), rejects)] if rejects else []
-    return [_completed(bare, entry, entry.run_id)], rejected
+    run = _completed(bare, entry, entry.run_id)
+    return [with_pitch(run, campaign) if campaign.kind == "linear" else run], rejected
 
 
-def _completed(run: Run, entry: FolderEntry, run_id: str) -> Run:
+def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False) -> Run:
     """Return the run with what the campaign file states; a contradiction is a finding."""
     stated, meta = entry.stated, run.meta
     findings = list(run.findings)
@@ -274,7 +281,7 @@ def _completed(run: Run, entry: FolderEntry, run_id: str) -> Run:
             )
         elif read is None:
             changes[name] = told
-    changes["repeat"] = int(stated.get("repeat", meta.repeat))
+    changes["repeat"] = meta.repeat if count else int(stated.get("repeat", meta.repeat))
     changes["setup"] = require_name(stated.get("setup", meta.setup), "setup")
     changes["started"] = _iso(stated.get("started", meta.started))
     changes["condition"] = dict(meta.condition) | dict(stated.get("condition", {}))

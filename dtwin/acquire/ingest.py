@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.quality import judge_campaign, judge_run
+from dtwin.acquire.quality import judge_campaign, judge_run, without_samples
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.store import Lake, RejectedRows
@@ -79,7 +79,7 @@ def ingest(path: Path, lake: Lake, progress: Progress | None = None) -> IngestRe
         unchanged += report.unchanged
         findings += [(run.meta.run_id, finding) for run in runs for finding in run.findings]
         n_rejected += sum(len(part.rows) for part in rejected)
-        judged += [replace(run, samples={}, signals=()) for run in runs]
+        judged += map(without_samples, runs)
         if progress is not None:
             progress(done, total, batch[-1].meta.run_id if batch else "")
     findings += [("", finding) for finding in judge_campaign(judged)]

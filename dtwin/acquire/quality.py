@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from dtwin.acquire.linear_quality import judge_linear_campaign, judge_linear_run
 from dtwin.acquire.motion_quality import judge_motion
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
@@ -27,7 +29,8 @@ def judge_run(run: Run) -> list[Finding]:
         # Placements are events: minutes between them are no lost samples.
         return [f for f in _clock(run.samples["t_s"]) if f.code != "clock.dropout"] + _flagged(run)
     if run.meta.kind != "circular":
-        return _clock(run.samples["t_s"]) if "t_s" in run.samples else []
+        clock = _clock(run.samples["t_s"]) if "t_s" in run.samples else []
+        return [*clock, *judge_linear_run(run)] if run.meta.kind == "linear" else clock
     clock = _clock(run.samples["t_s"])
     findings = [*clock, *_reading(run), *_angles(run)]
     for group in run.signals:
@@ -43,8 +46,11 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     Parameters
     ----------
     runs : sequence of Run
-        Runs of one campaign; samples are not looked at.
+        Runs of one campaign; only positioning runs need their samples.
     """
+    linear = [run for run in runs if run.meta.kind == "linear" and run.samples]
+    if linear:
+        return judge_linear_campaign(linear)
     circular = [run.meta for run in runs if run.meta.kind == "circular"]
     if not circular:
         return []
@@ -89,6 +95,11 @@ def _flagged(run: Run) -> list[Finding]:
             {"placements_1": float(count)},
         )
     ]
+
+
+def without_samples(run: Run) -> Run:
+    """Return what ``judge_campaign`` needs of a run; positioning runs are small and keep all."""
+    return replace(run, samples=run.samples if run.meta.kind == "linear" else {}, signals=())
 
 
 def _clock(t_s: Floats) -> list[Finding]:

@@ -127,6 +127,9 @@ def plan(
     file: Annotated[
         Path | None, typer.Argument(help="Plan file (TOML); without it the 81-test plan.")
     ] = None,
+    control: Annotated[
+        str, typer.Option(help="Positioning tests: dialect of the program, opencnc or iso.")
+    ] = "opencnc",
     out: Annotated[
         Path | None, typer.Option(help="Write G-code and URScript of every test here.")
     ] = None,
@@ -139,6 +142,11 @@ def plan(
     as_json: Json = False,
 ) -> None:
     """Expand a campaign before anything moves: order, limits, time, programs."""
+    from dtwin.commands.lathe import is_linear, plan_positioning
+
+    if file is not None and is_linear(file):
+        plan_positioning(file, out, control, as_json=as_json)
+        return
     from dtwin.plan import advice, duration_s, read_plan, training_plan
 
     planned = training_plan() if file is None else read_plan(file)

@@ -29,16 +29,24 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill.")] = "cobot",
+    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill, lathe.")] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
     hidden: Annotated[
         str, typer.Option(help="Fault of the mill: backlash, wobble, servo, none.")
     ] = "backlash",
+    truth: Annotated[
+        str, typer.Option(help="Error of the lathe: published, or mechanism.")
+    ] = "published",
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
+    if machine == "lathe":
+        from dtwin.commands.lathe import simulate_positioning
+
+        simulate_positioning(out, plan, truth, seed=seed, quick=quick, as_json=as_json)
+        return
     if machine == "mill":
         _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
         return
@@ -51,7 +59,7 @@ def simulate(
             "no such virtual machine",
             code="simulate.machine",
             got=machine[:40],
-            allowed="cobot, mill",
+            allowed="cobot, mill, lathe",
         )
     if plan is not None:
         planned = read_plan(plan)

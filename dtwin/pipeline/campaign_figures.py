@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
-from dtwin.acquire.quality import judge_campaign
+from dtwin.acquire.quality import judge_campaign, without_samples
 from dtwin.config import Home
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.pipeline.measuring import Progress
@@ -44,7 +43,7 @@ def campaign_figures(home: Home, campaign: str, progress: Progress | None = None
     for done, row in enumerate(rows, start=1):
         run = lake.load(row, signals=False)
         results.append(_once(run_result(run)))
-        light.append(replace(run, samples={}, signals=()))
+        light.append(without_samples(run))
         if progress is not None:
             progress(done, len(rows), run.meta.run_id)
     return {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.motion_quality import Motion, aligned_angle_deg, motion_of
-from dtwin.acquire.quality import judge_campaign, judge_run
+from dtwin.acquire.quality import judge_campaign, judge_run, without_samples
 from dtwin.physics.circular import (
     CircularFigures,
     bidirectional_figures,
@@ -20,6 +20,7 @@ from dtwin.physics.circular import (
     residual_um,
 )
 from dtwin.physics.spectrum import strongest_lines
+from dtwin.report.positioning import positioning_lines, positioning_result
 from dtwin.report.text import table
 from dtwin.schema import Floats, Run
 
@@ -51,12 +52,13 @@ def check_source(
     for done, (runs, rejected) in enumerate(sources, start=1):
         results += [run_result(run) for run in runs]
         pairs += _bidirectional(runs)
-        light += [replace(run, samples={}, signals=()) for run in runs]
+        light += map(without_samples, runs)
         if rejected:
             results[-1]["rejected_rows"] = sum(len(part.rows) for part in rejected)
         if progress is not None:
             progress(done, total, runs[0].meta.run_id if runs else "")
-    return {
+    positioning = {"positioning": positioning_result(light)} if campaign.kind == "linear" else {}
+    return positioning | {
         "source": str(path),
         "campaign": campaign.name,
         "machine": campaign.machine,
@@ -188,6 +190,8 @@ def render_check(result: dict[str, Any]) -> str:
             f"{pair['circular_deviation_um']:.1f} um, hysteresis {pair['hysteresis_um']:.1f} um "
             f"at {pair['hysteresis_angle_deg']:.0f} deg, as the file's indices say"
         )
+    if "positioning" in result:
+        lines += ["", *positioning_lines(result["positioning"]), ""]
     lines += [f"{f['severity']}: {f['message']}" for f in result["findings"]]
     return "\n".join(lines)
 
@@ -204,6 +208,9 @@ _ROWS = (
 
 
 def _render_run(run: dict[str, Any]) -> list[str]:
+    if not run["condition"]["plane"]:
+        told = [f"  {f['severity']}: {f['message']}" for f in run["findings"]]
+        return [f"{run['run']}: {run['samples']} readings", *told]
     condition = run["condition"]
     lines = [
         f"{run['run']}: {condition['plane']} R{condition['radius_mm']} F{condition['feed_mm_min']} "

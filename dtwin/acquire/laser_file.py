@@ -1,0 +1,210 @@
+"""ASCII result files of a laser interferometer that measures positioning: raw rows and averages.
+
+Seven columns without units or directions; lengths are in the unit that the operator chose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.atomic import write_text
+from dtwin.errors import InputError
+from dtwin.schema import Floats
+
+COLUMNS = ("Position", "LasRead", "LinearError", "Status", "AirTemp", "AirPress", "MatTemp")
+AVERAGE_COLUMNS = ("Position", "LinearError")
+# Three numbers of six decimals are compared.
+SIGN_TOLERANCE = 1e-6 + 1e-9
+_MAX_BYTES = 64 * 1024 * 1024
+_NAMES = frozenset(COLUMNS)
+Sense = Literal["decrease", "increase"]
+_SENSES: tuple[Sense, ...] = ("decrease", "increase")
+
+
+@dataclass(frozen=True)
+class LaserTest:
+    """Content of a laser file.
+
+    Attributes
+    ----------
+    raw : ndarray, shape (n, 7)
+        ``COLUMNS`` in the order of measurement; lengths in the file's unit, temperatures in
+        degrees Fahrenheit, pressure in inches of mercury.
+    averages : ndarray, shape (m, 2)
+        Mean error at each target, forward sweep first; empty for a single run.
+    rejects : list of dict
+        Lines that hold no row: ``row`` (line number from 1), ``reason``, ``values``.
+    """
+
+    raw: Floats
+    averages: Floats
+    rejects: list[dict[str, Any]]
+
+    def column(self, name: str) -> Floats:
+        """Return one column of the raw rows, shape (n,)."""
+        values: Floats = self.raw[:, COLUMNS.index(name)]
+        return values
+
+
+def read_laser_file(path: Path) -> LaserTest:
+    """Read a laser file.
+
+    The header may be broken over two lines and columns parted by tabs or blanks, as exports do.
+
+    Parameters
+    ----------
+    path : Path
+        Text file.
+
+    Raises
+    ------
+    InputError
+        When it is no laser file, or holds no usable row.
+    """
+    try:
+        lines = read_bounded(path, _MAX_BYTES).decode("ascii").splitlines()
+    except UnicodeDecodeError as error:
+        raise _wrong("the laser file is no plain text", path, str(error)[:80]) from error
+    raw: list[list[float]] = []
+    averages: list[list[float]] = []
+    rejects: list[dict[str, Any]] = []
+    header: list[str] = []
+    for number, line in enumerate(lines, start=1):
+        words = line.split()
+        if words and words[0] == COLUMNS[0]:
+            header = words
+        elif words and set(words) <= _NAMES and header:
+            header = [*header, *words]
+        elif words and header:
+            rows = averages if tuple(header) == AVERAGE_COLUMNS else raw
+            width = len(AVERAGE_COLUMNS) if rows is averages else len(COLUMNS)
+            values = _numbers(words, width)
+            if values is not None:
+                rows.append(values)
+            else:
+                reason = f"not {width} finite numbers"
+                rejects.append({"row": number, "reason": reason, "values": {"line": line[:120]}})
+        if raw and tuple(header) not in (COLUMNS, AVERAGE_COLUMNS):
+            raise _wrong("the laser file has other columns", path, " ".join(header)[:120])
+    if not raw:
+        raise _wrong("the laser file holds no row of measurements", path, f"{len(lines)} lines")
+    return LaserTest(np.array(raw), np.array(averages).reshape(-1, 2), rejects)
+
+
+def write_laser_file(path: Path, test: LaserTest) -> Path:
+    """Write a laser file in one step.
+
+    Parameters
+    ----------
+    path : Path
+        File to write or replace.
+    test : LaserTest
+        What was measured.
+    """
+    lines = ["\t".join(COLUMNS)]
+    lines += [
+        f"{p:.5f}\t{reading:.6f}\t{error:.6f}\t{status:.0f}\t{air:.2f}\t{press:.2f}\t{mat:.2f}"
+        for p, reading, error, status, air, press, mat in test.raw.tolist()
+    ]
+    if test.averages.size:
+        lines += ["", "\t".join(AVERAGE_COLUMNS)]
+        lines += [f"{p:.5f}\t{error:.6f}" for p, error in test.averages.tolist()]
+    return write_text(path, "\n".join([*lines, ""]), "the laser file")
+
+
+def linear_error(position: Floats, reading: Floats, start: float, sense: Sense) -> Floats:
+    """Return actual minus commanded position, shape (n,), in the unit of the arguments.
+
+    Parameters
+    ----------
+    position : ndarray, shape (n,)
+        Commanded positions.
+    reading : ndarray, shape (n,)
+        What the laser shows; zeroed at ``start``.
+    start : float
+        Commanded position at which the laser was zeroed.
+    sense : {"decrease", "increase"}
+        What the distance between laser and reflector does while the position grows: with
+        ``decrease`` the reading falls.
+    """
+    travelled = -reading if sense == "decrease" else reading
+    error: Floats = travelled - (position - start)
+    return error
+
+
+def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:
+    """Return the sense that explains the file's own errors, and whether their sign is the rule's.
+
+    Parameters
+    ----------
+    test : LaserTest
+        The file.
+
+    Returns
+    -------
+    sense : str or None
+        None when neither sense explains the errors, with either sign.
+    right : bool
+        False when the errors are commanded minus actual.
+    """
+    position, reading = test.column("Position"), test.column("LasRead")
+    stated = test.column("LinearError")
+    for sense in _SENSES:
+        # The first row may be missing, so the zero is what all rows agree on.
+        travelled = linear_error(position, reading, 0.0, sense)
+        for right in (True, False):
+            zero = (stated if right else -stated) - travelled
+            if np.max(np.abs(zero - np.median(zero))) <= SIGN_TOLERANCE:
+                return sense, right
+    return None, True
+
+
+def sweeps(position: Floats) -> list[tuple[slice, int]]:
+    """Part successive targets into sweeps of one direction.
+
+    At a turn the same target is read twice, from one side and from the other; where one of the
+    two is missing, the other belongs to the sweep before.
+
+    Parameters
+    ----------
+    position : ndarray, shape (n,)
+        Targets in the order of measurement.
+
+    Returns
+    -------
+    list of (slice, int)
+        Rows of each sweep, and +1 or -1 for its direction.
+    """
+    found: list[tuple[slice, int]] = []
+    begun, sign = 0, 0
+    for i, step in enumerate(np.sign(np.diff(position)).astype(int).tolist()):
+        if step == 0 or (sign and step != sign):
+            found.append((slice(begun, i + 1), sign or _other(found)))
+            begun, sign = i + 1, step
+        else:
+            sign = step
+    found.append((slice(begun, len(position)), sign or _other(found)))
+    return found
+
+
+def _other(found: list[tuple[slice, int]]) -> int:
+    return -found[-1][1] if found else 1
+
+
+def _numbers(words: list[str], width: int) -> list[float] | None:
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        return None
+    return values if len(values) == width and np.isfinite(values).all() else None
+
+
+def _wrong(message: str, path: Path, got: str) -> InputError:
+    return InputError(
+        message, code="laser.file", where=str(path), got=got, allowed=" ".join(COLUMNS)
+    )

@@ -1,0 +1,192 @@
+"""Commands about positioning tests and their compensation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import ProgressLine, emit
+from dtwin.errors import EXIT_GATE, InputError
+
+if TYPE_CHECKING:
+    from dtwin.serve.bundle import Bundle
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+BundleFile = Annotated[Path, typer.Argument(help="A bundle that dtwin lathe fit wrote.")]
+MODELS = ("flanks", "pair", "printed")
+
+app_lathe = typer.Typer(
+    help="Positioning error of an axis: fit, try in the loop, and compare with a published lathe.",
+    no_args_is_help=True,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(app_lathe, name="lathe")
+
+
+def is_linear(file: Path) -> bool:
+    """Tell whether a plan file asks for a positioning test; what is wrong with it is said later."""
+    import tomllib
+
+    try:
+        head = tomllib.loads(file.read_text(encoding="utf-8")).get("plan", {})
+    except (OSError, ValueError):
+        return False
+    return isinstance(head, dict) and head.get("kind") == "linear"
+
+
+def plan_positioning(file: Path, out: Path | None, control: str, *, as_json: bool) -> None:
+    """Check a positioning plan, say what it cannot tell, and write its program."""
+    from dtwin.atomic import write_text
+    from dtwin.laser_program import laser_program
+    from dtwin.linear_plan import duration_s, linear_advice, read_linear_plan
+
+    plan = read_linear_plan(file)
+    findings = linear_advice(plan)
+    payload: dict[str, Any] = {
+        "name": plan.name,
+        "machine": plan.machine,
+        "kind": "linear",
+        "axis": plan.axis,
+        "targets": plan.count,
+        "runs": plan.runs,
+        "readings": plan.readings,
+        "total_s": duration_s(plan),
+        "findings": [finding.as_dict() for finding in findings],
+    }
+    if out is not None:
+        name = out / f"{plan.name}.nc"
+        write_text(name, laser_program(plan, control), "the program")
+        payload["programs"] = [str(name)]
+
+    def text() -> str:
+        lines = [
+            f"{plan.name} on {plan.machine}: axis {plan.axis}, {plan.count} targets from {plan.start:g} "
+            f"to {plan.end:g} {plan.unit}, {plan.runs} runs, {plan.readings} readings, about "
+            f"{payload['total_s'] / 3600:.1f} h",
+            *(f"  {f.severity}: {f.message}" for f in findings),
+            *(f"  {name} written; never run on a control" for name in payload.get("programs", ())),
+        ]
+        return "\n".join(lines)
+
+    emit(payload, text, as_json=as_json)
+
+
+def simulate_positioning(
+    out: Path, plan: Path | None, truth: str, *, seed: int, quick: bool, as_json: bool
+) -> None:
+    """Measure the virtual lathe."""
+    from dtwin.acquire.virtual_lathe import simulate_lathe
+    from dtwin.linear_plan import read_linear_plan
+
+    chosen = None if plan is None else read_linear_plan(plan)
+    readings, alarms = simulate_lathe(out, plan=chosen, truth=truth, seed=seed, quick=quick)
+    payload = {
+        "folder": str(out),
+        "readings": readings,
+        "truth": truth,
+        "alarms": [alarm.as_dict() for alarm in alarms],
+    }
+    lines = [f"{readings} readings in {out}", *(f"  {a.severity}: {a.message}" for a in alarms)]
+    emit(payload, lambda: "\n".join([*lines, f"next: dtwin check {out}"]), as_json=as_json)
+
+
+@app_lathe.command("fit")
+def fit(
+    campaign: Annotated[
+        Path | None, typer.Argument(help="Campaign folder; none for --model printed.")
+    ] = None,
+    model: Annotated[
+        str, typer.Option(help="flanks: remembers the play; pair: two networks; printed: theirs.")
+    ] = "flanks",
+    out: Annotated[Path, typer.Option(help="Bundle to write.")] = Path("lathe.json"),
+    seed: Annotated[int, typer.Option(help="Of the first weights.")] = 0,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write it though a gate says no, or the file is there.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Fit the positioning error of an axis, judge the equation, write it as a bundle."""
+    from dtwin.pipeline.lathe_fit import fitted, judged, write_judged
+    from dtwin.report.lathe import gate_lines
+
+    if model not in MODELS or (campaign is None) != (model == "printed"):
+        raise InputError(
+            "say what is to be fitted", code="lathe.model", got=f"{model[:40]} of {campaign}",
+            allowed="--model flanks or pair with a campaign folder, --model printed without",
+        )  # fmt: skip
+    made = fitted(campaign, model, seed)
+    verdicts = judged(made)
+    passed = all(v.passed for v in verdicts)
+    written = (passed or force) and write_judged(made, verdicts, out, force=force)
+    payload = {
+        "model": model,
+        "file": str(out) if written else None,
+        "figures": dict(made.figures),
+        "gates": [vars(v) for v in verdicts],
+    }
+    lines = [
+        f"{model}: " + ", ".join(f"{name} {value}" for name, value in made.figures.items()),
+        *gate_lines(verdicts),
+        f"{out} written" + ("" if passed else " though it did not pass: for comparison only")
+        if written
+        else "not written: a gate said no (--force writes it for comparison)",
+    ]
+    emit(payload, lambda: "\n".join(lines), as_json=as_json)
+    if not passed and not force:
+        raise typer.Exit(EXIT_GATE)
+
+
+@app_lathe.command("compensate")
+def compensate(
+    bundle: BundleFile,
+    truth: Annotated[
+        str, typer.Option(help="Error of the virtual lathe: published, or mechanism.")
+    ] = "published",
+    seed: Annotated[int, typer.Option(help="Of the day: drift and noise.")] = 1,
+    plan: Annotated[
+        Path | None, typer.Option(help="Positioning plan; every 0.52 in without.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
+    from dtwin.linear_plan import read_linear_plan
+    from dtwin.pipeline.lathe_compensation import before_and_after
+    from dtwin.report.lathe import compensation_text
+
+    chosen = None if plan is None else read_linear_plan(plan)
+    found = before_and_after(_bundle(bundle), truth, seed, chosen)
+    emit(found, lambda: compensation_text(found), as_json=as_json)
+
+
+@app_lathe.command("paper")
+def paper(
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer campaigns and epochs, for a first look.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="First seed of the simulated campaigns.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Compute the figures of the published lathe again: theirs, ours, whether they follow."""
+    from dtwin.pipeline.lathe_paper import FULL, QUICK, lathe_paper
+    from dtwin.report.lathe import paper_text
+
+    found = lathe_paper(QUICK if quick else FULL, seed, ProgressLine("lathe", quiet=as_json))
+    emit(found, lambda: paper_text(found), as_json=as_json)
+
+
+def _bundle(path: Path) -> Bundle:
+    from dtwin.serve.bundle_file import load_bundle
+
+    found = load_bundle(path).bundle
+    if "position_in" not in found.tick_inputs:
+        raise InputError(
+            "the bundle does not correct a position", code="lathe.bundle", where=str(path),
+            got=", ".join(found.tick_inputs)[:120], allowed="position_in, perhaps direction_1",
+            hint="dtwin lathe fit",
+        )  # fmt: skip
+    return found

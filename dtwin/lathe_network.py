@@ -1,0 +1,125 @@
+"""The published positioning error of a lathe's Z axis: two small networks, as printed.
+
+Lengths are inches, because the printed weights are; direction is 0 forward, 1 reverse.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.config import published_table
+from dtwin.errors import InputError
+from dtwin.schema import Floats
+
+PITCH_IN = 0.25
+MAPPED_IN = (1.0, 40.0)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One hidden layer of logistic neurons with a linear output.
+
+    Attributes
+    ----------
+    position_weight, forward_bias, reverse_bias, output_weight : ndarray, shape (neurons,)
+        Of position; biases for each direction; of the output.
+    output_bias : float
+        Added to the output.
+    """
+
+    position_weight: Floats
+    forward_bias: Floats
+    reverse_bias: Floats
+    output_weight: Floats
+    output_bias: float
+
+    def evaluate(self, direction: Floats, position: Floats) -> Floats:
+        """Return the output for each (direction, position), shape (n,)."""
+        reverse = np.asarray(direction, float)[:, None] >= 0.5
+        bias = np.where(reverse, self.reverse_bias, self.forward_bias)
+        activation = np.outer(position, self.position_weight) + bias
+        out: Floats = self.output_weight @ (1.0 / (1.0 + np.exp(-activation))).T + self.output_bias
+        return out
+
+
+@dataclass(frozen=True)
+class LatheNetwork:
+    """The printed pair.
+
+    Attributes
+    ----------
+    full, cyclic : Layer
+        Error over the travel, and over one turn of the screw.
+    golden : tuple of mapping
+        ``dir``, ``pos_in``, ``full_in``, ``cyclic_in``, ``compensation_in``: what the printed
+        program gives; compensation is the error with its sign changed.
+    source : str
+        Where it was printed.
+    """
+
+    full: Layer
+    cyclic: Layer
+    golden: tuple[Mapping[str, float], ...]
+    source: str
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return the positioning error in inches, actual minus commanded, shape (n,).
+
+        Parameters
+        ----------
+        direction : ndarray, shape (n,)
+            0 forward, 1 reverse.
+        position_in : ndarray, shape (n,)
+            Inches; the printed remainder is that of C, negative for negative positions.
+        """
+        position = np.asarray(position_in, float)
+        turned = np.fmod(position, PITCH_IN)
+        error: Floats = self.full.evaluate(direction, position)
+        return error + self.cyclic.evaluate(direction, turned)
+
+
+def read_network(path: Path | None = None) -> LatheNetwork:
+    """Read the printed networks.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Another file of the same form; the one that travels with the package without.
+
+    Raises
+    ------
+    InputError
+        When the file lacks weights.
+    """
+    file = published_table("lathe_z_network.json") if path is None else path
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+        weights = document["weights"]
+        return LatheNetwork(
+            full=_layer(weights, "Full"),
+            cyclic=_layer(weights, "cyclic"),
+            golden=tuple(document["golden"]),
+            source=str(document["source"]),
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            "the network cannot be read",
+            code="network.file",
+            where=str(file),
+            got=repr(error)[:120],
+        ) from error
+
+
+def _layer(weights: Mapping[str, Any], name: str) -> Layer:
+    vectors = [
+        np.array(weights[f"{name}{part}"], dtype=float) for part in ("IW2", "Bias1", "IW_B1", "LW")
+    ]
+    if len({v.shape for v in vectors}) != 1 or vectors[0].ndim != 1:
+        raise ValueError(f"the layers of {name} have different lengths")
+    return Layer(*vectors, float(weights[f"{name}Bias2"]))

@@ -1,0 +1,147 @@
+"""From a positioning campaign to a judged bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.linear_quality import phases_of
+from dtwin.errors import InputError
+from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
+from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
+from dtwin.pipeline.lathe_compensation import averages_of, campaign_test
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import save_bundle
+from dtwin.train.gates import Verdict
+from dtwin.train.positioning_bundle import (
+    deployed_bundle,
+    flanks_bundle,
+    flanks_of,
+    printed_pair,
+)
+from dtwin.train.positioning_gates import positioning_gates
+from dtwin.train.positioning_models import Averages, PositionModel, fit_dual
+
+# Beyond the map the ends are held; the axis may go this much further while it turns round.
+ROOM_IN = 1.0
+_FEWEST_PHASES = 5
+_MOST_ORDERS = 5
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted equation.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        The equation.
+    pitch_in : float
+        Travel in one turn of the screw.
+    reach_in : tuple of float
+        Mapped travel.
+    figures : dict
+        What the fit leaves.
+    """
+
+    bundle: Bundle
+    pitch_in: float
+    reach_in: tuple[float, float]
+    figures: Mapping[str, Any]
+
+
+def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
+    """Fit an equation to a positioning campaign.
+
+    Parameters
+    ----------
+    campaign : Path or None
+        Campaign folder; None for the printed networks.
+    model : str
+        ``flanks``, ``pair`` or ``printed``.
+    seed : int
+        Of the networks' first weights.
+
+    Raises
+    ------
+    InputError
+        When the campaign has too few targets in a turn of the screw, or none at whole turns.
+    """
+    if campaign is None or model == "printed":
+        network = read_network()
+        bundle = deployed_bundle(printed_pair(network), "lathe-printed", "published-lathe")
+        return Fitted(bundle, PITCH_IN, MAPPED_IN, {"from": network.source})
+    machine, test = campaign_test(campaign)
+    averages = averages_of(test)
+    assert test.pitch_mm is not None
+    pitch = test.pitch_mm / MM_PER_IN
+    phases = phases_of(test.position_mm, test.pitch_mm)
+    slow_targets = len(averages.every(pitch).position_in)
+    if phases < _FEWEST_PHASES or slow_targets < 8:
+        raise InputError(
+            "the targets do not show the screw", code="lathe.targets", where=str(campaign),
+            got=f"{phases} angles of the screw, {slow_targets} targets at whole turns",
+            allowed=f"at least {_FEWEST_PHASES} angles and 8 whole turns",
+            hint="a step of a tenth of the pitch: dtwin plan says what a step can show",
+        )  # fmt: skip
+    reach = (float(averages.position_in[0]), float(averages.position_in[-1]))
+    pair = fit_dual(averages, pitch, seed)
+    if model == "pair":
+        bundle = deployed_bundle(pair, "lathe-pair", machine, reach)
+        return Fitted(bundle, pitch, reach, _figures(pair, averages, phases))
+    orders = min(_MOST_ORDERS, (phases - 1) // 2)
+    flanks = flanks_of(pair.full, averages, pitch, orders, reach)
+    travel = (reach[0] - ROOM_IN, reach[1] + ROOM_IN)
+    bundle = flanks_bundle(flanks, "lathe-flanks", machine, travel)
+    return Fitted(bundle, pitch, reach, _figures(flanks, averages, phases))
+
+
+def judged(made: Fitted) -> list[Verdict]:
+    """Return what the gates say of a fitted equation."""
+    return positioning_gates(made.bundle, made.pitch_in, made.reach_in)
+
+
+def write_judged(
+    made: Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False
+) -> bool:
+    """Write a bundle with what the gates said in its provenance; return True.
+
+    Parameters
+    ----------
+    made : Fitted
+        The equation.
+    verdicts : sequence of Verdict
+        Of the gates.
+    out : Path
+        File.
+    force : bool
+        Replace what is there.
+
+    Raises
+    ------
+    InputError
+        When the file is there.
+    """
+    if out.exists() and not force:
+        raise InputError(
+            "the file is there already", code="lathe.exists", where=str(out), hint="--force"
+        )
+    provenance = replace(made.bundle.provenance, gates={v.gate: v.passed for v in verdicts})
+    save_bundle(replace(made.bundle, provenance=provenance), out)
+    return True
+
+
+def _figures(model: PositionModel, averages: Averages, phases: int) -> dict[str, Any]:
+    direction, position, error = averages.stacked()
+    rest: Floats = (error - model.error_in(direction, position)) * UM_PER_IN
+    return {
+        "targets": len(averages.position_in),
+        "screw_phases": phases,
+        "rms_left_um": round(float(np.sqrt(np.mean(rest**2))), 3),
+        "largest_left_um": round(float(np.max(np.abs(rest))), 3),
+    }

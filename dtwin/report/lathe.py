@@ -1,0 +1,53 @@
+"""Text of the lathe's comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.report.positioning import before_after_lines
+from dtwin.report.text import table
+
+_JUDGED = {True: "yes", False: "no", None: "-"}
+
+
+def paper_text(found: Mapping[str, Any]) -> str:
+    """Return the comparison with the thesis, and what tables of different steps leave."""
+    rows = [
+        [line["target"], line["what"], line["paper"], line["ours"], _JUDGED[line["follows"]]]
+        for line in found["lines"]
+    ]
+    steps = [
+        [t["model"], *(f"{t[k]:.1f}" for k in list(t) if k != "model")] for t in found["tables"]
+    ]
+    return "\n".join(
+        [
+            table(("", "figure", "the thesis", "ours", "follows"), rows),
+            "",
+            "what tables leave of the printed error, without drift or noise, at every 0.013 in (um):",
+            table(("", "max average", "max reversal", "rms"), steps),
+        ]
+    )
+
+
+def gate_lines(verdicts: Sequence[Any]) -> list[str]:
+    """Return one line for each gate."""
+    return [f"  {'passed' if v.passed else 'FAILED'}  {v.gate}: {v.reason}" for v in verdicts]
+
+
+def compensation_text(found: Mapping[str, Any]) -> str:
+    """Return before and after on the virtual lathe."""
+    states = {
+        "before": found["before"],
+        "after": found["after"],
+        "after, no wander": found["after_without_wander"],
+        "exact map": found["perfect_correction"],
+    }
+    acted = ", ".join(f"{name} {count}" for name, count in found["guard"].items())
+    return "\n".join(
+        [
+            *before_after_lines(states),
+            f"{found['ticks']} cycles on the {found['clock']}; guard: {acted}; largest change in one "
+            f"cycle {found['largest_step_um']:.1f} um",
+        ]
+    )
