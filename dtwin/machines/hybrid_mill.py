@@ -22,6 +22,7 @@ from dtwin.units import UM_PER_MM
 STROKE_MM = {"X": 400.0, "Y": 150.0, "Z": 150.0, "W": 150.0}
 """Published."""
 FASTEST_MM_MIN = 3000.0
+SPINDLE_V = 2.5
 MODE_HZ = 194.0
 ITEMS = (
     "ProgramPositionCommand", "ProgramPositionFeedback", "PositionError",
@@ -94,6 +95,9 @@ class HybridRun:
         Time since the start of the program.
     items : dict of str to ndarray, shape (2, n)
         What the control logs, for X and Y, under the names of its data items.
+    scalars : dict of str to ndarray, shape (n,)
+        Data items of the whole machine: path speed in mm/s, feed override in percent, and the
+        voltage from which the spindle's speed follows (3000 rpm/V).
     analogue_v : ndarray, shape (2, n)
         Correction inputs as voltages around 5 V, 25 um/V.
     table_g, frame_g : ndarray, shape (2, n)
@@ -106,6 +110,7 @@ class HybridRun:
 
     t_s: Floats
     items: dict[str, Floats]
+    scalars: dict[str, Floats]
     analogue_v: Floats
     table_g: Floats
     frame_g: Floats
@@ -186,9 +191,15 @@ class HybridMill:
         self._runs += 1
         self.time_s += n * STEP_S
         return HybridRun(
-            np.arange(n) * STEP_S, _items(command, driven, added, rng), 5.0 + added / 25.0,
-            table_g, frame_g, error_um, temperature,
-        )  # fmt: skip
+            t_s=np.asarray(np.arange(n) * STEP_S, dtype=np.float64),
+            items=_items(command, driven, added, rng),
+            scalars=_scalars(command, rng),
+            analogue_v=5.0 + added / 25.0,
+            table_g=table_g,
+            frame_g=frame_g,
+            error_um=error_um,
+            temperature_c=temperature,
+        )
 
     def wait(self, seconds: float) -> None:
         """Let time pass at standstill."""
@@ -271,6 +282,15 @@ def _items(
         ITEMS[2]: -lag,
         ITEMS[3]: command.velocity_mm_s,
         ITEMS[4]: current + 0.002 * rng.standard_normal(current.shape),
+    }
+
+
+def _scalars(command: Command, rng: np.random.Generator) -> dict[str, Floats]:
+    speed = np.hypot(command.velocity_mm_s[0], command.velocity_mm_s[1])
+    return {
+        "CoordinatedSpeedTargetActual": speed,
+        "MFO": np.full(len(speed), 100.0),
+        "AnalogInput0": SPINDLE_V + 0.001 * rng.standard_normal(len(speed)),
     }
 
 

@@ -84,6 +84,9 @@ def test_the_correction_input_has_steps_delay_rate_and_ends() -> None:
     np.testing.assert_allclose((shifted.error_um - run.error_um)[:, -500:], 9.8, atol=0.05)
     np.testing.assert_allclose(shifted.analogue_v[:, -1], 5.0 + 9.8 / 25.0)
     assert set(shifted.items) == set(ITEMS)
+    speed = shifted.scalars["CoordinatedSpeedTargetActual"]
+    assert speed.max() == pytest.approx(500.0 / 60.0, rel=1e-6)
+    assert 3000.0 * shifted.scalars["AnalogInput0"].mean() == pytest.approx(7500.0, rel=0.01)
 
 
 def test_what_the_mill_cannot_drive_is_refused() -> None:
