@@ -223,7 +223,7 @@ def _ratios(
     lines = []
     n = len(after["table"])
     for key, title, paper in zip(
-        _KEYS[:2], _TITLES, (("17.8", "16.7"), ("19.4", "14.7")), strict=True
+        _KEYS[:2], _TITLES[:2], (("17.8", "16.7"), ("19.4", "14.7")), strict=True
     ):
         first = _column(before[:n], key)
         left = {name: 100.0 * np.median(_column(v, key) / first) for name, v in after.items()}
