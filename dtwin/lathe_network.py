@@ -117,9 +117,9 @@ def read_network(path: Path | None = None) -> LatheNetwork:
 
 
 def _layer(weights: Mapping[str, Any], name: str) -> Layer:
-    vectors = [
+    position, forward, reverse, out = (
         np.array(weights[f"{name}{part}"], dtype=float) for part in ("IW2", "Bias1", "IW_B1", "LW")
-    ]
-    if len({v.shape for v in vectors}) != 1 or vectors[0].ndim != 1:
+    )
+    if len({v.shape for v in (position, forward, reverse, out)}) != 1 or position.ndim != 1:
         raise ValueError(f"the layers of {name} have different lengths")
-    return Layer(*vectors, float(weights[f"{name}Bias2"]))
+    return Layer(position, forward, reverse, out, float(weights[f"{name}Bias2"]))

@@ -26,7 +26,9 @@ _CONTACTS = 96
 class Screw(Protocol):
     """What the slide rests on: one flank while it is pushed up, the other while it is pushed down."""
 
-    pitch_mm: float
+    @property
+    def pitch_mm(self) -> float:
+        """Travel in one turn."""
 
     def flanks_um(self, position_mm: Floats) -> tuple[Floats, Floats]:
         """Return lower and upper limit of slide minus screw in um, each of shape (n,)."""

@@ -224,6 +224,10 @@ class _Exact:
     lathe: VirtualLathe
 
     def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        there = position_in - self._flank_in(direction, position_in)
+        return self._flank_in(direction, there)
+
+    def _flank_in(self, direction: Floats, position_in: Floats) -> Floats:
         lower, upper = self.lathe.screw.flanks_um(position_in * MM_PER_IN)
         return np.where(direction >= 0.5, upper, lower) / UM_PER_IN
 

@@ -121,7 +121,7 @@ def _solved(normal: Floats, mu: float, slope: Floats) -> Floats:
         factor = linalg.cho_factor(damped, lower=True, check_finite=False)
         return linalg.cho_solve(factor, slope, check_finite=False)
     except linalg.LinAlgError:
-        step: Floats = np.linalg.lstsq(damped, slope, rcond=None)[0]
+        step = np.asarray(np.linalg.lstsq(damped, slope, rcond=None)[0], dtype=np.float64)
         return step
 
 
@@ -195,6 +195,7 @@ def _rprop(
     values = net.parameters()
     best, best_sse = values, np.inf
     steps, before = np.full(len(values), 0.07), np.zeros(len(values))
+
     for epoch in range(epochs):
         sse, gradient = net.with_parameters(values).gradient(inputs, target)
         if sse < best_sse:

@@ -189,7 +189,8 @@ def flanks_bundle(
 
     The slide stays where it is until a flank reaches it, so the correction never changes by more than
     the axis has moved. Beyond the mapped travel the flanks are those of its end, while the play goes on:
-    an overshoot there must turn the slide round. Before the first motion the slide is taken to rest as after coming from below.
+    an overshoot there must turn the slide round. The map was measured with the screw at the target; a
+    corrected screw stands elsewhere, so each flank is taken where the correction puts the screw. Before the first motion the slide is taken to rest as after coming from below.
 
     Parameters
     ----------
@@ -202,17 +203,10 @@ def flanks_bundle(
     """
     builder = GraphBuilder()
     position = builder.input(POSITION)
-    low, high = flanks.reach_in
-    x = builder.apply("min", builder.apply("max", position, low), high)
-    waves = []
-    for order in range(1, len(flanks.forward.sine) + 1):
-        angle = x * (2.0 * np.pi * order / flanks.pitch_in)
-        waves.append((builder.apply("sin", angle), builder.apply("cos", angle)))
-    zero, one = builder.constant(0.0), builder.constant(1.0)
-    limits = [
-        position + (flanks.full.expression(builder, (way, x)) + cyclic.expression(builder, waves))
-        for way, cyclic in ((zero, flanks.forward), (one, flanks.reverse))
-    ]
+    limits = []
+    for way, cyclic in ((0.0, flanks.forward), (1.0, flanks.reverse)):
+        there = _flank(builder, flanks, way, cyclic, position)
+        limits.append(position + _flank(builder, flanks, way, cyclic, position - there))
     lifted = builder.apply("max", builder.state("slide_in"), limits[0])
     slide = builder.apply("min", lifted, limits[1])
     graph = builder.graph({OUTPUT: (slide - position) * UM_PER_IN}, {"slide_in": slide})
@@ -223,6 +217,20 @@ def flanks_bundle(
         tick_graph=graph, safety=SAFETY,
         provenance=Provenance(code_version=__version__, evidence="none"),
     )  # fmt: skip
+
+
+def _flank(
+    builder: GraphBuilder, flanks: Flanks, way: float, cyclic: Harmonics, position: Expression
+) -> Expression:
+    """Return one flank's limit at a position of the screw."""
+    low, high = flanks.reach_in
+    x = builder.apply("min", builder.apply("max", position, low), high)
+    waves = []
+    for order in range(1, len(cyclic.sine) + 1):
+        angle = x * (2.0 * np.pi * order / flanks.pitch_in)
+        waves.append((builder.apply("sin", angle), builder.apply("cos", angle)))
+    slow = flanks.full.expression(builder, (builder.constant(way), x))
+    return slow + cyclic.expression(builder, waves)
 
 
 def _as_net(layer: Layer) -> SmallNet:

@@ -20,33 +20,57 @@ _UM_PER_IN = 25_400.0
 _PLACES = 41
 
 
-def along(bundle: Bundle, position_in: Floats, standing: float | None = None) -> Floats:
-    """Return the predicted error in um along successive positions, shape (n,).
+class PathAnswers:
+    """Answers of one bundle along paths; each path begins with a fresh memory.
 
-    A bundle that asks for a direction gets the sign of the newest motion, as the published program
-    computes it.
+    Parameters
+    ----------
+    bundle : Bundle
+        Takes ``position_in`` and perhaps ``direction_1``.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._inputs = bundle.tick_inputs
+        self._compiled = CompiledBundle(bundle)
+        self._place = [o.name for o in bundle.outputs].index(OUTPUT)
+
+    def along(self, position_in: Floats, standing: float | None = None) -> Floats:
+        """Return the predicted error in um along successive positions, shape (n,).
+
+        A bundle that asks for a direction gets the sign of the newest motion, as the published
+        program computes it.
+
+        Parameters
+        ----------
+        position_in : ndarray, shape (n,)
+            Positions, tick by tick; the axis is taken to come from below.
+        standing : float, optional
+            Direction that is told while the axis stands still; that of the newest motion without.
+        """
+        step = np.sign(np.diff(position_in, prepend=position_in[0] - 1.0))
+        if standing is None:
+            last = np.maximum.accumulate(np.where(step != 0.0, np.arange(len(step)), 0))
+            step = step[last]
+        way = np.where(step < 0.0, 1.0, 0.0)
+        if standing is not None:
+            way = np.where(step == 0.0, standing, way)
+        named = {POSITION: position_in, DIRECTION: way}
+        self._compiled.reset()
+        error: Floats = self._compiled.run(np.column_stack([named[name] for name in self._inputs]))
+        return error[:, self._place]
+
+
+def along(bundle: Bundle, position_in: Floats) -> Floats:
+    """Return the predicted error in um of a bundle along successive positions, shape (n,).
 
     Parameters
     ----------
     bundle : Bundle
         Takes ``position_in`` and perhaps ``direction_1``.
     position_in : ndarray, shape (n,)
-        Positions, tick by tick; the axis is taken to come from below.
-    standing : float, optional
-        Direction that is told while the axis stands still; that of the newest motion without.
+        Positions, tick by tick.
     """
-    step = np.sign(np.diff(position_in, prepend=position_in[0] - 1.0))
-    if standing is None:
-        last = np.maximum.accumulate(np.where(step != 0.0, np.arange(len(step)), 0))
-        step = step[last]
-    way = np.where(step < 0.0, 1.0, 0.0)
-    if standing is not None:
-        way = np.where(step == 0.0, standing, way)
-    named = {POSITION: position_in, DIRECTION: way}
-    inputs = np.column_stack([named[name] for name in bundle.tick_inputs])
-    place = [o.name for o in bundle.outputs].index(OUTPUT)
-    error: Floats = CompiledBundle(bundle).run(inputs)[:, place]
-    return error
+    return PathAnswers(bundle).along(position_in)
 
 
 def positioning_gates(
@@ -64,15 +88,16 @@ def positioning_gates(
         Mapped travel.
     """
     places = np.linspace(reach_in[0] + 0.3 * pitch_in, reach_in[1] - 0.3 * pitch_in, _PLACES)
+    answers = PathAnswers(bundle)
     return [
-        _seam(bundle, pitch_in, reach_in),
-        _outside(bundle, reach_in),
-        _reversal(bundle, places),
-        _standstill(bundle, places),
+        _seam(answers, pitch_in, reach_in),
+        _outside(answers, reach_in),
+        _reversal(answers, places),
+        _standstill(answers, places),
     ]
 
 
-def _seam(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
+def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
     turns = np.arange(np.ceil(reach_in[0] / pitch_in) + 1, np.floor(reach_in[1] / pitch_in))
     worst = {}
     for name, sign in (("forward", 1.0), ("reverse", -1.0)):
@@ -80,7 +105,7 @@ def _seam(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> Ver
         path = np.column_stack([seams - sign * _CLOSE_IN, seams + sign * _CLOSE_IN]).ravel()
         # The axis arrives from well before the first seam, so that it rests on this flank.
         start = path[0] - sign * pitch_in / 2.0
-        error = along(bundle, np.concatenate([[start], path]))[1:]
+        error = served.along(np.concatenate([[start], path]))[1:]
         jumps = error[1::2] - error[::2]
         worst[name] = float(jumps[np.argmax(np.abs(jumps))]) * sign
     told = ", ".join(f"{name} {jump:+.2f} um" for name, jump in worst.items())
@@ -90,13 +115,13 @@ def _seam(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> Ver
     )
 
 
-def _outside(bundle: Bundle, reach_in: tuple[float, float]) -> Verdict:
+def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     low, high = reach_in
     beyond = {low - 0.3: low, -0.1: low, -1.0: low, high + 0.3: high, high + 5.0: high}
     off: dict[float, float] = {}
     for place, end in beyond.items():
         # Both from the same side, so that both rest on the same flank.
-        answers = along(bundle, np.array([place, end] if place < end else [end, place]))
+        answers = served.along(np.array([place, end] if place < end else [end, place]))
         off[place] = float(abs(answers[1] - answers[0]))
     worst = max(off, key=lambda place: off[place] if np.isfinite(off[place]) else np.inf)
     passed = all(value <= OUTSIDE_UM for value in off.values())
@@ -106,10 +131,10 @@ def _outside(bundle: Bundle, reach_in: tuple[float, float]) -> Verdict:
     )  # fmt: skip
 
 
-def _reversal(bundle: Bundle, places: Floats) -> Verdict:
+def _reversal(served: PathAnswers, places: Floats) -> Verdict:
     worst, where = 0.0, float(places[0])
     for place in places.tolist():
-        answers = along(bundle, np.array([place - 0.05, place, place - _COUNT_IN]))
+        answers = served.along(np.array([place - 0.05, place, place - _COUNT_IN]))
         change = abs(float(answers[2] - answers[1]))
         if change > worst:
             worst, where = change, place
@@ -120,12 +145,12 @@ def _reversal(bundle: Bundle, places: Floats) -> Verdict:
     )  # fmt: skip
 
 
-def _standstill(bundle: Bundle, places: Floats) -> Verdict:
+def _standstill(served: PathAnswers, places: Floats) -> Verdict:
     worst = 0.0
     for place in places.tolist():
         jitter = place + _COUNT_IN * np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0])
         path = np.concatenate([[place - 0.05, place], jitter])
-        answers = np.concatenate([along(bundle, path, way)[1:] for way in (0.0, 1.0)])
+        answers = np.concatenate([served.along(path, way)[1:] for way in (0.0, 1.0)])
         worst = max(worst, float(np.ptp(answers)))
     return Verdict(
         "defined at standstill", worst <= STANDSTILL_UM,

@@ -1,0 +1,84 @@
+"""The lathe's page is followed; its commands refuse what they must."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from shown_commands import blocks, follow, page
+from typer.testing import CliRunner
+
+from dtwin.acquire.virtual_lathe import simulate_lathe, verification_plan
+from dtwin.cli import app
+from dtwin.errors import InputError
+from dtwin.pipeline.lathe_fit import fitted
+from dtwin.pipeline.lathe_paper import Size, lathe_paper
+from dtwin.report.lathe import paper_text
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
+from dtwin.serve.interface import Input, Output
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+
+def test_the_page_is_followed(tmp_path: Path) -> None:
+    said = follow(blocks(page("docs/how-to/lathe.md")), tmp_path)
+    shown = next(text for command, text in said if "compensate" in command)
+    for title in ("Max average error", "Max reversal error"):
+        percent = float(re.findall(rf"{title}.*?\(([\d.]+) %\)", shown)[0])
+        assert 0.0 < percent < 25.0
+    assert "outside_box" not in shown
+
+
+def test_what_a_gate_refused_is_not_written_without_force(tmp_path: Path) -> None:
+    out = tmp_path / "printed.json"
+    words = ["lathe", "fit", "--model", "printed", "--out", str(out), "--json"]
+    refused = CliRunner().invoke(app, words)
+    assert (refused.exit_code, out.exists()) == (3, False)
+    forced = CliRunner().invoke(app, [*words, "--force"])
+    assert forced.exit_code == 0
+    assert set(load_bundle(out).bundle.provenance.gates.values()) == {False}
+    assert [g["passed"] for g in json.loads(forced.stdout)["gates"]] == [False] * 4
+
+
+def test_campaigns_that_cannot_show_the_screw_are_refused(tmp_path: Path) -> None:
+    head = replace(verification_plan(), end=6.2, runs=1)
+    for name, plan, told in (
+        ("coarse", replace(head, end=6.0, step=0.5), "do not show the screw"),
+        ("short", replace(head, end=2.0, step=0.05, window=0.01), "do not show the screw"),
+    ):
+        simulate_lathe(tmp_path / name, plan=plan)
+        with pytest.raises(InputError, match=told):
+            fitted(tmp_path / name, "flanks", 0)
+    with pytest.raises(InputError, match="say what"):
+        CliRunner().invoke(app, ["lathe", "fit"], catch_exceptions=False)
+    builder = GraphBuilder()
+    graph = builder.graph({"error_um": builder.input("angle_rad") * 1.0})
+    angle = Input("angle_rad", "rad", "path", 500.0, "path", -7.0, 7.0)
+    other = save_bundle(
+        create_bundle(
+            name="round", machine="cobot", model_version=1, inputs=[angle],
+            outputs=[Output("error_um", "path_radial")], tick_graph=graph,
+        ),
+        tmp_path / "other.json",
+    )  # fmt: skip
+    with pytest.raises(InputError, match="does not correct a position"):
+        CliRunner().invoke(app, ["lathe", "compensate", str(other)], catch_exceptions=False)
+
+
+def test_the_comparison_is_made_of_figures_that_can_be_judged() -> None:
+    size = Size(campaigns=4, corrected=2, seeds=1, epochs=60, single_epochs=8)
+    found = lathe_paper(size, 0, lambda *_: None)
+    lines = {line["target"]: line for line in found["lines"]}
+    assert set(lines) == {"A1", "A2", "A3", "A4", "A5", "A6", "A7", "A8", "A9", "A10"}
+    assert lines["A1"]["follows"] is True
+    # Eight epochs are too few, and it says so.
+    assert lines["A8"]["follows"] is False
+    assert all(math.isfinite(t["rms_um"]) for t in found["tables"])
+    text = paper_text(found)
+    assert "the thesis" in text
+    assert " no" in text

@@ -1,0 +1,212 @@
+"""Networks, tables, flanks and gates of a positioning error, on the published lathe."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.acquire.virtual_lathe import mapping_plan
+from dtwin.errors import InputError
+from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
+from dtwin.pipeline.lathe_paper import exact_averages, table_steps
+from dtwin.serve.export import to_python
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.train.net_training import ALGORITHMS, train_net
+from dtwin.train.positioning_bundle import (
+    Flanks,
+    deployed_bundle,
+    fit_harmonics,
+    flanks_bundle,
+    flanks_of,
+    printed_pair,
+)
+from dtwin.train.positioning_gates import along, positioning_gates
+from dtwin.train.positioning_models import (
+    Averages,
+    Bidirectional,
+    Unidirectional,
+    fit_dual,
+    whole_turns,
+)
+from dtwin.train.small_net import new_net
+
+NETWORK = read_network()
+UM_PER_IN = 25400.0
+
+
+@pytest.fixture(scope="module")
+def exact() -> Averages:
+    return exact_averages(NETWORK, mapping_plan())
+
+
+@pytest.fixture(scope="module")
+def flanks() -> Flanks:
+    fine = exact_averages(NETWORK, replace(mapping_plan(), step=0.013))
+    return flanks_of(printed_pair(NETWORK).full, fine, PITCH_IN, 5, MAPPED_IN)
+
+
+def golden() -> tuple[np.ndarray, np.ndarray]:
+    rows = [[g["dir"], g["pos_in"], g["compensation_in"]] for g in NETWORK.golden]
+    return np.array(rows)[:, :2], np.array(rows)[:, 2]
+
+
+def test_the_runtime_gives_what_the_printed_program_gives(tmp_path: Path) -> None:
+    inputs, told = golden()
+    assert len(told) == 14
+    assert np.max(np.abs(-NETWORK.error_in(inputs[:, 0], inputs[:, 1]) - told)) < 1e-12
+    bundle = deployed_bundle(printed_pair(NETWORK), "printed", "lathe")
+    found = -CompiledBundle(bundle).run(inputs)[:, 0] / UM_PER_IN
+    assert np.max(np.abs(found - told)) < 1e-12
+    # The same through the export.
+    path = tmp_path / "exported.py"
+    path.write_text(to_python(bundle.tick_graph, "tick"), encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("exported", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for (direction, position), value in zip(inputs.tolist(), told.tolist(), strict=True):
+        named = {"direction_1": direction, "position_in": position}
+        assert abs(-module.tick(named, {})[0]["error_z_um"] / UM_PER_IN - value) < 1e-12
+
+
+def test_the_remainder_is_that_of_c_everywhere() -> None:
+    bundle = deployed_bundle(printed_pair(NETWORK), "printed", "lathe")
+    position = np.concatenate([np.arange(-160, 161) * 0.25, np.linspace(-3.0, 45.0, 997)])
+    inputs = np.column_stack([np.zeros(len(position)), position])
+    found = CompiledBundle(bundle).run(inputs)[:, 0] / UM_PER_IN
+    told = NETWORK.error_in(np.zeros(len(position)), position)
+    assert np.max(np.abs(found - told)) < 1e-11
+
+
+def test_the_deployed_equation_fails_each_gate_by_name() -> None:
+    verdicts = positioning_gates(
+        deployed_bundle(printed_pair(NETWORK), "printed", "lathe"), PITCH_IN, MAPPED_IN
+    )
+    assert {v.gate: v.passed for v in verdicts} == {
+        "no seam at a turn of the screw": False,
+        "ends held outside of the mapped travel": False,
+        "no step at reversal": False,
+        "defined at standstill": False,
+    }
+    told = {v.gate: v.reason for v in verdicts}
+    # 63 and 190 millionths of an inch; -0.0235 in at -0.1 in instead of about -0.0005.
+    assert "+1.60 um, reverse +4.82 um" in told["no seam at a turn of the screw"]
+    assert "582.5 um" in told["ends held outside of the mapped travel"]
+
+
+def test_flanks_with_a_memory_pass_every_gate(flanks: Flanks) -> None:
+    bundle = flanks_bundle(flanks, "flanks", "lathe", (0.0, 41.0))
+    verdicts = positioning_gates(bundle, PITCH_IN, MAPPED_IN)
+    assert [v.passed for v in verdicts] == [True] * 4, verdicts
+
+
+def test_flanks_need_no_flag_and_turn_round_in_the_overshoot(flanks: Flanks) -> None:
+    bundle = flanks_bundle(flanks, "flanks", "lathe", (0.0, 41.0))
+    up = np.linspace(0.9, 40.1, 2001)
+    error = along(bundle, np.concatenate([up, up[::-1]])) / UM_PER_IN
+    inside = (up >= 1.0) & (up <= 40.0)
+    for way, found in ((0.0, error[:2001]), (1.0, error[:2000:-1])):
+        flags = np.full(2001, way)
+        there = up - flanks.error_in(flags, up)
+        assert np.max(np.abs(found - flanks.error_in(flags, there))[inside]) < 1e-9
+
+
+def test_flanks_never_change_more_than_the_axis_moves(flanks: Flanks) -> None:
+    bundle = flanks_bundle(flanks, "flanks", "lathe", (0.0, 41.0))
+    rng = np.random.default_rng(3)
+    path = np.clip(20.0 + np.cumsum(rng.normal(size=4000)) * 0.001, 1.0, 40.0)
+    moved, changed = np.abs(np.diff(path)), np.abs(np.diff(along(bundle, path))) / UM_PER_IN
+    assert np.all(changed <= 1.1 * moved + 1e-12)
+
+
+def test_harmonics_come_back_from_their_own_sum() -> None:
+    x = np.linspace(0.0, 2.0, 97)
+    angle = 2 * np.pi * x / 0.25
+    found = fit_harmonics(x, 3.0 + 2.0 * np.sin(angle) - np.cos(2 * angle), 0.25, 3)
+    assert found.constant == pytest.approx(3.0)
+    assert np.allclose(found.sine, [2, 0, 0], atol=1e-9)
+    assert np.allclose(found.cosine, [0, -1, 0], atol=1e-9)
+
+
+def test_derivatives_of_a_small_net_are_right() -> None:
+    rng = np.random.default_rng(0)
+    net = new_net(5, ((0.0, 1.0), (1.0, 40.0)), rng)
+    inputs = np.column_stack([rng.integers(0, 2, 9), rng.uniform(1, 40, 9)]).astype(float)
+    target = rng.normal(size=9)
+    values = net.parameters()
+    output, jacobian = net.with_jacobian(inputs)
+    sse, gradient = net.gradient(inputs, target)
+    assert sse == pytest.approx(float(np.sum((output - target) ** 2)))
+    for k in range(len(values)):
+        nudge = np.zeros(len(values))
+        nudge[k] = 1e-6
+        high, low = (net.with_parameters(values + s * nudge).evaluate(inputs) for s in (1, -1))
+        assert np.allclose((high - low) / 2e-6, jacobian[:, k], atol=1e-5)
+    assert np.allclose(2.0 * jacobian.T @ (output - target), gradient)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_every_training_learns_and_stops_at_its_goal(algorithm: str) -> None:
+    x = np.linspace(-1.0, 1.0, 60)[:, None]
+    net = new_net(6, ((-1.0, 1.0),), np.random.default_rng(1))
+    target = np.sin(3.0 * x[:, 0])
+    start = float(np.sum((net.evaluate(x) - target) ** 2))
+    found = train_net(net, x, target, algorithm=algorithm, epochs=3000, goal=0.05)
+    assert found.sse <= 0.05 < start
+    assert 0 < found.epochs < 3000
+    again = train_net(net, x, target, algorithm=algorithm, epochs=3000, goal=0.05)
+    assert again.sse == found.sse
+    with pytest.raises(InputError):
+        train_net(net, x, target, algorithm="guess")
+
+
+def test_the_order_of_the_trainings_is_the_published_one(exact: Averages) -> None:
+    inputs, target = whole_turns(exact, PITCH_IN)
+    assert inputs.shape == (314, 2)
+    found = []
+    for algorithm in ALGORITHMS:
+        net = new_net(30, ((0.0, 1.0), MAPPED_IN), np.random.default_rng(0))
+        found.append(train_net(net, inputs, target, algorithm=algorithm, epochs=300, goal=4e-8).sse)
+    lm, bfgs, scg, rprop = found
+    assert lm <= 4e-8 < bfgs
+    assert 1000 * bfgs > scg > 1000 * lm
+    assert rprop > 1000 * lm
+
+
+def test_the_pair_reaches_its_goals(exact: Averages) -> None:
+    pair = fit_dual(exact, PITCH_IN, 1)
+    assert [t.sse <= goal for t, goal in zip(pair.trained, (4e-8, 9e-9), strict=True)] == [True] * 2
+    direction, position, error = exact.stacked()
+    assert np.max(np.abs(pair.error_in(direction, position) - error)) < 1.5e-4
+
+
+def test_tables_alias_the_screw_when_their_step_divides_the_pitch() -> None:
+    left = {t["model"]: t for t in table_steps(NETWORK)}
+    one, quarter, fine = (
+        left[f"bidirectional table, {step} in"]["rms_um"] for step in ("1", "0.25", "0.025")
+    )
+    assert one == pytest.approx(quarter, rel=0.02)
+    assert fine < 0.15 * quarter
+    assert left["one table and one backlash, 0.025 in"]["rms_um"] > 4 * fine
+
+
+def test_tables_are_straight_between_entries_and_held_beyond() -> None:
+    # The illustrative tables of the source: forward and reverse, 0 to 4 in.
+    a = Averages(
+        np.arange(5.0),
+        np.array([1.0, 1.0, 0.0, -1.0, -2.0]) * 1e-3,
+        np.array([-1.0, -1.0, -2.0, -3.0, -4.0]) * 1e-3,
+    )
+    two = Bidirectional(a)
+    assert two.error_in(np.array([0.0, 1.0]), np.array([2.5, 2.5])) == pytest.approx(
+        [-5e-4, -2.5e-3]
+    )
+    assert two.error_in(np.zeros(2), np.array([-9.0, 9.0])) == pytest.approx([1e-3, -2e-3])
+    backlash = float(np.mean(a.reverse_in - a.forward_in))
+    one = Unidirectional(a).error_in(np.array([1.0]), np.array([3.0]))
+    assert one == pytest.approx([-1e-3 + backlash])
