@@ -142,13 +142,16 @@ class PlacingCell:
     def _driven(self, target_mm: Floats, motion: str, feed_mm_min: float) -> tuple[Floats, float]:
         key = (motion, feed_mm_min, np.asarray(target_mm, dtype=float).tobytes())
         if key not in self._known:
+            # Start and mid-point move with the target: the last move stays vertical. Were the target
+            # shifted alone, joint 1 would turn by some urad at the end, and might change its flank.
+            shift = np.asarray(target_mm, dtype=float) - PLACE_MM
             stops = [
                 Waypoint("clear", CLEAR_MM),
                 Waypoint("above the jig", PICK_MM + _UP_MM),
                 Waypoint("pick", PICK_MM),
                 Waypoint("away", PICK_MM + _UP_MM),
-                Waypoint("start of placing", PLACE_MM + 2.0 * _UP_MM),
-                Waypoint("mid-point", PLACE_MM + 0.3 * _UP_MM),
+                Waypoint("start of placing", PLACE_MM + 2.0 * _UP_MM + shift),
+                Waypoint("mid-point", PLACE_MM + 0.3 * _UP_MM + shift),
                 Waypoint("place", np.asarray(target_mm, dtype=float), _HANDOVER_S),
             ]
             ends, duration_s = drive_program(

@@ -138,6 +138,8 @@ def conditions(rows: Sequence[Row]) -> list[dict[str, Any]]:
             flagged[way] = len(mine) - len(sizes[way])
         before, after, oracle = (sizes[way] for way in WAYS)
         change, wide = difference(before, after)
+        possible, unsure = difference(before, oracle)
+        share = share_of_oracle(before.mean(), after.mean(), oracle.mean())
         out.append(
             {
                 "motion": motion, "feed_mm_min": feed, "flagged": flagged,
@@ -147,7 +149,7 @@ def conditions(rows: Sequence[Row]) -> list[dict[str, Any]]:
                 "oracle_um": float(oracle.mean()),
                 "change_um": change, "change_half_width_um": wide,
                 "reduction": 1.0 - float(after.mean() / before.mean()),
-                "share_of_oracle": share_of_oracle(before.mean(), after.mean(), oracle.mean()),
+                "share_of_oracle": share if -possible > unsure else np.nan,
                 "worse": change > wide,
             }
         )  # fmt: skip
