@@ -121,8 +121,7 @@ def _solved(normal: Floats, mu: float, slope: Floats) -> Floats:
         factor = linalg.cho_factor(damped, lower=True, check_finite=False)
         return linalg.cho_solve(factor, slope, check_finite=False)
     except linalg.LinAlgError:
-        step = np.asarray(np.linalg.lstsq(damped, slope, rcond=None)[0], dtype=np.float64)
-        return step
+        return np.asarray(np.linalg.lstsq(damped, slope, rcond=None)[0], dtype=np.float64)
 
 
 def _bfgs(
