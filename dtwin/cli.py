@@ -11,6 +11,7 @@ import typer
 
 from dtwin import __version__
 from dtwin.commands import analogue as analogue_commands
+from dtwin.commands import cell as cell_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import exporting as exporting_command
@@ -53,6 +54,7 @@ serving_commands.register(app)
 twin_commands.register(app)
 analogue_commands.register(app)
 linuxcnc_commands.register(app)
+cell_commands.register(app)
 lathe_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)

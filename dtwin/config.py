@@ -16,6 +16,26 @@ _TELEMETRY_OFF = {
 _THREADS = {"OMP_WAIT_POLICY": "passive"}
 
 
+SETTINGS: dict[str, tuple[str, str]] = {
+    "DTWIN_HOME": ("`./.dtwin`", "folder of all state: lake, models, bundles, logs, servers"),
+    "MLFLOW_TRACKING_URI": (
+        "a SQLite file in `DTWIN_HOME`",
+        "where models are logged and registered",
+    ),
+    "PREFECT_API_URL": (
+        "the server of `dtwin up`, else one for the command",
+        "Prefect server whose page shows the flows",
+    ),
+    "PREFECT_HOME": ("`DTWIN_HOME/prefect`", "Prefect's own state"),
+    "PYTHON_JULIAPKG_EXE": ("`julia` on the path", "Julia for the PySR engine"),
+    "DO_NOT_TRACK": ("true", "telemetry of libraries is off; set it otherwise to allow it"),
+    "MLFLOW_DISABLE_TELEMETRY": ("true", "the same for MLflow"),
+    "PREFECT_SERVER_ANALYTICS_ENABLED": ("false", "the same for Prefect's server"),
+    "OMP_WAIT_POLICY": ("passive", "threads of numerical libraries do not spin while they wait"),
+}
+"""Environment variables that a user may set: default, and what it is for."""
+
+
 @dataclass(frozen=True)
 class Home:
     """The folder that holds all state of dtwin.
@@ -85,9 +105,9 @@ def sample_recording() -> Path:
     return _data("samples/ur10e_xy_r100_f5000.b5r")
 
 
-def lathe_network() -> Path:
-    """Return the published network of a lathe's positioning error that travels with the package."""
-    return _data("published/lathe_z_network.json")
+def published_table(name: str) -> Path:
+    """Return a file of published numbers that travels with the package."""
+    return _data(f"published/{name}")
 
 
 def example_campaigns() -> Path:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.config import lathe_network
+from dtwin.config import published_table
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
@@ -97,7 +97,7 @@ def read_network(path: Path | None = None) -> LatheNetwork:
     InputError
         When the file lacks weights.
     """
-    file = lathe_network() if path is None else path
+    file = published_table("lathe_z_network.json") if path is None else path
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
         weights = document["weights"]

@@ -20,7 +20,7 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import drift, measuring, modelling, rechecking
+from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
@@ -74,6 +74,13 @@ def ingest(source: Path) -> IngestReport:
 def compute_features(campaign: str) -> measuring.FeatureReport:
     """Compute the signal features of a campaign."""
     return measuring.compute_features(home(), campaign, logged("features"))
+
+
+@task(name="cell-step", task_run_name="part {part}: {step}", **_ONCE)
+def cell_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:
+    """Do one step of the cell; ``twin`` says which twin is live in it."""
+    get_run_logger().info("live twin: %s", twin)
+    return cell.do_step(step, part, twin, seed)
 
 
 @task(name="train", task_run_name="train {campaign}", **_ONCE)

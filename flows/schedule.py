@@ -12,6 +12,7 @@ from prefect.types.entrypoint import EntrypointType
 
 from flows import _artifacts, _tasks
 from flows.campaign import campaign_flow
+from flows.cell import cell_flow
 from flows.diagnose import diagnose_flow, publish_drift
 from flows.ingest import ingest_flow
 from flows.promote import promote_flow
@@ -73,7 +74,7 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         description="Circles with and without each champion; one that harms is withdrawn.",
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
-    others = (campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow)
+    others = (campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow)
     return [
         scheduled,
         checked,

@@ -31,6 +31,14 @@ _SLOWEST_FIRST = (
     "test_examples",
     "test_ui_models",
     "test_flow_run",
+    "test_robot_faults",
+    "test_exam_short",
+    "test_single_recording",
+    "test_record_command",
+    "test_mill_story",
+    "test_up",
+    "test_linuxcnc_page",
+    "test_analogue_serving",
 )
 
 
@@ -79,3 +87,12 @@ def require_program(name: str, package: str) -> str:
             pytest.fail(reason)
         pytest.skip(reason)
     return found
+
+
+@pytest.fixture
+def artifacts(request: pytest.FixtureRequest) -> Path:
+    """Folder in which pictures of a test module stay: ``DTWIN_ARTIFACTS``, else ``.artifacts``."""
+    root = Path(os.environ.get("DTWIN_ARTIFACTS") or request.config.rootpath / ".artifacts")
+    folder = root / request.path.stem
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

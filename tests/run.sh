@@ -7,5 +7,5 @@ set -euo pipefail
 .venv/bin/ruff format --check --quiet . || { echo "run: .venv/bin/ruff format ."; exit 1; }
 .venv/bin/mypy
 .venv/bin/lint-imports
-NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --quiet --site-dir .dtwin/site
-OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 2 --no-loadscope-reorder "$@"
+NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --site-dir .dtwin/site
+OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 3 --no-loadscope-reorder "$@"

@@ -49,8 +49,10 @@ def _wrong_commands(markdown: str) -> list[str]:
     wrong = []
     for block in _BLOCK.findall(markdown):
         for line in block.replace("\\\n", " ").splitlines():
+            if not line.startswith("dtwin "):
+                continue
             words = shlex.split(line, comments=True)
-            if len(words) < 2 or words[0] != "dtwin" or words[1] == "--help":
+            if len(words) < 2 or words[1] == "--help":
                 continue
             command = known.get(" ".join(words[:2])) or known.get(" ".join(words[:3]))
             options = {o for p in (command.params if command else ()) for o in p.opts}

@@ -25,6 +25,9 @@ def judge_run(run: Run) -> list[Finding]:
     run : Run
         A run with its samples.
     """
+    if run.meta.kind == "placement":
+        # Placements are events: minutes between them are no lost samples.
+        return [f for f in _clock(run.samples["t_s"]) if f.code != "clock.dropout"] + _flagged(run)
     if run.meta.kind != "circular":
         clock = _clock(run.samples["t_s"]) if "t_s" in run.samples else []
         return [*clock, *judge_linear_run(run)] if run.meta.kind == "linear" else clock
@@ -75,6 +78,23 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
             )
         )
     return findings
+
+
+def _flagged(run: Run) -> list[Finding]:
+    """Say how many placements a rule has flagged; the rows stay, figures leave them out."""
+    flags = run.samples.get("flag_1")
+    count = int(np.count_nonzero(flags)) if flags is not None else 0
+    if not count:
+        return []
+    return [
+        Finding(
+            "placement.flagged",
+            "info",
+            f"{count} of {run.n_samples} placements were flagged by a rule: they are left out of "
+            "every figure, not replaced",
+            {"placements_1": float(count)},
+        )
+    ]
 
 
 def without_samples(run: Run) -> Run:

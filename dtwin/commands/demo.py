@@ -18,7 +18,10 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     which: Annotated[
-        str, typer.Argument(help="Which demo: cobot, mill, linuxcnc, tracking, position-map.")
+        str,
+        typer.Argument(
+            help="Which demo: cobot, mill, linuxcnc, placement, tracking, position-map."
+        ),
     ] = "cobot",
     quick: Annotated[
         bool, typer.Option("--quick", help="A small campaign, for a first look.")
@@ -32,12 +35,17 @@ def demo(
     ``position-map`` asks what its equation for the mill has learned, ``mill`` tells that story to
     the end: a map of one session makes a later one worse, a twin with what was missing does not.
     ``linuxcnc`` corrects circles of the real controller, live and by its compensation files.
+    ``placement`` corrects three circles at three heights and a campaign of placements, and computes
+    the thesis's tables of both again.
     """
     if which == "linuxcnc":
         _linuxcnc(seed, quick=quick, as_json=as_json)
         return
     if which == "mill":
         _mill(seed, quick=quick, as_json=as_json)
+        return
+    if which == "placement":
+        _placement(seed, quick=quick, as_json=as_json)
         return
     others = {"tracking": _tracking, "position-map": _position_map}
     if which in others:
@@ -48,7 +56,7 @@ def demo(
             "no such demo",
             code="demo.unknown",
             got=which[:40],
-            allowed=", ".join(["cobot", "mill", "linuxcnc", *others]),
+            allowed=", ".join(["cobot", "mill", "linuxcnc", "placement", *others]),
         )
     from dtwin.config import home
     from flows.page import shown_steps
@@ -84,6 +92,18 @@ def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
     shown = partial(ProgressLine, quiet=as_json)
     found = linuxcnc_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
     emit(found, lambda: linuxcnc_text(found), as_json=as_json)
+
+
+def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
+    from functools import partial
+
+    from dtwin.config import home
+    from dtwin.pipeline.placement_story import FULL, QUICK, placement_story
+    from dtwin.report.placement import placement_text
+
+    shown = partial(ProgressLine, quiet=as_json)
+    found = placement_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
+    emit(found, lambda: placement_text(found), as_json=as_json)
 
 
 def _tracking(seed: int, *, as_json: bool) -> None:

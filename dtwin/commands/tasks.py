@@ -11,7 +11,16 @@ TASKS: dict[str, tuple[str, ...]] = {
     "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
     "Understand": ("twin", "effects", "report"),
     "Correct": ("features", "train", "models", "promote", "recheck", "rollback", "lathe"),
-    "Run": ("serve", "robot-program", "robot-targets", "export", "analogue", "linuxcnc", "up"),
+    "Run": (
+        "serve",
+        "robot-program",
+        "robot-targets",
+        "export",
+        "analogue",
+        "linuxcnc",
+        "cell",
+        "up",
+    ),
 }
 TWIN_TASKS: dict[str, tuple[str, ...]] = {
     "Fit and look": ("fit", "compare", "recording", "show", "history"),

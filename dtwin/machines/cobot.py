@@ -13,7 +13,16 @@ from dtwin.machines import mechanism as m_
 from dtwin.machines.controller import CobotController
 from dtwin.machines.joints import gravity_torque_kernel, transmission_table
 from dtwin.machines.mechanism import Mechanism, build_mechanism, run_kernel, start_memory
-from dtwin.machines.motion import ANGLE0, RADIUS0, CircleCondition, MotionPlan, plan_motion
+from dtwin.machines.motion import (
+    ANGLE0,
+    KIND,
+    LINE,
+    LINE_FROM,
+    RADIUS0,
+    CircleCondition,
+    MotionPlan,
+    plan_motion,
+)
 from dtwin.machines.parameters import CobotParameters, load_parameters
 from dtwin.machines.recording import (
     CobotRecording,
@@ -167,6 +176,10 @@ class VirtualCobot:
         run_kernel(mechanism, plan.segments, plan.frame, memory, states, truths)
         return RunTicks(states, truths)
 
+    def at_rest(self, plan: MotionPlan) -> tuple[Mechanism, Floats]:
+        """Return the mechanism and its memory, at rest where a program begins."""
+        return self._machine(plan)
+
     def _machine(self, plan: MotionPlan) -> tuple[Mechanism, Floats]:
         """Return the mechanism, zeroed at the circle's centre, and its memory at the start."""
         mechanism = build_mechanism(self.parameters, self._transmission, self._true_dh, TOOL_DOWN)
@@ -175,9 +188,10 @@ class VirtualCobot:
         at_centre = UR10E.inverse(centre, TOOL_DOWN, tcp, ELBOW_UP_RAD)
         mechanism.geometry[1] = self._static_position_mm(mechanism, at_centre) - centre
         first = plan.segments[0]
-        start = centre + first[RADIUS0] * (
-            np.cos(first[ANGLE0]) * plan.frame[0] + np.sin(first[ANGLE0]) * plan.frame[1]
-        )
+        outward = np.cos(first[ANGLE0]) * plan.frame[0] + np.sin(first[ANGLE0]) * plan.frame[1]
+        start = centre + first[RADIUS0] * outward
+        if first[KIND] == LINE:
+            start = first[LINE_FROM : LINE_FROM + 3]
         way = np.linspace(centre, start, 50)
         return mechanism, start_memory(UR10E.inverse_many(way, TOOL_DOWN, tcp, at_centre)[-1])
 

@@ -115,9 +115,13 @@ class CobotController:
         self._constants[layout.RUNTIME_RUNNING] = running
         self._constants[layout.SAFETY_OK] = safety
 
+    def ticks(self) -> RunTicks:
+        """Return every tick so far; the arrays are views."""
+        return RunTicks(self._states[: self._n], self._truths[: self._n])
+
     def recording(self) -> CobotRecording:
         """Return what the instruments recorded, with the correction's effect in it."""
-        return self._make_recording(RunTicks(self._states[: self._n], self._truths[: self._n]))
+        return self._make_recording(self.ticks())
 
     def _advance(self) -> None:
         if self._n == len(self._states):

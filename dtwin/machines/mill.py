@@ -211,7 +211,7 @@ class VirtualMill:
         if self.noise.rms_um > 0.0:
             deviation += noise
         shown_c = rise_c + self.parameters.heat.sensor_noise_c * rng.standard_normal()
-        covariates = {"temperature_c": float(_ROOM_C + shown_c)}
+        covariates = {"temperature_c": float(_ROOM_C + clock.room_rise_c + shown_c)}
         if test.abbe_offset_mm is not None:
             covariates["abbe_offset_mm"] = test.abbe_offset_mm
         meta = RunMeta(
@@ -281,9 +281,14 @@ class _Clock:
 
     @property
     def growth_rise_c(self) -> float:
-        """Rise that the lengths follow."""
+        """Rise that the lengths follow: of the machine, and of the room that it stands in."""
         share = self.heat.lag_share
-        return (1.0 - share) * self.rise_c + share * self.deep_c
+        return (1.0 - share) * self.rise_c + share * self.deep_c + self.room_rise_c
+
+    @property
+    def room_rise_c(self) -> float:
+        """Room above the temperature at which lengths are right."""
+        return self.heat.room_at_c(self.time_s / 3600.0) - _ROOM_C
 
     def work(self, spent_s: float, feed_mm_min: float) -> None:
         """Let the machine work."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 from dtwin.errors import InputError
@@ -108,6 +109,8 @@ class HeatParameters:
         growth then forms a loop over temperature.
     sensor_noise_c : float
         Of the logged temperature.
+    room_c, room_swing_c, room_period_h : float
+        Mean temperature of the room, and a swing around it that the machine follows.
     """
 
     rise_c: float = 4.0
@@ -116,6 +119,15 @@ class HeatParameters:
     time_constant_min: float = 25.0
     lag_share: float = 0.0
     sensor_noise_c: float = 0.02
+    room_c: float = 20.0
+    room_swing_c: float = 0.0
+    room_period_h: float = 24.0
+
+    def room_at_c(self, time_h: float) -> float:
+        """Return the room's temperature at a time."""
+        return self.room_c + self.room_swing_c * math.sin(
+            2.0 * math.pi * time_h / self.room_period_h
+        )
 
 
 @dataclass(frozen=True)

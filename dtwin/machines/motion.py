@@ -13,8 +13,10 @@ from dtwin.schema import Floats, standard_plane
 
 START_S, DURATION_S, SPEED, RAMP_S, JERK_S, KIND, RADIUS0, ANGLE0, SIGN, LENGTH = range(10)
 LINE_FROM, LINE_TOWARDS, COLUMNS = 10, 13, 16
-# Kinds of segment: straight along the radius, on the arc, straight from point to point.
-RADIAL, ARC, LINE = 0.0, 1.0, 2.0
+# Kinds of segment: straight along the radius, on the arc, straight from point to point, and on a
+# sphere, where azimuth and elevation change in proportion.
+RADIAL, ARC, LINE, SPHERE = 0.0, 1.0, 2.0, 3.0
+TURN, ELEVATION0, RISE = LINE_FROM, LINE_FROM + 1, LINE_FROM + 2
 
 
 @dataclass(frozen=True)
@@ -149,6 +151,19 @@ def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Flo
             position_mm[i] = segment[LINE_FROM + i] + way * segment[LINE_TOWARDS + i]
         return current
     radius, angle = segment[RADIUS0], segment[ANGLE0]
+    if segment[KIND] == SPHERE:
+        share = way / segment[LENGTH]
+        angle += share * segment[TURN]
+        elevation = segment[ELEVATION0] + abs(share) * segment[RISE]
+        height = radius * np.sin(elevation)
+        radius *= np.cos(elevation)
+        c, s = np.cos(angle), np.sin(angle)
+        for i in range(3):
+            flat = radius * (c * frame[0, i] + s * frame[1, i])
+            position_mm[i] = frame[2, i] + flat
+        # Spheres are driven about the vertical axis only.
+        position_mm[2] += height
+        return current
     if segment[KIND] == ARC:
         angle += way / radius
     else:
@@ -178,14 +193,15 @@ def jolt_kernel(
         Receives the pulse in mm/s^2, base frame; zero outside a pulse.
     """
     acceleration[:] = 0.0
-    if segment[KIND] != ARC:
+    if segment[KIND] != ARC and segment[KIND] != SPHERE:
         return
     since = time_s - segment[START_S]
     share, angle = jolts[0] * jolts[1], segment[ANGLE0]
     if since >= segment[DURATION_S]:
         since -= segment[DURATION_S]
         share = -jolts[0]
-        angle += segment[SIGN] * segment[LENGTH] / segment[RADIUS0]
+        turned = segment[LENGTH] / segment[RADIUS0] if segment[KIND] == ARC else segment[TURN]
+        angle += segment[SIGN] * turned
     if not 0.0 <= since < jolts[2]:
         return
     change = share * segment[SPEED] * segment[SIGN]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from dtwin.physics.gridding import (
     fine_angle_rad,
     rows_of,
 )
+from dtwin.physics.kept_columns import condition_key, kept_columns
 from dtwin.physics.state import AXES_OF, State, circular_state
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
@@ -192,9 +193,14 @@ class Observations:
                 out[row] = averaged(effect.columns(self._row_state(row), instance.axis, shape))
         else:
             for number, state in enumerate(self._condition_states):
-                found = averaged(effect.columns(state, instance.axis, shape))
-                out[self.condition_of == number] = found
+                make = partial(_averaged, instance, shape, state)
+                key = self._condition_keys[number]
+                out[self.condition_of == number] = kept_columns(instance, shape, key, make)
         return np.where(self.mask[:, :, None], out, 0.0)
+
+    @cached_property
+    def _condition_keys(self) -> list[Hashable]:
+        return [condition_key(state) for state in self._condition_states]
 
     @cached_property
     def _condition_states(self) -> list[State]:
@@ -318,3 +324,7 @@ def _second_order_um(made: Observations, centres_um: Floats) -> Floats:
     radius_um = np.array([meta.radius_mm or 1.0 for meta in made.runs]) * UM_PER_MM
     across = np.outer(centres_um[:, 0], np.sin(theta)) - np.outer(centres_um[:, 1], np.cos(theta))
     return np.asarray(across**2 / (2.0 * radius_um[:, None]))
+
+
+def _averaged(instance: Instance, shape: Shape, state: State) -> Floats:
+    return averaged(instance.effect.columns(state, instance.axis, shape))

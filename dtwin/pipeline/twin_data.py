@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import pure_error, to_harmonics
 from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 from dtwin.pipeline.measuring import ingest
-from dtwin.schema import Floats, Run
+from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
+from dtwin.schema import Campaign, Floats
 from dtwin.store import Lake
 
 
@@ -120,18 +122,10 @@ def load(home: Home, campaign: str) -> Loaded:
     if campaign not in lake.campaigns() and Path(campaign).exists():
         name = ingest(Path(campaign), home).campaign
     found = lake.campaign(name)
-    left_out: dict[str, str] = {}
-    runs: list[Run] = []
-    digest = hashlib.sha256()
-    for row in lake.runs(name):
-        run = lake.load(row, signals=False)
-        errors = [f.message for f in run.findings if f.severity == "error"]
-        if errors:
-            left_out[run.meta.run_id] = errors[0]
-            continue
-        runs.append(run)
-        digest.update(str(row["content_sha256"]).encode())
-    if not runs:
+    rows = lake.runs(name)
+    left_out = {str(row["run_id"]): why for row in rows if (why := _error_in(row))}
+    usable = [row for row in rows if str(row["run_id"]) not in left_out]
+    if not usable:
         why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])
         raise InputError(
             "the campaign has no usable run",
@@ -148,10 +142,33 @@ def load(home: Home, campaign: str) -> Loaded:
             got=found.kind,
             allowed="circular",
         )
+    digest = hashlib.sha256()
+    for row in usable:
+        digest.update(str(row["content_sha256"]).encode())
     data = {
         **lake.versions(),
         "runs_sha256": digest.hexdigest(),
-        "n_runs": len(runs),
+        "n_runs": len(usable),
         "left_out": left_out,
     }
-    return Loaded(observe(found, runs), data, controller_rows_um(runs))
+    obs, controller_um = _reduced(home, lake, found, usable)
+    return Loaded(obs, data, controller_um)
+
+
+def _error_in(row: Mapping[str, Any]) -> str:
+    """Return the first error that was found in a run, empty when there is none."""
+    findings = json.loads(row["findings_json"])
+    return next((str(f["message"]) for f in findings if f["severity"] == "error"), "")
+
+
+def _reduced(
+    home: Home, lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]]
+) -> tuple[Observations, Floats | None]:
+    stamp = stamp_of(rows)
+    kept = read_reduced(home, campaign.name, stamp)
+    if kept is not None:
+        return kept
+    runs = [lake.load(row, signals=False) for row in rows]
+    made = observe(campaign, runs), controller_rows_um(runs)
+    keep_reduced(home, campaign.name, stamp, made)
+    return made

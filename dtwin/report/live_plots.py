@@ -104,11 +104,13 @@ def _turn_figure(
         # ZX turns from Z towards X.
         first, second = second, first
     angle = np.unwrap(np.arctan2(arm_mm[:, second], arm_mm[:, first]))
-    newest = np.abs(angle - angle[-1]) <= 2.0 * np.pi
-    # The other sense before it is another circle.
-    turned = np.flatnonzero(np.diff(np.sign(np.diff(angle))))
-    newest[: turned[-1] + 1 if len(turned) else 0] = False
-    if not newest.any() or np.ptp(angle[newest]) < _WHOLE_TURN_RAD:
+    # The other sense is another circle.
+    turned = np.flatnonzero(np.diff(np.sign(np.diff(angle)))) + 1
+    for sense in np.split(np.arange(len(angle)), turned)[::-1]:
+        newest = sense[np.abs(angle[sense] - angle[sense[-1]]) <= 2.0 * np.pi]
+        if np.ptp(angle[newest]) >= _WHOLE_TURN_RAD:
+            break
+    else:
         return None
     bins = (np.degrees(angle[newest]) // (360 / _BINS)).astype(int) % _BINS
     count = np.bincount(bins, minlength=_BINS)

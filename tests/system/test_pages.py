@@ -52,7 +52,7 @@ def flow_run(up: Up, flow: str) -> dict[str, Any]:
 
 
 def test_prefect_shows_the_run_with_its_tables_and_plots(
-    up: Up, page: Page, tmp_path: Path
+    up: Up, page: Page, artifacts: Path
 ) -> None:
     run(diagnose_flow, campaign="quick")
     shown = flow_run(up, "diagnose")
@@ -65,23 +65,23 @@ def test_prefect_shows_the_run_with_its_tables_and_plots(
     page.get_by_text("Artifacts", exact=True).first.click()
     for key in ("findings-quick", "figures-quick", "curves-quick"):
         expect(page.get_by_text(key).first).to_be_visible()
-    page.screenshot(path=tmp_path / "prefect-run.png")
+    page.screenshot(path=artifacts / "prefect-run.png")
 
     left = up.artifacts_of(shown)
     page.goto(f"{up.addresses['prefect']}/artifacts/artifact/{left['curves-quick']['id']}")
     plot = page.locator("img[alt^='YZ R100']").first
     expect(plot).to_be_visible(timeout=PATIENCE_MS)
     assert plot.evaluate("picture => picture.naturalWidth") == 380
-    page.screenshot(path=tmp_path / "prefect-curves.png")
+    page.screenshot(path=artifacts / "prefect-curves.png")
 
     page.goto(f"{up.addresses['prefect']}/artifacts/artifact/{left['figures-quick']['id']}")
     expect(page.get_by_text("t001-ccw").first).to_be_visible(timeout=PATIENCE_MS)
-    page.screenshot(path=tmp_path / "prefect-figures.png")
+    page.screenshot(path=artifacts / "prefect-figures.png")
     assert "127.0.0.1" in asked
     assert asked <= {"127.0.0.1", ""}, "the page asks other computers"
 
 
-def test_mlflow_shows_a_version_as_a_reviewer_needs_it(up: Up, page: Page, tmp_path: Path) -> None:
+def test_mlflow_shows_a_version_as_a_reviewer_needs_it(up: Up, page: Page, artifacts: Path) -> None:
     registry = Registry(up.home)
     if MACHINE not in registry.machines():
         run(train_flow, campaign="quick")
@@ -93,15 +93,15 @@ def test_mlflow_shows_a_version_as_a_reviewer_needs_it(up: Up, page: Page, tmp_p
     expect(page.get_by_text("physics-library").first).to_be_visible()
     expect(page.get_by_text("candidate").first).to_be_visible()
     expect(page.locator("table").get_by_text("look-up").first).to_be_visible()
-    page.screenshot(path=tmp_path / "mlflow-version.png")
+    page.screenshot(path=artifacts / "mlflow-version.png")
 
     page.goto(f"{up.addresses['mlflow']}/#/models/dtwin-{MACHINE}")
     expect(page.get_by_text("Versions are served only after").first).to_be_visible(
         timeout=PATIENCE_MS
     )
     expect(page.get_by_text("@ candidate").first).to_be_visible()
-    page.screenshot(path=tmp_path / "mlflow-model.png")
+    page.screenshot(path=artifacts / "mlflow-model.png")
 
     page.goto(f"{up.addresses['mlflow']}/#/experiments/1/runs/{candidate.run_id}/artifacts")
     expect(page.get_by_text("equation.tex").first).to_be_visible(timeout=PATIENCE_MS)
-    page.screenshot(path=tmp_path / "mlflow-run.png")
+    page.screenshot(path=artifacts / "mlflow-run.png")

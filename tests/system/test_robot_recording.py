@@ -42,7 +42,8 @@ def test_the_recording_is_the_controllers_motion_by_its_clock(
     assert (group.name, group.rate_hz) == ("controller", 125.0)
     stamps = group.columns["timestamp_s"]
     there = np.flatnonzero(~np.isnan(stamps))
-    assert len(there) > 200
+    # A busy host skips states; the gaps are in it as such.
+    assert len(there) > 150
     # Every sample has its place on the clock, lost ones or not.
     np.testing.assert_allclose(
         stamps[there], stamps[there[0]] + (there - there[0]) / 125.0, atol=2.5e-3

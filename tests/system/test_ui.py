@@ -127,7 +127,7 @@ def _settled(page: Page) -> None:
 
 
 def test_from_a_dropped_file_to_an_error_that_falls(
-    page: Page, bench: Workbench, folder: Path, tmp_path: Path
+    page: Page, bench: Workbench, folder: Path, artifacts: Path
 ) -> None:
     expect(page.get_by_text("Nothing was measured yet.")).to_be_visible()
     page.set_input_files(
@@ -150,7 +150,7 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     expect(page.get_by_text("noise floor ±", exact=False).first).to_be_visible()
     expect(page.locator(".modebar-btn").first).to_be_attached()
     expect(page.locator(SHARES)).to_have_count(0)
-    page.screenshot(path=tmp_path / "compare.png", full_page=True)
+    page.screenshot(path=artifacts / "compare.png", full_page=True)
 
     page.get_by_role("link", name="Diagnose", exact=True).click()
     expect(page.get_by_text("was not diagnosed yet")).to_be_visible()
@@ -159,13 +159,13 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     _settled(page)
     expect(page.locator(".verdict")).to_contain_text("backlash X is missing")
     expect(page.locator("#signature-plot")).to_contain_text("What backlash X would take away")
-    page.screenshot(path=tmp_path / "diagnose.png", full_page=True)
+    page.screenshot(path=artifacts / "diagnose.png", full_page=True)
 
     page.get_by_role("button", name="Add backlash X").first.click()
     page.wait_for_url("**/twins/mill/versions")
     before, first, second = _heights(page)
     assert before > first > 1.5 * second
-    page.screenshot(path=tmp_path / "versions.png", full_page=True)
+    page.screenshot(path=artifacts / "versions.png", full_page=True)
 
     page.get_by_role("button", name="Roll back to 1").click()
     page.wait_for_function("() => document.querySelectorAll('[data-post$=rollback]').length === 2")

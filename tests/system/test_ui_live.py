@@ -91,7 +91,7 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
 
 
 def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, artifacts: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Real server, real ur-rtde client, virtual controller on the wall clock."""
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path))
@@ -120,11 +120,11 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
         # The promoted equation foretells 24 um along the radius: so much is taken away.
         seen = json.loads(workbench.ask(f"/api/live/{MACHINE}/now")[1])
         assert math.hypot(*seen["correction_um"]) == pytest.approx(24.0, rel=0.01)
-        with_it, without = page.evaluate(
-            "document.querySelectorAll('[data-moving] .canvas')[1].data.map(d => d.y)"
-        )
+        drawn = "document.querySelectorAll('[data-moving] .canvas')[1].data.map(d => d.y)"
+        page.wait_for_function(f"() => {drawn}.length === 2")
+        with_it, without = page.evaluate(drawn)
         assert statistics.mean(with_it) - statistics.mean(without) == pytest.approx(-24.0, rel=0.02)
-        page.screenshot(path=tmp_path / "live.png", full_page=True)
+        page.screenshot(path=artifacts / "live.png", full_page=True)
         page.get_by_role("button", name="Stop and release the correction").click()
         assert server.end()[0] == 0
         wait_until_released(robot)

@@ -108,7 +108,7 @@ def _promote(page: Page, bench: Workbench, version: int, why: str) -> None:
 
 
 def test_a_version_below_the_gates_is_refused_with_the_reasons(
-    page: Page, bench: Workbench, tmp_path: Path
+    page: Page, bench: Workbench, artifacts: Path
 ) -> None:
     _promote(page, bench, 1, "let us see")
     expect(page.locator("#work-error")).to_contain_text("error[promote.refused]")
@@ -116,7 +116,7 @@ def test_a_version_below_the_gates_is_refused_with_the_reasons(
     page.reload()
     expect(page.locator(".findings")).to_contain_text("FAIL held-out conditions")
     expect(page.locator("figure .refusal")).to_have_count(0)
-    page.screenshot(path=tmp_path / "refused.png", full_page=True)
+    page.screenshot(path=artifacts / "refused.png", full_page=True)
     page.goto(f"{bench.base}/models")
     expect(page.locator("main")).to_contain_text("let us see")
 

@@ -21,7 +21,8 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     assert shown.returncode == 0
     for command in ("demo", "plan", "simulate", "ingest", "runs", "check", "features", "train",
                     "models", "promote", "rollback", "serve", "report", "twin", "effects",
-                    "record", "up", "ui", "examples", "analogue", "linuxcnc", "lathe"):  # fmt: skip
+                    "record", "up", "ui", "examples", "analogue", "linuxcnc", "cell",
+                    "lathe"):  # fmt: skip
         assert f"\n  {command} " in shown.stdout
     heavy = [
         "numpy",

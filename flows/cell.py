@@ -1,0 +1,67 @@
+"""The control twin: one flow over both machines of the cell."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from prefect import flow
+from prefect.client.schemas.objects import State
+from prefect.states import Completed
+
+from dtwin.config import home
+from dtwin.pipeline.cell import run_job, status
+from dtwin.pipeline.cell_state import DONE, CellFile
+from flows import _artifacts, _tasks
+
+
+@flow(name="cell", flow_run_name="cell {cell}")
+def cell_flow(
+    cell: str = "demo", parts: int = 1, seed: int = 0, resume: bool = False
+) -> dict[str, Any] | State[dict[str, Any]]:
+    """Take parts through the virtual cell: load, hold, mill four quarters, unload.
+
+    Every step is a task, and only its machine's twin is live. The run ends as ``Stopped`` when
+    somebody asked for it; with ``resume`` a later run goes on with the first step not done.
+
+    Parameters
+    ----------
+    cell : str
+        Name of the cell; its state is below ``DTWIN_HOME/cells``.
+    parts : int
+        Parts of a new job.
+    seed : int
+        Of both virtual machines.
+    resume : bool
+        Go on with the job that is there.
+    """
+    file = CellFile(home(), cell)
+    if not resume:
+        file.begin(parts, seed)
+    seed = int(file.read()["seed"])
+
+    def do(step: str, part: int, twin: str) -> dict[str, Any]:
+        return _tasks.cell_step(step, part, twin, seed)
+
+    outcome = run_job(file, do)
+    seen = status(file)
+    _publish(cell, seen, outcome.stopped)
+    if outcome.stopped:
+        return Completed(name="Stopped", message=outcome.stopped, data=seen)
+    return seen
+
+
+def _publish(cell: str, seen: dict[str, Any], stopped: str) -> None:
+    rows = [
+        [s["part"], s["step"], s["twin"], s["state"],
+         *(f"{s['result'][k]:.1f}" if k in s["result"] else "" for k in
+           ("duration_s", "error_without_um", "error_um"))]
+        for s in seen["steps"]
+    ]  # fmt: skip
+    done = sum(s["state"] == DONE for s in seen["steps"])
+    came = f"stopped: {stopped}" if stopped else "done"
+    _artifacts.publish_table(
+        f"cell-{cell}",
+        ("part", "step", "live twin", "state", "s", "error without, um", "error, um"),
+        rows,
+        f"{done} of {len(rows)} steps; {came}",
+    )

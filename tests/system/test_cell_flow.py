@@ -1,0 +1,66 @@
+"""The cell's flow on a real Prefect server: tasks, table, stop and resume."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from running_servers import Up
+
+from dtwin.config import home
+from dtwin.pipeline.cell import status
+from dtwin.pipeline.cell_state import DONE, STEPS, CellFile
+from flows import _tasks
+from flows._runtime import delivered, run
+from flows.cell import cell_flow
+
+pytest_plugins = ["scheduled_servers"]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+
+
+@pytest.fixture
+def up(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
+    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
+    return scheduled_up
+
+
+def test_a_stopped_job_shows_on_the_page_and_resumes(
+    up: Up, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, real = CellFile(home(), "tested"), _tasks.cell.do_step
+
+    def and_ask(step: str, part: int, twin: str, seed: int) -> dict[str, object]:
+        if step == "mill quarter 2":
+            file.ask_to_stop("the operator wants to look")
+        return real(step, part, twin, seed)
+
+    monkeypatch.setattr(_tasks.cell, "do_step", and_ask)
+    with delivered():
+        run(cell_flow, cell="tested")
+    assert status(file)["condition"] == "stopped"
+    monkeypatch.setattr(_tasks.cell, "do_step", real)
+    with delivered():
+        run(cell_flow, cell="tested", resume=True)
+    stopped, resumed = up.runs_of("cell")
+    assert (stopped["state"]["name"], resumed["state"]["name"]) == ("Stopped", "Completed")
+    assert "wants to look" in stopped["state"]["message"]
+    names = []
+    for flow_run in (stopped, resumed):
+        tasks = up.ask(
+            "/task_runs/filter",
+            {"task_runs": {"flow_run_id": {"any_": [flow_run["id"]]}}, "sort": "EXPECTED_START_TIME_ASC"},
+        )  # fmt: skip
+        names.append([t["name"] for t in tasks])
+    steps = [f"part 1: {step}" for step, _ in STEPS]
+    assert (sorted(names[0]), sorted(names[1])) == (sorted(steps[:4]), sorted(steps[4:]))
+    table = json.loads(up.artifacts_of(resumed)["cell-tested"]["data"])
+    assert [row["state"] for row in table] == [DONE] * len(STEPS)
+    seen = subprocess.run(
+        [sys.executable, "-m", "dtwin", "cell", "status", "--cell", "tested", "--json"],
+        env=dict(os.environ), capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    shown = json.loads(seen.stdout)
+    assert (shown["condition"], shown["done_steps"], shown["live_twin"]) == ("done", 8, "none")
