@@ -34,7 +34,7 @@ import dtwin.physics
 SHORT_ROWS = (
     "null_plain", "single_one", "unknown_gear_harmonic", "one_repeat", "robot_joint_one",
 )  # fmt: skip
-SHORT_CASES = 2
+SHORT_CASES = 1
 SHORT_CONTROLS = 1
 WITH_CONTROLS = 20
 Key = tuple[str, int]

@@ -42,7 +42,7 @@ def _records(out: Path) -> list[dict]:
 @pytest.mark.system
 def test_every_case_is_answered_and_marked(short):
     records = _records(short[0])
-    assert len(records) == 10
+    assert len(records) == 5
     assert all(r["verdict"] in VERDICTS for r in records)
     assert all(r["right"] for r in records if r["row"] == "one_repeat")
     for row in ("single_one", "robot_joint_one"):
