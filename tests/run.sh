@@ -13,4 +13,4 @@ beside=$!
 .venv/bin/mypy
 wait "$beside" || { cat "$said"; exit 1; }
 cat "$said"
-OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 3 --no-loadscope-reorder "$@"
+OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 3 --no-loadscope-reorder -m "not long" "$@"

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.system
 TCP_MM = np.array([0.0, 0.0, 158.3])
 
 
+@pytest.mark.long
 def test_the_demo_reaches_the_oracle_and_its_campaign_is_ingested(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "dtwin", "demo", "placement", "--quick", "--json"],

@@ -9,7 +9,7 @@ import pytest
 from dtwin.pipeline.tracking_chain import tracking_chain
 from dtwin.report.tracking import tracking_text
 
-pytestmark = pytest.mark.system
+pytestmark = [pytest.mark.system, pytest.mark.long]
 
 
 def test_the_chain_closes_no_gap_that_a_constant_would_not() -> None:

@@ -269,6 +269,7 @@ def dtwin(home: Home, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.long
 def test_the_command_line_says_the_same(home: Home, twins: Twins, tmp_path: Path) -> None:
     made = dtwin(home, "twin", "fit", "mill-march", "--effects", ",".join(KNOWN), "--name", "cli")
     assert made.returncode == 0, made.stderr

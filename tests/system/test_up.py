@@ -78,7 +78,7 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Pat
         )
         assert served
         times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
-        assert times == [[]] * 7, "--no-schedule has a schedule"
+        assert times == [[]] * 8, "--no-schedule has a schedule"
 
         second = dtwin(home, "up")
         assert second.returncode == 1
