@@ -54,6 +54,11 @@ class Home:
         return self.root / "lake"
 
     @property
+    def reduced(self) -> Path:
+        """Runs averaged to one value per degree: a short cut, made again when it is missing."""
+        return self.root / "reduced"
+
+    @property
     def campaigns(self) -> Path:
         """Campaign folders that dtwin itself recorded."""
         return self.root / "campaigns"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.plan_file import read_plan_file
 from dtwin.schema import Finding, Floats, require_name
 
 MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
@@ -113,16 +113,7 @@ def read_linear_plan(path: Path) -> LinearPlan:
     InputError
         With the first rule that is broken.
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            "the plan cannot be read", code="plan.file", where=str(path), got=error.strerror
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            "the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)
-        ) from error
+    document = read_plan_file(path)
     table = document.get("plan")
     if not isinstance(table, dict):
         raise InputError("the plan needs a [plan] table", code="plan.table", where=str(path))

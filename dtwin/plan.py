@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.plan_file import read_plan_file
 from dtwin.schema import Direction, Finding, Plane, require_name, standard_plane
 
 MAX_TESTS = 100_000
@@ -152,16 +152,7 @@ def read_plan(path: Path) -> Plan:
     InputError
         With the place of the first thing that is wrong.
     """
-    try:
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(
-            "the plan cannot be read", code="plan.file", where=str(path), got=error.strerror
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            "the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)
-        ) from error
+    document = read_plan_file(path)
     return expand(document, str(path))
 
 

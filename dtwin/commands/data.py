@@ -142,9 +142,11 @@ def plan(
     as_json: Json = False,
 ) -> None:
     """Expand a campaign before anything moves: order, limits, time, programs."""
-    from dtwin.commands.lathe import is_linear, plan_positioning
+    from dtwin.plan_file import is_linear, read_plan_file
 
-    if file is not None and is_linear(file):
+    if file is not None and is_linear(read_plan_file(file)):
+        from dtwin.commands.lathe import plan_positioning
+
         plan_positioning(file, out, control, as_json=as_json)
         return
     from dtwin.plan import advice, duration_s, read_plan, training_plan

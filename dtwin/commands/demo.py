@@ -24,7 +24,11 @@ def demo(
         ),
     ] = "cobot",
     quick: Annotated[
-        bool, typer.Option("--quick", help="A small campaign, for a first look.")
+        bool,
+        typer.Option(
+            "--quick",
+            help="A small campaign, for a first look; tracking and position-map have one size.",
+        ),
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
@@ -38,26 +42,18 @@ def demo(
     ``placement`` corrects three circles at three heights and a campaign of placements, and computes
     the thesis's tables of both again.
     """
-    if which == "linuxcnc":
-        _linuxcnc(seed, quick=quick, as_json=as_json)
-        return
-    if which == "mill":
-        _mill(seed, quick=quick, as_json=as_json)
-        return
-    if which == "placement":
-        _placement(seed, quick=quick, as_json=as_json)
-        return
-    others = {"tracking": _tracking, "position-map": _position_map}
+    others = {
+        "mill": _mill, "linuxcnc": _linuxcnc, "placement": _placement,
+        "tracking": _tracking, "position-map": _position_map,
+    }  # fmt: skip
     if which in others:
-        others[which](seed, as_json=as_json)
+        others[which](seed, quick=quick, as_json=as_json)
         return
     if which != "cobot":
         raise InputError(
-            "no such demo",
-            code="demo.unknown",
-            got=which[:40],
-            allowed=", ".join(["cobot", "mill", "linuxcnc", "placement", *others]),
-        )
+            "no such demo", code="demo.unknown", got=which[:40],
+            allowed=", ".join(["cobot", *others]),
+        )  # fmt: skip
     from dtwin.config import home
     from flows.page import shown_steps
 
@@ -106,7 +102,7 @@ def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
     emit(found, lambda: placement_text(found), as_json=as_json)
 
 
-def _tracking(seed: int, *, as_json: bool) -> None:
+def _tracking(seed: int, *, quick: bool, as_json: bool) -> None:
     from dtwin.pipeline.tracking_chain import tracking_chain
     from dtwin.report.tracking import tracking_text
 
@@ -114,7 +110,7 @@ def _tracking(seed: int, *, as_json: bool) -> None:
     emit(found, lambda: tracking_text(found), as_json=as_json)
 
 
-def _position_map(seed: int, *, as_json: bool) -> None:
+def _position_map(seed: int, *, quick: bool, as_json: bool) -> None:
     from dtwin.pipeline.position_map import position_map
     from dtwin.report.position_map import position_map_text
 

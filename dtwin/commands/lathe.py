@@ -28,17 +28,6 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_lathe, name="lathe")
 
 
-def is_linear(file: Path) -> bool:
-    """Tell whether a plan file asks for a positioning test; what is wrong with it is said later."""
-    import tomllib
-
-    try:
-        head = tomllib.loads(file.read_text(encoding="utf-8")).get("plan", {})
-    except (OSError, ValueError):
-        return False
-    return isinstance(head, dict) and head.get("kind") == "linear"
-
-
 def plan_positioning(file: Path, out: Path | None, control: str, *, as_json: bool) -> None:
     """Check a positioning plan, say what it cannot tell, and write its program."""
     from dtwin.atomic import write_text

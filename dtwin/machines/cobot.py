@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.kinematics import UR10E, normal_unit, plane_axes
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
-from dtwin.machines.controller import CobotController
+from dtwin.machines.controller import CircleController
 from dtwin.machines.joints import gravity_torque_kernel, transmission_table
 from dtwin.machines.mechanism import Mechanism, build_mechanism, run_kernel, start_memory
 from dtwin.machines.motion import (
@@ -91,14 +91,16 @@ class VirtualCobot:
         plan = self.plan(condition)
         return self.recording_of(condition, plan, self.run(plan), setup, repeat)
 
-    def controller(self, condition: CircleCondition, *, setup: str, repeat: int) -> CobotController:
+    def controller(
+        self, condition: CircleCondition, *, setup: str, repeat: int
+    ) -> CircleController:
         """Return the machine's controller about to run a condition, for a closed loop."""
         condition = condition.standard()
         if condition not in self._prepared:
             plan = self.plan(condition)
             self._prepared[condition] = (plan, *self._machine(plan))
         plan, mechanism, memory = self._prepared[condition]
-        return CobotController(
+        return CircleController(
             condition,
             plan,
             mechanism,

@@ -29,8 +29,6 @@ class CobotController:
         What to run.
     mechanism, memory : Mechanism, ndarray
         The machine at rest at the start of the program.
-    make_recording : callable
-        Turns the ticks of the finished run into a recording.
     """
 
     def __init__(
@@ -39,13 +37,11 @@ class CobotController:
         plan: MotionPlan,
         mechanism: Mechanism,
         memory: Floats,
-        make_recording: Callable[[RunTicks], CobotRecording],
     ) -> None:
         self.condition = condition
         self.plan = plan
         self._mechanism = mechanism
         self._memory = memory
-        self._make_recording = make_recording
         self._tick_s = 1.0 / round(1.0 / mechanism.control[0])
         self._registers = layout.correction_registers()
         rows = round(plan.duration_s / self._tick_s) + 1
@@ -119,10 +115,6 @@ class CobotController:
         """Return every tick so far; the arrays are views."""
         return RunTicks(self._states[: self._n], self._truths[: self._n])
 
-    def recording(self) -> CobotRecording:
-        """Return what the instruments recorded, with the correction's effect in it."""
-        return self._make_recording(self.ticks())
-
     def _advance(self) -> None:
         if self._n == len(self._states):
             self._states = np.vstack([self._states, np.zeros((_GROWTH, layout.N))])
@@ -140,3 +132,30 @@ class CobotController:
         )
         state[layout.TIMESTAMP] = self._n * self._tick_s
         self._n += 1
+
+
+class CircleController(CobotController):
+    """The controller on a circle, which the instruments record.
+
+    Parameters
+    ----------
+    condition, plan, mechanism, memory
+        As for :class:`CobotController`.
+    make_recording : callable
+        Turns the ticks of the finished run into a recording.
+    """
+
+    def __init__(
+        self,
+        condition: CircleCondition,
+        plan: MotionPlan,
+        mechanism: Mechanism,
+        memory: Floats,
+        make_recording: Callable[[RunTicks], CobotRecording],
+    ) -> None:
+        super().__init__(condition, plan, mechanism, memory)
+        self._make_recording = make_recording
+
+    def recording(self) -> CobotRecording:
+        """Return what the instruments recorded, with the correction's effect in it."""
+        return self._make_recording(self.ticks())

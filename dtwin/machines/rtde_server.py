@@ -44,7 +44,7 @@ from dtwin.errors import DtwinError, InputError
 from dtwin.links import state as layout
 from dtwin.links import ur_registers as registers
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.machines.controller import CobotController
+from dtwin.machines.controller import CircleController
 from dtwin.machines.motion import CircleCondition
 from dtwin.machines.offset_log import OffsetLog
 from dtwin.machines.parameters import load_parameters
@@ -100,7 +100,7 @@ class RtdeServer:
         self._rate_hz = cobot.parameters.controller.rate_hz
         self._repeat = 1
         self._controller = cobot.controller(condition, setup="live", repeat=1)
-        self._finished: CobotController | None = None
+        self._finished: CircleController | None = None
         self._registers = layout.correction_registers()
         self._pending = [0.0, 0.0, 0.0]
         self._state = self._controller.state().copy()

@@ -35,7 +35,7 @@ from dtwin.machines.motion import (
     MotionPlan,
     line_segment,
 )
-from dtwin.machines.recording import CobotRecording, RunTicks
+from dtwin.machines.recording import RunTicks
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
@@ -116,12 +116,7 @@ def sphere_controller(cobot: VirtualCobot, plan: MotionPlan, feed_mm_min: float)
         Machine, its program, and the feed that it reports.
     """
     condition = CircleCondition("XY", RADIUS_MM, feed_mm_min, "CW")
-    mechanism, memory = cobot.at_rest(plan)
-
-    def no_circle(ticks: RunTicks) -> CobotRecording:
-        raise NotImplementedError("a run on the sphere is read by sphere_run")
-
-    return CobotController(condition, plan, mechanism, memory, no_circle)
+    return CobotController(condition, plan, *cobot.at_rest(plan))
 
 
 def sphere_run(

@@ -125,7 +125,7 @@ def keep_reduced(home: Home, campaign: str, stamp: str, reduced: Reduced) -> Non
 
 
 def _path(home: Home, campaign: str) -> Path:
-    return home.root / "reduced" / f"{require_name(campaign, 'the campaign')}.npz"
+    return home.reduced / f"{require_name(campaign, 'the campaign')}.npz"
 
 
 @cache

@@ -244,20 +244,21 @@ class ServingLoop:
         )  # fmt: skip
         self.watch.reason(self.decision.guard.reason, now_s, self.decision.sensor_trouble)
         before_ns = time.perf_counter_ns()
-        self._send(safe)
+        sent_um = self._send(safe)
         done_ns = time.perf_counter_ns()
         row[4], row[5] = done_ns - before_ns, done_ns - start_ns
         stamp_s = float(state[layout.TIMESTAMP])
         self.timing.applied(int(state[layout.APPLIED_SEQUENCE]), stamp_s)
+        age_s, window_age_s = time.monotonic() - self.link.received_s, self.decision.window_age_s
         self.timing.tick(
-            interval_s, step_s, time.monotonic() - self.link.received_s,
-            self.decision.window_age_s, stamp_s=stamp_s,
+            interval_s, step_s, age_s, window_age_s, stamp_s=stamp_s,
             sequence=0 if self.mode == "shadow" else self._sequence,
         )  # fmt: skip
         if self._board is not None:
-            ages_s = (interval_s, now_s - self.link.received_s, self.decision.window_age_s)
-            counts = (self.timing.late, self.timing.missed)
-            self._board.show(state, safe, self.decision.guard.reason, ages_s, counts)
+            self._board.show(
+                state, sent_um, self.decision.guard.reason, (interval_s, age_s, window_age_s),
+                (self.timing.late, self.timing.missed),
+            )  # fmt: skip
         self._last_s, self._last_stamp_s = now_s, stamp_s
 
     def _without_state(self, *, enabled: bool) -> None:
@@ -293,17 +294,19 @@ class ServingLoop:
                 hint="end the other program or fieldbus that writes these registers",
             )
 
-    def _send(self, safe_um: Floats) -> None:
+    def _send(self, safe_um: Floats) -> Floats:
+        """Send what the mode allows of a correction, and return it."""
         length = float(np.sqrt(safe_um @ safe_um))
         if length > self._largest_um:
             self._largest_um = length
         if self.mode == "shadow":
-            return
+            return self._zero
         offset_um = safe_um if self.mode == "live" else self._zero
         self._sequence = self._sequence % layout.SEQUENCE_LIMIT + 1
         self._sent_zero = False
         self.link.send(offset_um, self._sequence)
         self._sent_zero = not offset_um.any()
+        return offset_um
 
     def _release(self) -> DeviceError | None:
         """Lead the correction to zero and send zero; return what prevented it."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import time
 from collections.abc import Iterator
@@ -11,28 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dtwin.errors import DeviceError, MissingPart
+from dtwin.errors import DeviceError
 from dtwin.links.analogue import AnalogueOutput, AxisCalibration
-from dtwin.links.analogue_firmware import build_firmware
-from dtwin.machines.analogue_board import AnalogueBoard, build_board
+from dtwin.machines.analogue_board import AnalogueBoard
 
+pytest_plugins = ["simulated_board"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 NEUTRAL_V = (5.0, 5.0, 5.0)
 # Longer than any pause of a test computer; the board's own clock counts it.
 PATIENT_MS = 1000
-
-
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("board")
-    try:
-        build_firmware(folder / "analogue_correction-250000.elf")
-        build_board(folder / "analogue_board")
-    except MissingPart as error:
-        if os.environ.get("DTWIN_REQUIRE_ALL"):
-            raise
-        pytest.skip(f"{error}: {error.hint}")
-    return folder
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
@@ -17,31 +16,17 @@ from served_robot import Server, end_what_is_left, events, promote
 
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
-from dtwin.errors import MissingPart
 from dtwin.links.analogue import AnalogueOutput
 from dtwin.links.analogue_calibration import AxisFit, save
-from dtwin.links.analogue_firmware import build_firmware
-from dtwin.machines.analogue_board import AnalogueBoard, build_board
+from dtwin.machines.analogue_board import AnalogueBoard
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 
+pytest_plugins = ["simulated_board"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 NEUTRAL_V = (5.0, 5.0, 5.0)
 UM_PER_V = 25.0
 CLOCK_HZ = 16e6
-
-
-@pytest.fixture(scope="module")
-def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("board")
-    try:
-        build_firmware(folder / "analogue_correction-250000.elf")
-        build_board(folder / "analogue_board")
-    except MissingPart as error:
-        if os.environ.get("DTWIN_REQUIRE_ALL"):
-            raise
-        pytest.skip(f"{error}: {error.hint}")
-    return folder
 
 
 @pytest.fixture

@@ -6,9 +6,10 @@ import json
 import os
 import subprocess
 import sys
+from typing import Any
 
 import pytest
-from running_servers import Up
+from running_servers import Up, wait_for
 
 from dtwin.config import home
 from dtwin.pipeline.cell import status
@@ -25,6 +26,12 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
 def up(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> Up:
     monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
     return scheduled_up
+
+
+def task_names(up: Up, flow_run: dict[str, Any]) -> list[str]:
+    """Names of the tasks that the server knows of; it records them some time after they ran."""
+    wanted = {"task_runs": {"flow_run_id": {"any_": [flow_run["id"]]}}}
+    return sorted(task["name"] for task in up.ask("/task_runs/filter", wanted))
 
 
 def test_a_stopped_job_shows_on_the_page_and_resumes(
@@ -47,15 +54,15 @@ def test_a_stopped_job_shows_on_the_page_and_resumes(
     stopped, resumed = up.runs_of("cell")
     assert (stopped["state"]["name"], resumed["state"]["name"]) == ("Stopped", "Completed")
     assert "wants to look" in stopped["state"]["message"]
-    names = []
-    for flow_run in (stopped, resumed):
-        tasks = up.ask(
-            "/task_runs/filter",
-            {"task_runs": {"flow_run_id": {"any_": [flow_run["id"]]}}, "sort": "EXPECTED_START_TIME_ASC"},
-        )  # fmt: skip
-        names.append([t["name"] for t in tasks])
     steps = [f"part 1: {step}" for step, _ in STEPS]
-    assert (sorted(names[0]), sorted(names[1])) == (sorted(steps[:4]), sorted(steps[4:]))
+    wait_for(
+        lambda: (
+            [task_names(up, each) for each in (stopped, resumed)]
+            == [sorted(steps[:4]), sorted(steps[4:])]
+        ),
+        seconds=30,
+        message=f"the server has not recorded these tasks: {steps}",
+    )
     table = json.loads(up.artifacts_of(resumed)["cell-tested"]["data"])
     assert [row["state"] for row in table] == [DONE] * len(STEPS)
     seen = subprocess.run(

@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from real_linuxcnc import skip_without_linuxcnc
 
 from dtwin.acquire.linuxcnc import run_circles
-from dtwin.errors import DeviceError, MissingPart
+from dtwin.errors import DeviceError
 from dtwin.links.linuxcnc import Bridge
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
-from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
+from dtwin.machines.linuxcnc.session import LinuxcncSession
 from dtwin.pipeline.axis_tables import AxisTable, compensation_file
 from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace
 from dtwin.serve.builder import GraphBuilder
@@ -40,13 +41,7 @@ FAULTS = MillFaults(
 
 @pytest.fixture(scope="module", autouse=True)
 def _installed() -> None:
-    try:
-        require_linuxcnc()
-    except MissingPart as error:
-        # A kernel that forbids namespaces is no part that could be installed.
-        if os.environ.get("DTWIN_REQUIRE_ALL") and error.code != "linuxcnc.namespaces":
-            raise
-        pytest.skip(f"{error}: {error.hint}")
+    skip_without_linuxcnc()
 
 
 @pytest.fixture(scope="module")

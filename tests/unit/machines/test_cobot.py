@@ -8,7 +8,7 @@ import pytest
 from dtwin.kinematics import UR10E, jacobian_kernel
 from dtwin.links import state as layout
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
-from dtwin.machines.controller import CobotController
+from dtwin.machines.controller import CircleController
 
 FAST = CircleCondition("XY", 100.0, 6000.0, "CCW")
 ARC = CircleCondition("YZ", 100.0, 6000.0, "CW")
@@ -88,7 +88,7 @@ def test_repeatable_error_is_what_repeats(cobot: VirtualCobot) -> None:
     assert vector_um.shape == (len(t_s), 3)
 
 
-def run(controller: CobotController, corrections_um: np.ndarray | None) -> CobotController:
+def run(controller: CircleController, corrections_um: np.ndarray | None) -> CircleController:
     tick = 0
     while not controller.done:
         registers = layout.correction_registers()
