@@ -24,6 +24,7 @@ from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
 from dtwin.commands import twins as twin_commands
 from dtwin.commands import ui as ui_command
+from dtwin.commands import volumetric as volumetric_commands
 from dtwin.commands.tasks import MainCommands
 from dtwin.config import quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError, MissingPart
@@ -56,6 +57,7 @@ analogue_commands.register(app)
 linuxcnc_commands.register(app)
 cell_commands.register(app)
 lathe_commands.register(app)
+volumetric_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)

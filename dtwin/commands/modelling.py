@@ -29,7 +29,9 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill, lathe.")] = "cobot",
+    machine: Annotated[
+        str, typer.Option(help="Virtual machine: cobot, mill, lathe, volumetric.")
+    ] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
@@ -39,9 +41,17 @@ def simulate(
     truth: Annotated[
         str, typer.Option(help="Error of the lathe: published, or mechanism.")
     ] = "published",
+    schedule: Annotated[
+        str, typer.Option(help="Heat of the volumetric mill: training, or validation.")
+    ] = "training",
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
+    if machine == "volumetric":
+        from dtwin.commands.volumetric import simulate_heat
+
+        simulate_heat(out, schedule, seed=seed, quick=quick, as_json=as_json)
+        return
     if machine == "lathe":
         from dtwin.commands.lathe import simulate_positioning
 
@@ -59,7 +69,7 @@ def simulate(
             "no such virtual machine",
             code="simulate.machine",
             got=machine[:40],
-            allowed="cobot, mill, lathe",
+            allowed="cobot, mill, lathe, volumetric",
         )
     if plan is not None:
         planned = read_plan(plan)
