@@ -29,7 +29,9 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill, lathe.")] = "cobot",
+    machine: Annotated[
+        str, typer.Option(help="Virtual machine: cobot, mill, lathe, hexapod.")
+    ] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
@@ -50,22 +52,27 @@ def simulate(
     if machine == "mill":
         _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
         return
+    from dtwin.acquire.runner import run_campaign
+    from dtwin.acquire.virtual import VirtualCobotBench
+    from dtwin.acquire.virtual_hexapod import VirtualHexapodBench, feed_sweep
     from dtwin.pipeline.demo import quick_size
-    from dtwin.pipeline.measuring import simulate as measure
     from dtwin.plan import read_plan, training_plan
 
-    if machine != "cobot":
+    if machine not in ("cobot", "hexapod"):
         raise InputError(
             "no such virtual machine",
             code="simulate.machine",
             got=machine[:40],
-            allowed="cobot, mill, lathe",
+            allowed="cobot, mill, lathe, hexapod",
         )
     if plan is not None:
         planned = read_plan(plan)
+    elif machine == "hexapod":
+        planned = feed_sweep(quick=quick)
     else:
         planned = quick_size().plan if quick else training_plan()
-    done = measure(planned, out, seed=seed, progress=ProgressLine("measure", quiet=as_json))
+    bench = VirtualHexapodBench(seed) if machine == "hexapod" else VirtualCobotBench(seed)
+    done = run_campaign(planned, bench, out, ProgressLine("measure", quiet=as_json))
     payload = {
         "folder": str(done.folder),
         "measured": done.measured,
