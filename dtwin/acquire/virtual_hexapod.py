@@ -35,7 +35,8 @@ def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
         "feed_mm_min": list(QUICK_FEEDS_MM_MIN if quick else FEEDS_MM_MIN),
         "repeats": REPEATS,
     }
-    head = {"name": "hexapod-sweep", "machine": "virtual-hexapod", "seed": seed}
+    name = "hexapod-sweep-quick" if quick else "hexapod-sweep"
+    head = {"name": name, "machine": "virtual-hexapod", "seed": seed}
     return expand({"plan": head, "grid": grid}, "feed sweep")
 
 

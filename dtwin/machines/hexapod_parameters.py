@@ -100,7 +100,7 @@ class HexapodParameters:
             clock_offset_s=0.0,
             clock_error_ppm=0.0,
             trigger_mm=0.0,
-        )  # fmt: skip
+        )
     )
     accelerometer_noise_g: float = 2e-4
 

@@ -75,9 +75,9 @@ def one_turn(angle_deg: Floats, deviation_um: Floats, readings: int) -> Turn:
             where=f"sample {int(np.argmax(step <= 0.0)) + 1}",
             hint="dtwin check names what is wrong with the angles",
         )  # fmt: skip
-    # The last sample of a whole turn is one step before the first one comes round again.
-    covered = float(travelled[-1] + np.median(step))
-    if covered < _TURN_DEG - 1e-6 or step.max() > _LARGEST_GAP_DEG:
+    # The last sample of a whole turn is up to two steps before the first one comes round again.
+    covered = float(travelled[-1] + 2.0 * np.median(step))
+    if covered < _TURN_DEG or step.max() > _LARGEST_GAP_DEG:
         raise InputError(
             "the samples do not go once round without a gap", code="dynamics.arc",
             got=f"{covered:.2f} deg, largest gap {step.max():.2f} deg",
