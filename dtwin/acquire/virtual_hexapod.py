@@ -13,7 +13,7 @@ from dtwin.plan import Plan, PlannedTest, expand
 from dtwin.schema import Direction, Run, RunMeta
 
 FEEDS_MM_MIN = (300.0, 600.0, 1200.0, 1800.0, 2400.0, 3000.0, 3600.0, 4800.0, 6000.0)
-QUICK_FEEDS_MM_MIN = (600.0, 1200.0, 3000.0, 6000.0)
+QUICK_FEEDS_MM_MIN = (1200.0, 3000.0, 6000.0)
 RADIUS_MM, REPEATS = 50.0, 2
 _EPOCH = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 _BETWEEN = timedelta(minutes=5)
@@ -25,7 +25,7 @@ def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
     Parameters
     ----------
     quick : bool
-        Four of the feeds.
+        Three of the feeds.
     seed : int
         Of the order.
     """

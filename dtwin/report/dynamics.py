@@ -22,7 +22,7 @@ _JUDGED = {True: "yes", False: "no", None: "-"}
 _WHAT_THEY_ARE = (
     "um. CD: circular deviation about the least-squares circle. DC1: CD before minus CD after. DC2, "
     "DC3: peak to peak and RMS of what was taken out. To reference: relative difference of CD after "
-    "to the slow runs."
+    "to the slow runs. The last row is what the same way takes out of the slow runs: it is no vibration."
 )
 
 
@@ -33,7 +33,7 @@ def dynamics_text(result: Mapping[str, Any]) -> str:
         f"reference {result['reference_feed_mm_min']:g} mm/min, {result['readings']} readings per "
         "revolution",
         table(_HEAD, [*_rows(result), _bias_row(result)]),
-        _WHAT_THEY_ARE + " The last row is what the same way takes out of the slow runs.",
+        _WHAT_THEY_ARE,
         *(f"{f['severity']}: {f['message']}" for f in result["findings"]),
     ]
     if result["tuning"]:
@@ -126,7 +126,7 @@ def _rows(result: Mapping[str, Any]) -> list[list[object]]:
     return [
         [
             r["run"], r["feed_mm_min"], r["direction"],
-            *(round(r[k], 2) for k in ("before_um", "after_um", "dc1_um", "dc2_um", "dc3_um")),
+            *(f"{r[k]:.2f}" for k in ("before_um", "after_um", "dc1_um", "dc2_um", "dc3_um")),
             f"{100 * r['difference']:.1f} %",
             " ".join(f"{1e3 * v:.2f}" for v in r["accelerometer_rms_g"].values()) or "-",
         ]
@@ -135,8 +135,8 @@ def _rows(result: Mapping[str, Any]) -> list[list[object]]:
 
 
 def _bias_row(result: Mapping[str, Any]) -> list[object]:
-    bias = [round(result["bias"][k], 2) for k in ("dc1_um", "dc2_um", "dc3_um")]
-    return ["slow runs", result["reference_feed_mm_min"], "", None, None, *bias, "", ""]
+    bias = [f"{result['bias'][k]:.2f}" for k in ("dc1_um", "dc2_um", "dc3_um")]
+    return ["slow runs", result["reference_feed_mm_min"], "", "", "", *bias, "", ""]
 
 
 def _tuned(tuning: Mapping[str, Any]) -> str:
@@ -172,7 +172,10 @@ def _by_feed(result: Mapping[str, Any]) -> go.Figure:
 
 
 def _taken_figure(curves: Curves) -> go.Figure:
-    taken = {way: (angle, before - after) for way, (angle, before, after) in curves.items()}
+    taken = {}
+    for way, (angle, before, after) in curves.items():
+        order = np.argsort(angle % 360.0)
+        taken[way] = ((angle % 360.0)[order], (before - after)[order])
     return error_figure(taken, title="What was taken out of the fastest run")
 
 
@@ -190,11 +193,11 @@ def _alpha_figure(found: Mapping[str, Any]) -> go.Figure:
             )
         )  # fmt: skip
     figure.update_layout(
-        title="Sensitivity to alpha", xaxis={"title": "alpha", "type": "log"},
+        title="Sensitivity to alpha", xaxis={"title": "alpha", "type": "log", "dtick": 1, "exponentformat": "power"},
         yaxis_title="circular deviation after, um",
     )  # fmt: skip
     return styled(figure)
 
 
 def _text(cell: object) -> str:
-    return "-" if cell is None else f"{cell:g}" if isinstance(cell, float) else str(cell)
+    return f"{cell:g}" if isinstance(cell, float) else str(cell)
