@@ -27,7 +27,7 @@ def split(
     campaign: Annotated[str, typer.Argument(help="Circular campaign in the lake, or a folder.")],
     how: Annotated[
         str,
-        typer.Option("--filter", help="twin, low-pass, rts, kalman, ukf, ukf-circle."),
+        typer.Option("--filter", help="twin, reference, low-pass, rts, kalman, ukf, ukf-circle."),
     ] = "twin",
     reference_feed: Annotated[
         float | None, typer.Option(help="Feed of the slow reference, mm/min; the slowest without.")
@@ -61,7 +61,8 @@ def split(
     """Part static from dynamic error in every run, against the slow reference."""
     from dtwin.atomic import write_text
     from dtwin.config import home
-    from dtwin.pipeline.ballbar_dynamics import TWIN_EFFECTS, DynamicsRequest, split_campaign
+    from dtwin.pipeline.ballbar_dynamics import split_campaign
+    from dtwin.pipeline.dynamics_ways import TWIN_EFFECTS, DynamicsRequest
     from dtwin.report.dynamics import dynamics_page, dynamics_text
     from dtwin.train.particle_swarm import SwarmSettings
 

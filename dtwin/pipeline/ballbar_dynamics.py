@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,79 +12,31 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.dynamics.figures import (
-    ACCEPTED_DIFFERENCE,
     DynamicComponents,
     dynamic_components,
     relative_difference,
 )
 from dtwin.features.dynamics.filters import (
-    MODELS,
     Filter,
-    LowPass,
-    RandomWalkFilter,
-    Smoother,
     UnscentedFilter,
     response,
 )
-from dtwin.features.dynamics.turns import MOST_READINGS, Turn, one_turn
-from dtwin.physics.circular import fit_circle, residual_um
-from dtwin.physics.fit import fit
-from dtwin.physics.gridding import bin_angle_rad
-from dtwin.physics.library import Library
-from dtwin.physics.observations import Observations, observe
-from dtwin.physics.twin import chosen_terms
+from dtwin.features.dynamics.turns import Turn, one_turn
+from dtwin.physics.observations import observe
+from dtwin.pipeline.dynamics_findings import findings_of
+from dtwin.pipeline.dynamics_ways import (
+    DynamicsRequest,
+    alpha_sensitivity,
+    filter_of,
+    on_turn,
+    radial_error_um,
+    twin_static_um,
+)
 from dtwin.pipeline.measuring import ingest
-from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
+from dtwin.schema import Campaign, Floats, Run, SignalGroup
 from dtwin.store import Lake
-from dtwin.train.filter_tuning import Tuning, log_tuning, sensitivity, tune
-from dtwin.train.particle_swarm import SwarmSettings
+from dtwin.train.filter_tuning import Tuning, log_tuning, tune
 from dtwin.train.registry import Registry
-
-FILTERS = ("twin", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
-"""Ways to part static from dynamic; the twin first, because it eats no real feature it knows."""
-TWIN_EFFECTS = (
-    "scale_mismatch", "squareness", "straightness", "servo_mismatch", "backlash", "reversal_spike",
-)  # fmt: skip
-_MOST_TAKEN = 0.01
-
-
-@dataclass(frozen=True)
-class DynamicsRequest:
-    """What to compute.
-
-    Attributes
-    ----------
-    how : str
-        One of ``FILTERS``.
-    reference_feed_mm_min : float, optional
-        Feed of the slow reference; the slowest of the campaign without.
-    readings : int
-        Readings per revolution after resampling by angle.
-    q_um2, r_um2 : float, optional
-        Variances of the Kalman filters; the published ones without.
-    cutoff_upr : float
-        Of the low-pass.
-    alpha : float
-        Of the unscented filters.
-    tuned, fitness : str
-        What the swarm varies (``ratio``, ``alpha``, empty for nothing), and how it judges.
-    swarm : SwarmSettings
-        Size and seed of the swarm.
-    effects : tuple of str
-        Of the twin.
-    """
-
-    how: str = "twin"
-    reference_feed_mm_min: float | None = None
-    readings: int = MOST_READINGS
-    q_um2: float | None = None
-    r_um2: float | None = None
-    cutoff_upr: float = 15.0
-    alpha: float = 0.1
-    tuned: str = ""
-    fitness: str = "weighted_sum"
-    swarm: SwarmSettings = field(default_factory=SwarmSettings)
-    effects: tuple[str, ...] = TWIN_EFFECTS
 
 
 @dataclass(frozen=True)
@@ -114,39 +66,6 @@ class _Turned:
     turn: Turn
     measured: int
     key: tuple[Any, ...]
-
-
-def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
-    """Return the filter that is asked for, None for the twin.
-
-    Parameters
-    ----------
-    request : DynamicsRequest
-        What is wanted.
-    radius_mm : float
-        Nominal radius.
-
-    Raises
-    ------
-    InputError
-        When there is no such filter.
-    """
-    given = {"q_um2": request.q_um2, "r_um2": request.r_um2}
-    variances = {k: v for k, v in given.items() if v is not None}
-    if request.how == "twin":
-        return None
-    if request.how == "low-pass":
-        return LowPass(request.cutoff_upr)
-    if request.how == "rts":
-        return Smoother(**variances)
-    if request.how == "kalman":
-        return RandomWalkFilter(**variances)
-    if request.how in ("ukf", "ukf-circle"):
-        model = "circle" if request.how == "ukf-circle" else "random-walk"
-        return UnscentedFilter(model, request.alpha, radius_mm=radius_mm, **variances)
-    raise InputError(
-        "no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(FILTERS)
-    )
 
 
 def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split:
@@ -202,11 +121,7 @@ def split_runs(campaign: Campaign, runs: Sequence[Run], request: DynamicsRequest
     chosen, tuning = filter_of(request, radius), None
     if request.tuned:
         chosen, tuning = _tuned(turned, references, chosen, request)
-    statics = (
-        _twin_static(campaign, turned, request)
-        if chosen is None
-        else [chosen.static_um(t.turn.deviation_um) for t in turned]
-    )
+    statics = _statics(campaign, turned, references, chosen, request)
     rows, curves = [], {}
     order = sorted(range(len(turned)), key=lambda i: _sorting(turned[i].run))
     for i in order:
@@ -224,7 +139,7 @@ def split_runs(campaign: Campaign, runs: Sequence[Run], request: DynamicsRequest
     result: dict[str, Any] = {
         "campaign": campaign.name,
         "radius_mm": radius,
-        "filter": chosen.name if chosen else "twin: " + ", ".join(request.effects),
+        "filter": _name(chosen, request),
         "reference_feed_mm_min": feed,
         "readings": turned[0].turn.readings,
         "two_lobes": None if chosen is None else vars(response(chosen, turned[0].turn.readings)),
@@ -235,135 +150,6 @@ def split_runs(campaign: Campaign, runs: Sequence[Run], request: DynamicsRequest
     }
     result["findings"] = [f.as_dict() for f in findings_of(result, turned[0].measured)]
     return Split(result, curves, tuning)
-
-
-def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
-    """Return the radial error about the least-squares circle, shape (n,).
-
-    Parameters
-    ----------
-    turn : Turn
-        One revolution.
-    radius_mm : float
-        Nominal radius.
-    """
-    circle = fit_circle(turn.angle_deg, turn.deviation_um, radius_mm)
-    return residual_um(turn.angle_deg, turn.deviation_um, radius_mm, circle)
-
-
-def twin_static_um(
-    obs: Observations, effects: Sequence[str], library: Library | None = None
-) -> Floats:
-    """Return what a fitted twin with its set-ups says of every row, shape (rows, 360).
-
-    Parameters
-    ----------
-    obs : Observations
-        Runs.
-    effects : sequence of str
-        Names.
-    library : Library, optional
-        Effects; the built-in ones without.
-    """
-    found = fit(obs, chosen_terms(list(effects), library or Library(), obs))
-    return np.asarray(obs.y_um - found.residual_um)
-
-
-def on_turn(static_um: Floats, turn: Turn) -> Floats:
-    """Return a row of :func:`twin_static_um` at the angles of a turn, shape (n,)."""
-    bins = np.degrees(bin_angle_rad())
-    return np.interp(turn.angle_deg, bins, static_um, period=360.0)
-
-
-def alpha_sensitivity(turn: Turn, chosen: Filter | None) -> dict[str, list[float]] | None:
-    """Return the circular deviation that an unscented filter leaves for alphas from 1e-5 to 1.
-
-    Parameters
-    ----------
-    turn : Turn
-        One revolution.
-    chosen : Filter or None
-        Anything but an unscented filter gives None.
-
-    Returns
-    -------
-    dict of str to list of float
-        ``alpha``, and um under the name of each model.
-    """
-    if not isinstance(chosen, UnscentedFilter):
-        return None
-    alphas = np.geomspace(1e-5, 1.0, 21)
-    out = {"alpha": alphas.tolist()}
-    for model in MODELS:
-        tried = [replace(chosen, model=model, alpha=float(a)) for a in alphas]
-        out[model] = sensitivity(turn.deviation_um, tried)
-    return out
-
-
-def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
-    """Return what a reader must know before believing the figures.
-
-    Parameters
-    ----------
-    result : mapping
-        As :class:`Split` holds it.
-    measured : int
-        Fewest readings per revolution of a run, before resampling.
-    """
-    rows = result["rows"]
-    found: list[Finding] = []
-
-    def say(code: str, message: str, **numbers: float) -> None:
-        found.append(Finding(f"dynamics.{code}", "warning", message, numbers))
-
-    lobes = result["two_lobes"]
-    if lobes and lobes["taken"] > _MOST_TAKEN:
-        say(
-            "eats_features",
-            f"the filter takes {100 * lobes['taken']:.0f} % of a real two-lobe error for dynamics "
-            f"(leaves {100 * lobes['gain']:.0f} %, {lobes['lag_deg']:.1f} deg late): raise Q or the "
-            "cutoff, or use the twin",
-            taken=lobes["taken"],
-        )
-    if len({row["direction"] for row in rows}) < 2:
-        say(
-            "one_direction",
-            "one direction only: servo mismatch and squareness, lateral play and backlash look the "
-            "same, and a lag of the filter looks like an error of the machine",
-        )
-    if measured < MOST_READINGS:
-        say(
-            "few_readings",
-            f"{measured} readings per revolution; {MOST_READINGS} or more are needed to tell "
-            "vibration from a real short feature",
-            readings=float(measured),
-        )
-    shaken = [r for r in rows if r["vibration_um"] > r["after_um"]]
-    if shaken:
-        say(
-            "vibration_exceeds",
-            f"in {len(shaken)} of {len(rows)} runs vibration exceeds the circular deviation that is "
-            "left: their static figures are not reliable",
-            runs=float(len(shaken)),
-        )
-    apart = [r for r in rows if r["difference"] > ACCEPTED_DIFFERENCE]
-    if apart:
-        worst = max(apart, key=lambda r: r["difference"])
-        say(
-            "differs_from_reference",
-            f"in {len(apart)} of {len(rows)} runs the circular deviation differs from the slow "
-            f"reference by more than {100 * ACCEPTED_DIFFERENCE:.0f} %, most in {worst['run']} "
-            f"({100 * worst['difference']:.0f} %): what changes with the feed was not all taken out",
-            worst=worst["difference"],
-        )
-    grown = [r for r in rows if r["dc1_um"] < 0.0]
-    if grown:
-        say(
-            "deviation_grew",
-            f"in {len(grown)} of {len(rows)} runs the circular deviation is larger after than before",
-            runs=float(len(grown)),
-        )
-    return found
 
 
 def _turned(run: Run, readings: int) -> _Turned:
@@ -415,7 +201,7 @@ def _references(turned: Sequence[_Turned], feed: float) -> dict[tuple[Any, ...],
                 where=" ".join(str(part) for part in key), allowed=f"a run at {feed:g} mm/min",
             )  # fmt: skip
         angle = slow[0].angle_deg
-        same = [np.interp(angle, t.angle_deg, t.deviation_um, period=360.0) for t in slow]
+        same = [_at_angles_of(slow[0], turn) for turn in slow]
         out[key] = Turn(angle, np.mean(same, axis=0))
     return out
 
@@ -432,13 +218,38 @@ def _tuned(
             allowed="ukf, ukf-circle",
         )  # fmt: skip
     fast = max(turned, key=lambda t: _sorting(t.run))
-    slow = references[fast.key]
-    again = np.interp(fast.turn.angle_deg, slow.angle_deg, slow.deviation_um, period=360.0)
+    slow_um = _at_angles_of(fast.turn, references[fast.key])
     found = tune(
-        fast.turn.deviation_um, again, start, tuned=request.tuned, fitness=request.fitness,
+        fast.turn.deviation_um, slow_um, start, tuned=request.tuned, fitness=request.fitness,
         settings=request.swarm,
     )  # fmt: skip
     return found.chosen, found
+
+
+def _name(chosen: Filter | None, request: DynamicsRequest) -> str:
+    if chosen is not None:
+        return chosen.name
+    if request.how == "reference":
+        return "slow runs of the same direction"
+    return "twin: " + ", ".join(request.effects)
+
+
+def _statics(
+    campaign: Campaign,
+    turned: Sequence[_Turned],
+    references: Mapping[tuple[Any, ...], Turn],
+    chosen: Filter | None,
+    request: DynamicsRequest,
+) -> list[Floats]:
+    if chosen is not None:
+        return [chosen.static_um(t.turn.deviation_um) for t in turned]
+    if request.how == "reference":
+        return [_at_angles_of(t.turn, references[t.key]) for t in turned]
+    return _twin_static(campaign, turned, request)
+
+
+def _at_angles_of(turn: Turn, other: Turn) -> Floats:
+    return np.interp(turn.angle_deg, other.angle_deg, other.deviation_um, period=360.0)
 
 
 def _twin_static(

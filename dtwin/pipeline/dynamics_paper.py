@@ -15,7 +15,7 @@ from dtwin.features.dynamics.filters import LowPass, RandomWalkFilter, Unscented
 from dtwin.features.dynamics.turns import MOST_READINGS, Turn, one_turn
 from dtwin.machines.hexapod import VirtualHexapod
 from dtwin.machines.motion import CircleCondition
-from dtwin.pipeline.ballbar_dynamics import alpha_sensitivity, radial_error_um
+from dtwin.pipeline.dynamics_ways import alpha_sensitivity, radial_error_um
 from dtwin.pipeline.simulated_dynamics import (
     DIRECTIONS,
     TWIN_OF_FOUR,

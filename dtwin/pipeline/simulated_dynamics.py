@@ -16,8 +16,8 @@ from dtwin.features.dynamics.filters import Filter, LowPass, Smoother, Unscented
 from dtwin.features.dynamics.turns import Turn
 from dtwin.machines.ballbar_simulator import Convention, radial_error_um, vibration_um
 from dtwin.physics.observations import observe
-from dtwin.pipeline.ballbar_dynamics import on_turn, twin_static_um
-from dtwin.pipeline.ballbar_dynamics import radial_error_um as about_circle_um
+from dtwin.pipeline.dynamics_ways import on_turn, twin_static_um
+from dtwin.pipeline.dynamics_ways import radial_error_um as about_circle_um
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
 
 VIBRATIONS_UM = (0.0, 5.0, 10.0, 15.0)
