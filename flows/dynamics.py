@@ -10,7 +10,7 @@ from dtwin.pipeline.dynamics_paper import FULL, QUICK
 from flows import _artifacts, _tasks
 
 
-@flow(name="ballbar-dynamics")
+@flow(name="ballbar-dynamics", flow_run_name="ballbar-dynamics seed {seed}")
 def dynamics_flow(seed: int = 0, quick: bool = False) -> dict[str, Any]:
     """Compute the published figures again and publish theirs beside ours.
 
@@ -22,7 +22,7 @@ def dynamics_flow(seed: int = 0, quick: bool = False) -> dict[str, Any]:
         Fewer machines, feeds and particles.
     """
     found = _tasks.dynamics_paper(QUICK if quick else FULL, seed)
-    judged = {True: "yes", False: "no", None: "-"}
+    judged = {True: "yes", False: "no", None: "not judged"}
     rows = [
         [line["target"], line["what"], line["paper"], line["ours"], judged[line["follows"]]]
         for line in found["lines"]

@@ -45,8 +45,8 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
         say(
             "static_taken",
             f"{result['bias']['dc3_um']:.2f} um RMS are taken out of the slow runs, {taken:.2f} um out "
-            "of the fastest: most of it is not dynamic; the twin lacks an effect (dtwin twin "
-            "diagnose), or the filter smooths too much",
+            "of the fastest: the twin lacks an effect (dtwin twin diagnose), the filter smooths too "
+            "much, or the reference is not slow enough",
             slow_um=result["bias"]["dc3_um"],
             fast_um=taken,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from dtwin.pipeline.simulated_dynamics import (
     DIRECTIONS,
     TWIN_OF_FOUR,
     Case,
-    compare_ways,
     simulated_machines,
     simulated_turn,
 )
@@ -20,12 +20,14 @@ from dtwin.report.dynamics import paper_text
 
 
 @cache
-def cases() -> tuple[Case, ...]:
-    return tuple(compare_ways(["sim2"], 0, (0.0, 5.0)))
+def table() -> dict[str, Any]:
+    size = Size(("sim2",), (0.0, 5.0), (1200.0, 3000.0), 4, 4)
+    return dynamics_paper(size, 0, lambda *_: None)
 
 
 def of(how: str, vibration_um: float) -> list[Case]:
-    return [c for c in cases() if (c.how, c.vibration_um) == (how, vibration_um)]
+    cases = [Case(**case) for case in table()["cases"]]
+    return [c for c in cases if (c.how, c.vibration_um) == (how, vibration_um)]
 
 
 @pytest.mark.parametrize(("name", "within_um"), [("sim2", 0.5), ("sim3", 1.1)])
@@ -60,7 +62,7 @@ def test_slight_vibration_changes_little_and_all_components_rise() -> None:
 
 
 def test_the_table_is_made_of_figures_that_can_be_judged() -> None:
-    found = dynamics_paper(Size(("sim2",), (0.0, 5.0), (1200.0, 3000.0), 4, 4), 0, lambda *_: None)
+    found = table()
     lines = {line["target"]: line for line in found["lines"]}
     assert set(lines) == {"", "A4", "A5", "A6", "A7", "A8", "A10"}
     assert lines["A4"]["follows"] is True

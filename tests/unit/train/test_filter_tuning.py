@@ -1,4 +1,4 @@
-"""The swarm finds what is there to be found, says when nothing is, and leaves a run behind."""
+"""The swarm finds what is there to be found, and says when nothing is."""
 
 from __future__ import annotations
 
@@ -7,13 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.features.dynamics.filters import UnscentedFilter
 from dtwin.schema import Floats
-from dtwin.train.filter_tuning import judge, log_tuning, sensitivity, tune
+from dtwin.train.filter_tuning import judge, sensitivity, tune
 from dtwin.train.particle_swarm import SwarmSettings, minimise
-from dtwin.train.registry import Registry
 
 SMALL = SwarmSettings(particles=8, iterations=10, seed=3)
 ANGLE = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
@@ -62,17 +60,6 @@ def test_the_printed_fitness_prefers_a_worse_curve() -> None:
     assert 1.0 <= printed.judged.fitness <= math.sqrt(3.0)
     assert printed.judged.dtw_um > sane.judged.dtw_um
     assert printed.judged.difference > sane.judged.difference
-
-
-def test_a_tuning_is_an_mlflow_run() -> None:
-    registry = Registry(home())
-    found = tune(FAST, SLOW, UnscentedFilter(), settings=SMALL)
-    run = registry.client.get_run(log_tuning(registry, found, SMALL, "made-up"))
-    assert run.info.status == "FINISHED"
-    assert run.data.params["seed"] == "3"
-    assert run.data.params["fitness"] == "weighted_sum"
-    assert run.data.metrics["fitness"] == pytest.approx(found.judged.fitness)
-    assert run.data.metrics["q_um2"] == pytest.approx(found.chosen.q_um2)
 
 
 def test_the_circle_feels_alpha_a_little() -> None:
