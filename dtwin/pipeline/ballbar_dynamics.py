@@ -115,6 +115,7 @@ def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split
 def split_runs(campaign: Campaign, runs: Sequence[Run], request: DynamicsRequest) -> Split:
     """Part static from dynamic in runs; see :func:`split_campaign`."""
     turned = [_turned(run, request.readings) for run in runs]
+    _require_different(turned)
     feed = _reference_feed(turned, request)
     references = _references(turned, feed)
     radius = float(turned[0].run.meta.radius_mm or 0.0)
@@ -134,8 +135,9 @@ def split_runs(campaign: Campaign, runs: Sequence[Run], request: DynamicsRequest
         rows.append(_row(one, dynamic_components(before, after), reference, radius))
         curves[str(one.run.meta.direction)] = (one.turn.angle_deg, before, after)
     bias = _bias(rows, feed)
+    no_vibration_um = bias["dc2_um"] if len({r["feed_mm_min"] for r in rows}) > 1 else 0.0
     for row in rows:
-        row["vibration_um"] = max(0.0, row["dc2_um"] - bias["dc2_um"])
+        row["vibration_um"] = max(0.0, row["dc2_um"] - no_vibration_um)
     result: dict[str, Any] = {
         "campaign": campaign.name,
         "radius_mm": radius,
@@ -148,12 +150,17 @@ def split_runs(campaign: Campaign, runs: Sequence[Run], request: DynamicsRequest
         "tuning": None if tuning is None else tuning.as_dict(),
         "alpha": alpha_sensitivity(turned[order[-1]].turn, chosen),
     }
-    result["findings"] = [f.as_dict() for f in findings_of(result, turned[0].measured)]
+    result["findings"] = [f.as_dict() for f in findings_of(result, min(t.measured for t in turned))]
     return Split(result, curves, tuning)
 
 
 def _turned(run: Run, readings: int) -> _Turned:
     meta = run.meta
+    if not meta.radius_mm or not meta.feed_mm_min:
+        raise InputError(
+            "a run does not say its radius or its feed", code="dynamics.condition",
+            where=meta.run_id, hint="add radius_mm and feed_mm_min to campaign.toml",
+        )  # fmt: skip
     part = slice(*run.window) if run.window is not None else slice(None)
     angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
     try:
@@ -166,6 +173,19 @@ def _turned(run: Run, readings: int) -> _Turned:
     steps = np.abs(np.diff(angle))
     key = (meta.plane, meta.radius_mm, meta.direction, meta.setup)
     return _Turned(run, turn, round(360.0 / float(np.median(steps))), key)
+
+
+def _require_different(turned: Sequence[_Turned]) -> None:
+    seen: dict[bytes, str] = {}
+    for one in turned:
+        name = one.run.meta.run_id
+        other = seen.setdefault(one.turn.deviation_um.tobytes(), name)
+        if other != name:
+            raise InputError(
+                "two runs hold the same readings", code="dynamics.same_readings",
+                where=f"{other} and {name}", allowed="repeats that were measured",
+                hint="drop the copy: a repeat that agrees to the last digit hides the noise",
+            )  # fmt: skip
 
 
 def _sorting(run: Run) -> tuple[float, str, int]:

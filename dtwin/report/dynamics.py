@@ -36,6 +36,8 @@ def dynamics_text(result: Mapping[str, Any]) -> str:
         _WHAT_THEY_ARE,
         *(f"{f['severity']}: {f['message']}" for f in result["findings"]),
     ]
+    if result.get("left_out"):
+        lines.append(f"left out, with errors at ingest: {', '.join(result['left_out'])}")
     if result["tuning"]:
         lines.insert(1, _tuned(result["tuning"]))
     return "\n".join(lines)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -178,9 +178,7 @@ def tune(
     )  # fmt: skip
 
 
-def sensitivity(
-    turn_um: Floats, filters: Sequence[Filter], figure: Callable[[Floats], float] | None = None
-) -> list[float]:
+def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:
     """Return the circular deviation that each filter leaves of a turn, um.
 
     Parameters
@@ -189,11 +187,8 @@ def sensitivity(
         Readings at equal steps of the angle.
     filters : sequence of Filter
         For example one filter with many alphas.
-    figure : callable, optional
-        Another figure of the static part than its circular deviation.
     """
-    measure = figure or (lambda static: float(np.ptp(centred_um(static))))
-    return [measure(chosen.static_um(turn_um)) for chosen in filters]
+    return [float(np.ptp(centred_um(chosen.static_um(turn_um)))) for chosen in filters]
 
 
 def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, source: str) -> str:

@@ -98,15 +98,26 @@ def test_vibration_one_direction_and_few_readings_are_said(runs: list[Run]) -> N
     assert "vibration_exceeds" not in codes(quiet)
 
 
+def test_one_feed_is_said_and_its_vibration_is_judged_without_a_slow_run(runs: list[Run]) -> None:
+    fast = [shaken(r, 200.0) for r in runs if r.meta.feed_mm_min == 6000.0]
+    found = split_runs(CAMPAIGN, fast, DynamicsRequest(how="low-pass")).result
+    assert {"one_feed", "vibration_exceeds"} <= codes(found)
+    assert "differs_from_reference" not in codes(found)
+
+
 def test_what_cannot_be_compared_is_refused(runs: list[Run]) -> None:
     large = replace(runs[0], meta=replace(runs[0].meta, radius_mm=100.0))
     other = replace(runs[0], meta=replace(runs[0].meta, setup="s2", feed_mm_min=6000.0))
+    bare = replace(runs[0], meta=replace(runs[0].meta, radius_mm=None))
+    copied = replace(runs[0], meta=replace(runs[0].meta, run_id="copy"))
     start = (runs[0].window or (0, 0))[0]
     half = replace(runs[0], window=(start, start + 2000))
     for wrong, request, told in (
         ([*runs, large], DynamicsRequest(), "several radii"),
         ([*runs, other], DynamicsRequest(), "no slow reference"),
         ([half], DynamicsRequest(), "once round"),
+        ([bare], DynamicsRequest(), "radius or its feed"),
+        ([*runs, copied], DynamicsRequest(), "same readings"),
         (runs, DynamicsRequest(reference_feed_mm_min=5.0), "feed of the reference"),
         (runs, DynamicsRequest(how="wavelet"), "no such filter"),
         (runs, DynamicsRequest(how="rts", tuned="ratio"), "unscented"),
