@@ -31,7 +31,7 @@ RATE_HZ = 2048.0
 """Rate of the simulation and of the accelerometer."""
 OVERSHOOT_DEG, TURN_DEG = 180.0, 360.0
 _REST_S = 0.25
-_NEWTON = 3
+_NEWTON = 2
 # Constants of the legs, as the kernel takes them.
 _GAIN, _PLAY, _FRICTION, _WIDTH, _RECOVERY, _PITCH, _ORDER, _SHAKE = range(8)
 _RADII_MM, _FEEDS_MM_MIN = (10.0, 100.0), (50.0, 12_000.0)

@@ -40,7 +40,7 @@ def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     registry = Registry(home())
     (run,) = registry.client.search_runs([registry.experiment()])
     assert run.info.status == "FINISHED"
-    assert run.data.params["particles"] == "10"
+    assert run.data.params["particles"] == "6"
     assert run.data.params["fitness"] == "weighted_sum"
     assert run.data.metrics["q_um2"] > 0.0
     shown = (tmp_path / "dynamics.html").read_text(encoding="utf-8")
