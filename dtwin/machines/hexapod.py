@@ -208,6 +208,12 @@ def _require_reach(condition: CircleCondition) -> None:
 
 
 @kernel
+def _cross(a: Floats, b: Floats, i: int) -> float:
+    j, k = (i + 1) % 3, (i + 2) % 3
+    return float(a[j] * b[k] - a[k] * b[j])
+
+
+@kernel
 def leg_lengths_kernel(
     position_mm: Floats, turned_rad: Floats, joints: Floats, length_mm: Floats, rows: Floats
 ) -> None:
@@ -224,13 +230,20 @@ def leg_lengths_kernel(
     rows : ndarray, shape (6, 6)
         Receives the derivative by position and rotation.
     """
+    along = np.empty(3)
     for leg in range(LEGS):
         arm = joints[1, leg]
-        span = position_mm + arm + np.cross(turned_rad, arm) - joints[0, leg]
-        length_mm[leg] = np.sqrt(np.sum(span * span))
-        along = span / length_mm[leg]
-        rows[leg, :3] = along
-        rows[leg, 3:] = np.cross(arm, along)
+        square = 0.0
+        for i in range(3):
+            turned = _cross(turned_rad, arm, i)
+            along[i] = position_mm[i] + arm[i] + turned - joints[0, leg, i]
+            square += along[i] * along[i]
+        length_mm[leg] = np.sqrt(square)
+        for i in range(3):
+            along[i] /= length_mm[leg]
+            rows[leg, i] = along[i]
+        for i in range(3):
+            rows[leg, 3 + i] = _cross(arm, along, i)
 
 
 @kernel
@@ -270,7 +283,7 @@ def follow_kernel(
     reached, length, rows = np.empty(LEGS), np.empty(LEGS), np.empty((LEGS, 6))
     pose, flat = np.zeros(6), np.zeros(3)
     pose[:3] = path_mm[0] - tool
-    first, second = np.zeros(3), np.zeros(3)
+    rigid, bend, first, second = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     state, jolt, flange = np.zeros(2 * modes.shape[0]), np.zeros(3), np.zeros(3)
     for n in range(path_mm.shape[0]):
         leg_lengths_kernel(path_mm[n] - tool, flat, believed, wanted, rows)
@@ -293,11 +306,12 @@ def follow_kernel(
         for _ in range(_NEWTON):
             leg_lengths_kernel(pose[:3], pose[3:], true, length, rows)
             pose += np.linalg.solve(rows, reached - length)
-        rigid = pose[:3] + tool + np.cross(pose[3:], tool)
-        if n == 0:
-            first[:], second[:] = rigid, rigid
-        bend = (rigid - 2.0 * first + second) / tick_s**2
-        second[:], first[:] = first, rigid
-        moved_to = rigid.copy()
-        modes_kernel(modes, 0.0, bend, jolt, state, moved_to, flange)
-        out_mm[n] = moved_to
+        for i in range(3):
+            rigid[i] = pose[i] + tool[i] + _cross(pose[3:], tool, i)
+            if n == 0:
+                first[i], second[i] = rigid[i], rigid[i]
+            bend[i] = (rigid[i] - 2.0 * first[i] + second[i]) / tick_s**2
+            second[i], first[i] = first[i], rigid[i]
+        modes_kernel(modes, 0.0, bend, jolt, state, rigid, flange)
+        for i in range(3):
+            out_mm[n, i] = rigid[i]

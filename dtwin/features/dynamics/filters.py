@@ -273,11 +273,10 @@ def smooth_kernel(state: Floats, variance: Floats, expected: Floats, spread: Flo
 
 
 @compiled
-def _moved(kind: int, x: Floats, step_rad: float) -> Floats:
+def _move(kind: int, x: Floats, step_rad: float) -> None:
     if kind == _CIRCLE:
         c, s = np.cos(step_rad), np.sin(step_rad)
-        return np.array([c * x[0] - s * x[1], s * x[0] + c * x[1]])
-    return x.copy()
+        x[0], x[1] = c * x[0] - s * x[1], s * x[0] + c * x[1]
 
 
 @compiled
@@ -291,12 +290,20 @@ def _seen(kind: int, x: Floats, radius_um: float) -> float:
 def _drawn(x: Floats, p: Floats, scale: float) -> Floats:
     """Sigma points, shape (2 L + 1, L)."""
     size = x.shape[0]
-    root = np.linalg.cholesky(scale * p)
+    # Cholesky by hand: numba takes five seconds to compile the library's.
+    root = np.zeros((size, size))
     points = np.empty((2 * size + 1, size))
-    points[0] = x
     for i in range(size):
-        points[1 + i] = x + root[:, i]
-        points[1 + size + i] = x - root[:, i]
+        for j in range(i + 1):
+            rest = scale * p[i, j]
+            for k in range(j):
+                rest -= root[i, k] * root[j, k]
+            root[i, j] = np.sqrt(rest) if i == j else rest / root[j, j]
+    for i in range(size):
+        points[0, i] = x[i]
+        for j in range(size):
+            points[1 + j, i] = x[i] + root[i, j]
+            points[1 + size + j, i] = x[i] - root[i, j]
     return points
 
 
@@ -325,36 +332,45 @@ def unscented_kernel(
     alpha, q, r, first = settings
     size = 2 if kind == _CIRCLE else 1
     scale = alpha * alpha * (size + _KAPPA)
-    mean, cov = np.full(2 * size + 1, 0.5 / scale), np.full(2 * size + 1, 0.5 / scale)
-    mean[0] = 1.0 - size / scale
-    cov[0] = mean[0] + 1.0 - alpha * alpha + _BETA
-    x, p = np.zeros(size), first * np.eye(size)
+    each, count = 0.5 / scale, 2 * size + 1
+    middle_weight = 2.0 - size / scale - alpha * alpha + _BETA
+    x, p = np.zeros(size), np.zeros((size, size))
     x[0] = radius_um + read[0] if kind == _CIRCLE else read[0]
-    out = np.empty(read.shape[0])
+    for i in range(size):
+        p[i, i] = first
+    seen, cross, out = np.empty(count), np.empty(size), np.empty(read.shape[0])
     for n in range(read.shape[0]):
         points = _drawn(x, p, scale)
-        for i in range(points.shape[0]):
-            points[i] = _moved(kind, points[i], step_rad if n > 0 else 0.0)
-        # About the middle point: the weights are huge and of both signs when alpha is small.
-        middle = points[0].copy()
-        shift = np.zeros(size)
-        for i in range(1, points.shape[0]):
-            shift += mean[i] * (points[i] - middle)
-        x = middle + shift
-        p = q * np.eye(size)
-        for i in range(points.shape[0]):
-            p += cov[i] * np.outer(points[i] - x, points[i] - x)
+        for k in range(count):
+            _move(kind, points[k], step_rad if n > 0 else 0.0)
+        # Means about the middle point: the weights are huge and of both signs when alpha is small.
+        for i in range(size):
+            shift = 0.0
+            for k in range(1, count):
+                shift += each * (points[k, i] - points[0, i])
+            x[i] = points[0, i] + shift
+        for i in range(size):
+            for j in range(size):
+                p[i, j] = q if i == j else 0.0
+                for k in range(count):
+                    weight = middle_weight if k == 0 else each
+                    p[i, j] += weight * (points[k, i] - x[i]) * (points[k, j] - x[j])
         points = _drawn(x, p, scale)
-        values = np.empty(points.shape[0])
-        for i in range(points.shape[0]):
-            values[i] = _seen(kind, points[i], radius_um)
-        expected = values[0] + np.sum(mean[1:] * (values[1:] - values[0]))
-        spread, cross = r, np.zeros(size)
-        for i in range(points.shape[0]):
-            spread += cov[i] * (values[i] - expected) ** 2
-            cross += cov[i] * (points[i] - x) * (values[i] - expected)
-        gain = cross / spread
-        x = x + gain * (read[n] - expected)
-        p = p - np.outer(gain, gain) * spread
+        expected = 0.0
+        for k in range(count):
+            seen[k] = _seen(kind, points[k], radius_um)
+            expected += each * (seen[k] - seen[0])
+        expected += seen[0]
+        spread = r
+        cross[:] = 0.0
+        for k in range(count):
+            weight = middle_weight if k == 0 else each
+            spread += weight * (seen[k] - expected) ** 2
+            for i in range(size):
+                cross[i] += weight * (points[k, i] - x[i]) * (seen[k] - expected)
+        for i in range(size):
+            x[i] += cross[i] / spread * (read[n] - expected)
+            for j in range(size):
+                p[i, j] -= cross[i] * cross[j] / spread
         out[n] = _seen(kind, x, radius_um)
     return out
