@@ -15,6 +15,7 @@ from dtwin.machines.hexapod import (
     HexapodRecording,
     VirtualHexapod,
     leg_lengths_kernel,
+    path_angle_rad,
 )
 from dtwin.machines.hexapod_parameters import CENTRE_MM, HexapodParameters
 from dtwin.machines.motion import CircleCondition
@@ -94,6 +95,14 @@ def test_a_bar_reads_the_projected_error_to_second_order(radius_mm: float) -> No
         read = read_ballbar(bar, ball, 1.0, np.zeros(3), radius_mm, clock, np.zeros(1))[0]
         size = float(np.linalg.norm(error_mm[n]))
         assert abs(read - error_mm[n] @ outward[n]) < 1.01 * size**2 / (2 * radius_mm)
+
+
+def test_legs_that_follow_perfectly_put_the_ball_where_it_was_sent_at_the_edge_of_reach() -> None:
+    machine = VirtualHexapod(PERFECT)
+    condition = CircleCondition("YZ", 100.0, 12_000.0, "CCW")
+    angle = path_angle_rad(condition, PERFECT)
+    spoke = 100.0 * np.column_stack([0 * angle, np.cos(angle), np.sin(angle)])
+    assert np.abs(machine.tool_mm(condition, angle) - CENTRE_MM - spoke).max() < 1e-5
 
 
 def test_dynamics_grow_with_the_feed_and_the_rest_does_not() -> None:
