@@ -163,7 +163,7 @@ class VirtualHexapod:
         rows = np.empty((LEGS, 6))
         platform = CENTRE_MM - np.array([0.0, 0.0, self.parameters.tool_mm])
         leg_lengths_kernel(platform, np.zeros(3), self.legs.true, np.empty(LEGS), rows)
-        return np.linalg.inv(rows)
+        return np.asarray(np.linalg.inv(rows), dtype=np.float64)
 
 
 def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) -> Floats:
