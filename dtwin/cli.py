@@ -14,6 +14,7 @@ from dtwin.commands import analogue as analogue_commands
 from dtwin.commands import cell as cell_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
+from dtwin.commands import dynamics as dynamics_commands
 from dtwin.commands import exporting as exporting_command
 from dtwin.commands import lathe as lathe_commands
 from dtwin.commands import linuxcnc as linuxcnc_commands
@@ -58,6 +59,7 @@ linuxcnc_commands.register(app)
 cell_commands.register(app)
 lathe_commands.register(app)
 volumetric_commands.register(app)
+dynamics_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)

@@ -21,6 +21,7 @@ from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
+from dtwin.pipeline import dynamics_paper as paper
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
@@ -74,6 +75,12 @@ def ingest(source: Path) -> IngestReport:
 def compute_features(campaign: str) -> measuring.FeatureReport:
     """Compute the signal features of a campaign."""
     return measuring.compute_features(home(), campaign, logged("features"))
+
+
+@task(name="dynamics-paper", **_ONCE)
+def dynamics_paper(size: paper.Size, seed: int) -> dict[str, Any]:
+    """Compute the figures of the paper on ball-bar dynamics again."""
+    return paper.dynamics_paper(size, seed, logged("dynamics"))
 
 
 @task(name="cell-step", task_run_name="part {part}: {step}", **_ONCE)

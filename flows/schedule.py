@@ -14,6 +14,7 @@ from flows import _artifacts, _tasks
 from flows.campaign import campaign_flow
 from flows.cell import cell_flow
 from flows.diagnose import diagnose_flow, publish_drift
+from flows.dynamics import dynamics_flow
 from flows.ingest import ingest_flow
 from flows.promote import promote_flow
 from flows.recheck import recheck_flow
@@ -74,7 +75,10 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         description="Circles with and without each champion; one that harms is withdrawn.",
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
-    others = (campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow)
+    others = (
+        campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow,
+        dynamics_flow,
+    )  # fmt: skip
     return [
         scheduled,
         checked,

@@ -14,12 +14,13 @@ from dtwin.config import quiet_environment, sample_recording
 quiet_environment()
 
 # These look at servers that take half a minute to start: one worker, one start.
-_SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow")
+_SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow")
 # Begun in this order, so that no worker is left alone with minutes of work at the end.
 _SLOWEST_FIRST = (
     "test_flows",
     "test_pages",
     "test_cell_flow",
+    "test_dynamics_flow",
     "test_pipeline",
     "test_scheduled",
     "test_serve_command",

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
 
+MACHINES = ("cobot", "mill", "lathe", "volumetric", "hexapod")
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
@@ -30,7 +32,7 @@ def register(app: typer.Typer) -> None:
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
     machine: Annotated[
-        str, typer.Option(help="Virtual machine: cobot, mill, lathe, volumetric.")
+        str, typer.Option(help=f"Virtual machine: {', '.join(MACHINES)}.")
     ] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
@@ -60,22 +62,27 @@ def simulate(
     if machine == "mill":
         _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
         return
+    from dtwin.acquire.runner import run_campaign
+    from dtwin.acquire.virtual import VirtualCobotBench
+    from dtwin.acquire.virtual_hexapod import VirtualHexapodBench, feed_sweep
     from dtwin.pipeline.demo import quick_size
-    from dtwin.pipeline.measuring import simulate as measure
     from dtwin.plan import read_plan, training_plan
 
-    if machine != "cobot":
+    if machine not in ("cobot", "hexapod"):
         raise InputError(
             "no such virtual machine",
             code="simulate.machine",
             got=machine[:40],
-            allowed="cobot, mill, lathe, volumetric",
+            allowed=", ".join(MACHINES),
         )
     if plan is not None:
         planned = read_plan(plan)
+    elif machine == "hexapod":
+        planned = feed_sweep(quick=quick)
     else:
         planned = quick_size().plan if quick else training_plan()
-    done = measure(planned, out, seed=seed, progress=ProgressLine("measure", quiet=as_json))
+    bench = VirtualHexapodBench(seed) if machine == "hexapod" else VirtualCobotBench(seed)
+    done = run_campaign(planned, bench, out, ProgressLine("measure", quiet=as_json))
     payload = {
         "folder": str(done.folder),
         "measured": done.measured,

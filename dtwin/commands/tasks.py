@@ -9,7 +9,7 @@ from typer.core import TyperGroup
 TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
-    "Understand": ("twin", "effects", "report"),
+    "Understand": ("twin", "effects", "dynamics", "report"),
     "Correct": (
         "features",
         "train",
@@ -19,7 +19,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "rollback",
         "lathe",
         "volumetric",
-    ),
+    ),  # fmt: skip
     "Run": (
         "serve",
         "robot-program",

@@ -1,0 +1,224 @@
+"""Settings of a filter, found by comparing what it leaves of a fast turn with a slow one."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.features.dynamics.distances import distances_um
+from dtwin.features.dynamics.figures import (
+    FITNESSES,
+    eq15,
+    relative_difference,
+    weighted_sum,
+)
+from dtwin.features.dynamics.filters import Filter, UnscentedFilter
+from dtwin.schema import Floats
+from dtwin.train.particle_swarm import SwarmSettings, minimise
+from dtwin.train.registry import Registry, environment
+
+TUNED = ("ratio", "alpha")
+_ALPHA = (1e-5, 1.0)
+# Q over R: from a filter that forgets nothing to one that believes every reading.
+_LOG10_RATIO = (-6.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How near a filtered turn comes to the slow reference.
+
+    Attributes
+    ----------
+    dtw_um, frechet_um : float
+        Distances of the radial errors.
+    difference : float
+        Relative difference of the circular deviations.
+    fitness : float
+        What is minimised.
+    """
+
+    dtw_um: float
+    frechet_um: float
+    difference: float
+    fitness: float
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """A tuned filter.
+
+    Attributes
+    ----------
+    chosen : UnscentedFilter
+        The filter, set as found.
+    tuned, fitness : str
+        What was varied, and by which fitness it was judged.
+    judged : Judged
+        At the place that was found.
+    unfiltered : Judged
+        What no filter at all would be given.
+    history : tuple of float
+        Best fitness after each iteration.
+    evaluations : int
+        Filters that were tried.
+    seconds : float
+        What it took.
+    inert : bool
+        Whether the fitness is the same wherever the swarm began: nothing was found.
+    """
+
+    chosen: UnscentedFilter
+    tuned: str
+    fitness: str
+    judged: Judged
+    unfiltered: Judged
+    history: tuple[float, ...]
+    evaluations: int
+    seconds: float
+    inert: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return asdict(self) | {"filter": self.chosen.name}
+
+
+def centred_um(deviation_um: Floats) -> Floats:
+    """Return a closed turn without mean and centre offset, to first order of the offset.
+
+    Parameters
+    ----------
+    deviation_um : ndarray, shape (n,)
+        Readings at equal steps of the angle.
+    """
+    waves = np.fft.rfft(deviation_um)
+    waves[:2] = 0.0
+    return np.fft.irfft(waves, len(deviation_um))
+
+
+def judge(static_um: Floats, reference_um: Floats, fitness: str) -> Judged:
+    """Compare a filtered turn with the slow reference.
+
+    Parameters
+    ----------
+    static_um, reference_um : ndarray, shape (n,)
+        Turns at the same angles.
+    fitness : str
+        One of ``FITNESSES``.
+    """
+    first, second = centred_um(static_um), centred_um(reference_um)
+    dtw, frechet = distances_um(first, second)
+    difference = relative_difference(float(np.ptp(first)), float(np.ptp(second)))
+    if fitness == "eq15":
+        return Judged(dtw, frechet, difference, eq15(dtw, frechet, difference))
+    return Judged(dtw, frechet, difference, weighted_sum(dtw, frechet, difference, len(first)))
+
+
+def tune(
+    turn_um: Floats,
+    reference_um: Floats,
+    start: UnscentedFilter,
+    *,
+    tuned: str = "ratio",
+    fitness: str = "weighted_sum",
+    settings: SwarmSettings | None = None,
+) -> Tuning:
+    """Find the settings by which a filter makes a fast turn most like the slow reference.
+
+    Parameters
+    ----------
+    turn_um, reference_um : ndarray, shape (n,)
+        A fast and a slow turn at the same angles, in the order of travel.
+    start : UnscentedFilter
+        Model, and what is not varied.
+    tuned : {"ratio", "alpha"}
+        ``ratio``: process over measurement noise, which sets how much is smoothed. ``alpha``: the
+        scaling of the sigma points, as published.
+    fitness : {"weighted_sum", "eq15"}
+        What is minimised.
+    settings : SwarmSettings, optional
+        By default the published 50 particles and 150 iterations.
+
+    Raises
+    ------
+    InputError
+        When there is no such choice.
+    """
+    for got, allowed, what in ((tuned, TUNED, "tuned"), (fitness, FITNESSES, "fitness")):
+        if got not in allowed:
+            raise InputError(
+                "no such choice", code=f"dynamics.{what}", got=got[:40], allowed=", ".join(allowed)
+            )
+    bounds = _ALPHA if tuned == "alpha" else _LOG10_RATIO
+
+    def set_as(place: Floats) -> UnscentedFilter:
+        if tuned == "alpha":
+            return replace(start, alpha=float(place[0]))
+        return replace(start, q_um2=start.r_um2 * 10.0 ** float(place[0]))
+
+    def value(place: Floats) -> float:
+        return judge(set_as(place).static_um(turn_um), reference_um, fitness).fitness
+
+    begun = time.perf_counter()
+    found = minimise(value, [bounds], settings or SwarmSettings())
+    chosen = set_as(found.place)
+    ends = [value(np.array([end])) for end in bounds]
+    return Tuning(
+        chosen=chosen, tuned=tuned, fitness=fitness,
+        judged=judge(chosen.static_um(turn_um), reference_um, fitness),
+        unfiltered=judge(turn_um, reference_um, fitness),
+        history=found.history, evaluations=found.evaluations,
+        seconds=time.perf_counter() - begun,
+        inert=max(abs(end - found.value) for end in ends) <= 1e-6 * abs(found.value),
+    )  # fmt: skip
+
+
+def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:
+    """Return the circular deviation that each filter leaves of a turn, um.
+
+    Parameters
+    ----------
+    turn_um : ndarray, shape (n,)
+        Readings at equal steps of the angle.
+    filters : sequence of Filter
+        For example one filter with many alphas.
+    """
+    return [float(np.ptp(centred_um(chosen.static_um(turn_um)))) for chosen in filters]
+
+
+def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, source: str) -> str:
+    """Log a tuning as an MLflow run and return its id.
+
+    Parameters
+    ----------
+    registry : Registry
+        Where.
+    found : Tuning
+        The result.
+    settings : SwarmSettings
+        How it was searched.
+    source : str
+        Campaign or table that the turns come from.
+    """
+    client = registry.client
+    tags = {"dtwin.campaign": source, "dtwin.kind": "filter tuning"}
+    name = f"filter tuning {source}"
+    run_id = str(client.create_run(registry.experiment(), run_name=name, tags=tags).info.run_id)
+    params = {
+        "filter": found.chosen.name,
+        "tuned": found.tuned,
+        "fitness": found.fitness,
+        **asdict(settings),
+        **{f"version.{k}": v for k, v in environment().items()},
+    }
+    metrics = {**asdict(found.judged), "evaluations": float(found.evaluations)}
+    metrics |= {"alpha": found.chosen.alpha, "q_um2": found.chosen.q_um2}
+    registry.log(run_id, params, metrics | {"seconds": found.seconds}, {})
+    registry.log_files(run_id, {"tuning.json": json.dumps(found.as_dict(), indent=1)})
+    client.set_terminated(run_id)
+    return run_id

@@ -1,0 +1,28 @@
+"""The flow that computes the ball-bar paper's table again, on a real Prefect server."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from running_servers import Up
+
+from dtwin.pipeline.dynamics_paper import Size
+from flows import dynamics
+from flows._runtime import delivered, run
+
+pytest_plugins = ["scheduled_servers"]
+pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
+
+
+def test_the_table_is_published(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
+    small = Size(("sim2",), (0.0, 5.0), (1200.0, 6000.0), 4, 4)
+    monkeypatch.setattr(dynamics, "QUICK", small)
+    with delivered():
+        found = run(dynamics.dynamics_flow, quick=True)
+    (seen,) = scheduled_up.runs_of("ballbar-dynamics")
+    assert seen["state"]["name"] == "Completed"
+    table = json.loads(scheduled_up.artifacts_of(seen)["ballbar-dynamics"]["data"])
+    assert [row["figure"] for row in table] == [line["what"] for line in found["lines"]]
+    assert {row["follows"] for row in table} == {"yes", "no", "not judged"}
