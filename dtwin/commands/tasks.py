@@ -19,7 +19,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "rollback",
         "lathe",
         "volumetric",
-    ),  # fmt: skip
+    ),
     "Run": (
         "serve",
         "robot-program",

@@ -61,16 +61,16 @@ def fit(
             "a bundle needs another campaign that says what it is worth", code="volumetric.against",
             hint="--against CAMPAIGN",
         )  # fmt: skip
+    if against == training:
+        raise InputError(
+            "a campaign cannot judge what was fitted to it", code="volumetric.same", got=training
+        )
     progress = ProgressLine("volumetric", quiet=as_json)
     offered = tuple(offer or ())
     first = session(home(), training, progress)
     models, whole = models_of(first, offered=offered)
     payload: dict[str, Any] = {"training": judged(models, whole)}
     if against is not None:
-        if against == training:
-            raise InputError(
-                "a campaign cannot judge what was fitted to it", code="volumetric.same", got=against
-            )
         other = with_offered(session(home(), against, progress), offered)
         payload["validation"] = judged(models, other)
         if out is not None:

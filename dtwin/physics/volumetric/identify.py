@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,6 @@ from dtwin.physics.volumetric.chain import COEFFICIENTS, Identifiability, design
 from dtwin.schema import Floats
 
 FIXED_POSE = 0
-_RIGID = ("EX0", "EY0", "EZ0", "EA0", "EB0", "EC0")
 Numbers = NDArray[np.int64]
 
 
@@ -61,6 +60,14 @@ class Identified:
 
 
 @dataclass(frozen=True)
+class _Prepared:
+    use: NDArray[np.bool_]
+    columns: Floats
+    solve: Floats
+    inverse_diagonal: Floats
+
+
+@dataclass(frozen=True)
 class Artefact:
     """How readings are turned into error motions.
 
@@ -84,6 +91,7 @@ class Artefact:
     pose_repeat_um: float = float("inf")
     noise_um: float = 1.0
     names: tuple[str, ...] = COEFFICIENTS
+    _ready: dict[bytes, _Prepared] = field(default_factory=dict, repr=False, compare=False)
 
     def variation_um(self, cycle: Balls, reference: Balls) -> tuple[Balls, Floats]:
         """Return the balls that both cycles have, and how the tool point moved there, shape (n, 3).
@@ -117,21 +125,17 @@ class Artefact:
         InputError
             When the balls cannot tell the coefficients.
         """
-        use = ~np.isin(balls.pose, self.held_out)
-        columns = self._columns(balls, use)
-        known = columns.shape[1] - len(self.names)
-        self._require(columns, known)
-        y = np.zeros(len(columns))
-        measured = 3 * int(use.sum())
-        y[:measured] = moved_um[use].ravel()
-        found = np.linalg.lstsq(columns, y, rcond=None)[0]
-        left = y - columns @ found
+        ready = self._prepared(balls)
+        y = np.zeros(len(ready.columns))
+        measured = 3 * int(ready.use.sum())
+        y[:measured] = moved_um[ready.use].ravel()
+        found = ready.solve @ y
+        left = y - ready.columns @ found
         # The pulled places cost what the rows that pull give.
         pulled = len(y) - measured if np.isfinite(self.pose_repeat_um) else 0
-        free = max(measured + pulled - columns.shape[1], 1)
-        inverse = np.linalg.pinv(columns.T @ columns)
-        spread = np.sqrt(np.diag(inverse)[known:] * float(left @ left) / free)
-        values: Floats = np.asarray(found[known:], dtype=float)
+        free = max(measured + pulled - ready.columns.shape[1], 1)
+        spread = np.sqrt(ready.inverse_diagonal * float(left @ left) / free)
+        values: Floats = np.asarray(found[-len(self.names) :], dtype=np.float64)
         return Identified(
             values, spread, float(np.sqrt(left @ left / free)),
             self._held_out_um(balls, moved_um, values), measured,
@@ -147,6 +151,18 @@ class Artefact:
     def predicted_um(self, balls: Balls, values: Floats) -> Floats:
         """Return how the tool point moves with given coefficients, shape (n, 3)."""
         return design(balls.position_mm, self.strokes_mm, self.names) @ values
+
+    def _prepared(self, balls: Balls) -> _Prepared:
+        """Return what is the same for all cycles that touched the same balls."""
+        key = balls.position_mm.tobytes() + balls.pose.tobytes()
+        if key not in self._ready:
+            use = ~np.isin(balls.pose, self.held_out)
+            columns = self._columns(balls, use)
+            self._require(columns, columns.shape[1] - len(self.names))
+            inverse = np.linalg.pinv(columns.T @ columns)
+            diagonal = np.diag(inverse)[-len(self.names) :]
+            self._ready[key] = _Prepared(use, columns, inverse @ columns.T, diagonal)
+        return self._ready[key]
 
     def _columns(self, balls: Balls, use: NDArray[np.bool_]) -> Floats:
         """Return the columns of the poses' places, then those of the coefficients."""
