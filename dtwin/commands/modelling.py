@@ -29,7 +29,7 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill, lathe.")] = "cobot",
+    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill, lathe, turning.")] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
@@ -37,15 +37,23 @@ def simulate(
         str, typer.Option(help="Fault of the mill: backlash, wobble, servo, none.")
     ] = "backlash",
     truth: Annotated[
-        str, typer.Option(help="Error of the lathe: published, or mechanism.")
-    ] = "published",
+        str | None,
+        typer.Option(
+            help="Error of the lathe: published, mechanism; of turning: linear, hardening, friction."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
+    if machine == "turning":
+        from dtwin.commands.turning import simulate_tones
+
+        simulate_tones(out, truth or "linear", seed=seed, quick=quick, as_json=as_json)
+        return
     if machine == "lathe":
         from dtwin.commands.lathe import simulate_positioning
 
-        simulate_positioning(out, plan, truth, seed=seed, quick=quick, as_json=as_json)
+        simulate_positioning(out, plan, truth or "published", seed=seed, quick=quick, as_json=as_json)
         return
     if machine == "mill":
         _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
@@ -59,7 +67,7 @@ def simulate(
             "no such virtual machine",
             code="simulate.machine",
             got=machine[:40],
-            allowed="cobot, mill, lathe",
+            allowed="cobot, mill, lathe, turning",
         )
     if plan is not None:
         planned = read_plan(plan)
