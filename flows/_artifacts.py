@@ -76,7 +76,7 @@ def publish_held_out_error(report: TrainingReport) -> None:
     report : TrainingReport
         A training.
     """
-    rows = [(c.name, {"held-out RMS": c.scores["feed_mm_min"].rms_um}) for c in report.candidates]
+    rows = [(c.name, {"held-out RMS": c.held_out.rms_um}) for c in report.candidates]
     svg = _plots.bars(
         "error on feeds left out, um RMS",
         rows,

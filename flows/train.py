@@ -31,7 +31,7 @@ def train_flow(campaign: str, seed: int = 1) -> dict[str, Any]:
         "machine": report.machine,
         "version": registered.version.version,
         "proposed": report.proposed,
-        "held_out_um": report.candidate(report.proposed).scores["feed_mm_min"].rms_um,
+        "held_out_um": report.candidate(report.proposed).held_out.rms_um,
         "rms_before_um": report.rms_before_um,
         "noise_floor_um": report.noise_floor_um,
         "windows": features.windows,

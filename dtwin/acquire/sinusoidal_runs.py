@@ -10,12 +10,12 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
+from dtwin.features.tone_window import HORIZON_S, WINDOW_S
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
 from dtwin.units import UM_PER_MM
 
 # Share of the control bandwidth up to which a slide may be driven.
 SAFE_SHARE = 0.8
-WINDOW_S, HORIZON_S = 5.0, 1.0
 _FEWEST_PER_PERIOD = 10.0
 # A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
 _CLIPPED_SHARE = 0.05

@@ -268,7 +268,7 @@ def evidence_of(registry: Registry, version: RegisteredVersion) -> dict[str, Any
 def _description(training: Training, verdicts: list[Verdict]) -> str:
     report = training.report
     proposed = report.candidate(report.proposed)
-    feed = proposed.scores["feed_mm_min"]
+    held_out = proposed.held_out
     lines = [
         f"**{proposed.name}** for {report.machine}, trained on `{report.campaign}` "
         f"({report.n_runs} runs, table versions {dict(report.table_versions)}).",

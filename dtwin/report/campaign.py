@@ -93,7 +93,7 @@ def training_section(report: TrainingReport) -> Section:
     points = [
         {
             "name": c.name,
-            "rms_um": c.scores["feed_mm_min"].rms_um,
+            "rms_um": c.held_out.rms_um,
             "p50_us": c.latency.p50_us if c.latency else None,
             "promotable": c.promotable,
         }
@@ -109,8 +109,9 @@ def training_section(report: TrainingReport) -> Section:
             f"{report.n_rows} rows. Error without a model {report.rms_before_um:.1f} um RMS after "
             f"centre and radius of each set-up; repeats of the same condition disagree by "
             f"{report.noise_floor_um:.1f} um (unit of replication: the run).",
-            "Every error is on conditions that were left out as a whole: all runs of one feed, or "
-            "of one radius, at a time.",
+            "Every error is on conditions that were left out as a whole: all runs of one "
+            + ", or of one ".join(_LEFT_OUT[group] for group in proposed.scores)
+            + ", at a time.",
         ],
         [("info", f"{proposed.name}: {finding}") for finding in proposed.findings],
         [Table(*comparison_table(report.candidates))],
@@ -129,12 +130,10 @@ def comparison_table(
     candidates : sequence of Candidate
         In the order to show.
     """
+    groups = [_LEFT_OUT[group] for group in candidates[0].scores]
     head = [
         "candidate",
-        "R2, feed out",
-        "um, feed out",
-        "R2, radius out",
-        "um, radius out",
+        *(f"{what}, {group} out" for group in groups for what in ("R2", "um")),
         "p50 us",
         "p99 us",
         "complexity",
@@ -142,14 +141,14 @@ def comparison_table(
     ]
     rows = []
     for c in candidates:
-        feed, radius = c.scores["feed_mm_min"], c.scores["radius_mm"]
         rows.append(
             [
                 c.name,
-                f"{feed.r2:.3f}",
-                f"{feed.rms_um:.1f}",
-                f"{radius.r2:.3f}",
-                f"{radius.rms_um:.1f}",
+                *(
+                    text
+                    for s in c.scores.values()
+                    for text in (f"{s.r2:.3f}", f"{s.rms_um:.{1 if s.rms_um >= 1 else 3}f}")
+                ),
                 f"{c.latency.p50_us:.2f}" if c.latency else "-",
                 f"{c.latency.p99_us:.2f}" if c.latency else "-",
                 str(c.complexity),
@@ -218,7 +217,7 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     for c in evidence["conditions"]:
         rows.append(
             [
-                f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}",
+                condition_name(c),
                 "yes" if c["trained"] else "no",
                 f"{c['before_um']:.1f} +- {c['before_ci_um']:.1f}",
                 f"{c['after_um']:.1f} +- {c['after_ci_um']:.1f}",
@@ -233,6 +232,17 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     return head, rows
 
 
+def condition_name(condition: Mapping[str, Any]) -> str:
+    """Return what a condition of closed-loop evidence is called."""
+    if "frequency_hz" in condition:
+        return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+    return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"
+
+
+_LEFT_OUT = {
+    "feed_mm_min": "feed", "radius_mm": "radius", "frequency_hz": "frequency",
+    "amplitude_um": "amplitude",
+}  # fmt: skip
 _FIGURES = (
     ("centre along first axis, um", "centre_a_um", "centre_a_um"),
     ("centre along second axis, um", "centre_b_um", "centre_b_um"),

@@ -54,7 +54,7 @@ def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]
         _held_out(metrics),
         _no_slice_worse(metrics),
         _sign_and_frame(bundle),
-        _bounded(bundle),
+        bounded_gate(bundle),
         _contract(bundle),
         _latency(metrics),
     ]
@@ -138,7 +138,7 @@ def _sign_and_frame(bundle: Bundle) -> Verdict:
     return Verdict("sign and frame", passed, f"cosine to the inward radius {worst:.6f}")
 
 
-def _bounded(bundle: Bundle) -> Verdict:
+def bounded_gate(bundle: Bundle) -> Verdict:
     """Whatever comes in, what goes out stays inside the clamp."""
     rng = np.random.default_rng(7)
     low = np.array([i.low for i in bundle.inputs if i.source != "feature"])

@@ -124,6 +124,11 @@ class Candidate:
     front: tuple[Mapping[str, Any], ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def held_out(self) -> Scores:
+        """Scores by the first group, which candidates are compared by."""
+        return next(iter(self.scores.values()))
+
 
 @dataclass(frozen=True)
 class TrainingReport:
@@ -147,6 +152,8 @@ class TrainingReport:
         Name of the promotable candidate that the gates should look at.
     seed : int
         Seed of everything random.
+    told : tuple of str
+        What the data show before any model, for the reviewer.
     """
 
     machine: str
@@ -159,6 +166,7 @@ class TrainingReport:
     candidates: tuple[Candidate, ...]
     proposed: str
     seed: int
+    told: tuple[str, ...] = ()
 
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""
