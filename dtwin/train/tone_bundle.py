@@ -20,7 +20,7 @@ SERVO_HZ = 8000.0
 PHASE, AMPLITUDE = "command_phase_rad", "command_amplitude_um"
 OUTPUT = "correction_z_um"
 # The sine follows a new window over this time: no step.
-FOLLOW_S = 0.02
+FOLLOW_S = 0.25
 Action = Literal["inverse", "subtract", "printed"]
 ACTIONS: tuple[Action, ...] = ("inverse", "subtract", "printed")
 _ROOM = 1.15

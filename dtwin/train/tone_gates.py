@@ -12,7 +12,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.gates import Verdict, bounded_gate
-from dtwin.train.tone_bundle import AMPLITUDE, FOLLOW_S, PHASE, SERVO_HZ
+from dtwin.train.tone_bundle import AMPLITUDE, PHASE
 from dtwin.train.tone_groups import HELD_OUT, SENT_RMS, ToneGroups, dead_features
 from dtwin.train.tone_laws import MOST_FEATURES
 
@@ -23,7 +23,6 @@ MOST_RADIUS = 0.68
 TICK_BUDGET_US = 12.5
 _WINDOWS = 12
 _STILL = 1e-3
-_SETTLED = round(10 * FOLLOW_S * SERVO_HZ)
 
 
 class AnsweredWindow:
@@ -38,7 +37,6 @@ class AnsweredWindow:
     def __init__(self, bundle: Bundle) -> None:
         self.bundle = bundle
         self._compiled = CompiledBundle(bundle)
-        self._rows = np.zeros((_SETTLED, len(bundle.tick_inputs)))
 
     def sent(self, features: Mapping[str, float], amplitude_um: float) -> complex:
         """Return sent over commanded tone as a vector.
@@ -53,9 +51,13 @@ class AnsweredWindow:
         self._compiled.window(np.array([features[n] for n in self.bundle.feature_inputs]))
         parts = []
         for angle in (np.pi / 2.0, 0.0):
-            for place, name in enumerate(self.bundle.tick_inputs):
-                self._rows[:, place] = {PHASE: angle, AMPLITUDE: amplitude_um}[name]
-            parts.append(float(self._compiled.run(self._rows)[-1, 0]) / amplitude_um)
+            given = {PHASE: angle, AMPLITUDE: amplitude_um}
+            rows = np.tile([given[name] for name in self.bundle.tick_inputs], (3, 1))
+            first, second, third = self._compiled.run(rows)[:, 0].tolist()
+            # The memory is of first order: three ticks tell where it settles (Aitken).
+            bend = third - 2.0 * second + first
+            settled = third if bend == 0.0 else first - (second - first) ** 2 / bend
+            parts.append(settled / amplitude_um)
         return complex(1.0 + parts[0], parts[1])
 
 
