@@ -22,6 +22,7 @@ from dtwin.commands import rechecking as rechecking_command
 from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
+from dtwin.commands import turning as turning_commands
 from dtwin.commands import twins as twin_commands
 from dtwin.commands import ui as ui_command
 from dtwin.commands.tasks import MainCommands
@@ -56,6 +57,7 @@ analogue_commands.register(app)
 linuxcnc_commands.register(app)
 cell_commands.register(app)
 lathe_commands.register(app)
+turning_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)

@@ -21,6 +21,7 @@ from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
+from dtwin.pipeline import turning_paper as turning
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
@@ -103,15 +104,12 @@ def put_on_trial(version: RegisteredVersion, comment: str) -> Path:
 
 @task(name="evidence", task_run_name="evidence for version {version.version}", **_ONCE)
 def evidence(version: RegisteredVersion, seed: int) -> dict[str, Any]:
-    """Return the evidence that is kept with a version, or measure it on the virtual cobot."""
+    """Return the evidence that is kept with a version, or measure it on its virtual machine."""
     registry = Registry(home())
     kept = modelling.evidence_of(registry, version)
     if kept is not None:
         return kept
-    geometry = modelling.geometry_of(registry, version)
-    return modelling.measure_evidence(
-        home(), version, geometry, seed=seed, progress=logged("circles")
-    ).as_dict()
+    return modelling.evidence_for(home(), version, seed=seed, progress=logged("evidence"))
 
 
 @task(name="circles", task_run_name="circles with version {version.version}", **_ONCE)
@@ -122,6 +120,12 @@ def measure_evidence(
     return modelling.measure_evidence(
         home(), version, geometry, seed=seed, plan=plan, progress=logged("circles")
     )
+
+
+@task(name="turning paper", **_ONCE)
+def turning_paper(quick: bool, seed: int) -> dict[str, Any]:
+    """Return the slow-tool-servo paper's figures beside ours."""
+    return turning.turning_paper(quick=quick, seed=seed, progress=logged("paper"))
 
 
 @task(name="serve", task_run_name="serve {machine} for {duration_s} s", **_ONCE)

@@ -18,6 +18,7 @@ from flows.ingest import ingest_flow
 from flows.promote import promote_flow
 from flows.recheck import recheck_flow
 from flows.train import publish_training, train_flow
+from flows.turning import turning_paper_flow
 
 DEPLOYMENT = "local"
 
@@ -74,7 +75,10 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         description="Circles with and without each champion; one that harms is withdrawn.",
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
-    others = (campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow)
+    others = (
+        campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow,
+        turning_paper_flow,
+    )  # fmt: skip
     return [
         scheduled,
         checked,

@@ -53,7 +53,7 @@ def publish_training(registered: Registered) -> None:
         f"comparison-{report.campaign}",
         *comparison_table(report.candidates),
         f"{report.rms_before_um:.1f} um RMS without a model, noise floor "
-        f"{report.noise_floor_um:.1f} um, {report.n_runs} runs; table versions: "
+        f"{report.noise_floor_text}, {report.n_runs} runs; table versions: "
         + ", ".join(f"{name} {number}" for name, number in report.table_versions.items()),
     )
     _artifacts.publish_held_out_error(report)

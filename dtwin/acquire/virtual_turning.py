@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from dtwin.machines.turning import (
     TurningSlide,
 )
 from dtwin.parquet import table_of, write_parquet
-from dtwin.schema import Floats, SignalGroup
+from dtwin.schema import Floats, Run, RunMeta, SignalGroup
 
 # Servo ticks to one sample of probe, encoder and accelerometer.
 EVERY = 8
@@ -123,6 +123,33 @@ def record_group(
     return samples, SignalGroup("accelerometers", SAMPLE_HZ, {"tool_z_g": signal})
 
 
+def virtual_runs(
+    grid: Grid, slide: Slide, seed: int, instruments: Instruments | None = None
+) -> Iterator[Run]:
+    """Return the groups of a campaign as runs, without writing anything.
+
+    Parameters
+    ----------
+    grid : Grid
+        What is commanded.
+    slide : Slide
+        The mechanism.
+    seed : int
+        Of all noise.
+    instruments : Instruments, optional
+        Others than the usual.
+    """
+    for number, (frequency, amplitude) in enumerate(grid.groups, start=1):
+        samples, signals = record_group(
+            slide, instruments or Instruments(), frequency, amplitude, seed * 10_007 + number
+        )
+        condition: dict[str, float | str] = {"axis": "Z", "frequency_hz": frequency, "amplitude_um": amplitude}
+        meta = RunMeta(
+            f"g{number:03d}", kind="sinusoidal", condition=condition, sample_rate_hz=SAMPLE_HZ
+        )
+        yield Run(meta, samples, signals=(signals,))
+
+
 def simulate_turning(
     folder: Path, *, truth: str = "linear", seed: int = 0, quick: bool = False,
     grid: Grid | None = None, instruments: Instruments | None = None,
@@ -158,15 +185,14 @@ def simulate_turning(
             hint="give another --out",
         )  # fmt: skip
     slide, seen_by = virtual_slide(truth), instruments or Instruments()
-    groups = (grid or (QUICK if quick else PUBLISHED)).groups
-    for number, (frequency, amplitude) in enumerate(groups, start=1):
-        samples, signals = record_group(
-            slide, seen_by, frequency, amplitude, seed * 10_007 + number
-        )
-        write_parquet(folder / f"g{number:03d}.parquet", table_of(samples))
-        write_signals(folder / f"g{number:03d}.accelerometers.parquet", signals)
+    chosen = grid or (QUICK if quick else PUBLISHED)
+    groups = chosen.groups
+    for number, run in enumerate(virtual_runs(chosen, slide, seed, seen_by), start=1):
+        name = run.meta.run_id
+        write_parquet(folder / f"{name}.parquet", table_of(run.samples))
+        write_signals(folder / f"{name}.accelerometers.parquet", run.signals[0])
         if progress is not None:
-            progress(number, len(groups), f"{frequency:g} Hz {amplitude:g} um")
+            progress(number, len(groups), name)
     told = {"truth": truth, "seed": seed} | asdict(slide) | asdict(seen_by.accelerometer)
     lines = [f"{k} = {toml_value(v)}" for k, v in told.items()]
     write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,7 +30,9 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[str, typer.Option(help="Virtual machine: cobot, mill, lathe, turning.")] = "cobot",
+    machine: Annotated[
+        str, typer.Option(help="Virtual machine: cobot, mill, lathe, turning.")
+    ] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
@@ -53,7 +56,9 @@ def simulate(
     if machine == "lathe":
         from dtwin.commands.lathe import simulate_positioning
 
-        simulate_positioning(out, plan, truth or "published", seed=seed, quick=quick, as_json=as_json)
+        simulate_positioning(
+            out, plan, truth or "published", seed=seed, quick=quick, as_json=as_json
+        )
         return
     if machine == "mill":
         _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
@@ -151,7 +156,8 @@ def train(
         "machine": result.machine,
         "version": found.version.version,
         "proposed": result.proposed,
-        "noise_floor_um": result.noise_floor_um,
+        "noise_floor_um": None if math.isnan(result.noise_floor_um) else result.noise_floor_um,
+        "told": list(result.told),
         "rms_before_um": result.rms_before_um,
         "table_versions": dict(result.table_versions),
         "candidates": [
@@ -171,12 +177,13 @@ def train(
     def text() -> str:
         head = (
             f"{campaign}: {result.rms_before_um:.1f} um RMS without a model, noise floor "
-            f"{result.noise_floor_um:.1f} um"
+            f"{result.noise_floor_text}"
         )
         gates = "\n".join(verdict_lines(found.verdicts))
         return "\n".join(
             [
                 head,
+                *result.told,
                 table(*comparison_table(result.candidates)),
                 f"registered {result.proposed} as version {found.version.version}",
                 gates,
@@ -242,15 +249,14 @@ def promote(
 ) -> None:
     """Check a version and make it champion, or say why not (exit 3).
 
-    Without evidence, circles with and without correction are measured first on the virtual
-    machine that the campaign came from.
+    Without evidence, motion with and without correction is measured first on the virtual machine
+    that the campaign came from.
     """
     from dtwin.config import home
     from dtwin.pipeline.modelling import (
+        evidence_for,
         evidence_of,
-        geometry_of,
         make_champion,
-        measure_evidence,
         put_on_trial,
     )
     from dtwin.report.campaign import evidence_table
@@ -268,10 +274,8 @@ def promote(
         return
     given = _evidence_file(evidence) if evidence is not None else evidence_of(registry, found)
     if given is None:
-        geometry = geometry_of(registry, found)
-        given = measure_evidence(
-            home(), found, geometry, seed=seed, progress=ProgressLine("circles", quiet=as_json)
-        ).as_dict()
+        progress = ProgressLine("measure", quiet=as_json)
+        given = evidence_for(home(), found, seed=seed, progress=progress)
     bundle, reason = make_champion(home(), found, given, comment)
     payload = {
         "version": found.version,
@@ -357,12 +361,13 @@ def machine_named(registry: Registry, named: str | None) -> str:
     )
 
 
-def _engine(name: str) -> Engine:
+def _engine(name: str) -> Engine | None:
+    """Return the engine that was asked for; None for each kind of campaign's own Operon."""
     from dtwin.errors import MissingPart
-    from dtwin.train.symbolic import OperonEngine, PySREngine
+    from dtwin.train.symbolic import PySREngine
 
     if name == "operon":
-        return OperonEngine()
+        return None
     if name == "pysr":
         reason = PySREngine.absent()
         if reason is not None:

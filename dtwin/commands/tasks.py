@@ -10,7 +10,16 @@ TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
     "Understand": ("twin", "effects", "report"),
-    "Correct": ("features", "train", "models", "promote", "recheck", "rollback", "lathe"),
+    "Correct": (
+        "features",
+        "train",
+        "models",
+        "promote",
+        "recheck",
+        "rollback",
+        "lathe",
+        "turning",
+    ),
     "Run": (
         "serve",
         "robot-program",

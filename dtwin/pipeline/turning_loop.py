@@ -136,16 +136,14 @@ class _Loop:
         self.brain = _Brain(bundle) if bundle is not None else None
 
     def run(self) -> LoopRecord:
-        hop_s = self.bundle.window.hop / self.bundle.window.rate_hz if self.bundle and self.bundle.window else 1.0
-        hop = round(hop_s * SERVO_HZ)
-        parts = [
-            self._hop(np.arange(first, first + hop) / SERVO_HZ)
-            for first in range(0, round(self.command.duration_s * SERVO_HZ), hop)
-        ]
-        joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
+        window = self.bundle.window if self.bundle is not None else None
+        hop = round((window.hop / window.rate_hz if window is not None else 1.0) * SERVO_HZ)
+        starts = range(0, round(self.command.duration_s * SERVO_HZ), hop)
+        parts = [self._hop(np.arange(first, first + hop) / SERVO_HZ) for first in starts]
+        t, command, tool, arrived = (np.concatenate(column) for column in zip(*parts, strict=True))
         told = np.array(self.told).reshape(-1, 3)
         return LoopRecord(
-            *joined, gains=told[:, 0], lags_deg=told[:, 1], left_um=told[:, 2],
+            t, command, tool, arrived, told[:, 0], told[:, 1], told[:, 2],
             guard=self.brain.guard.counted() if self.brain else {}, saturated=self.saturated,
             alarm=self.watch.alarm,
         )  # fmt: skip

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cmath
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from dtwin.acquire.virtual_turning import virtual_slide
 from dtwin.features.sine import fit_tone
 from dtwin.machines.turning import SERVO_HZ, Slide
 from dtwin.pipeline.turning_loop import CLOCK, LoopRecord, ToneCommand, run_loop
+from dtwin.report.turning_plots import Surface
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 
@@ -27,24 +27,6 @@ _SWELL_S = 1.0
 # The rim: where the form is largest and the published figures were taken.
 _RIM_SHARE = 0.9
 Progress = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A cut surface along its spiral.
-
-    Attributes
-    ----------
-    x_mm, turned_rad : ndarray, shape (n,)
-        Radius and spindle angle.
-    wanted_um, cut_um : ndarray, shape (n,)
-        Height as commanded and as cut.
-    """
-
-    x_mm: Floats
-    turned_rad: Floats
-    wanted_um: Floats
-    cut_um: Floats
 
 
 def bicuspid(frequency_hz: float) -> ToneCommand:
@@ -156,7 +138,9 @@ def trial(
         "surface": f"z = {SLOPE_UM_PER_MM / 1000:g} x sin 2C - {SLOPE_UM_PER_MM / 1000:g} x, "
         f"x to {RIM_MM:g} mm, {FEED_UM_PER_REV:g} um a turn",
         "rows": rows,
-        "worse": [r["frequency_hz"] for r in rows if r["after"]["vector_um"] > r["before"]["vector_um"]],
+        "worse": [
+            r["frequency_hz"] for r in rows if r["after"]["vector_um"] > r["before"]["vector_um"]
+        ],
     }, surfaces
 
 

@@ -15,7 +15,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
 from dtwin.report.plots import error_figure, magnification_for, polar_figure
 from dtwin.schema import Floats, Run
-from dtwin.train.results import Candidate, TrainingReport
+from dtwin.train.results import Candidate, TrainingReport, condition_name
 
 THESIS_REDUCTION = (
     "The source thesis reports 55.35 % less mean error over its XYZ circles (table 7-2). It is "
@@ -107,8 +107,9 @@ def training_section(report: TrainingReport) -> Section:
         [
             f"Campaign {report.campaign} on {report.machine}: {report.n_runs} runs, "
             f"{report.n_rows} rows. Error without a model {report.rms_before_um:.1f} um RMS after "
-            f"centre and radius of each set-up; repeats of the same condition disagree by "
-            f"{report.noise_floor_um:.1f} um (unit of replication: the run).",
+            f"centre and radius of each set-up; what repeats of the same condition disagree by: "
+            f"{report.noise_floor_text} (unit of replication: the run).",
+            *report.told,
             "Every error is on conditions that were left out as a whole: all runs of one "
             + ", or of one ".join(_LEFT_OUT[group] for group in proposed.scores)
             + ", at a time.",
@@ -144,11 +145,7 @@ def comparison_table(
         rows.append(
             [
                 c.name,
-                *(
-                    text
-                    for s in c.scores.values()
-                    for text in (f"{s.r2:.3f}", f"{s.rms_um:.{1 if s.rms_um >= 1 else 3}f}")
-                ),
+                *(text for s in c.scores.values() for text in (f"{s.r2:.3f}", _um(s.rms_um))),
                 f"{c.latency.p50_us:.2f}" if c.latency else "-",
                 f"{c.latency.p99_us:.2f}" if c.latency else "-",
                 str(c.complexity),
@@ -203,7 +200,7 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     """Return head and rows of before, after, oracle and floor per condition."""
     head = [
         "condition",
-        "feed trained",
+        "trained",
         "before um",
         "after um",
         "reduction",
@@ -219,11 +216,11 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
             [
                 condition_name(c),
                 "yes" if c["trained"] else "no",
-                f"{c['before_um']:.1f} +- {c['before_ci_um']:.1f}",
-                f"{c['after_um']:.1f} +- {c['after_ci_um']:.1f}",
+                f"{_um(c['before_um'])} +- {_um(c['before_ci_um'])}",
+                f"{_um(c['after_um'])} +- {_um(c['after_ci_um'])}",
                 f"{100 * c['reduction']:.0f} %",
-                f"{c['oracle_um']:.1f}",
-                f"{c['floor_um']:.1f}",
+                "-" if c["oracle_um"] is None else _um(c["oracle_um"]),
+                _um(c["floor_um"]),
                 str(c["n_runs"]),
                 f"{100 * c.get('acted', {}).get('outside_box', 0.0):.1f} %",
                 "yes" if c["worse"] else "no",
@@ -232,11 +229,9 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     return head, rows
 
 
-def condition_name(condition: Mapping[str, Any]) -> str:
-    """Return what a condition of closed-loop evidence is called."""
-    if "frequency_hz" in condition:
-        return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
-    return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"
+def _um(value: float) -> str:
+    """Return an error in um; of tones, thousandths count."""
+    return f"{value:.1f}" if abs(value) >= 1.0 or value == 0.0 else f"{value:.3f}"
 
 
 _LEFT_OUT = {

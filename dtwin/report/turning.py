@@ -7,7 +7,9 @@ from dataclasses import asdict
 from typing import Any
 
 from dtwin.acquire.sinusoidal_runs import commanded, followed, heard
+from dtwin.report.html import Section, Table
 from dtwin.report.text import table
+from dtwin.report.turning_plots import Surface, form_figure, surface_figures_of
 from dtwin.schema import Run
 
 
@@ -56,8 +58,99 @@ def tone_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
         cells = [format(tone[key], form) if key in tone else "-" for _, key, form in _COLUMNS]
         told = ", ".join(f["code"] for f in run["findings"] if f["severity"] != "info")
         rows.append([run["run"], *cells, told or "-"])
-    told = {f["code"]: f for run in runs for f in run["findings"]}
+    by_code = {f["code"]: f for run in runs for f in run["findings"]}
     return [
         *table(("run", *(title for title, _, _ in _COLUMNS), "findings"), rows).splitlines(),
-        *(f"{f['severity']}: {f['message']}" for f in told.values()),
+        *(f"{f['severity']}: {f['message']}" for f in by_code.values()),
     ]
+
+
+_FIGURES = (
+    ("form um", "form_um", ".3f"),
+    ("phase deg", "phase_deg", ".3f"),
+    ("vector um", "vector_um", ".3f"),
+    ("p-v um", "peak_to_valley_um", ".3f"),
+)
+
+
+def trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of surfaces without and with a correction.
+
+    Parameters
+    ----------
+    found : mapping
+        From ``dtwin.pipeline.turning_trial.trial``.
+    """
+    head = ["Hz", "rpm", *(f"{title}: without, with" for title, _, _ in _FIGURES), "alarm"]
+    rows = []
+    for row in found["rows"]:
+        cells = [
+            f"{row['before'][key]:{form}}, {row['after'][key]:{form}} "
+            f"({-100.0 * row['reduction'][key]:+.1f} %)"
+            for _, key, form in _FIGURES
+        ]
+        rows.append(
+            [f"{row['frequency_hz']:g}", f"{row['spindle_rpm']:g}", *cells, row["alarm"] or "-"]
+        )
+    return head, rows
+
+
+def trial_text(found: Mapping[str, Any]) -> str:
+    """Return surfaces without and with a correction for a terminal."""
+    guard: dict[str, int] = {}
+    for row in found["rows"]:
+        for name, count in row["guard"].items():
+            guard[name] = guard.get(name, 0) + count
+    acted = ", ".join(f"{name} {count}" for name, count in guard.items())
+    worse = ", ".join(f"{f:g} Hz" for f in found["worse"]) or "none"
+    return "\n".join(
+        [
+            f"{found['surface']}; at the rim; {found['clock']}, slide {found['truth']}",
+            table(*trial_table(found)),
+            f"frequencies that became worse: {worse}; guard, ticks: {acted}",
+        ]
+    )
+
+
+def trial_section(
+    found: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]
+) -> Section:
+    """Return the section about surfaces without and with a correction.
+
+    Parameters
+    ----------
+    found : mapping
+        From ``dtwin.pipeline.turning_trial.trial``.
+    surfaces : mapping of float to (Surface, Surface)
+        Without and with, by frequency; may be empty.
+    """
+    figures = [form_figure(found["rows"])]
+    if surfaces:
+        figures += surface_figures_of(max(surfaces), surfaces[max(surfaces)])
+    return Section(
+        "Surfaces without and with the correction",
+        [
+            f"Bicuspid surface {found['surface']}. Form and phase error are those of the rim; vector is "
+            f"the length of the difference of both sines. {found['clock']}; virtual slide: "
+            f"{found['truth']}.",
+        ],
+        [
+            ("warning", f"{r['frequency_hz']:g} Hz: {r['alarm']}")
+            for r in found["rows"]
+            if r["alarm"]
+        ],
+        [Table(*trial_table(found))],
+        figures,
+    )
+
+
+def gate_lines(verdicts: Sequence[Any]) -> list[str]:
+    """Return one line for each gate."""
+    return [f"  {'passed' if v.passed else 'FAILED'}  {v.gate}: {v.reason}" for v in verdicts]
+
+
+def paper_text(found: Mapping[str, Any]) -> str:
+    """Return the comparison with the published slide."""
+    judged = {True: "yes", False: "no", None: "-"}
+    rows = [[i["what"], i["paper"], i["ours"], judged[i["follows"]]] for i in found["lines"]]
+    return "\n".join([table(("figure", "the paper", "ours", "follows"), rows), "", *found["told"]])

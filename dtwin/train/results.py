@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -168,6 +169,19 @@ class TrainingReport:
     seed: int
     told: tuple[str, ...] = ()
 
+    @property
+    def noise_floor_text(self) -> str:
+        """The noise floor with its unit, or that nobody knows it."""
+        known = not math.isnan(self.noise_floor_um)
+        return f"{self.noise_floor_um:.1f} um" if known else "unknown without repeats"
+
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""
         return next(c for c in self.candidates if c.name == name)
+
+
+def condition_name(condition: Mapping[str, Any]) -> str:
+    """Return what a condition of closed-loop evidence is called: a circle, or a tone."""
+    if "frequency_hz" in condition:
+        return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+    return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from dtwin import __version__
-from dtwin.features.tone_window import TONE_FEATURES, tone_columns
+from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, TONE_FEATURES, tone_columns
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
@@ -17,7 +17,7 @@ from dtwin.train.tone_groups import HEARD, SENT_RMS, ToneGroups
 from dtwin.train.tone_laws import Law
 
 SERVO_HZ = 8000.0
-PHASE, AMPLITUDE = "command_phase_rad", "command_amplitude_um"
+PHASE, AMPLITUDE = COMMAND_PHASE, COMMAND_AMPLITUDE
 OUTPUT = "correction_z_um"
 # The sine follows a new window over this time: no step.
 FOLLOW_S = 0.25
@@ -91,14 +91,16 @@ def _inputs(amplitude: Law, phase: Law, groups: ToneGroups) -> list[Input]:
     ]
     for name in used:
         low, high = float(columns[name].min()), float(columns[name].max())
-        unit = groups.contract.channels[1].rsplit("_", 1)[1] if name.endswith("_g") else name.rsplit("_", 1)[1]
+        unit = (
+            groups.contract.channels[1].rsplit("_", 1)[1]
+            if name.endswith("_g")
+            else name.rsplit("_", 1)[1]
+        )
         found.append(Input(name, unit, "sensor", rate, "feature", low / _ROOM, high * 1.02))
     return found
 
 
-def _window_graph(
-    amplitude: Law, phase: Law, boxes: dict[str, tuple[float, float]]
-) -> Graph:
+def _window_graph(amplitude: Law, phase: Law, boxes: dict[str, tuple[float, float]]) -> Graph:
     builder = GraphBuilder()
     features: dict[str, Expression] = {}
     for name in {*amplitude.features, *phase.features, SENT_RMS}:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
@@ -24,7 +26,9 @@ from dtwin.train.tone_narx import Narx
 # Amplitude error in um and lag in degrees of groups, from a fit to others.
 Predicted = tuple[Floats, Floats]
 Predict = Callable[[ToneGroups, ToneGroups], Predicted]
-_PAIRED = (("power-law", power_law), ("printed-form", printed_form), ("two-modes", two_modes))
+FORMS: dict[str, Callable[[ToneGroups], tuple[Law, Law]]] = {
+    "two-modes": two_modes, "power-law": power_law, "printed-form": printed_form,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ def _r2(true: Floats, predicted: Floats) -> float:
 
 def law_candidates(
     groups: ToneGroups, machine: str, engine: Engine | None, seed: int,
-    table_versions: dict[str, int], action: Action = "inverse",
+    table_versions: dict[str, int],
 ) -> list[Candidate]:  # fmt: skip
     """Return the candidates that are equations, each with its bundle.
 
@@ -101,18 +105,30 @@ def law_candidates(
         Of the search.
     table_versions : dict of str to int
         Versions of the lake's tables.
-    action : str
-        What a bundle does with its prediction.
     """
-    def with_form(fit: Callable[[ToneGroups], tuple[Law, Law]]) -> Predict:
-        return lambda train, test: _values(fit(train), test)
+    given = [form_candidate(groups, machine, name, table_versions) for name in FORMS]
+    return [*given, searched_candidate(groups, machine, engine, seed, table_versions)]
 
-    def frozen(laws: tuple[Law, Law], name: str, found: Judged) -> Candidate:
-        return _law_candidate(groups, laws, name, found, machine, table_versions, action)
 
-    made = [
-        frozen(fit(groups), name, judged(groups, with_form(fit))) for name, fit in _PAIRED
-    ]  # fmt: skip
+def form_candidate(
+    groups: ToneGroups, machine: str, name: str, table_versions: dict[str, int],
+    action: Action = "inverse",
+) -> Candidate:  # fmt: skip
+    """Return the candidate of one of ``FORMS``; parameters as for :func:`law_candidates`."""
+    fit = FORMS[name]
+
+    def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
+        return _values(fit(train), test)
+
+    found = judged(groups, predict)
+    return _law_candidate(groups, fit(groups), name, found, machine, table_versions, action)
+
+
+def searched_candidate(
+    groups: ToneGroups, machine: str, engine: Engine | None, seed: int,
+    table_versions: dict[str, int], action: Action = "inverse",
+) -> Candidate:  # fmt: skip
+    """Return the candidate of the free search; parameters as for :func:`law_candidates`."""
     amplitude, phase, front = searched(groups, engine, seed)
 
     def again(train: ToneGroups, test: ToneGroups) -> Predicted:
@@ -122,10 +138,12 @@ def law_candidates(
         )  # fmt: skip
 
     name = f"symbolic-{engine.name if engine else 'operon'}"
-    symbolic = frozen((amplitude, phase), name, judged(groups, again))
+    made = _law_candidate(
+        groups, (amplitude, phase), name, judged(groups, again), machine, table_versions, action
+    )
     note = "the form was found on all groups; only its constants were fitted without those left out"
     front_rows = tuple({"nodes": p["nodes"], "rms_um": p["rms"]} for p in front)
-    return [*made, replace(symbolic, front=front_rows, findings=(*symbolic.findings, note))]
+    return replace(made, front=front_rows, findings=(*made.findings, note))
 
 
 def _values(laws: tuple[Law, Law], groups: ToneGroups) -> Predicted:
@@ -165,6 +183,7 @@ def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
     seed : int
         Of the regressors.
     """
+
     def mean(train: ToneGroups, test: ToneGroups) -> Predicted:
         one = np.ones(test.n)
         return one * train.amplitude_error_um.mean(), one * train.phase_error_deg.mean()
@@ -172,17 +191,22 @@ def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
     ways: list[tuple[str, Any, int, Predict]] = [
         ("zero", "baseline", 0, lambda train, test: (np.zeros(test.n), np.zeros(test.n))),
         ("constant", "baseline", 2, mean),
-        ("narx", "baseline", 2 * Narx.LAGS + 1, _narx),
     ]
     ways += [
         (r.name, r.family, 0, _regressor(r, seed)) for r in RECIPES if r.columns == "all"
     ]  # fmt: skip
-    return [_compared(groups, *way) for way in ways]
+    with warnings.catch_warnings():
+        # A comparison model that has not converged is judged as it is.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return [narx_candidate(groups), *(_compared(groups, *way) for way in ways)]
 
 
-def _compared(
-    groups: ToneGroups, name: str, family: Any, size: int, predict: Predict
-) -> Candidate:
+def narx_candidate(groups: ToneGroups) -> Candidate:
+    """Return the baseline that predicts the tool's error from lagged commands."""
+    return _compared(groups, "narx", "baseline", 2 * Narx.LAGS + 1, _narx)
+
+
+def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Predict) -> Candidate:
     found = judged(groups, predict)
     rest = groups.amplitude_error_um - predict(groups, groups)[0]
     return Candidate(
@@ -206,7 +230,9 @@ def _regressor(recipe: Recipe, seed: int) -> Predict:
 
 def _narx(train: ToneGroups, test: ToneGroups) -> Predicted:
     model = Narx.fitted(train)
-    found = [model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)]
+    found = [
+        model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)
+    ]
     values: NDArray[np.float64] = np.array(found)
     return values[:, 0], values[:, 1]
 

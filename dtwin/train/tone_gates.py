@@ -11,8 +11,9 @@ from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.gates import Verdict, bounded_gate
-from dtwin.train.tone_bundle import AMPLITUDE, PHASE
+from dtwin.serve.safety import Guard
+from dtwin.train.gates import Verdict
+from dtwin.train.tone_bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.train.tone_groups import HELD_OUT, SENT_RMS, ToneGroups, dead_features
 from dtwin.train.tone_laws import MOST_FEATURES
 
@@ -22,6 +23,7 @@ MOST_ERROR_UM = 0.1
 MOST_RADIUS = 0.68
 TICK_BUDGET_US = 12.5
 _WINDOWS = 12
+_TICKS = 200
 _STILL = 1e-3
 
 
@@ -156,7 +158,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
             "stable on its own correction", radius <= MOST_RADIUS,
             f"spectral radius from window to window {radius:.3f}; at most {MOST_RADIUS:g}",
         ),
-        bounded_gate(bundle),
+        _bounded(bundle),
         _proved(bundle),
         Verdict("latency", p99 <= TICK_BUDGET_US, f"p99 {p99:.2f} us of {TICK_BUDGET_US:g}"),
     ]  # fmt: skip
@@ -187,7 +189,7 @@ def _features_used(bundle: Bundle) -> dict[str, Sequence[str]]:
     graph = bundle.window_graph
     sensor = set(tone_columns(bundle.window.channels[1]))
     assert len(sensor) == len(TONE_FEATURES)
-    found = {}
+    found: dict[str, Sequence[str]] = {}
     for output in ("amplitude_error_um", "phase_error_rad"):
         needed, pending = set(), [graph.outputs[output]]
         while pending:
@@ -197,6 +199,32 @@ def _features_used(bundle: Bundle) -> dict[str, Sequence[str]]:
                 needed.add(node.name)
         found[output] = sorted(needed & sensor)
     return found
+
+
+def _bounded(bundle: Bundle) -> Verdict:
+    """Whatever windows and commands come in, what goes out is finite and inside the clamp."""
+    rng = np.random.default_rng(7)
+    compiled = CompiledBundle(bundle)
+    low, high = (np.array([getattr(i, end) for i in bundle.inputs]) for end in ("low", "high"))
+    features = np.array([i.source == "feature" for i in bundle.inputs])
+    guard = Guard(bundle.safety, low, high)
+    raw = largest = 0.0
+    for scale in (1.0, 3.0, 1e6):
+        for _ in range(100):
+            drawn = 0.5 * (low + high) + 0.5 * (high - low) * scale * rng.uniform(-1, 1, len(low))
+            compiled.window(drawn[features])
+            wanted = np.zeros((_TICKS, 3))
+            wanted[:, 2] = compiled.run(np.tile(drawn[~features], (_TICKS, 1)))[:, 0]
+            sent = guard.run(wanted, np.tile(drawn, (_TICKS, 1)), elapsed_s=1.0 / SERVO_HZ)
+            if not (np.isfinite(wanted).all() and np.isfinite(sent).all()):
+                return Verdict("bounded output", False, "not finite")
+            largest = max(largest, float(np.max(np.abs(sent))))
+            raw = max(raw, float(np.max(np.abs(wanted)))) if scale == 1.0 else raw
+    return Verdict(
+        "bounded output", largest <= bundle.safety.clamp_um * (1.0 + 1e-9),
+        f"up to {raw:.1f} um inside the box, {largest:.1f} um after a clamp of "
+        f"{bundle.safety.clamp_um:.1f} um whatever comes in",
+    )  # fmt: skip
 
 
 def _proved(bundle: Bundle) -> Verdict:

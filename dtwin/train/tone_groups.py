@@ -152,9 +152,7 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
         )
     names = [n for n in found[0] if n not in ("contract", "trace")]
     arrays = {name: np.array([g[name] for g in found]) for name in names}
-    return ToneGroups(
-        contract=contracts.pop(), traces=tuple(g["trace"] for g in found), **arrays
-    )
+    return ToneGroups(contract=contracts.pop(), traces=tuple(g["trace"] for g in found), **arrays)
 
 
 def _group(run: Run) -> Mapping[str, Any] | None:

@@ -57,9 +57,7 @@ class Law:
         )
         return Law(again[0].formula, again[0].constants, self.scales) if again else self
 
-    def build(
-        self, builder: GraphBuilder, features: Mapping[str, Expression]
-    ) -> Expression:
+    def build(self, builder: GraphBuilder, features: Mapping[str, Expression]) -> Expression:
         """Add the equation to a graph, from handles of its features."""
         return _built(self.formula, builder, self.constants, features, self.scales)
 
@@ -76,7 +74,9 @@ class Law:
 Fitter = Callable[[ToneGroups], tuple[Law, Law]]
 
 
-def given_form(groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[str]) -> tuple[Law, Law]:
+def given_form(
+    groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[str]
+) -> tuple[Law, Law]:
     """Fit equations whose form is given; the best of several starts is kept.
 
     Parameters
@@ -116,9 +116,7 @@ def printed_form(groups: ToneGroups) -> tuple[Law, Law]:
         f"2.0 + 2.0 * tanh({a} * {{dominant_frequency}} + 0.1 * {{shape_factor}} + {b})"
         for a, b in ((1.0, -1.0), (0.5, -2.0), (2.0, -3.0))
     ]
-    return given_form(
-        groups, ["3.0 * {crest_factor} * exp(0.8 * log({variance} / {rms}))"], starts
-    )
+    return given_form(groups, ["3.0 * {crest_factor} * exp(0.8 * log({variance} / {rms}))"], starts)
 
 
 def two_modes(groups: ToneGroups) -> tuple[Law, Law]:
@@ -136,7 +134,9 @@ def two_modes(groups: ToneGroups) -> tuple[Law, Law]:
     )  # fmt: skip
 
 
-def searched(groups: ToneGroups, engine: Engine | None, seed: int) -> tuple[Law, Law, list[dict[str, float]]]:
+def searched(
+    groups: ToneGroups, engine: Engine | None, seed: int
+) -> tuple[Law, Law, list[dict[str, float]]]:
     """Search formulas of at most three features freely; return them and the front of amplitudes.
 
     Parameters
@@ -204,4 +204,3 @@ def _built(
         return features[formula.name] / scales[formula.name]
     parts = (_built(a, builder, constants, features, scales) for a in formula.args)
     return builder.apply(formula.op, *parts)
-

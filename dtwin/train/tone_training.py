@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 import numpy as np
-from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.store import Lake
 from dtwin.train.results import TrainingReport
@@ -51,10 +49,7 @@ def train_tones(
     tell("features of the first 5 s", 1, 1, f"{groups.n} of {everything.n} groups")
     laws = law_candidates(groups, campaign.machine, engine, seed, versions)
     tell("equations", 1, 1, "")
-    with warnings.catch_warnings():
-        # A comparison model that has not converged is judged as it is.
-        warnings.simplefilter("ignore", ConvergenceWarning)
-        others = compared_candidates(groups, seed)
+    others = compared_candidates(groups, seed)
     tell("comparison models", 1, 1, "")
     found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
     report = TrainingReport(

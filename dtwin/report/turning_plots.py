@@ -1,0 +1,102 @@
+"""Figures of turned surfaces, without and with a correction."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+
+from dtwin.report.plots import COLOURS, styled
+from dtwin.schema import Floats
+
+_MOST_POINTS = 9000
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A cut surface along its spiral.
+
+    Attributes
+    ----------
+    x_mm, turned_rad : ndarray, shape (n,)
+        Radius and spindle angle.
+    wanted_um, cut_um : ndarray, shape (n,)
+        Height as commanded and as cut.
+    """
+
+    x_mm: Floats
+    turned_rad: Floats
+    wanted_um: Floats
+    cut_um: Floats
+
+
+def form_figure(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
+    """Return form and phase error over the tool's frequency, without and with.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        ``rows`` of ``dtwin.pipeline.turning_trial.trial``.
+    """
+    figure = go.Figure()
+    frequency = [row["frequency_hz"] for row in rows]
+    for key, title, axis in (("form_um", "form, um", "y"), ("phase_deg", "phase, deg", "y2")):
+        for when, colour, dash in (
+            ("before", COLOURS["measured"], None),
+            ("after", COLOURS["second"], "dot"),
+        ):
+            figure.add_trace(
+                go.Scatter(
+                    x=frequency, y=[row[when][key] for row in rows], yaxis=axis,
+                    name=f"{title}, {'without' if when == 'before' else 'with'}",
+                    mode="lines+markers",
+                    marker={"symbol": "circle" if axis == "y" else "diamond-open", "size": 9},
+                    line={"color": colour, "dash": dash},
+                )
+            )  # fmt: skip
+    figure.update_layout(
+        title="Form and phase error at the rim",
+        xaxis={"title": "frequency of the tool, Hz"},
+        yaxis={"title": "form error, um", "type": "log"},
+        yaxis2={"title": "phase error, deg", "type": "log", "overlaying": "y", "side": "right",
+                "showgrid": False},
+    )  # fmt: skip
+    return styled(figure)
+
+
+def surface_figures_of(frequency_hz: float, cut: tuple[Surface, Surface]) -> list[go.Figure]:
+    """Return the height error over the face at one frequency, without and with, on one scale.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Of the tool.
+    cut : tuple of Surface
+        Without, and with.
+    """
+    largest = float(np.max(np.abs(cut[0].cut_um - cut[0].wanted_um)))
+    figures = []
+    for surface, title in zip(cut, ("without", "with"), strict=True):
+        step = max(1, len(surface.x_mm) // _MOST_POINTS)
+        x, angle = surface.x_mm[::step], surface.turned_rad[::step]
+        error = (surface.cut_um - surface.wanted_um)[::step]
+        figure = go.Figure(
+            go.Scattergl(
+                x=np.round(x * np.cos(angle), 4), y=np.round(x * np.sin(angle), 4), mode="markers",
+                marker={
+                    "color": np.round(error, 4), "size": 4, "cmin": -largest, "cmax": largest,
+                    "colorscale": "RdBu", "colorbar": {"title": "um"},
+                },
+                hovertemplate="x %{x} mm, y %{y} mm: %{marker.color} um<extra></extra>",
+            )
+        )  # fmt: skip
+        figure.update_layout(
+            title=f"Height error at {frequency_hz:g} Hz, {title} correction",
+            xaxis={"title": "mm"},
+            yaxis={"title": "mm", "scaleanchor": "x"},
+        )
+        figures.append(styled(figure))
+    return figures
