@@ -21,8 +21,8 @@ from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
-from dtwin.pipeline import turning_paper as turning
 from dtwin.pipeline import scheduled as schedule
+from dtwin.pipeline import turning_paper as turning
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.pipeline.work import ProgressOf

@@ -143,7 +143,11 @@ def virtual_runs(
         samples, signals = record_group(
             slide, instruments or Instruments(), frequency, amplitude, seed * 10_007 + number
         )
-        condition: dict[str, float | str] = {"axis": "Z", "frequency_hz": frequency, "amplitude_um": amplitude}
+        condition: dict[str, float | str] = {
+            "axis": "Z",
+            "frequency_hz": frequency,
+            "amplitude_um": amplitude,
+        }
         meta = RunMeta(
             f"g{number:03d}", kind="sinusoidal", condition=condition, sample_rate_hz=SAMPLE_HZ
         )

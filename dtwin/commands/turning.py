@@ -129,19 +129,23 @@ def compensate(
             "the tool cannot move so", code="turning.frequency", got=f"{chosen} Hz",
             allowed="0.5 to 200 Hz",
         )  # fmt: skip
-    # The slide is virtual: nothing can be harmed by a version that did not pass.
-    found = resolve(model, machine, home(), harmless=True)
-    bundle = load_bundle(found.path).bundle
+    if model.endswith(".json"):
+        path, told = Path(model), model
+    else:
+        # The slide is virtual: nothing can be harmed by a version that did not pass.
+        found = resolve(model, machine, home(), harmless=True)
+        path, told = found.path, found.describe()
+    bundle = load_bundle(path).bundle
     result, surfaces = trial(
         bundle, truth=truth, seed=seed, frequencies_hz=chosen,
         progress=ProgressLine("cut", quiet=as_json),
     )  # fmt: skip
-    payload: dict[str, Any] = {"model": found.describe(), **result}
+    payload: dict[str, Any] = {"model": told, **result}
     if html is not None:
         section = trial_section(result, surfaces)
-        write_text(html, page("Slow tool servo", found.describe(), [section]), "the page")
+        write_text(html, page("Slow tool servo", told, [section]), "the page")
         payload["html"] = str(html)
-    lines = [found.describe(), trial_text(result), *([str(html)] if html else [])]
+    lines = [told, trial_text(result), *([str(html)] if html else [])]
     emit(payload, lambda: "\n".join(lines), as_json=as_json)
 
 

@@ -104,7 +104,9 @@ def _condition(frequency: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
         "frequency_hz": frequency, "amplitude_um": SLOPE_UM_PER_MM * RIM_MM, "trained": True,
         "before_um": b, "after_um": a, "before_ci_um": ci[0], "after_ci_um": ci[1],
         "floor_um": float(before.std(ddof=1)), "oracle_um": None, "n_runs": len(rows),
-        "reduction": 1.0 - a / b, "worse": a - b > math.hypot(*ci),
+        "reduction": 1.0 - a / b,
+        # At the rim, or over the whole surface.
+        "worse": a - b > math.hypot(*ci) or all(r["reduction"]["rms_um"] < 0.0 for r in rows),
         "acted": {"outside_box": outside / max(ticks, 1)},
         "alarms": [r["alarm"] for r in rows if r["alarm"]],
     }  # fmt: skip

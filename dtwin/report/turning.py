@@ -9,7 +9,7 @@ from typing import Any
 from dtwin.acquire.sinusoidal_runs import commanded, followed, heard
 from dtwin.report.html import Section, Table
 from dtwin.report.text import table
-from dtwin.report.turning_plots import Surface, form_figure, surface_figures_of
+from dtwin.report.turning_plots import Surface, surface_figures_of, trial_figures
 from dtwin.schema import Run
 
 
@@ -124,7 +124,7 @@ def trial_section(
     surfaces : mapping of float to (Surface, Surface)
         Without and with, by frequency; may be empty.
     """
-    figures = [form_figure(found["rows"])]
+    figures = trial_figures(found["rows"])
     if surfaces:
         figures += surface_figures_of(max(surfaces), surfaces[max(surfaces)])
     return Section(

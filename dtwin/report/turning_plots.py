@@ -12,7 +12,7 @@ import plotly.graph_objects as go
 from dtwin.report.plots import COLOURS, styled
 from dtwin.schema import Floats
 
-_MOST_POINTS = 9000
+_MOST_POINTS = 4000
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Surface:
     cut_um: Floats
 
 
-def form_figure(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
+def trial_figures(rows: Sequence[Mapping[str, Any]]) -> list[go.Figure]:
     """Return form and phase error over the tool's frequency, without and with.
 
     Parameters
@@ -41,30 +41,30 @@ def form_figure(rows: Sequence[Mapping[str, Any]]) -> go.Figure:
     rows : sequence of mapping
         ``rows`` of ``dtwin.pipeline.turning_trial.trial``.
     """
-    figure = go.Figure()
     frequency = [row["frequency_hz"] for row in rows]
-    for key, title, axis in (("form_um", "form, um", "y"), ("phase_deg", "phase, deg", "y2")):
-        for when, colour, dash in (
-            ("before", COLOURS["measured"], None),
-            ("after", COLOURS["second"], "dot"),
+    figures = []
+    for key, title in (
+        ("form_um", "Form error at the rim, um"),
+        ("phase_deg", "Phase error at the rim, deg"),
+    ):
+        figure = go.Figure()
+        for when, name, colour in (
+            ("before", "without", COLOURS["measured"]),
+            ("after", "with", COLOURS["second"]),
         ):
             figure.add_trace(
                 go.Scatter(
-                    x=frequency, y=[row[when][key] for row in rows], yaxis=axis,
-                    name=f"{title}, {'without' if when == 'before' else 'with'}",
-                    mode="lines+markers",
-                    marker={"symbol": "circle" if axis == "y" else "diamond-open", "size": 9},
-                    line={"color": colour, "dash": dash},
+                    x=frequency, y=[row[when][key] for row in rows], name=name,
+                    mode="lines+markers", marker={"size": 9}, line={"color": colour},
                 )
             )  # fmt: skip
-    figure.update_layout(
-        title="Form and phase error at the rim",
-        xaxis={"title": "frequency of the tool, Hz"},
-        yaxis={"title": "form error, um", "type": "log"},
-        yaxis2={"title": "phase error, deg", "type": "log", "overlaying": "y", "side": "right",
-                "showgrid": False},
-    )  # fmt: skip
-    return styled(figure)
+        figure.update_layout(
+            title=title,
+            xaxis={"title": "frequency of the tool, Hz"},
+            yaxis={"type": "log", "dtick": 1, "exponentformat": "none"},
+        )
+        figures.append(styled(figure))
+    return figures
 
 
 def surface_figures_of(frequency_hz: float, cut: tuple[Surface, Surface]) -> list[go.Figure]:
@@ -80,14 +80,15 @@ def surface_figures_of(frequency_hz: float, cut: tuple[Surface, Surface]) -> lis
     largest = float(np.max(np.abs(cut[0].cut_um - cut[0].wanted_um)))
     figures = []
     for surface, title in zip(cut, ("without", "with"), strict=True):
-        step = max(1, len(surface.x_mm) // _MOST_POINTS)
-        x, angle = surface.x_mm[::step], surface.turned_rad[::step]
-        error = (surface.cut_um - surface.wanted_um)[::step]
+        # Drawn at random: a fixed step would meet the turn at a few angles only.
+        some = np.random.default_rng(0).integers(0, len(surface.x_mm), _MOST_POINTS)
+        x, angle = surface.x_mm[some], surface.turned_rad[some]
+        error = (surface.cut_um - surface.wanted_um)[some]
         figure = go.Figure(
-            go.Scattergl(
+            go.Scatter(
                 x=np.round(x * np.cos(angle), 4), y=np.round(x * np.sin(angle), 4), mode="markers",
                 marker={
-                    "color": np.round(error, 4), "size": 4, "cmin": -largest, "cmax": largest,
+                    "color": np.round(error, 4), "size": 5, "cmin": -largest, "cmax": largest,
                     "colorscale": "RdBu", "colorbar": {"title": "um"},
                 },
                 hovertemplate="x %{x} mm, y %{y} mm: %{marker.color} um<extra></extra>",

@@ -12,7 +12,7 @@ from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.train.formula import Formula
 from dtwin.train.symbolic import Engine, Found, OperonEngine, refit
-from dtwin.train.tone_groups import ToneGroups
+from dtwin.train.tone_groups import ToneGroups, dead_features
 
 MOST_FEATURES = 3
 # Among formulas that leave less than this share of the target's spread, the shortest is taken.
@@ -139,6 +139,8 @@ def searched(
 ) -> tuple[Law, Law, list[dict[str, float]]]:
     """Search formulas of at most three features freely; return them and the front of amplitudes.
 
+    Features that are constants on clean tones are not offered to the search.
+
     Parameters
     ----------
     groups : ToneGroups
@@ -149,8 +151,9 @@ def searched(
         Of the search.
     """
     search = engine or OperonEngine(60, 500, 20, SYMBOLS)
-    scales = scales_of(groups)
-    columns = _scaled(groups.columns, scales)
+    scales, dead = scales_of(groups), dead_features(groups)
+    offered = {name: values for name, values in groups.columns.items() if name not in dead}
+    columns = _scaled(offered, scales)
     found, front = [], []
     for target in (groups.amplitude_error_um, groups.phase_error_deg):
         fitted = [
