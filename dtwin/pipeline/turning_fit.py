@@ -17,7 +17,7 @@ from dtwin.train.results import Candidate
 from dtwin.train.tone_bundle import Action
 from dtwin.train.tone_candidates import FORMS, form_candidate, searched_candidate
 from dtwin.train.tone_gates import tone_gates
-from dtwin.train.tone_groups import HEARD, ToneGroups, groups_of
+from dtwin.train.tone_groups import ToneGroups, groups_of, heard_groups
 from dtwin.train.tone_training import what_was_seen
 
 SEARCHED = "symbolic"
@@ -65,7 +65,7 @@ def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, 
     Raises
     ------
     InputError
-        When it is of another kind, or too few groups can be used.
+        When it is of another kind, or no run can be learned from.
     """
     campaign, sources, total = open_source(folder)
     if campaign.kind != "sinusoidal":
@@ -99,7 +99,7 @@ def fitted_tones(
     seed : int
         Of the search.
     """
-    groups = everything.only(everything.heard >= HEARD)
+    groups = heard_groups(everything)
     if model == SEARCHED:
         candidate = searched_candidate(groups, machine, None, seed, {}, action)
     else:

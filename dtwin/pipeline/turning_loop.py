@@ -177,7 +177,8 @@ class _Loop:
         assert self.brain is not None
         gain, lag = self.brain.gain, self.brain.lag_rad
         frequency = self.command.frequency_hz
-        wanted, given = fit_tone(t, command, frequency), fit_tone(t, sent, frequency)
+        every = round(SERVO_HZ / self.brain.rate_hz)
+        wanted, given = (fit_tone(t[::every], v[::every], frequency) for v in (command, sent))
         left = abs(given.phasor * gain * cmath.exp(-1j * lag) - wanted.phasor)
         self.watch.window(left, inside=self.brain.inside)
         self.told.append((gain, float(np.degrees(lag)), left))

@@ -21,7 +21,9 @@ from dtwin.pipeline.turning_trial import trial
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.tone_candidates import narx_candidate
-from dtwin.train.tone_groups import HEARD, HELD_OUT, ToneGroups, exponent, groups_of
+from dtwin.train.tone_gates import features_used
+from dtwin.train.tone_groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
+from dtwin.train.tone_laws import MOST_FEATURES
 from dtwin.train.tone_training import what_was_seen
 from dtwin.units import UM_PER_MM
 
@@ -63,7 +65,7 @@ def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, An
     law = fitted_tones(MACHINE, groups, "two-modes", "inverse", seed)
     free = fitted_tones(MACHINE, groups, "symbolic", "inverse", seed)
     printed = fitted_tones(MACHINE, groups, "printed-form", "inverse", seed)
-    narx = narx_candidate(groups.only(groups.heard >= HEARD))
+    narx = narx_candidate(heard_groups(groups))
     lines += learning_lines(law, free, printed, narx)
     progress(3, steps, "equations")
     cut, _ = trial(law.bundle, seed=seed + 1)
@@ -127,10 +129,10 @@ def exponent_lines(groups: ToneGroups, hardened: ToneGroups) -> list[Line]:
     groups, hardened : ToneGroups
         Of the linear slide, and of the one with a hardening joint.
     """
-    heard = groups.only(groups.heard >= HEARD)
+    heard = heard_groups(groups)
     own = exponent(heard.feature("rms"), heard.beyond_encoder_um)
     total = exponent(heard.feature("rms"), heard.amplitude_error_um)
-    hard = hardened.only(hardened.heard >= HEARD)
+    hard = heard_groups(hardened)
     stiff = exponent(hard.feature("rms"), hard.amplitude_error_um)
     f = np.array(list(PRINTED_UM))
     error = np.array(list(PRINTED_UM.values()))
@@ -169,7 +171,7 @@ def learning_lines(
         r2 = ", ".join(f"{c.scores[g].r2:.4f}" for g in HELD_OUT)
         phase = ", ".join(f"{c.numbers[f'leave_{g}_out.phase_r2']:.4f}" for g in HELD_OUT)
         mean = ", ".join(f"{1000 * c.scores[g].mae_um:.1f}" for g in HELD_OUT)
-        used = next(v.reason for v in made.verdicts if v.gate == "at most three features")
+        used = [len(columns) for columns in features_used(made.bundle).values()]
         lines += [
             _line(f"{name}: R2 of amplitude (frequency, amplitude out)", "0.989", r2,
                   all(c.scores[g].r2 >= 0.98 for g in HELD_OUT)),
@@ -177,7 +179,7 @@ def learning_lines(
                   all(c.numbers[f"leave_{g}_out.phase_r2"] >= 0.95 for g in HELD_OUT)),
             _line(f"{name}: mean amplitude error", "68.3 nm", f"{mean} nm",
                   all(c.scores[g].mae_um <= 0.1 for g in HELD_OUT)),
-            _line(f"{name}: features", "3 and 2 of 12", used, made.verdicts[3].passed),
+            _line(f"{name}: features", "3 and 2 of 12", f"{used[0]} and {used[1]}", max(used) <= MOST_FEATURES),
         ]  # fmt: skip
     dead = printed.candidate.numbers["dead_terms"]
     timing = bundle_latency(law.bundle)
@@ -240,7 +242,7 @@ def action_lines(groups: ToneGroups, seed: int) -> list[Line]:
         lines.append(
             _line(f"40 Hz, {what}", "-87 %, -95 %",
                   f"form {-100 * less['form_um']:+.0f} %, phase {-100 * less['phase_deg']:+.0f} %; spectral "
-                  f"radius {radius:.2f}; alarm: {row['alarm'] or 'none'}",
+                  f"radius {radius:.2f}; {'released by the alarm' if row['alarm'] else 'no alarm'}",
                   less["form_um"] >= 0.85 and less["phase_deg"] >= 0.93)
         )  # fmt: skip
     return lines

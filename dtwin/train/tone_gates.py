@@ -140,7 +140,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     metrics : mapping of str to float
         What training logged: held-out scores, spectral radius, dead terms, latency.
     """
-    used = _features_used(bundle)
+    used = features_used(bundle)
     radius = metrics.get("spectral_radius", float("nan"))
     dead = metrics.get("dead_terms", float("nan"))
     p99 = metrics.get("latency_p99_us", float("inf"))
@@ -183,7 +183,8 @@ def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
     return found
 
 
-def _features_used(bundle: Bundle) -> dict[str, Sequence[str]]:
+def features_used(bundle: Bundle) -> dict[str, Sequence[str]]:
+    """Return the accelerometer's features that amplitude and phase error are made of."""
     assert bundle.window is not None
     assert bundle.window_graph is not None
     graph = bundle.window_graph

@@ -28,6 +28,7 @@ SENT_RMS = f"{SENT[:-3]}_rms_um"
 HELD_OUT = ("frequency_hz", "amplitude_um")
 # Below this share of the tone in the accelerometer's power its features are noise.
 HEARD = 0.5
+_FEWEST = 3
 _CLEAN = 0.999
 _DEAD = 0.02
 _SAME = 0.999
@@ -134,16 +135,13 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
     Raises
     ------
     InputError
-        When fewer than two frequencies and two amplitudes remain, or rates and channels differ.
+        When no run has all of them, or rates and channels differ.
     """
     found = [group for run in runs if (group := _group(run)) is not None]
-    frequencies = {g["frequency_hz"] for g in found}
-    amplitudes = {g["amplitude_um"] for g in found}
-    if min(len(frequencies), len(amplitudes)) < 2:
+    if not found:
         raise InputError(
-            "a model cannot be judged on one frequency or one amplitude", code="train.grid",
-            where=where, got=f"{len(found)} usable groups", allowed="two of each at least",
-            hint="a group needs tool_z_mm, an accelerometers signal and 6 s: dtwin check says more",
+            "no run can be learned from", code="train.tones", where=where, got=f"{len(runs)} runs",
+            allowed="tool_z_mm, an accelerometers signal, six seconds", hint="dtwin check says more",
         )  # fmt: skip
     contracts = {g["contract"] for g in found}
     if len(contracts) > 1:
@@ -153,6 +151,30 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
     names = [n for n in found[0] if n not in ("contract", "trace")]
     arrays = {name: np.array([g[name] for g in found]) for name in names}
     return ToneGroups(contract=contracts.pop(), traces=tuple(g["trace"] for g in found), **arrays)
+
+
+def heard_groups(everything: ToneGroups) -> ToneGroups:
+    """Return the groups that the accelerometer hears.
+
+    Parameters
+    ----------
+    everything : ToneGroups
+        All groups of a campaign.
+
+    Raises
+    ------
+    InputError
+        When fewer than three frequencies or three amplitudes remain: none could be left out.
+    """
+    groups = everything.only(everything.heard >= HEARD)
+    counts = [len(np.unique(groups.label(name))) for name in HELD_OUT]
+    if min(counts) < _FEWEST:
+        raise InputError(
+            "too few tones to judge a model by what was left out", code="train.grid",
+            got=f"{counts[0]} frequencies and {counts[1]} amplitudes that the accelerometer hears",
+            allowed=f"{_FEWEST} of each at least", hint="dtwin check says how much of a tone is heard",
+        )  # fmt: skip
+    return groups
 
 
 def _group(run: Run) -> Mapping[str, Any] | None:

@@ -12,10 +12,10 @@ from dtwin.train.symbolic import Engine
 from dtwin.train.tone_candidates import compared_candidates, law_candidates, proposed
 from dtwin.train.tone_gates import MOST_RADIUS
 from dtwin.train.tone_groups import (
-    HEARD,
     ToneGroups,
     exponent,
     feature_findings,
+    heard_groups,
     load_tone_groups,
 )
 from dtwin.train.training import Progress, Training
@@ -45,7 +45,7 @@ def train_tones(
     tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
     everything = load_tone_groups(lake, lake.runs(name))
-    groups = everything.only(everything.heard >= HEARD)
+    groups = heard_groups(everything)
     tell("features of the first 5 s", 1, 1, f"{groups.n} of {everything.n} groups")
     laws = law_candidates(groups, campaign.machine, engine, seed, versions)
     tell("equations", 1, 1, "")
@@ -70,7 +70,7 @@ def what_was_seen(everything: ToneGroups) -> list[str]:
     everything : ToneGroups
         All groups of a campaign.
     """
-    groups = everything.only(everything.heard >= HEARD)
+    groups = heard_groups(everything)
     acceleration = groups.feature("rms")
     deaf = everything.n - groups.n
     return [

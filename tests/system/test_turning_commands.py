@@ -10,11 +10,11 @@ import pytest
 from shown_commands import blocks, follow, page
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_turning import simulate_turning
+from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_slide
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.pipeline.turning_paper import turning_paper
+from dtwin.pipeline.turning_paper import calibration_lines, turning_paper
 from dtwin.report.turning import paper_text
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
@@ -32,7 +32,7 @@ def invoke(*words: str, code: int = 0) -> str:
 @pytest.fixture(scope="module")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("turning") / "tones"
-    simulate_turning(folder, quick=True)
+    simulate_turning(folder, grid=Grid((10.0, 20.0, 30.0, 40.0), (2.0, 6.0, 11.0)))
     return folder
 
 
@@ -101,6 +101,14 @@ def test_bad_input_is_refused(campaign: Path, tmp_path: Path) -> None:
             CliRunner().invoke(app, ["turning", *words], catch_exceptions=False)
 
 
+def test_the_mechanism_is_compared_with_the_printed_figures() -> None:
+    lines = calibration_lines(virtual_slide("linear"))
+    judged = [line["follows"] for line in lines]
+    assert (judged.count(True), judged.count(False), judged.count(None)) == (8, 1, 1)
+    assert "1.97 um, but" in paper_text({"lines": lines, "told": []})
+
+
+@pytest.mark.long
 def test_the_comparison_is_made_of_figures_that_can_be_judged() -> None:
     found = turning_paper(quick=True, seed=1, progress=lambda *_: None)
     lines = {line["what"]: line for line in found["lines"]}

@@ -171,6 +171,9 @@ def test_what_is_below_the_noise_is_not_corrected(made: FittedTones) -> None:
 
 
 def test_too_small_a_grid_is_refused() -> None:
-    with pytest.raises(InputError, match="one frequency or one amplitude"):
-        measured(grid=Grid((5.0,), (1.0, 2.0)))
+    few = measured(grid=Grid((1.0, 5.0, 40.0), (1.0, 2.0, 9.0)))
+    with pytest.raises(InputError, match="too few tones"):
+        fitted_tones("m", few, "two-modes", "inverse", 0)
+    with pytest.raises(InputError, match="no run can be learned from"):
+        groups_of([], "here")
     assert len(PUBLISHED.groups) == 99
