@@ -139,7 +139,9 @@ def trial(
         f"x to {RIM_MM:g} mm, {FEED_UM_PER_REV:g} um a turn",
         "rows": rows,
         "worse": [
-            r["frequency_hz"] for r in rows if r["after"]["vector_um"] > r["before"]["vector_um"]
+            r["frequency_hz"]
+            for r in rows
+            if min(r["reduction"]["vector_um"], r["reduction"]["rms_um"]) < 0.0
         ],
     }, surfaces
 

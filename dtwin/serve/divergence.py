@@ -9,7 +9,7 @@ SMALLEST_UM = 0.05
 _GROWTH = 1.05
 _RISES = 3
 _WORSE_THAN_NOTHING = 1.2
-_THROWN, _MUCH = 2, 0.4
+_THROWN, _MUCH, _NOTABLE = 2, 0.4, 0.2
 
 
 @dataclass
@@ -34,7 +34,7 @@ class DivergenceWatch:
         """Take the error of a new window; return the alarm, empty while all is well.
 
         An alarm stays. It is raised when the error is well above what it was without correction, has
-        grown three windows in a row, or has twice thrown the motion out of the validity box while much of
+        grown three windows in a row to more than a fifth of that, or has twice thrown the motion out of the validity box while much of
         it was left: a correction that the box switches off and on again does not settle.
 
         Parameters
@@ -49,7 +49,8 @@ class DivergenceWatch:
         if self.without_um is None:
             self.without_um = left_um
         elif not self.alarm:
-            grew = left_um > _GROWTH * self._last_um and left_um > SMALLEST_UM
+            much = max(_NOTABLE * self.without_um, SMALLEST_UM)
+            grew = left_um > _GROWTH * self._last_um and left_um > much
             self._rises = self._rises + 1 if grew else 0
             if not left_um <= max(_WORSE_THAN_NOTHING * self.without_um, SMALLEST_UM):
                 self.alarm = (
