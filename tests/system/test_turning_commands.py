@@ -19,6 +19,8 @@ from dtwin.report.turning import paper_text
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
+from flows._runtime import run
+from flows.turning import turning_paper_flow
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
@@ -122,3 +124,11 @@ def test_the_comparison_is_made_of_figures_that_can_be_judged() -> None:
     text = paper_text(found)
     assert "the paper" in text
     assert "dead constant" in text
+
+
+@pytest.mark.long
+def test_the_flow_gives_the_same_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    found = run(turning_paper_flow, quick=True)
+    assert found["groups"] == 24
+    assert {line["follows"] for line in found["lines"]} == {True, False, None}
