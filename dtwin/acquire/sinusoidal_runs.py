@@ -19,7 +19,8 @@ SAFE_SHARE = 0.8
 _FEWEST_PER_PERIOD = 10.0
 # A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
 _CLIPPED_SHARE = 0.05
-_HEARD = 0.5
+# Below this share of the tone in the accelerometer's power its features are noise.
+HEARD = 0.5
 _SAME_TONE = 0.9
 
 
@@ -233,7 +234,7 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
     if group.name != "accelerometers" or not group.columns:
         return found
     tone = heard(run)
-    if tone is not None and tone.share < _HEARD:
+    if tone is not None and tone.share < HEARD:
         found.append(
             Finding(
                 "sensor.below_noise", "warning",

@@ -59,7 +59,7 @@ def fit(
 ) -> None:
     """Fit amplitude and phase error of tones, judge the equations, write them as a bundle."""
     from dtwin.pipeline.turning_fit import MODELS, fitted_tones, folder_groups, write_tones
-    from dtwin.report.turning import gate_lines
+    from dtwin.report.lathe import gate_lines
     from dtwin.train.tone_bundle import ACTIONS
 
     if model not in MODELS or action not in ACTIONS:

@@ -144,11 +144,6 @@ def trial_section(
     )
 
 
-def gate_lines(verdicts: Sequence[Any]) -> list[str]:
-    """Return one line for each gate."""
-    return [f"  {'passed' if v.passed else 'FAILED'}  {v.gate}: {v.reason}" for v in verdicts]
-
-
 def paper_text(found: Mapping[str, Any]) -> str:
     """Return the comparison with the published slide."""
     judged = {True: "yes", False: "no", None: "-"}

@@ -15,6 +15,7 @@ from dtwin.serve.graph import Graph
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
 from dtwin.train.tone_groups import SENT_RMS, ToneGroups
 from dtwin.train.tone_laws import Law
+from dtwin.units import unit_of
 
 SERVO_HZ = 8000.0
 PHASE, AMPLITUDE = COMMAND_PHASE, COMMAND_AMPLITUDE
@@ -93,19 +94,17 @@ def _inputs(amplitude: Law, phase: Law, groups: ToneGroups) -> list[Input]:
     ]
     for name in used:
         low, high = float(columns[name].min()), float(columns[name].max())
-        unit = (
-            groups.contract.channels[1].rsplit("_", 1)[1]
-            if name.endswith("_g")
-            else name.rsplit("_", 1)[1]
+        room = (1.0 - 1.0 / _ROOM) * abs(low)
+        found.append(
+            Input(name, unit_of(name) or "1", "sensor", rate, "feature", low - room, 1.02 * high)
         )
-        found.append(Input(name, unit, "sensor", rate, "feature", low / _ROOM, high * 1.02))
     return found
 
 
 def _window_graph(amplitude: Law, phase: Law, boxes: dict[str, tuple[float, float]]) -> Graph:
     builder = GraphBuilder()
     features: dict[str, Expression] = {}
-    for name in {*amplitude.features, *phase.features, SENT_RMS}:
+    for name in sorted({*amplitude.features, *phase.features, SENT_RMS}):
         low, high = boxes[name]
         # Held at the edge of the box: the guard refuses what is outside, the memory must stay finite.
         features[name] = builder.apply("min", builder.apply("max", builder.input(name), low), high)

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
-from dtwin.acquire.sinusoidal_runs import commanded, followed, heard
+from dtwin.acquire.sinusoidal_runs import HEARD, commanded, followed, heard
 from dtwin.errors import InputError
+from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import (
     HORIZON_S,
     SENT,
@@ -26,8 +28,6 @@ from dtwin.units import UM_PER_MM
 
 SENT_RMS = f"{SENT[:-3]}_rms_um"
 HELD_OUT = ("frequency_hz", "amplitude_um")
-# Below this share of the tone in the accelerometer's power its features are noise.
-HEARD = 0.5
 _FEWEST = 3
 _CLEAN = 0.999
 _DEAD = 0.02
@@ -205,8 +205,6 @@ def _group(run: Run) -> Mapping[str, Any] | None:
 
 
 def _vector_um(t: Floats, difference: Floats, frequency_hz: float) -> float:
-    from dtwin.features.sine import fit_tone
-
     last = t > t[-1] - HORIZON_S
     return fit_tone(t[last], difference[last], frequency_hz).amplitude
 
@@ -219,8 +217,6 @@ def exponent(acceleration: Floats, error_um: Floats) -> float:
     acceleration, error_um : ndarray, shape (n,)
         Positive; the groups with the largest error decide.
     """
-    from scipy.optimize import least_squares
-
     start = float(np.log(error_um.max() / acceleration.max()))
 
     def rest(x: Floats) -> Floats:
