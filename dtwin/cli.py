@@ -25,6 +25,7 @@ from dtwin.commands import serving as serving_commands
 from dtwin.commands import turning as turning_commands
 from dtwin.commands import twins as twin_commands
 from dtwin.commands import ui as ui_command
+from dtwin.commands import volumetric as volumetric_commands
 from dtwin.commands.tasks import MainCommands
 from dtwin.config import quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, DtwinError, MissingPart
@@ -58,6 +59,7 @@ linuxcnc_commands.register(app)
 cell_commands.register(app)
 lathe_commands.register(app)
 turning_commands.register(app)
+volumetric_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)

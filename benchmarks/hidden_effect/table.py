@@ -64,6 +64,7 @@ def _figures(by_row: Mapping[str, list[Record]]) -> str:
     ]  # fmt: skip
     for label, names, limit in shares:
         lines.append(_share_line(label, _pooled(by_row, *names), limit))
+    lines += _beside(by_row.get("pair_one", []))
     single = _pooled(by_row, "single_half", "single_quarter")
     if single:
         wrong = _share(single, "wrong_name")[0]
@@ -90,6 +91,15 @@ def _said(reached: bool) -> str:
 def _interval(hits: int, n: int) -> str:
     low, high = wilson(hits, n)
     return f"({low:.1%} to {high:.1%})"
+
+
+def _beside(pairs: Sequence[Record]) -> list[str]:
+    rungs = [not set(group) & set(r["truth"]) for r in pairs for group in r["rungs"]]
+    if not rungs:
+        return []
+    share = sum(rungs) / len(rungs)
+    return [f"| rungs of these pairs that name nothing hidden | - | {share:.1%} "
+            f"{_interval(sum(rungs), len(rungs))} | {len(rungs)} rungs of {len(pairs)} cases | |"]  # fmt: skip
 
 
 def _share_line(label: str, records: Sequence[Record], limit: float) -> str:

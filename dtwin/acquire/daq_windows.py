@@ -79,6 +79,7 @@ class DaqWindows:
         self._window = np.zeros((len(names), contract.n_samples))
         self._end, self._read_s = 0, -np.inf
         self._fault: DeviceError | MissingPart | None = None
+        self._over = False
         setup = {
             "channels": [asdict(channel) for channel in channels],
             "rate_hz": contract.rate_hz,
@@ -97,8 +98,8 @@ class DaqWindows:
     def newest_window(self) -> tuple[Floats | None, float]:
         """Return a window (channels, n_samples) newer than the last one, or None, and its age.
 
-        Windows never span a gap. A device that fails delivers no more windows: the age grows,
-        and ``fault`` tells why. The array is overwritten by the next window.
+        Windows never span a gap. A device that fails delivers no windows until it is back: the
+        age grows, and ``fault`` tells why. The array is overwritten by the next window.
 
         Returns
         -------
@@ -118,8 +119,8 @@ class DaqWindows:
         return window, time.monotonic() - self._read_s + delay_s
 
     def fault(self) -> DeviceError | MissingPart | None:
-        """Return why no more windows come, or None."""
-        if self._fault is None and not self._process.stdin.closed:  # type: ignore[union-attr]
+        """Return why no windows come, or None; a device that is back is no fault any more."""
+        if not self._over and not self._process.stdin.closed:  # type: ignore[union-attr]
             self._listen(0.0)
         return self._fault
 
@@ -187,18 +188,21 @@ class DaqWindows:
             return None
         said = os.read(self._messages, 65536).splitlines()
         if not said:
+            self._over = True
             code = None
             with contextlib.suppress(subprocess.TimeoutExpired):
                 code = self._process.wait(_CLOSE_S)
-            self._fault = DeviceError(
-                f"the acquisition process died (exit code {code})",
-                code="daq.worker_died",
-                where=self._where,
-                hint="start again",
-            )
+            if self._fault is None:
+                self._fault = DeviceError(
+                    f"the acquisition process died (exit code {code})",
+                    code="daq.worker_died",
+                    where=self._where,
+                    hint="start again",
+                )
             return None
-        # Ready and a fault may have come together; the fault is what counts.
+        # Several may have come together; the last one is how it stands.
         message: dict[str, Any] = json.loads(said[-1])
+        self._fault = None
         if "fault" in message:
             fields = dict(message["fault"])
             kind = MissingPart if message["missing"] else DeviceError

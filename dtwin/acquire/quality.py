@@ -11,6 +11,7 @@ import numpy as np
 from dtwin.acquire.linear_quality import judge_linear_campaign, judge_linear_run
 from dtwin.acquire.motion_quality import judge_motion
 from dtwin.acquire.sinusoidal_runs import judge_sinusoidal_campaign, judge_sinusoidal_run
+from dtwin.acquire.volumetric_quality import judge_volumetric_run
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
@@ -29,6 +30,9 @@ def judge_run(run: Run) -> list[Finding]:
     if run.meta.kind == "placement":
         # Placements are events: minutes between them are no lost samples.
         return [f for f in _clock(run.samples["t_s"]) if f.code != "clock.dropout"] + _flagged(run)
+    if run.meta.kind == "volumetric":
+        # Between the poses the array is turned: gaps in time are no lost samples.
+        return judge_volumetric_run(run)
     if run.meta.kind != "circular":
         clock = _clock(run.samples["t_s"]) if "t_s" in run.samples else []
         judge = {"linear": judge_linear_run, "sinusoidal": judge_sinusoidal_run}.get(run.meta.kind)

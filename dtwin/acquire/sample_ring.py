@@ -60,6 +60,13 @@ class SampleRing:
         self._read_s[0] = read_s
         self._counters[_CHANGES] += 1
 
+    def skip(self) -> None:
+        """Begin anew after a gap of unknown length: no window spans it."""
+        self._counters[_CHANGES] += 1
+        self._counters[_END] += self._capacity
+        self._counters[_WHOLE_FROM] = self._counters[_END]
+        self._counters[_CHANGES] += 1
+
     def newest(self, into: Floats) -> tuple[int, float]:
         """Copy the newest samples to ``into``, shape (channels, n).
 

@@ -31,7 +31,7 @@ def register(app: typer.Typer) -> None:
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
     machine: Annotated[
-        str, typer.Option(help="Virtual machine: cobot, mill, lathe, turning.")
+        str, typer.Option(help="Virtual machine: cobot, mill, lathe, turning, volumetric.")
     ] = "cobot",
     plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
@@ -45,6 +45,9 @@ def simulate(
             help="Error of the lathe: published, mechanism; of turning: linear, hardening, friction."
         ),
     ] = None,
+    schedule: Annotated[
+        str, typer.Option(help="Heat of the volumetric mill: training, or validation.")
+    ] = "training",
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
@@ -52,6 +55,11 @@ def simulate(
         from dtwin.commands.turning import simulate_tones
 
         simulate_tones(out, truth or "linear", seed=seed, quick=quick, as_json=as_json)
+        return
+    if machine == "volumetric":
+        from dtwin.commands.volumetric import simulate_heat
+
+        simulate_heat(out, schedule, seed=seed, quick=quick, as_json=as_json)
         return
     if machine == "lathe":
         from dtwin.commands.lathe import simulate_positioning
@@ -72,7 +80,7 @@ def simulate(
             "no such virtual machine",
             code="simulate.machine",
             got=machine[:40],
-            allowed="cobot, mill, lathe, turning",
+            allowed="cobot, mill, lathe, turning, volumetric",
         )
     if plan is not None:
         planned = read_plan(plan)

@@ -19,6 +19,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "rollback",
         "lathe",
         "turning",
+        "volumetric",
     ),
     "Run": (
         "serve",

@@ -33,6 +33,7 @@ _FIT_IS_DOUBTFUL = 0.05
 # What was found must explain this share, or what is left must be this small beside the floor.
 _EXPLAINED = 0.93
 _LEFT = 0.3
+_LITTLE = 0.2
 _SHOWN = 8
 
 
@@ -158,7 +159,7 @@ def _unexplained(words: str, moving: Sequence[str]) -> str:
 def _much_left(found: Search, floor_um: float) -> bool:
     """Tell whether what was found leaves structure: certainly some, or probably much."""
     p_value, left_um = found.lack_of_fit[-1], found.systematic_um[-1]
-    certain = p_value <= LACK_OF_FIT
+    certain = p_value <= LACK_OF_FIT and left_um > _LITTLE * floor_um
     probable = p_value <= _FIT_IS_DOUBTFUL and left_um > _LEFT * floor_um
     return (certain or probable) and found.explained < _EXPLAINED
 

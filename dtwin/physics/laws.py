@@ -19,6 +19,7 @@ MATERIAL = 0.35
 _CONFIRMED = 0.3
 _ALPHA = 0.002
 _ALPHA_MEASURED_WELL = 0.005
+_CERTAIN = 0.05
 # Time constants of a body that follows a logged channel, as shares of the campaign's length.
 _SLOW = (0.1, 0.3, 1.0)
 
@@ -93,7 +94,8 @@ def law_tests(
     along = (columns @ amplitude).reshape(-1, N_BINS)
     within = term.instance.effect.within_condition
     least = least_visible(term)
-    out = []
+    out: list[LawTest] = []
+    missed = with_it
     for variable, contrast in _contrasts(problem).items():
         if variable == "feed" and law.feed is None:
             continue
@@ -102,12 +104,17 @@ def law_tests(
         if variable == "direction" and law.direction == "mixed":
             continue
         # The effect as fitted, scaled by the contrast: one column, whatever the effect has.
-        out += _tested(with_it, variable, along * contrast[:, None], level, within, least)
+        profile = along * contrast[:, None]
+        tests = _tested(with_it, variable, profile, level, within, least)
+        out += tests
+        if any(test.p_value < _CERTAIN for test in tests):
+            missed = _with(missed, profile)
     if not within:
+        # What a law misses by a little over radius or feed is not time, though runs have an order.
         changing = [
             test
             for contrast in _during(problem.obs, law)
-            for test in _tested(with_it, "time", along * contrast[:, None], level, True, least)
+            for test in _tested(missed, "time", along * contrast[:, None], level, True, least)
         ]
         out += [_best_of(changing)] if changing else []
     if within and term.instance.effect.needs:
@@ -125,6 +132,12 @@ def law_tests(
         ]
         out += [_best_of(late)] if late else []
     return out
+
+
+def _with(problem: Problem, profile: Floats) -> Problem:
+    """Return the problem with one more column known."""
+    column = profile.reshape(-1, 1)
+    return problem.extended(problem.visible(column)[0], column)
 
 
 def _tested(

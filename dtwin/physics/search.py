@@ -183,13 +183,19 @@ def _step(
 ) -> Step | None:
     runs = int(problem.obs.run_of.max()) + 1
     leading = sorted(significant, key=lambda c: -_worth(c, runs))[:_LEADING]
-    gains = {
-        c.term.label: left_out_gain(problem, candidates.whitened(problem, c.term)) for c in leading
-    }
-    kept = [c for c in leading if gains[c.term.label] > 0.0]
-    if not kept:
+    gains: dict[str, float] = {}
+    top = None
+    for found in leading:
+        gain = left_out_gain(problem, candidates.whitened(problem, found.term))
+        if top is None:
+            # Between the shapes of the grid, what rings comes out of step at the other feeds.
+            best = _refined(problem, candidates, found, level)
+            if gain <= 0.0 and best is not found:
+                gain = left_out_gain(problem, candidates.whitened(problem, best.term))
+            top = best if gain > 0.0 else None
+        gains[found.term.label] = gain
+    if top is None:
         return None
-    top = _refined(problem, candidates, kept[0], level)
     group = _group(problem, candidates, level, top, tested)
     return Step(problem, level, top, group, p_values, tuple(tested), gains, invisible)
 

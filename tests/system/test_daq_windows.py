@@ -103,6 +103,41 @@ def test_a_removed_module_ages_and_says_why(daq: VirtualDaq) -> None:
         assert source.newest_window()[1] >= age_s + 0.05
 
 
+def test_a_module_that_is_plugged_in_again_delivers_on(daq: VirtualDaq) -> None:
+    with windows(daq) as source:
+        wait_for(lambda: source.newest_window()[0])
+        daq.do("remove", device="cDAQ1Mod1")
+        wait_for(source.fault)
+        while source.newest_window()[0] is not None:
+            pass
+        daq.do("restore")
+        again = wait_for(lambda: source.newest_window()[0])
+        assert isinstance(again, np.ndarray)
+        # A stretch of what the module measured after its return, and of nothing else.
+        assert place_of(again) >= CONTRACT.n_samples
+        wait_for(lambda: source.fault() is None)
+
+
+def test_modules_that_come_back_in_another_order_are_not_served(daq: VirtualDaq) -> None:
+    with windows(daq) as source:
+        wait_for(lambda: source.newest_window()[0])
+        daq.do("remove", device="cDAQ1Mod1")
+        wait_for(source.fault)
+        daq.do("swap")
+        daq.do("restore")
+        fault = wait_for(
+            lambda: (
+                (found := source.fault()) is not None
+                and found.code == "daq.channel_order"
+                and found
+            )
+        )
+        assert isinstance(fault, DeviceError)
+        time.sleep(0.1)
+        source.newest_window()
+        assert source.newest_window()[0] is None
+
+
 def test_a_killed_reader_is_a_fault(daq: VirtualDaq) -> None:
     with windows(daq) as source:
         os.kill(source._process.pid, signal.SIGKILL)

@@ -24,7 +24,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     speed = state.velocity_mm_s[axis]
     # Before it slides, friction builds up over some micrometres of travel.
     sliding = 1.0 - 2.0 * np.exp(-1e3 * travelled_mm(state, axis) / shape["presliding_um"])
-    slow = np.exp(-np.abs(speed) / shape["stribeck_mm_s"])
+    slow = np.exp(-((speed / shape["stribeck_mm_s"]) ** 2))
     lag = -0.5 * np.sign(speed) * sliding * state.sensitivity[axis]
     return stacked(lag, lag * slow)
 
@@ -39,17 +39,17 @@ EFFECT = Effect(
         "The drive lags by what it takes to overcome friction: like backlash once it slides, but "
         "built up over some travel, and larger at low speed (Stribeck)."
     ),
-    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-|v| / vs)) cos(t) for the X axis",
+    formula="-(sgn(v) / 2) (1 - 2 exp(-s / sp)) (L + H exp(-(v / vs)^2)) cos(t) for the X axis",
     looks_like="Rounded steps at the reversals, with humps at low feed.",
     separate_by=(
         "Lower the feed and measure with more samples: a step that is rounded over tens of "
         "micrometres of travel is friction, one within the play is backlash."
     ),
     remedy="Lubrication, loop gain, friction compensation.",
-    reference="Stribeck friction; JSME quadrant glitch measurements",
+    reference="Canudas de Wit et al. 1995 (LuGre); JSME quadrant glitch measurements",
     shapes=(
         ShapeParameter("presliding_um", "um", 30.0, (15.0, 60.0, 300.0)),
-        ShapeParameter("stribeck_mm_s", "mm/s", 5.0, (3.0, 10.0)),
+        ShapeParameter("stribeck_mm_s", "mm/s", 5.0, (2.0, 8.0)),
     ),
     confusables=(
         "backlash",

@@ -1,0 +1,137 @@
+"""Ball-array campaigns of the virtual mill that heat deforms, written as campaign folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.acquire.runner import toml_value
+from dtwin.acquire.signal_files import write_signals
+from dtwin.atomic import write_text
+from dtwin.errors import InputError
+from dtwin.machines.thermal_network import SCHEDULES
+from dtwin.machines.volumetric import (
+    AZIMUTHS_DEG,
+    HELD_OUT_POSES,
+    READING_S,
+    STROKES_MM,
+    BallReadings,
+    VolumetricMill,
+    VolumetricParameters,
+)
+from dtwin.parquet import table_of, write_parquet
+from dtwin.schema import SignalGroup
+
+MACHINE = "virtual-volumetric-mill"
+QUICK_EVERY = 3
+Progress = Callable[[int, int, str], None]
+
+
+def simulate_volumetric(
+    folder: Path, progress: Progress, *, schedule: str = "training", seed: int = 0,
+    quick: bool = False, parameters: VolumetricParameters | None = None,
+) -> int:  # fmt: skip
+    """Measure the virtual mill for days and write a campaign folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets two files for each cycle, and, last, ``campaign.toml``.
+    progress : callable
+        Called with (done, total, what).
+    schedule : {"training", "validation"}
+        What heats the machine: 234 h in spring, or 169 h in another order in a warmer season.
+    seed : int
+        Of the machine; both campaigns of one machine need the same.
+    quick : bool
+        Every third cycle only.
+    parameters : VolumetricParameters, optional
+        What the machine is like.
+
+    Returns
+    -------
+    int
+        Cycles that were measured.
+
+    Raises
+    ------
+    InputError
+        When the folder holds a finished campaign, or there is no such schedule.
+    """
+    if (folder / "campaign.toml").exists():
+        raise InputError(
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder),
+            hint="give another --out",
+        )  # fmt: skip
+    if schedule not in SCHEDULES:
+        raise InputError(
+            "no such schedule", code="simulate.schedule", got=schedule[:40],
+            allowed=", ".join(SCHEDULES),
+        )  # fmt: skip
+    mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
+    cycles = range(0, mill.cycles, QUICK_EVERY if quick else 1)
+    folder.mkdir(parents=True, exist_ok=True)
+    for done, cycle in enumerate(cycles):
+        _write_cycle(folder, cycle, mill)
+        progress(done + 1, len(cycles), f"hour {cycle}")
+    write_text(
+        folder / "campaign.toml", _campaign_text(schedule, list(cycles), mill), "the campaign file"
+    )
+    return len(cycles)
+
+
+def _write_cycle(folder: Path, cycle: int, mill: VolumetricMill) -> None:
+    readings = mill.measure(cycle)
+    stem = f"c{cycle:03d}"
+    write_parquet(folder / f"{stem}.parquet", table_of(_columns(readings)))
+    for name, columns in (
+        ("thermocouples", mill.thermocouples_c(cycle)),
+        ("control", {"coolant_tank_c": mill.coolant_c(cycle)}),
+    ):
+        write_signals(
+            folder / f"{stem}.{name}.parquet", SignalGroup(name, 1.0 / READING_S, columns)
+        )
+
+
+def _columns(readings: BallReadings) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {"t_s": readings.t_s - readings.t_s[0]}
+    for i, axis in enumerate("xyz"):
+        columns[f"{axis}_mm"] = readings.nominal_mm[:, i]
+        columns[f"error_{axis}_um"] = np.round(readings.error_um[:, i], 3)
+    columns["pose_1"] = readings.pose.astype(float)
+    columns["ball_1"] = readings.ball.astype(float)
+    return columns
+
+
+def _campaign_text(schedule: str, cycles: list[int], mill: VolumetricMill) -> str:
+    lines = [
+        "[campaign]",
+        f'name = "volumetric-{schedule}"',
+        f"machine = {toml_value(MACHINE)}",
+        'kind = "volumetric"',
+        "[campaign.machine_geometry]",
+        'chain = "XZY"',
+        *(f"stroke_{axis}_mm = {list(reach)}" for axis, reach in STROKES_MM.items()),
+        f"poses = {len(AZIMUTHS_DEG)}",
+        f"held_out_poses = {list(HELD_OUT_POSES)}",
+        f"pose_repeat_um = {1.5 * mill.parameters.repeat_um:g}",
+        "[campaign.instrument]",
+        'model = "virtual ball array, probe and thermocouples"',
+    ]
+    for cycle in cycles:
+        stem = f"c{cycle:03d}"
+        lines += [
+            "",
+            "[[run]]",
+            f'id = "{stem}"',
+            f'file = "{stem}.parquet"',
+            f'signals = ["{stem}.thermocouples.parquet", "{stem}.control.parquet"]',
+            "repeat = 1",
+            "[run.condition]",
+            f"time_h = {cycle}.0",
+        ]
+    return "\n".join([*lines, ""])

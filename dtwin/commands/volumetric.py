@@ -1,0 +1,140 @@
+"""Commands about volumetric errors and how heat moves them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import ProgressLine, emit
+from dtwin.errors import InputError
+
+if TYPE_CHECKING:
+    from dtwin.physics.volumetric.thermal_model import ThermalModel
+    from dtwin.pipeline.volumetric import Session
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+
+app_volumetric = typer.Typer(
+    help="Volumetric error of a mill and the heat that moves it: identify, predict, judge, serve.",
+    no_args_is_help=True,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(app_volumetric, name="volumetric")
+
+
+def simulate_heat(out: Path, schedule: str, *, seed: int, quick: bool, as_json: bool) -> None:
+    """Measure the virtual mill for days."""
+    from dtwin.acquire.virtual_volumetric import simulate_volumetric
+
+    progress = ProgressLine("measure", quiet=as_json)
+    cycles = simulate_volumetric(out, progress, schedule=schedule, seed=seed, quick=quick)
+    payload = {"folder": str(out), "schedule": schedule, "cycles": cycles}
+    text = f"{cycles} cycles in {out}\nnext: dtwin ingest {out}"
+    emit(payload, lambda: text, as_json=as_json)
+
+
+@app_volumetric.command("fit")
+def fit(
+    training: Annotated[str, typer.Argument(help="Campaign in the lake, or a folder.")],
+    against: Annotated[
+        str | None, typer.Option(help="Another campaign of the machine: what a model is judged by.")
+    ] = None,
+    offer: Annotated[
+        list[str] | None,
+        typer.Option(help="A temperature that was logged beside the thermocouples."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Bundle to write; needs --against.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
+    from dtwin.config import home
+    from dtwin.pipeline.volumetric import judged, models_of, session, with_offered
+    from dtwin.report.volumetric import judged_text
+
+    if out is not None and against is None:
+        raise InputError(
+            "a bundle needs another campaign that says what it is worth", code="volumetric.against",
+            hint="--against CAMPAIGN",
+        )  # fmt: skip
+    progress = ProgressLine("volumetric", quiet=as_json)
+    offered = tuple(offer or ())
+    first = session(home(), training, progress)
+    models, whole = models_of(first, offered=offered)
+    payload: dict[str, Any] = {"training": judged(models, whole)}
+    if against is not None:
+        if against == training:
+            raise InputError(
+                "a campaign cannot judge what was fitted to it", code="volumetric.same", got=against
+            )
+        other = with_offered(session(home(), against, progress), offered)
+        payload["validation"] = judged(models, other)
+        if out is not None:
+            payload["bundle"] = str(_write(out, whole, other, offered))
+
+    def text() -> str:
+        parts = [
+            judged_text(payload[name]) for name in ("training", "validation") if name in payload
+        ]
+        if "bundle" in payload:
+            parts.append(
+                f"{payload['bundle']} written: models without memory, never run on a control"
+            )
+        elif against is None:
+            parts.append(
+                "figures of the campaign of the fit only; --against CAMPAIGN judges elsewhere"
+            )
+        return "\n\n".join(parts)
+
+    emit(payload, text, as_json=as_json)
+
+
+@app_volumetric.command("paper")
+def paper(
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Every third cycle, for a first look.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Compute the figures of the published mill again: theirs, ours, whether they follow."""
+    from dtwin.pipeline.volumetric_paper import volumetric_paper
+    from dtwin.report.volumetric import paper_text
+
+    lines = volumetric_paper(seed, ProgressLine("volumetric", quiet=as_json), quick=quick)
+    emit({"lines": lines}, lambda: paper_text(lines), as_json=as_json)
+
+
+def _write(out: Path, training: Session, other: Session, offered: tuple[str, ...]) -> Path:
+    """Write what can be served: models without memory, those worse than nothing switched off."""
+    from dtwin.config import home
+    from dtwin.pipeline.volumetric import judged, models_of
+    from dtwin.serve.bundle_file import save_bundle
+    from dtwin.store import Lake
+    from dtwin.train.volumetric_bundle import volumetric_bundle
+
+    if out.exists():
+        raise InputError(
+            "the file is there already",
+            code="volumetric.exists",
+            where=str(out),
+            hint="another --out",
+        )
+    models: list[ThermalModel] = models_of(training, static=True)[0]
+    worse = judged(models, other)["worse"]
+    begun = dict(zip(training.sensors, training.begun_c.tolist(), strict=True))
+    absolute = training.rise_c + training.begun_c
+    seen = {
+        name: (float(column.min()), float(column.max()))
+        for name, column in zip(training.sensors, absolute.T, strict=True)
+    }
+    machine = Lake(home().lake).campaign(training.campaign).machine
+    bundle = volumetric_bundle(
+        models, training.artefact.strokes_mm, begun, seen, "volumetric", machine, worse
+    )
+    save_bundle(bundle, out)
+    return out

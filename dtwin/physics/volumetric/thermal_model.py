@@ -1,0 +1,215 @@
+"""Error motions as sums of a few temperatures, chosen one by one, judged by whole campaigns.
+
+Temperatures and motions are differences to a reference cycle. Errors of thermal series last for
+hours, so that neighbouring cycles are not independent: the criterion counts as many cycles as the
+autocorrelation of the residual leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from dtwin.errors import InputError
+from dtwin.schema import Floats
+
+MOST_INPUTS = 10
+# Beyond this an autoregression never forgets: it counts, it does not lag.
+_MOST_MEMORY = 0.999
+_LEAST_MEMORY = 0.05
+_FEWEST_CYCLES = 12
+_AS_GOOD = 1.15
+
+
+@dataclass(frozen=True)
+class ThermalModel:
+    """One error motion from temperatures.
+
+    Attributes
+    ----------
+    name : str
+        The coefficient.
+    sensors : tuple of str
+        Temperatures that it uses.
+    per_k : ndarray, shape (sensors,)
+        Its unit per kelvin.
+    memory : float
+        Share of the previous cycle that is kept, 0 for a static model.
+    criterion : float
+        What it was chosen by; smaller is better.
+    tried : tuple of tuple
+        Number of inputs, memory and criterion of every candidate.
+    """
+
+    name: str
+    sensors: tuple[str, ...]
+    per_k: Floats
+    memory: float
+    criterion: float
+    tried: tuple[tuple[int, bool, float], ...] = ()
+
+    @property
+    def free(self) -> int:
+        """Number of fitted parameters."""
+        return len(self.sensors) + (self.memory > 0.0)
+
+    def run(self, rise_c: Floats) -> Floats:
+        """Return the motion in free run: what it remembers is its own prediction.
+
+        Parameters
+        ----------
+        rise_c : ndarray, shape (cycles, sensors)
+            Temperatures of its sensors since the reference.
+
+        Returns
+        -------
+        ndarray, shape (cycles,)
+        """
+        driven = rise_c @ self.per_k
+        if self.memory == 0.0:
+            return np.asarray(driven)
+        out = np.empty(len(driven))
+        now = 0.0
+        for i, pushed in enumerate(driven.tolist()):
+            now = self.memory * now + pushed
+            out[i] = now
+        return out
+
+
+def fit_thermal(
+    name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str], *, most: int = MOST_INPUTS,
+    static: bool = False,
+) -> ThermalModel:  # fmt: skip
+    """Choose sensors one by one, with and without memory, by a criterion and by parsimony.
+
+    Of the models whose residual is at most 15 % above that of the one with the best criterion, the
+    one with the fewest parameters is kept.
+
+    Parameters
+    ----------
+    name : str
+        The coefficient.
+    motion : ndarray, shape (cycles,)
+        Since the reference cycle.
+    rise_c : ndarray, shape (cycles, sensors)
+        Temperatures since the reference cycle; a sensor with gaps is not offered.
+    sensors : sequence of str
+        Names of the columns.
+    most : int
+        Largest number of inputs to try.
+    static : bool
+        Try models without memory only.
+
+    Raises
+    ------
+    InputError
+        With too few cycles.
+    """
+    if len(motion) < _FEWEST_CYCLES:
+        raise InputError(
+            "too few cycles for a thermal model", code="volumetric.cycles", got=str(len(motion)),
+            allowed=f"at least {_FEWEST_CYCLES}",
+        )  # fmt: skip
+    fits: list[tuple[ThermalModel, Floats]] = []
+    for remembers in (False,) if static else (False, True):
+        chosen: list[int] = []
+        for _ in range(min(most, rise_c.shape[1], len(motion) // 4)):
+            chosen.append(_next(motion, rise_c, chosen, remembers=remembers))
+            fits.append(_fitted(name, motion, rise_c, chosen, sensors, remembers=remembers))
+    # One number for all, or the criteria could not be compared.
+    n = float(np.median([independent(left) for _, left in fits]))
+    models = [replace(model, criterion=_criterion(left, model.free, n)) for model, left in fits]
+    liked = min(range(len(models)), key=lambda i: models[i].criterion)
+    enough = _AS_GOOD * float(np.linalg.norm(fits[liked][1]))
+    # A sensor more must be worth its wire: the smallest model that leaves hardly more.
+    good = [m for m, (_, left) in zip(models, fits, strict=True) if np.linalg.norm(left) <= enough]
+    best = min(good, key=lambda m: (m.free, m.criterion))
+    return replace(best, tried=tuple((len(m.sensors), m.memory > 0.0, m.criterion) for m in models))
+
+
+def explains(left: Floats, rise_c: Floats) -> tuple[float, float]:
+    """Return the share of a residual that a channel explains, and the p-value of that.
+
+    Parameters
+    ----------
+    left : ndarray, shape (cycles,)
+        What a model leaves.
+    rise_c : ndarray, shape (cycles,)
+        A channel since the reference cycle.
+
+    Notes
+    -----
+    An F test with as many cycles as the autocorrelation leaves independent.
+    """
+    design = np.column_stack([np.ones(len(left)), rise_c])
+    rest = left - design @ np.linalg.lstsq(design, left, rcond=None)[0]
+    total, after = float(((left - left.mean()) ** 2).sum()), float((rest**2).sum())
+    if total <= 0.0:
+        return 0.0, 1.0
+    free = max(independent(left) - 2.0, 1.0)
+    ratio = (total - after) / max(after, 1e-300) * free
+    return 1.0 - after / total, float(f_distribution.sf(ratio, 1.0, free))
+
+
+def independent(values: Floats) -> float:
+    """Return how many independent values a series stands for, by its lag-one correlation."""
+    centred = values - values.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return float(len(values))
+    lag = min(max(float(centred[1:] @ centred[:-1]) / power, 0.0), 0.98)
+    return max(4.0, len(values) * (1.0 - lag) / (1.0 + lag))
+
+
+def inflation(rise_c: Floats) -> Floats:
+    """Return the variance inflation of each input by the others, shape (sensors,).
+
+    Parameters
+    ----------
+    rise_c : ndarray, shape (cycles, sensors)
+        Inputs of one model.
+    """
+    centred = rise_c - rise_c.mean(axis=0)
+    size = np.linalg.norm(centred, axis=0)
+    correlation = (centred / size).T @ (centred / size)
+    return np.asarray(np.diag(np.linalg.pinv(correlation)))
+
+
+def _next(motion: Floats, rise_c: Floats, chosen: Sequence[int], *, remembers: bool) -> int:
+    """Return the sensor that leaves least together with those chosen before."""
+    y, past = (motion[1:], motion[:-1, None]) if remembers else (motion, motion[:, None][:, :0])
+    offered = rise_c[1:] if remembers else rise_c
+    basis = np.linalg.qr(np.column_stack([past, offered[:, list(chosen)]]))[0]
+    left = y - basis @ (basis.T @ y)
+    rest = offered - basis @ (basis.T @ offered)
+    size = (rest**2).sum(axis=0)
+    gain = np.where(size > 1e-9, (rest.T @ left) ** 2 / np.maximum(size, 1e-9), -1.0)
+    gain[list(chosen)] = -1.0
+    return int(np.argmax(gain))
+
+
+def _fitted(
+    name: str, motion: Floats, rise_c: Floats, chosen: Sequence[int], sensors: Sequence[str], *,
+    remembers: bool,
+) -> tuple[ThermalModel, Floats]:  # fmt: skip
+    used = rise_c[:, list(chosen)]
+    memory = 0.0
+    per_k: Floats = np.asarray(np.linalg.lstsq(used, motion, rcond=None)[0], dtype=np.float64)
+    if remembers:
+        design = np.column_stack([motion[:-1], used[1:]])
+        found = np.linalg.lstsq(design, motion[1:], rcond=None)[0]
+        if _LEAST_MEMORY < found[0] < _MOST_MEMORY:
+            memory, per_k = float(found[0]), np.asarray(found[1:], dtype=np.float64)
+    model = ThermalModel(name, tuple(sensors[i] for i in chosen), per_k, memory, float("nan"))
+    return model, motion - model.run(used)
+
+
+def _criterion(left: Floats, free: int, n: float) -> float:
+    """Return Schwarz's criterion with the small-sample correction, over n independent cycles."""
+    if n <= free + 2:
+        return float("inf")
+    level = max(float((left**2).mean()), 1e-12)
+    return float(n * np.log(level) + free * np.log(n) * n / (n - free - 2))

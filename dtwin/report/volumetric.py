@@ -1,0 +1,88 @@
+"""Text of the volumetric comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.report.text import table
+
+_JUDGED = {True: "yes", False: "no", None: "-"}
+_SHOWN_H = (1, 5, 12, 20, 60)
+
+
+def judged_text(found: Mapping[str, Any]) -> str:
+    """Return what thermal models do in a campaign."""
+    d = found["distances"]
+    lines = [
+        f"{found['campaign']}: {found['cycles']} cycles, {found['sensors']} thermocouples; identification "
+        f"leaves {found['identified_um']:.2f} um, {found['held_out_poses_um']:.2f} um in held-out poses",
+        f"distances between balls: RMS {d['rms_um']:.2f} -> {d['rms_left_um']:.2f} um "
+        f"(-{d['rms_reduction_pct']:.0f} %), range {d['p2p_um']:.0f} -> {d['p2p_left_um']:.0f} um "
+        f"(-{d['p2p_reduction_pct']:.0f} %)",
+    ]
+    if found["slots"]:
+        s = found["slots"]
+        lines.append(
+            f"sixteen slots in 15 h: range {s['mean_range_um']:.1f} -> {s['mean_range_left_um']:.1f} um on "
+            f"average, {s['max_range_um']:.1f} -> {s['max_range_left_um']:.1f} um at worst"
+        )
+    rows = [
+        [r["name"], r["unit"], f"{r['rms_um']:.2f}", f"{r['rms_left_um']:.2f}",
+         f"{r['rms_reduction_pct']:.0f}", len(r["sensors"]), "yes" if r["memory"] else "",
+         f"{r['largest_inflation']:.0f}"]
+        for r in found["coefficients"]
+    ]  # fmt: skip
+    head = ("", "unit", "RMS", "left", "less %", "sensors", "memory", "inflation")
+    lines += ["", table(head, rows), "", *_line_lines(found["lines"])]
+    for entry in found["unexplained"]:
+        lines.append(_unexplained_line(entry))
+    if found["worse"]:
+        lines.append(
+            f"worse than nothing, switched off in what is served: {', '.join(found['worse'])}"
+        )
+    return "\n".join(lines)
+
+
+def _line_lines(lines: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a table of the spread within jobs, and where a correction makes it larger."""
+    hours = lines[0]["hours"]
+    shown = sorted({min(range(len(hours)), key=lambda i: abs(hours[i] - h)) for h in _SHOWN_H})
+    rows = [
+        [
+            f"{line['line']}, error in {line['direction']}",
+            *(f"{line['p95_um'][i]:.1f} -> {line['p95_left_um'][i]:.1f}" for i in shown),
+        ]
+        for line in lines
+    ]
+    head = ("line", *(f"{hours[i]:g} h" for i in shown))
+    out = ["spread within a job of that length in um, less in 95 % of them:", table(head, rows)]
+    for line in lines:
+        if line["worse_h"]:
+            named = ", ".join(f"{h:g}" for h in line["worse_h"])
+            out.append(
+                f"line {line['line']}, error in {line['direction']}: worse than nothing in jobs of {named} h"
+            )
+    return out
+
+
+def _unexplained_line(entry: Mapping[str, Any]) -> str:
+    if entry["cause"]:
+        return (
+            f"{entry['name']} is not explained by the thermocouples; {entry['cause']} moves with what is left "
+            f"({entry['share']:.0%} of it, p {entry['p_value']:.1g}): --offer {entry['cause']}"
+        )
+    tried = (
+        f"; the best, {entry['best_channel']}, explains {entry['share']:.0%}"
+        if "share" in entry
+        else ""
+    )
+    return (
+        f"{entry['name']} is not explained by the thermocouples, nor by anything else logged{tried}"
+    )
+
+
+def paper_text(lines: Sequence[Mapping[str, Any]]) -> str:
+    """Return the comparison with the source."""
+    rows = [[x["what"], x["paper"], x["ours"], _JUDGED[x["follows"]]] for x in lines]
+    return table(("figure", "the paper", "ours", "follows"), rows)
