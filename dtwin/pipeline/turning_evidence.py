@@ -79,7 +79,9 @@ def measure_tone_evidence(
     """
     registry = Registry(home)
     bundle = Bundle.from_dict(registry.bundle(version))
-    evidence, first = tone_evidence(bundle, str(geometry.get("truth", "")), seed=seed, progress=progress)
+    evidence, first = tone_evidence(
+        bundle, str(geometry.get("truth", "")), seed=seed, progress=progress
+    )
     title = f"version {version.version}"
     registry.attach(
         version,
