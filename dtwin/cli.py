@@ -23,6 +23,7 @@ from dtwin.commands import rechecking as rechecking_command
 from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
+from dtwin.commands import turning as turning_commands
 from dtwin.commands import twins as twin_commands
 from dtwin.commands import ui as ui_command
 from dtwin.commands import volumetric as volumetric_commands
@@ -58,6 +59,7 @@ analogue_commands.register(app)
 linuxcnc_commands.register(app)
 cell_commands.register(app)
 lathe_commands.register(app)
+turning_commands.register(app)
 volumetric_commands.register(app)
 dynamics_commands.register(app)
 exporting_command.register(app)

@@ -1,7 +1,7 @@
 """Prefect flows; thin, and the only place that knows Prefect.
 
-``campaign``, ``ingest``, ``train``, ``promote``, ``diagnose``, ``cell``, ``dynamics`` and ``schedule``
-hold one flow each.
+``campaign``, ``ingest``, ``train``, ``promote``, ``diagnose``, ``cell`` and ``schedule`` hold one flow each,
+``papers`` one for each published system.
 Every flow only calls what ``dtwin.pipeline`` does without Prefect, and publishes what it found.
 """
 

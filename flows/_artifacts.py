@@ -10,7 +10,7 @@ from prefect.artifacts import create_markdown_artifact, create_table_artifact
 
 from dtwin.config import home
 from dtwin.train.gates import Verdict
-from dtwin.train.results import TrainingReport
+from dtwin.train.results import TrainingReport, condition_name
 from flows import _plots
 from flows.reach import running
 
@@ -76,9 +76,9 @@ def publish_held_out_error(report: TrainingReport) -> None:
     report : TrainingReport
         A training.
     """
-    rows = [(c.name, {"held-out RMS": c.scores["feed_mm_min"].rms_um}) for c in report.candidates]
+    rows = [(c.name, {"held-out RMS": c.held_out.rms_um}) for c in report.candidates]
     svg = _plots.bars(
-        "error on feeds left out, um RMS",
+        "error on conditions left out, um RMS",
         rows,
         floor=report.noise_floor_um,
         longest=1.5 * report.rms_before_um,
@@ -116,12 +116,16 @@ def publish_evidence(machine: str, version: str, evidence: Mapping[str, Any]) ->
     """
     rows = [
         (
-            f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}",
-            {"before": c["before_um"], "oracle": c["oracle_um"], "after": c["after_um"]},
+            condition_name(c),
+            {
+                name: c[f"{name}_um"]
+                for name in ("before", "oracle", "after")
+                if c[f"{name}_um"] is not None
+            },
         )
         for c in evidence["conditions"]
     ]
-    svg = _plots.bars(f"radial error, um RMS ({evidence['kind']} evidence)", rows)
+    svg = _plots.bars(f"error, um ({evidence['kind']} evidence)", rows)
     publish_markdown(
         f"before-and-after-{machine}",
         _plots.markdown("before, oracle and after by condition", svg),

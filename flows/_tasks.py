@@ -20,8 +20,7 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
-from dtwin.pipeline import dynamics_paper as paper
+from dtwin.pipeline import cell, drift, measuring, modelling, papers, rechecking
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
@@ -77,12 +76,6 @@ def compute_features(campaign: str) -> measuring.FeatureReport:
     return measuring.compute_features(home(), campaign, logged("features"))
 
 
-@task(name="dynamics-paper", **_ONCE)
-def dynamics_paper(size: paper.Size, seed: int) -> dict[str, Any]:
-    """Compute the figures of the paper on ball-bar dynamics again."""
-    return paper.dynamics_paper(size, seed, logged("dynamics"))
-
-
 @task(name="cell-step", task_run_name="part {part}: {step}", **_ONCE)
 def cell_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:
     """Do one step of the cell; ``twin`` says which twin is live in it."""
@@ -110,15 +103,12 @@ def put_on_trial(version: RegisteredVersion, comment: str) -> Path:
 
 @task(name="evidence", task_run_name="evidence for version {version.version}", **_ONCE)
 def evidence(version: RegisteredVersion, seed: int) -> dict[str, Any]:
-    """Return the evidence that is kept with a version, or measure it on the virtual cobot."""
+    """Return the evidence that is kept with a version, or measure it on its virtual machine."""
     registry = Registry(home())
     kept = modelling.evidence_of(registry, version)
     if kept is not None:
         return kept
-    geometry = modelling.geometry_of(registry, version)
-    return modelling.measure_evidence(
-        home(), version, geometry, seed=seed, progress=logged("circles")
-    ).as_dict()
+    return modelling.evidence_for(home(), version, seed=seed, progress=logged("evidence"))
 
 
 @task(name="circles", task_run_name="circles with version {version.version}", **_ONCE)
@@ -129,6 +119,12 @@ def measure_evidence(
     return modelling.measure_evidence(
         home(), version, geometry, seed=seed, plan=plan, progress=logged("circles")
     )
+
+
+@task(name="paper", task_run_name="paper: {name}", **_ONCE)
+def paper(name: str, quick: bool, seed: int) -> dict[str, Any]:
+    """Compute the figures of a published system again."""
+    return papers.computed(name, quick=quick, seed=seed, progress=logged(name))
 
 
 @task(name="serve", task_run_name="serve {machine} for {duration_s} s", **_ONCE)

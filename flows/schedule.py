@@ -14,8 +14,8 @@ from flows import _artifacts, _tasks
 from flows.campaign import campaign_flow
 from flows.cell import cell_flow
 from flows.diagnose import diagnose_flow, publish_drift
-from flows.dynamics import dynamics_flow
 from flows.ingest import ingest_flow
+from flows.papers import paper_flows
 from flows.promote import promote_flow
 from flows.recheck import recheck_flow
 from flows.train import publish_training, train_flow
@@ -77,7 +77,7 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
     )
     others = (
         campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow,
-        dynamics_flow,
+        *paper_flows,
     )  # fmt: skip
     return [
         scheduled,

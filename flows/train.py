@@ -31,7 +31,7 @@ def train_flow(campaign: str, seed: int = 1) -> dict[str, Any]:
         "machine": report.machine,
         "version": registered.version.version,
         "proposed": report.proposed,
-        "held_out_um": report.candidate(report.proposed).scores["feed_mm_min"].rms_um,
+        "held_out_um": report.candidate(report.proposed).held_out.rms_um,
         "rms_before_um": report.rms_before_um,
         "noise_floor_um": report.noise_floor_um,
         "windows": features.windows,
@@ -53,7 +53,7 @@ def publish_training(registered: Registered) -> None:
         f"comparison-{report.campaign}",
         *comparison_table(report.candidates),
         f"{report.rms_before_um:.1f} um RMS without a model, noise floor "
-        f"{report.noise_floor_um:.1f} um, {report.n_runs} runs; table versions: "
+        f"{report.noise_floor_text}, {report.n_runs} runs; table versions: "
         + ", ".join(f"{name} {number}" for name, number in report.table_versions.items()),
     )
     _artifacts.publish_held_out_error(report)

@@ -15,6 +15,7 @@ from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.linear_runs import LASER_SUFFIXES, read_laser_runs, with_pitch
 from dtwin.acquire.recovery import signal_findings
 from dtwin.acquire.signal_files import read_signals
+from dtwin.acquire.sinusoidal_runs import with_bandwidth
 from dtwin.acquire.tabular import read_columns
 from dtwin.acquire.trace_json import read_trace_json
 from dtwin.acquire.xmlsafe import read_bounded
@@ -256,7 +257,8 @@ def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     )
     rejected = [RejectedRows(entry.run_id, str(entry.file), rejects)] if rejects else []
     run = _completed(bare, entry, entry.run_id)
-    return [with_pitch(run, campaign) if campaign.kind == "linear" else run], rejected
+    limits = {"linear": with_pitch, "sinusoidal": with_bandwidth}.get(campaign.kind)
+    return [run if limits is None else limits(run, campaign)], rejected
 
 
 def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False) -> Run:

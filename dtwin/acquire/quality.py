@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin.acquire.linear_quality import judge_linear_campaign, judge_linear_run
 from dtwin.acquire.motion_quality import judge_motion
+from dtwin.acquire.sinusoidal_runs import judge_sinusoidal_campaign, judge_sinusoidal_run
 from dtwin.acquire.volumetric_quality import judge_volumetric_run
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
@@ -34,7 +35,8 @@ def judge_run(run: Run) -> list[Finding]:
         return judge_volumetric_run(run)
     if run.meta.kind != "circular":
         clock = _clock(run.samples["t_s"]) if "t_s" in run.samples else []
-        return [*clock, *judge_linear_run(run)] if run.meta.kind == "linear" else clock
+        judge = {"linear": judge_linear_run, "sinusoidal": judge_sinusoidal_run}.get(run.meta.kind)
+        return clock if judge is None else [*clock, *judge(run)]
     clock = _clock(run.samples["t_s"])
     findings = [*clock, *_reading(run), *_angles(run)]
     for group in run.signals:
@@ -55,6 +57,9 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     linear = [run for run in runs if run.meta.kind == "linear" and run.samples]
     if linear:
         return judge_linear_campaign(linear)
+    tones = [run for run in runs if run.meta.kind == "sinusoidal"]
+    if tones:
+        return judge_sinusoidal_campaign(tones)
     circular = [run.meta for run in runs if run.meta.kind == "circular"]
     if not circular:
         return []

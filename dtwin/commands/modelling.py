@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
 
-MACHINES = ("cobot", "mill", "lathe", "volumetric", "hexapod")
+MACHINES = ("cobot", "mill", "lathe", "turning", "volumetric", "hexapod")
 
 
 def register(app: typer.Typer) -> None:
@@ -41,14 +42,22 @@ def simulate(
         str, typer.Option(help="Fault of the mill: backlash, wobble, servo, none.")
     ] = "backlash",
     truth: Annotated[
-        str, typer.Option(help="Error of the lathe: published, or mechanism.")
-    ] = "published",
+        str | None,
+        typer.Option(
+            help="Error of the lathe: published, mechanism; of turning: linear, hardening, friction."
+        ),
+    ] = None,
     schedule: Annotated[
         str, typer.Option(help="Heat of the volumetric mill: training, or validation.")
     ] = "training",
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
+    if machine == "turning":
+        from dtwin.commands.turning import simulate_tones
+
+        simulate_tones(out, truth or "linear", seed=seed, quick=quick, as_json=as_json)
+        return
     if machine == "volumetric":
         from dtwin.commands.volumetric import simulate_heat
 
@@ -57,7 +66,9 @@ def simulate(
     if machine == "lathe":
         from dtwin.commands.lathe import simulate_positioning
 
-        simulate_positioning(out, plan, truth, seed=seed, quick=quick, as_json=as_json)
+        simulate_positioning(
+            out, plan, truth or "published", seed=seed, quick=quick, as_json=as_json
+        )
         return
     if machine == "mill":
         _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
@@ -160,7 +171,8 @@ def train(
         "machine": result.machine,
         "version": found.version.version,
         "proposed": result.proposed,
-        "noise_floor_um": result.noise_floor_um,
+        "noise_floor_um": None if math.isnan(result.noise_floor_um) else result.noise_floor_um,
+        "told": list(result.told),
         "rms_before_um": result.rms_before_um,
         "table_versions": dict(result.table_versions),
         "candidates": [
@@ -180,12 +192,13 @@ def train(
     def text() -> str:
         head = (
             f"{campaign}: {result.rms_before_um:.1f} um RMS without a model, noise floor "
-            f"{result.noise_floor_um:.1f} um"
+            f"{result.noise_floor_text}"
         )
         gates = "\n".join(verdict_lines(found.verdicts))
         return "\n".join(
             [
                 head,
+                *result.told,
                 table(*comparison_table(result.candidates)),
                 f"registered {result.proposed} as version {found.version.version}",
                 gates,
@@ -251,15 +264,14 @@ def promote(
 ) -> None:
     """Check a version and make it champion, or say why not (exit 3).
 
-    Without evidence, circles with and without correction are measured first on the virtual
-    machine that the campaign came from.
+    Without evidence, motion with and without correction is measured first on the virtual machine
+    that the campaign came from.
     """
     from dtwin.config import home
     from dtwin.pipeline.modelling import (
+        evidence_for,
         evidence_of,
-        geometry_of,
         make_champion,
-        measure_evidence,
         put_on_trial,
     )
     from dtwin.report.campaign import evidence_table
@@ -277,10 +289,8 @@ def promote(
         return
     given = _evidence_file(evidence) if evidence is not None else evidence_of(registry, found)
     if given is None:
-        geometry = geometry_of(registry, found)
-        given = measure_evidence(
-            home(), found, geometry, seed=seed, progress=ProgressLine("circles", quiet=as_json)
-        ).as_dict()
+        progress = ProgressLine("measure", quiet=as_json)
+        given = evidence_for(home(), found, seed=seed, progress=progress)
     bundle, reason = make_champion(home(), found, given, comment)
     payload = {
         "version": found.version,
@@ -366,12 +376,13 @@ def machine_named(registry: Registry, named: str | None) -> str:
     )
 
 
-def _engine(name: str) -> Engine:
+def _engine(name: str) -> Engine | None:
+    """Return the engine that was asked for; None for each kind of campaign's own Operon."""
     from dtwin.errors import MissingPart
-    from dtwin.train.symbolic import OperonEngine, PySREngine
+    from dtwin.train.symbolic import PySREngine
 
     if name == "operon":
-        return OperonEngine()
+        return None
     if name == "pysr":
         reason = PySREngine.absent()
         if reason is not None:

@@ -18,6 +18,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "recheck",
         "rollback",
         "lathe",
+        "turning",
         "volumetric",
     ),
     "Run": (

@@ -105,7 +105,7 @@ def compare_with_champion(
     found = Comparison(
         candidate=registered.version.version,
         champion=champion.version,
-        candidate_um=report.candidate(report.proposed).scores["feed_mm_min"].rms_um,
+        candidate_um=report.candidate(report.proposed).held_out.rms_um,
         champion_um=error.rms_um,
         before_um=error.before_um,
         noise_floor_um=report.noise_floor_um,

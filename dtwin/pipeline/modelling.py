@@ -13,6 +13,7 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.pipeline.turning_evidence import EVIDENCE_FILE, measure_tone_evidence
 from dtwin.report.campaign import (
     comparison_table,
     evidence_section,
@@ -27,9 +28,9 @@ from dtwin.train.gates import Verdict
 from dtwin.train.promotion import check_version, promote, trial, verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.symbolic import Engine
+from dtwin.train.tone_training import train_tones
 from dtwin.train.training import Training, train_campaign
 
-EVIDENCE_FILE = "evidence.json"
 CONDITIONS_FILE = "conditions.json"
 StageProgress = Callable[[str, int, int, str], None]
 
@@ -76,9 +77,10 @@ def train(
     progress : callable, optional
         Called with (stage, done, total, what).
     """
-    training = train_campaign(
-        Lake(home.lake), campaign, seed=seed, engine=engine, progress=progress
-    )
+    lake = Lake(home.lake)
+    tones = lake.campaign(campaign).kind == "sinusoidal"
+    train_kind = train_tones if tones else train_campaign
+    training = train_kind(lake, campaign, seed=seed, engine=engine, progress=progress)
     report = training.report
     if progress is not None:
         progress("log and register", 0, 1, "")
@@ -169,6 +171,34 @@ def measure_evidence(
     before = registry.description(version)
     registry.mark(version, {}, description=before + "\n\n" + _evidence_markdown(found))
     return evidence
+
+
+def evidence_for(
+    home: Home, version: RegisteredVersion, *, seed: int,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return closed-loop evidence of the virtual machine that a version was trained on.
+
+    Parameters
+    ----------
+    home : Home
+        Registry.
+    version : RegisteredVersion
+        The version.
+    seed : int
+        Seed of the machine.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When the machine is real: it has to be measured on it.
+    """
+    geometry = geometry_of(Registry(home), version)
+    if geometry.get("type") == "turning" and geometry.get("virtual", False):
+        return measure_tone_evidence(home, version, geometry, seed=seed, progress=progress)
+    return measure_evidence(home, version, geometry, seed=seed, progress=progress).as_dict()
 
 
 def _on_the_mill(
@@ -268,13 +298,16 @@ def evidence_of(registry: Registry, version: RegisteredVersion) -> dict[str, Any
 def _description(training: Training, verdicts: list[Verdict]) -> str:
     report = training.report
     proposed = report.candidate(report.proposed)
-    feed = proposed.scores["feed_mm_min"]
+    held_out = proposed.held_out
+    digits = 1 if held_out.rms_um >= 1.0 else 3
     lines = [
         f"**{proposed.name}** for {report.machine}, trained on `{report.campaign}` "
         f"({report.n_runs} runs, table versions {dict(report.table_versions)}).",
         "",
-        f"Held-out by feed: {report.rms_before_um:.1f} -> {feed.rms_um:.1f} um RMS "
-        f"(R2 {feed.r2:.3f}); noise floor {report.noise_floor_um:.1f} um.",
+        f"Held-out by {held_out.group}: {report.rms_before_um:.1f} -> {held_out.rms_um:.{digits}f} um "
+        f"RMS (R2 {held_out.r2:.3f}); noise floor {report.noise_floor_text}.",
+        "",
+        *(f"- {line}" for line in report.told),
         "",
         _markdown(*comparison_table(report.candidates)),
         "",

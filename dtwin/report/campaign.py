@@ -15,7 +15,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
 from dtwin.report.plots import error_figure, magnification_for, polar_figure
 from dtwin.schema import Floats, Run
-from dtwin.train.results import Candidate, TrainingReport
+from dtwin.train.results import Candidate, TrainingReport, condition_name
 
 THESIS_REDUCTION = (
     "The source thesis reports 55.35 % less mean error over its XYZ circles (table 7-2). It is "
@@ -93,7 +93,7 @@ def training_section(report: TrainingReport) -> Section:
     points = [
         {
             "name": c.name,
-            "rms_um": c.scores["feed_mm_min"].rms_um,
+            "rms_um": c.held_out.rms_um,
             "p50_us": c.latency.p50_us if c.latency else None,
             "promotable": c.promotable,
         }
@@ -107,10 +107,12 @@ def training_section(report: TrainingReport) -> Section:
         [
             f"Campaign {report.campaign} on {report.machine}: {report.n_runs} runs, "
             f"{report.n_rows} rows. Error without a model {report.rms_before_um:.1f} um RMS after "
-            f"centre and radius of each set-up; repeats of the same condition disagree by "
-            f"{report.noise_floor_um:.1f} um (unit of replication: the run).",
-            "Every error is on conditions that were left out as a whole: all runs of one feed, or "
-            "of one radius, at a time.",
+            f"centre and radius of each set-up; what repeats of the same condition disagree by: "
+            f"{report.noise_floor_text} (unit of replication: the run).",
+            *report.told,
+            "Every error is on conditions that were left out as a whole: all runs of one "
+            + ", or of one ".join(_LEFT_OUT[group] for group in proposed.scores)
+            + ", at a time.",
         ],
         [("info", f"{proposed.name}: {finding}") for finding in proposed.findings],
         [Table(*comparison_table(report.candidates))],
@@ -129,12 +131,10 @@ def comparison_table(
     candidates : sequence of Candidate
         In the order to show.
     """
+    groups = [_LEFT_OUT[group] for group in candidates[0].scores]
     head = [
         "candidate",
-        "R2, feed out",
-        "um, feed out",
-        "R2, radius out",
-        "um, radius out",
+        *(f"{what}, {group} out" for group in groups for what in ("R2", "um")),
         "p50 us",
         "p99 us",
         "complexity",
@@ -142,14 +142,10 @@ def comparison_table(
     ]
     rows = []
     for c in candidates:
-        feed, radius = c.scores["feed_mm_min"], c.scores["radius_mm"]
         rows.append(
             [
                 c.name,
-                f"{feed.r2:.3f}",
-                f"{feed.rms_um:.1f}",
-                f"{radius.r2:.3f}",
-                f"{radius.rms_um:.1f}",
+                *(text for s in c.scores.values() for text in (f"{s.r2:.3f}", _um(s.rms_um))),
                 f"{c.latency.p50_us:.2f}" if c.latency else "-",
                 f"{c.latency.p99_us:.2f}" if c.latency else "-",
                 str(c.complexity),
@@ -204,7 +200,7 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     """Return head and rows of before, after, oracle and floor per condition."""
     head = [
         "condition",
-        "feed trained",
+        "trained",
         "before um",
         "after um",
         "reduction",
@@ -218,13 +214,13 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     for c in evidence["conditions"]:
         rows.append(
             [
-                f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}",
+                condition_name(c),
                 "yes" if c["trained"] else "no",
-                f"{c['before_um']:.1f} +- {c['before_ci_um']:.1f}",
-                f"{c['after_um']:.1f} +- {c['after_ci_um']:.1f}",
+                f"{_um(c['before_um'])} +- {_um(c['before_ci_um'])}",
+                f"{_um(c['after_um'])} +- {_um(c['after_ci_um'])}",
                 f"{100 * c['reduction']:.0f} %",
-                f"{c['oracle_um']:.1f}",
-                f"{c['floor_um']:.1f}",
+                "-" if c["oracle_um"] is None else _um(c["oracle_um"]),
+                _um(c["floor_um"]),
                 str(c["n_runs"]),
                 f"{100 * c.get('acted', {}).get('outside_box', 0.0):.1f} %",
                 "yes" if c["worse"] else "no",
@@ -233,6 +229,15 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     return head, rows
 
 
+def _um(value: float) -> str:
+    """Return an error in um; of tones, thousandths count."""
+    return f"{value:.1f}" if abs(value) >= 1.0 or value == 0.0 else f"{value:.3f}"
+
+
+_LEFT_OUT = {
+    "feed_mm_min": "feed", "radius_mm": "radius", "frequency_hz": "frequency",
+    "amplitude_um": "amplitude",
+}  # fmt: skip
 _FIGURES = (
     ("centre along first axis, um", "centre_a_um", "centre_a_um"),
     ("centre along second axis, um", "centre_b_um", "centre_b_um"),

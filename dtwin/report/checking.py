@@ -22,6 +22,7 @@ from dtwin.physics.circular import (
 from dtwin.physics.spectrum import strongest_lines
 from dtwin.report.positioning import positioning_lines, positioning_result
 from dtwin.report.text import table
+from dtwin.report.turning import tone_lines, tone_result
 from dtwin.schema import Floats, Run
 
 MAX_DETAILED = 12
@@ -98,6 +99,8 @@ def run_result(run: Run) -> dict[str, Any]:
     )
     if run.meta.kind == "circular" and run.meta.radius_mm and not broken:
         result |= _circular(run)
+    if run.meta.kind == "sinusoidal" and not broken:
+        result |= tone_result(run)
     return result
 
 
@@ -180,9 +183,10 @@ def render_check(result: dict[str, Any]) -> str:
     """
     runs = result["runs"]
     lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
-    for run in runs[:MAX_DETAILED]:
+    detailed = [] if result["kind"] == "sinusoidal" else runs[:MAX_DETAILED]
+    for run in detailed:
         lines += ["", *_render_run(run)]
-    if len(runs) > MAX_DETAILED:
+    if len(runs) > MAX_DETAILED and detailed:
         lines += ["", *_render_rest(runs[MAX_DETAILED:])]
     for pair in result["bidirectional"][:MAX_DETAILED]:
         lines.append(
@@ -190,6 +194,8 @@ def render_check(result: dict[str, Any]) -> str:
             f"{pair['circular_deviation_um']:.1f} um, hysteresis {pair['hysteresis_um']:.1f} um "
             f"at {pair['hysteresis_angle_deg']:.0f} deg, as the file's indices say"
         )
+    if result["kind"] == "sinusoidal":
+        lines += ["", *tone_lines(runs), ""]
     if "positioning" in result:
         lines += ["", *positioning_lines(result["positioning"]), ""]
     lines += [f"{f['severity']}: {f['message']}" for f in result["findings"]]

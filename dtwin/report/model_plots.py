@@ -102,14 +102,15 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
             )
         )
     axis = _range_of([c["rms_um"] for c in candidates])
-    figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"])
-    figure.add_annotation(
-        text="noise floor", xref="paper", x=1.0, xanchor="right", yanchor="bottom",
-        # Shapes take the value itself, annotations its logarithm.
-        y=float(np.log10(floor_um)) if "type" in axis else floor_um, showarrow=False,
-    )  # fmt: skip
+    if not np.isnan(floor_um):
+        figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"])
+        figure.add_annotation(
+            text="noise floor", xref="paper", x=1.0, xanchor="right", yanchor="bottom",
+            # Shapes take the value itself, annotations its logarithm.
+            y=float(np.log10(floor_um)) if "type" in axis else floor_um, showarrow=False,
+        )  # fmt: skip
     figure.update_layout(
-        title="Error on feeds left out against time of one row (hover for names)",
+        title="Error on conditions left out against time of one row (hover for names)",
         xaxis={"title": "median time of one row, us", "type": "log"},
         yaxis={"title": "held-out RMS, um", **axis},
     )

@@ -25,6 +25,7 @@ from dtwin.errors import (
     GateRefusal,
     InputError,
 )
+from dtwin.features.tone_window import COMMAND_PHASE
 from dtwin.features.windows import WindowContract
 from dtwin.links.ur import UrLink
 from dtwin.serve.analogue_link import (
@@ -252,6 +253,13 @@ def _serve_resolved(
     open_sensors: OpenSensors | None,
 ) -> Served:  # fmt: skip
     compiled = load_bundle(resolved.path, resolved.machine)
+    if COMMAND_PHASE in compiled.bundle.tick_inputs:
+        raise InputError(
+            "no device is known for a correction of tones", code="serve.tones",
+            where=f"machine {resolved.machine}", got=", ".join(compiled.bundle.tick_inputs),
+            hint="dtwin turning compensate runs it at 8 kHz on the virtual slide; a real slide has not "
+            "been tried",
+        )  # fmt: skip
     trial = request.trial or resolved.state == "trial"
     if trial:
         compiled = with_trial_clamp(compiled)

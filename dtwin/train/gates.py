@@ -16,6 +16,7 @@ from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 from dtwin.train.dataset import TICK_HZ
+from dtwin.train.results import condition_name
 
 LATENCY_BUDGET_US = 100.0
 MIN_R2 = 0.2
@@ -87,7 +88,7 @@ def evidence_gate(evidence: Mapping[str, Any], bundle: Bundle, *, real: bool) ->
         Verdict(
             "no condition worse",
             not worse,
-            "none beyond its 95 % interval" if not worse else ", ".join(map(_named, worse)),
+            "none beyond its 95 % interval" if not worse else ", ".join(map(condition_name, worse)),
         ),
         Verdict(
             "error falls",
@@ -95,10 +96,6 @@ def evidence_gate(evidence: Mapping[str, Any], bundle: Bundle, *, real: bool) ->
             f"{len(better)} of {len(conditions)} conditions better beyond their 95 % intervals",
         ),
     ]
-
-
-def _named(condition: Mapping[str, Any]) -> str:
-    return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"
 
 
 def _held_out(metrics: Mapping[str, float]) -> Verdict:

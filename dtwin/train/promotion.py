@@ -17,6 +17,8 @@ from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.pointer import machine_folder, write_machine, write_pointer
 from dtwin.train.gates import Verdict, evidence_gate, offline_gates
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
+from dtwin.train.tone_bundle import is_tone_bundle
+from dtwin.train.tone_gates import tone_gates
 
 HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
@@ -42,7 +44,8 @@ def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle,
             got=bundle.machine,
             allowed=found.machine,
         )
-    verdicts = offline_gates(bundle, registry.metrics(found))
+    judge = tone_gates if is_tone_bundle(bundle) else offline_gates
+    verdicts = judge(bundle, registry.metrics(found))
     barred = found.tags.get("state") == "barred"
     verdicts.append(Verdict("not barred", not barred, found.tags.get("state", "candidate")))
     return bundle, verdicts
@@ -245,8 +248,8 @@ def verdict_lines(verdicts: Sequence[Verdict]) -> list[str]:
 
 
 def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> None:
-    """Keep what the serving host must know; a mill has no chain and no tool to know of."""
-    if geometry.get("type") != "mill":
+    """Keep what the serving host must know; only robots have a chain and a tool to know of."""
+    if geometry.get("type") not in ("mill", "turning"):
         write_machine(machine, home, dict(geometry))
 
 

@@ -294,7 +294,7 @@ class Registry:
         tags = {"mlflow.parentRunId": parent, "dtwin.candidate": candidate.name}
         if candidate.equation:
             tags["mlflow.note.content"] = f"```\n{candidate.equation[:4000]}\n```"
-        self.log(run_id, params, _candidate_metrics(candidate), tags)
+        self.log(run_id, params, candidate_metrics(candidate), tags)
         files: dict[str, str | bytes] = dict(candidate.exports)
         if candidate.findings:
             files["findings.txt"] = "\n".join(candidate.findings)
@@ -387,7 +387,8 @@ def _report_metrics(report: TrainingReport) -> dict[str, float]:
     return {"noise_floor_um": report.noise_floor_um, "rms_before_um": report.rms_before_um}
 
 
-def _candidate_metrics(candidate: Candidate) -> dict[str, float]:
+def candidate_metrics(candidate: Candidate) -> dict[str, float]:
+    """Return what is logged of a candidate, by the names that the gates read."""
     metrics = {"train_rms_um": candidate.train_rms_um, "complexity": float(candidate.complexity)}
     for group, scores in candidate.scores.items():
         for name in ("r2", "rms_um", "mae_um", "worst_slice_ratio"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -124,6 +125,11 @@ class Candidate:
     front: tuple[Mapping[str, Any], ...] = ()
     numbers: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def held_out(self) -> Scores:
+        """Scores by the first group, which candidates are compared by."""
+        return next(iter(self.scores.values()))
+
 
 @dataclass(frozen=True)
 class TrainingReport:
@@ -147,6 +153,8 @@ class TrainingReport:
         Name of the promotable candidate that the gates should look at.
     seed : int
         Seed of everything random.
+    told : tuple of str
+        What the data show before any model, for the reviewer.
     """
 
     machine: str
@@ -159,7 +167,21 @@ class TrainingReport:
     candidates: tuple[Candidate, ...]
     proposed: str
     seed: int
+    told: tuple[str, ...] = ()
+
+    @property
+    def noise_floor_text(self) -> str:
+        """The noise floor with its unit, or that nobody knows it."""
+        known = not math.isnan(self.noise_floor_um)
+        return f"{self.noise_floor_um:.1f} um" if known else "unknown without repeats"
 
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""
         return next(c for c in self.candidates if c.name == name)
+
+
+def condition_name(condition: Mapping[str, Any]) -> str:
+    """Return what a condition of closed-loop evidence is called: a circle, or a tone."""
+    if "frequency_hz" in condition:
+        return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+    return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"

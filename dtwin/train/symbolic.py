@@ -58,12 +58,18 @@ class OperonEngine:
         Size of the search.
     max_length : int
         Longest formula in nodes.
+    symbols : str
+        Operators that it may use.
     """
 
     name = "operon"
 
-    def __init__(self, generations: int = 25, population: int = 300, max_length: int = 40) -> None:
+    def __init__(
+        self, generations: int = 25, population: int = 300, max_length: int = 40,
+        symbols: str = OPERON_SYMBOLS,
+    ) -> None:  # fmt: skip
         self.generations, self.population, self.max_length = generations, population, max_length
+        self.symbols = symbols
 
     def search(self, inputs: Mapping[str, Floats], target: Floats, seed: int) -> list[Found]:
         """Return the Pareto front over accuracy and length.
@@ -82,7 +88,7 @@ class OperonEngine:
         names = list(inputs)
         x = np.column_stack([inputs[name] for name in names])
         search = SymbolicRegressor(
-            allowed_symbols=OPERON_SYMBOLS,
+            allowed_symbols=self.symbols,
             objectives=["r2", "length"],
             optimizer_iterations=5,
             max_length=self.max_length,

@@ -35,18 +35,18 @@ class Training:
     ----------
     report : TrainingReport
         Candidates and data.
-    fit : PhysicsFit
-        The fitted physics library, for plots.
     geometry : dict
         The machine's geometry.
     conditions : tuple of (plane, radius_mm, feed_mm_min)
-        What was trained.
+        What was trained; of tones (name, frequency_hz, amplitude_um).
+    fit : PhysicsFit, optional
+        The fitted physics library of circles.
     """
 
     report: TrainingReport
-    fit: PhysicsFit
     geometry: Mapping[str, Any]
     conditions: tuple[tuple[str, float, float], ...]
+    fit: PhysicsFit | None = None
 
 
 def train_campaign(
@@ -119,7 +119,7 @@ def train_campaign(
         for done, (job, recipe) in enumerate(zip(jobs, usable, strict=True), start=1):
             found.append(job.result())
             tell("comparison models", done, len(usable), recipe.name)
-    found.sort(key=lambda c: c.scores["feed_mm_min"].rms_um)
+    found.sort(key=lambda c: c.held_out.rms_um)
     floor, _ = noise_floor_um(fit.rows)
     report = TrainingReport(
         machine=campaign.machine,
@@ -134,10 +134,10 @@ def train_campaign(
         seed=seed,
     )
     trained = sorted({(r["plane"], r["radius_mm"], r["feed_mm_min"]) for r in rows_})
-    return Training(report, fit, geometry, tuple(trained))
+    return Training(report, geometry, tuple(trained), fit)
 
 
 def _proposed(candidates: Sequence[Candidate]) -> str:
     """Return the promotable candidate with the smallest held-out error."""
     promotable = [c for c in candidates if c.promotable]
-    return min(promotable, key=lambda c: c.scores["feed_mm_min"].rms_um).name
+    return min(promotable, key=lambda c: c.held_out.rms_um).name

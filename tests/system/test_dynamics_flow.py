@@ -7,9 +7,10 @@ import json
 import pytest
 from running_servers import Up
 
+from dtwin.pipeline import dynamics_paper
 from dtwin.pipeline.dynamics_paper import Size
-from flows import dynamics
 from flows._runtime import delivered, run
+from flows.papers import dynamics_paper_flow
 
 pytest_plugins = ["scheduled_servers"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
@@ -18,11 +19,11 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
 def test_the_table_is_published(scheduled_up: Up, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(scheduled_up.home.root))
     small = Size(("sim2",), (0.0, 5.0), (1200.0, 6000.0), 4, 4)
-    monkeypatch.setattr(dynamics, "QUICK", small)
+    monkeypatch.setattr(dynamics_paper, "QUICK", small)
     with delivered():
-        found = run(dynamics.dynamics_flow, quick=True)
-    (seen,) = scheduled_up.runs_of("ballbar-dynamics")
+        found = run(dynamics_paper_flow, quick=True)
+    (seen,) = scheduled_up.runs_of("dynamics-paper")
     assert seen["state"]["name"] == "Completed"
-    table = json.loads(scheduled_up.artifacts_of(seen)["ballbar-dynamics"]["data"])
+    table = json.loads(scheduled_up.artifacts_of(seen)["dynamics-paper"]["data"])
     assert [row["figure"] for row in table] == [line["what"] for line in found["lines"]]
     assert {row["follows"] for row in table} == {"yes", "no", "not judged"}

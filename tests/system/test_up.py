@@ -74,11 +74,11 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Pat
         assert listening(children) == {"0100007F"}
 
         served = wait_for(
-            lambda: len(up.ask("/deployments/filter", {})) == 9, 90, "not all flows are served"
+            lambda: len(up.ask("/deployments/filter", {})) == 12, 90, "not all flows are served"
         )
         assert served
         times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
-        assert times == [[]] * 9, "--no-schedule has a schedule"
+        assert times == [[]] * 12, "--no-schedule has a schedule"
 
         second = dtwin(home, "up")
         assert second.returncode == 1

@@ -1,0 +1,242 @@
+"""Sinusoidal tests on the virtual Z slide, written as campaign folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.runner import toml_value
+from dtwin.acquire.signal_files import write_signals
+from dtwin.atomic import write_text
+from dtwin.errors import InputError
+from dtwin.machines.turning import (
+    MM_PER_UM,
+    SERVO_HZ,
+    AccelerationChannel,
+    AnaloguePath,
+    Instruments,
+    Slide,
+    TurningSlide,
+)
+from dtwin.parquet import table_of, write_parquet
+from dtwin.schema import Floats, Run, RunMeta, SignalGroup
+
+# Servo ticks to one sample of probe, encoder and accelerometer.
+EVERY = 8
+SAMPLE_HZ = SERVO_HZ / EVERY
+GROUP_S = 6.0
+BANDWIDTH_HZ = 50.0
+# The slide swings in before a group is recorded.
+_RUN_UP_S = 0.5
+TRUTHS = ("linear", "hardening", "friction")
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Groups of a campaign: every amplitude at every frequency.
+
+    Attributes
+    ----------
+    frequencies_hz, amplitudes_um : tuple of float
+        What is commanded.
+    """
+
+    frequencies_hz: tuple[float, ...] = (1.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
+    amplitudes_um: tuple[float, ...] = tuple(float(a) for a in range(1, 12))
+
+    @property
+    def groups(self) -> list[tuple[float, float]]:
+        """Frequency and amplitude of each group, in the order of measuring."""
+        return [(f, a) for f in self.frequencies_hz for a in self.amplitudes_um]
+
+
+PUBLISHED = Grid()
+QUICK = Grid((5.0, 15.0, 25.0, 30.0, 35.0, 40.0), (2.0, 5.0, 8.0, 11.0))
+
+
+def virtual_slide(truth: str) -> Slide:
+    """Return the mechanism.
+
+    Parameters
+    ----------
+    truth : {"linear", "hardening", "friction"}
+        A linear servo and structure; a joint in the structure that grows stiffer under load; friction
+        in the guideway.
+
+    Raises
+    ------
+    InputError
+        When there is no such mechanism.
+    """
+    if truth not in TRUTHS:
+        raise InputError(
+            "no such slide", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS)
+        )
+    if truth == "hardening":
+        return Slide(hardening=1.35, hardening_um=1.6)
+    return Slide(friction_um=0.2) if truth == "friction" else Slide()
+
+
+def record_group(
+    slide: Slide, instruments: Instruments, frequency_hz: float, amplitude_um: float, seed: int
+) -> tuple[dict[str, Floats], SignalGroup]:
+    """Command one tone for six seconds and return what the instruments record.
+
+    Parameters
+    ----------
+    slide : Slide
+        The mechanism.
+    instruments : Instruments
+        Probe, encoder, accelerometer.
+    frequency_hz, amplitude_um : float
+        Of the command.
+    seed : int
+        Of noise.
+
+    Returns
+    -------
+    samples, acceleration : tuple
+        Columns of the run, and the accelerometer's signals, both at 1 kHz from the same instant.
+    """
+    rng = np.random.default_rng(seed)
+    machine, channel = TurningSlide(slide), AccelerationChannel(instruments.accelerometer, rng)
+    t = np.arange(-round(_RUN_UP_S * SERVO_HZ), round(GROUP_S * SERVO_HZ)) / SERVO_HZ
+    swell = np.minimum(1.0, (t + _RUN_UP_S) / (0.5 * _RUN_UP_S))
+    command = swell * amplitude_um * np.sin(2.0 * np.pi * frequency_hz * t)
+    motion = machine.run(command)
+    acceleration = channel.sampled_g(motion, EVERY)
+    kept = slice(round(_RUN_UP_S * SERVO_HZ), None, EVERY)
+    step = instruments.encoder_um
+    tool = motion.tool_um[kept]
+    samples = {
+        "t_s": t[kept],
+        "cmd_z_mm": command[kept] * MM_PER_UM,
+        "act_z_mm": np.round(motion.encoder_um[kept] / step) * step * MM_PER_UM,
+        "tool_z_mm": (tool + instruments.probe_um * rng.normal(size=len(tool))) * MM_PER_UM,
+    }
+    signal = acceleration[round(_RUN_UP_S * SAMPLE_HZ) :]
+    return samples, SignalGroup("accelerometers", SAMPLE_HZ, {"tool_z_g": signal})
+
+
+def virtual_runs(
+    grid: Grid, slide: Slide, seed: int, instruments: Instruments | None = None
+) -> Iterator[Run]:
+    """Return the groups of a campaign as runs, without writing anything.
+
+    Parameters
+    ----------
+    grid : Grid
+        What is commanded.
+    slide : Slide
+        The mechanism.
+    seed : int
+        Of all noise.
+    instruments : Instruments, optional
+        Others than the usual.
+    """
+    for number, (frequency, amplitude) in enumerate(grid.groups, start=1):
+        samples, signals = record_group(
+            slide, instruments or Instruments(), frequency, amplitude, seed * 10_007 + number
+        )
+        condition: dict[str, float | str] = {
+            "axis": "Z",
+            "frequency_hz": frequency,
+            "amplitude_um": amplitude,
+        }
+        meta = RunMeta(
+            f"g{number:03d}", kind="sinusoidal", condition=condition, sample_rate_hz=SAMPLE_HZ
+        )
+        yield Run(meta, samples, signals=(signals,))
+
+
+def simulate_turning(
+    folder: Path, *, truth: str = "linear", seed: int = 0, quick: bool = False,
+    grid: Grid | None = None, instruments: Instruments | None = None,
+    progress: Progress | None = None,
+) -> int:  # fmt: skip
+    """Measure a campaign of tones; return the number of groups.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder to write.
+    truth : str
+        As for :func:`virtual_slide`.
+    seed : int
+        Of all noise.
+    quick : bool
+        24 groups instead of the published 99.
+    grid : Grid, optional
+        Other groups.
+    instruments : Instruments, optional
+        Others than the usual.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When the folder holds a campaign, or the slide is unknown.
+    """
+    if (folder / "campaign.toml").exists():
+        raise InputError(
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder),
+            hint="give another --out",
+        )  # fmt: skip
+    slide, seen_by = virtual_slide(truth), instruments or Instruments()
+    chosen = grid or (QUICK if quick else PUBLISHED)
+    groups = chosen.groups
+    for number, run in enumerate(virtual_runs(chosen, slide, seed, seen_by), start=1):
+        name = run.meta.run_id
+        write_parquet(folder / f"{name}.parquet", table_of(run.samples))
+        write_signals(folder / f"{name}.accelerometers.parquet", run.signals[0])
+        if progress is not None:
+            progress(number, len(groups), name)
+    told = {"truth": truth, "seed": seed} | asdict(slide) | asdict(seen_by.accelerometer)
+    lines = [f"{k} = {toml_value(v)}" for k, v in told.items()]
+    write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")
+    write_text(folder / "campaign.toml", _campaign_text(groups, truth), "the campaign file")
+    return len(groups)
+
+
+def _campaign_text(groups: Sequence[tuple[float, float]], truth: str) -> str:
+    head: dict[str, Any] = {
+        "type": "turning", "virtual": True, "truth": truth, "z_bandwidth_hz": BANDWIDTH_HZ,
+        "correction_delay_s": AnaloguePath().delay_s,
+    }  # fmt: skip
+    lines = [
+        "[campaign]",
+        f"name = {toml_value(f'slow-tool-servo-{truth}')}",
+        'machine = "virtual-turning"',
+        'kind = "sinusoidal"',
+        "[campaign.machine_geometry]",
+        *(f"{k} = {toml_value(v)}" for k, v in head.items()),
+        "[campaign.instrument]",
+        'model = "virtual capacitance probe"',
+        f"sample_rate_hz = {SAMPLE_HZ:g}",
+    ]
+    for number, (frequency, amplitude) in enumerate(groups, start=1):
+        lines += [
+            "",
+            "[[run]]",
+            f'id = "g{number:03d}"',
+            f'file = "g{number:03d}.parquet"',
+            f'signals = "g{number:03d}.accelerometers.parquet"',
+            "[run.condition]",
+            'axis = "Z"',
+            f"frequency_hz = {frequency:g}",
+            f"amplitude_um = {amplitude:g}",
+        ]
+    return "\n".join([*lines, ""])
+
+
+def noiseless(instruments: Instruments | None = None) -> Instruments:
+    """Return instruments that add nothing."""
+    given = instruments or Instruments()
+    sensor = replace(given.accelerometer, gain_1=1.0, noise_g_per_root_hz=0.0, drift_g=0.0)
+    return replace(given, probe_um=0.0, encoder_um=1e-9, accelerometer=sensor)

@@ -1,0 +1,165 @@
+"""Commands about slow tool servo turning."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from dtwin.commands.output import ProgressLine, emit
+from dtwin.errors import EXIT_GATE, InputError
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+Truth = Annotated[
+    str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")
+]
+
+app_turning = typer.Typer(
+    help="Slow tool servo: fit the error of tones, try it in the loop, compare with a published slide.",
+    no_args_is_help=True,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(app_turning, name="turning")
+
+
+def simulate_tones(out: Path, truth: str, *, seed: int, quick: bool, as_json: bool) -> None:
+    """Measure tones on the virtual Z slide."""
+    from dtwin.acquire.virtual_turning import simulate_turning
+
+    progress = ProgressLine("measure", quiet=as_json)
+    groups = simulate_turning(out, truth=truth, seed=seed, quick=quick, progress=progress)
+    payload = {"folder": str(out), "groups": groups, "truth": truth}
+    emit(payload, lambda: f"{groups} groups in {out}\nnext: dtwin check {out}", as_json=as_json)
+
+
+@app_turning.command("fit")
+def fit(
+    campaign: Annotated[Path, typer.Argument(help="Campaign folder of tones.")],
+    model: Annotated[
+        str,
+        typer.Option(help="two-modes, power-law, printed-form (refitted), symbolic (free search)."),
+    ] = "two-modes",
+    action: Annotated[
+        str,
+        typer.Option(
+            help="inverse: divides the command by the gain; subtract: takes the error vector off; "
+            "printed: amplitude error times a sine."
+        ),
+    ] = "inverse",
+    out: Annotated[Path, typer.Option(help="Bundle to write.")] = Path("turning.json"),
+    seed: Annotated[int, typer.Option(help="Of the free search.")] = 1,
+    force: Annotated[
+        bool, typer.Option("--force", help="Write it though a gate says no, or the file is there.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Fit amplitude and phase error of tones, judge the equations, write them as a bundle."""
+    from dtwin.pipeline.turning_fit import MODELS, fitted_tones, folder_groups, write_tones
+    from dtwin.report.lathe import gate_lines
+    from dtwin.train.tone_bundle import ACTIONS
+
+    if model not in MODELS or action not in ACTIONS:
+        raise InputError(
+            "no such equation", code="turning.model", got=f"--model {model[:40]} --action {action[:40]}",
+            allowed=f"--model {', '.join(MODELS)}; --action {', '.join(ACTIONS)}",
+        )  # fmt: skip
+    machine, groups = folder_groups(campaign, ProgressLine("read", quiet=as_json))
+    made = fitted_tones(machine, groups, model, action, seed)
+    written = made.passed or force
+    if written:
+        write_tones(made, out, force=force)
+    payload = {
+        "model": made.candidate.name,
+        "action": action,
+        "file": str(out) if written else None,
+        "told": made.told,
+        "equation": made.candidate.equation,
+        "scores": {k: s.as_dict() for k, s in made.candidate.scores.items()},
+        "numbers": dict(made.candidate.numbers),
+        "gates": [vars(v) for v in made.verdicts],
+    }
+    lines = [
+        *made.told,
+        "",
+        made.candidate.equation,
+        *gate_lines(made.verdicts),
+        f"{out} written" + ("" if made.passed else " though it did not pass: for comparison only")
+        if written
+        else "not written: a gate said no (--force writes it for comparison)",
+    ]
+    emit(payload, lambda: "\n".join(lines), as_json=as_json)
+    if not written:
+        raise typer.Exit(EXIT_GATE)
+
+
+@app_turning.command("compensate")
+def compensate(
+    model: Annotated[
+        str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")
+    ],
+    truth: Truth = "linear",
+    frequency: Annotated[
+        list[float] | None, typer.Option(help="Of the tool in Hz; 5, 10, 20, 30, 40 without.")
+    ] = None,
+    machine: Annotated[
+        str | None, typer.Option(help="Required when several machines have a model.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Of noise.")] = 1,
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Write surfaces and errors, one offline page.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
+    from dtwin.atomic import write_text
+    from dtwin.config import home
+    from dtwin.pipeline.turning_trial import TRIAL_HZ, trial
+    from dtwin.report.html import page
+    from dtwin.report.turning import trial_section, trial_text
+    from dtwin.serve.bundle_file import load_bundle
+    from dtwin.serve.pointer import resolve
+
+    chosen = tuple(frequency or TRIAL_HZ)
+    if not all(0.5 <= f <= 200.0 for f in chosen):
+        raise InputError(
+            "the tool cannot move so", code="turning.frequency", got=f"{chosen} Hz",
+            allowed="0.5 to 200 Hz",
+        )  # fmt: skip
+    if model.endswith(".json"):
+        path, told = Path(model), model
+    else:
+        # The slide is virtual: nothing can be harmed by a version that did not pass.
+        found = resolve(model, machine, home(), harmless=True)
+        path, told = found.path, found.describe()
+    bundle = load_bundle(path).bundle
+    result, surfaces = trial(
+        bundle, truth=truth, seed=seed, frequencies_hz=chosen,
+        progress=ProgressLine("cut", quiet=as_json),
+    )  # fmt: skip
+    payload: dict[str, Any] = {"model": told, **result}
+    if html is not None:
+        section = trial_section(result, surfaces)
+        write_text(html, page("Slow tool servo", told, [section]), "the page")
+        payload["html"] = str(html)
+    lines = [told, trial_text(result), *([str(html)] if html else [])]
+    emit(payload, lambda: "\n".join(lines), as_json=as_json)
+
+
+@app_turning.command("paper")
+def paper(
+    quick: Annotated[
+        bool, typer.Option("--quick", help="24 groups instead of 99, for a first look.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Compute the figures of the published slide again: theirs, ours, whether they follow."""
+    from dtwin.pipeline.turning_paper import turning_paper
+    from dtwin.report.turning import paper_text
+
+    found = turning_paper(quick=quick, seed=seed, progress=ProgressLine("paper", quiet=as_json))
+    emit(found, lambda: paper_text(found), as_json=as_json)

@@ -1,0 +1,289 @@
+"""The Z slide of a diamond turning machine: a servo loop, and a structure that the loop does not see.
+
+The encoder sits on the slide; the tool stands on a structure that bends and rings. What the tool does
+beyond the encoder is outside of the loop: no controller gain can take it away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from scipy.signal import butter, lfilter
+
+from dtwin.schema import Floats
+
+SERVO_HZ = 8000.0
+UM_S2_PER_G = 9.80665e6
+MM_PER_UM = 1e-3
+# Below this deflection a hardening joint is a spring: no joint is infinitely soft.
+_SOFTEST_UM = 0.02
+
+
+@dataclass(frozen=True)
+class Slide:
+    """Servo and structure. The defaults come closest to the printed figures of a real slide.
+
+    Attributes
+    ----------
+    servo_hz, servo_damping : float
+        Natural frequency and damping ratio of the closed position loop.
+    velocity_feedforward : float
+        Share of the commanded velocity that the loop is told beforehand; 1 is perfect.
+    structure_hz, structure_damping : float
+        Mode of the tool on its structure, damped against the frame; its frequency holds at the
+        deflection ``hardening_um``.
+    hardening : float
+        Exponent of force over deflection of the joint in the structure: 1 is a spring, more is a joint
+        of rough faces, which grows stiffer under load.
+    hardening_um : float
+        Deflection at which the joint is as stiff as the spring.
+    friction_um, friction_reach_um : float
+        Guideway friction as the deflection of the servo that it causes, and the travel over which it
+        turns round; none by default.
+    """
+
+    servo_hz: float = 81.78
+    servo_damping: float = 0.266
+    velocity_feedforward: float = 1.056
+    structure_hz: float = 70.73
+    structure_damping: float = 0.0516
+    hardening: float = 1.0
+    hardening_um: float = 1.3
+    friction_um: float = 0.0
+    friction_reach_um: float = 0.4
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """What stands near the tool.
+
+    Attributes
+    ----------
+    gain_1 : float
+        Sensitivity over its nominal value, with what its place off the tool adds.
+    noise_g_per_root_hz : float
+        Noise density.
+    drift_g, drift_s : float
+        Slow wander of its zero: standard deviation and how long it remembers.
+    bandwidth_hz : float
+        Low-pass before sampling.
+    range_g : float
+        Beyond this it clips.
+    """
+
+    gain_1: float = 1.015
+    noise_g_per_root_hz: float = 8e-6
+    drift_g: float = 4e-5
+    drift_s: float = 5.0
+    bandwidth_hz: float = 200.0
+    range_g: float = 5.0
+
+
+@dataclass(frozen=True)
+class AnaloguePath:
+    """How a correction comes into the loop: volts out, volts in, pulses.
+
+    Attributes
+    ----------
+    um_per_v, offset_v : float
+        Scale of the output, and the voltage that stands for no correction.
+    range_v, bits : float, int
+        Converter.
+    pulses_per_v, um_per_pulse : float
+        What the controller makes of a volt.
+    delay_ticks : int
+        Servo ticks from the output to the motion command.
+    """
+
+    um_per_v: float = 2.0
+    offset_v: float = 0.5
+    range_v: float = 10.0
+    bits: int = 16
+    pulses_per_v: float = 2000.0
+    um_per_pulse: float = 0.001
+    delay_ticks: int = 2
+
+    @property
+    def delay_s(self) -> float:
+        """Seconds from the output to the motion command."""
+        return self.delay_ticks / SERVO_HZ
+
+    def arrived_um(self, wanted_um: Floats, held: Floats) -> tuple[Floats, Floats, int]:
+        """Return what reaches the motion command.
+
+        Parameters
+        ----------
+        wanted_um : ndarray, shape (n,)
+            Correction at successive ticks.
+        held : ndarray, shape (delay_ticks,)
+            What was on its way before.
+
+        Returns
+        -------
+        arrived, held, saturated : tuple
+            Correction in um, shape (n,); what is on its way afterwards; ticks that clipped.
+        """
+        step = 2.0 * self.range_v / 2.0**self.bits
+        volts = wanted_um / self.um_per_v + self.offset_v
+        limited = np.clip(np.round(volts / step) * step, -self.range_v, self.range_v - step)
+        pulses = np.round((limited - self.offset_v) * self.pulses_per_v)
+        line = np.concatenate([held, pulses * self.um_per_pulse])
+        n = len(wanted_um)
+        return line[:n], line[n:], int(np.count_nonzero(np.abs(volts) > self.range_v))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the slide did, tick by tick at 8 kHz.
+
+    Attributes
+    ----------
+    encoder_um, tool_um : ndarray, shape (n,)
+        Slide as its encoder sees it, and tool.
+    acceleration_um_s2 : ndarray, shape (n,)
+        Of the tool.
+    """
+
+    encoder_um: Floats
+    tool_um: Floats
+    acceleration_um_s2: Floats
+
+
+class TurningSlide:
+    """The slide in time; it goes on from where it is.
+
+    Parameters
+    ----------
+    slide : Slide, optional
+        Mechanism.
+    """
+
+    def __init__(self, slide: Slide | None = None) -> None:
+        self.slide = slide or Slide()
+        self._state = np.zeros(6)
+
+    def run(self, command_um: Floats) -> Motion:
+        """Follow a command, one value for each servo tick.
+
+        Parameters
+        ----------
+        command_um : ndarray, shape (n,)
+            Position command with everything that was added to it.
+        """
+        s = self.slide
+        constants = np.array(
+            [2 * np.pi * s.servo_hz, s.servo_damping, s.velocity_feedforward,
+             2 * np.pi * s.structure_hz, s.structure_damping, s.hardening, s.hardening_um,
+             s.friction_um, s.friction_reach_um, _SOFTEST_UM, 1.0 / SERVO_HZ]
+        )  # fmt: skip
+        out = np.empty((3, len(command_um)))
+        _follow(np.ascontiguousarray(command_um, dtype=np.float64), constants, self._state, out)
+        return Motion(out[0], out[1], out[2])
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Capacitance probe at the tool, encoder, accelerometer.
+
+    Attributes
+    ----------
+    probe_um, encoder_um : float
+        Noise of a reading of the probe; step of the encoder.
+    accelerometer : Accelerometer
+        Near the tool.
+    """
+
+    probe_um: float = 0.005
+    encoder_um: float = 0.001
+    accelerometer: Accelerometer = field(default_factory=Accelerometer)
+
+
+class AccelerationChannel:
+    """The accelerometer with its amplifier; filter and wander go on from call to call.
+
+    Parameters
+    ----------
+    sensor : Accelerometer
+        What it is.
+    rng : numpy Generator
+        Of noise and wander.
+    """
+
+    def __init__(self, sensor: Accelerometer, rng: np.random.Generator) -> None:
+        self.sensor, self._rng = sensor, rng
+        self._b, self._a = butter(2, sensor.bandwidth_hz / (SERVO_HZ / 2.0))
+        self._memory = np.zeros(2)
+        self._keep = np.exp(-1.0 / (sensor.drift_s * SERVO_HZ))
+        self._wander = np.array([self._keep * sensor.drift_g * rng.normal()])
+
+    def sampled_g(self, motion: Motion, every: int) -> Floats:
+        """Return what is sampled at every ``every``-th tick in g, shape (n // every,).
+
+        Parameters
+        ----------
+        motion : Motion
+            Of the slide.
+        every : int
+            Servo ticks to a sample.
+        """
+        sensor, n = self.sensor, len(motion.tool_um)
+        noise = sensor.noise_g_per_root_hz * np.sqrt(SERVO_HZ / 2.0) * self._rng.normal(size=n)
+        felt = motion.acceleration_um_s2 / UM_S2_PER_G * sensor.gain_1 + noise
+        passed, self._memory = lfilter(self._b, self._a, felt, zi=self._memory)
+        pushes = sensor.drift_g * np.sqrt(1.0 - self._keep**2) * self._rng.normal(size=n)
+        wander, self._wander = lfilter([1.0], [1.0, -self._keep], pushes, zi=self._wander)
+        shown: Floats = np.clip((passed + wander)[::every], -sensor.range_g, sensor.range_g)
+        return shown
+
+
+@njit(cache=True, error_model="numpy")
+def _follow(command: Floats, c: Floats, state: Floats, out: Floats) -> None:
+    """Step servo and structure: classical Runge-Kutta between ticks, force held over a tick.
+
+    ``state`` is slide, its velocity, tool, its velocity, presliding friction, last command.
+    """
+    servo, damping, forward, mode, loss, power, scale = c[0], c[1], c[2], c[3], c[4], c[5], c[6]
+    friction, reach, softest, dt = servo * servo * c[7], c[8], c[9], c[10]
+    e, v, x, w, z, last = state[0], state[1], state[2], state[3], state[4], state[5]
+    for i in range(command.shape[0]):
+        told = (command[i] - last) / dt
+        last = command[i]
+        pull = servo * servo * (last - e) + 2.0 * damping * servo * (forward * told - v)
+        if friction > 0.0:
+            way = 1.0 if v > 0.0 else -1.0
+            z = way + (z - way) * np.exp(-abs(v) * dt / reach)
+            pull -= friction * z
+        # The slide under a held force moves along a parabola.
+        half_e, next_e = (
+            e + 0.5 * dt * v + 0.125 * dt * dt * pull,
+            e + dt * v + 0.5 * dt * dt * pull,
+        )
+        k1 = _tool(x, w, e, mode, loss, power, scale, softest)
+        k2 = _tool(x + 0.5 * dt * w, w + 0.5 * dt * k1, half_e, mode, loss, power, scale, softest)
+        k3 = _tool(
+            x + 0.5 * dt * w + 0.25 * dt * dt * k1, w + 0.5 * dt * k2, half_e, mode, loss, power,
+            scale, softest,
+        )  # fmt: skip
+        k4 = _tool(
+            x + dt * w + 0.5 * dt * dt * k2, w + dt * k3, next_e, mode, loss, power, scale, softest
+        )
+        out[0, i], out[1, i], out[2, i] = e, x, k1
+        x += dt * w + dt * dt / 6.0 * (k1 + k2 + k3)
+        w += dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        e, v = next_e, v + dt * pull
+    state[0], state[1], state[2], state[3], state[4], state[5] = e, v, x, w, z, last
+
+
+@njit(cache=True, error_model="numpy")
+def _tool(
+    x: float, w: float, e: float, mode: float, loss: float, power: float, scale: float,
+    softest: float,
+) -> float:  # fmt: skip
+    """Return the tool's acceleration: a joint between slide and tool, damping against the frame."""
+    bent = x - e
+    force = mode * mode * bent
+    if power != 1.0:
+        force *= ((bent * bent + softest * softest) / (scale * scale)) ** (0.5 * (power - 1.0))
+    return -force - 2.0 * loss * mode * w

@@ -1,0 +1,70 @@
+"""The published systems whose figures are computed again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from dtwin.pipeline import dynamics_paper, lathe_paper, turning_paper, volumetric_paper
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class Paper:
+    """A source.
+
+    Attributes
+    ----------
+    source : str
+        Who published it.
+    compute : callable
+        Called with (quick, seed, progress); returns ``lines`` with what, paper, ours, follows.
+    """
+
+    source: str
+    compute: Callable[[bool, int, Progress], dict[str, Any]]
+
+
+def _lathe(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    size = lathe_paper.QUICK if quick else lathe_paper.FULL
+    return lathe_paper.lathe_paper(size, seed, progress)
+
+
+def _turning(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    return turning_paper.turning_paper(quick=quick, seed=seed, progress=progress)
+
+
+def _volumetric(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    return {"lines": volumetric_paper.volumetric_paper(seed, progress, quick=quick)}
+
+
+def _dynamics(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    size = dynamics_paper.QUICK if quick else dynamics_paper.FULL
+    return dynamics_paper.dynamics_paper(size, seed, progress)
+
+
+PAPERS = {
+    "lathe": Paper("J. M. Fines, MSc thesis, lathe and networks", _lathe),
+    "turning": Paper("slow tool servo on a diamond turning machine", _turning),
+    "volumetric": Paper("geometric and thermal errors of a mill", _volumetric),
+    "dynamics": Paper("Xing, Bonev, Champliaud, Liu (2024), ball bar and filter", _dynamics),
+}
+
+
+def computed(name: str, *, quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
+    """Compute the figures of a source again.
+
+    Parameters
+    ----------
+    name : str
+        A key of ``PAPERS``.
+    quick : bool
+        Less of everything.
+    seed : int
+        Of everything random.
+    progress : callable
+        Called with (done, total, what).
+    """
+    return PAPERS[name].compute(quick, seed, progress)

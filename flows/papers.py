@@ -1,0 +1,47 @@
+"""The tables of the published systems, computed again: theirs, ours, what follows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from prefect import Flow, flow
+
+from dtwin.pipeline.papers import PAPERS
+from flows import _artifacts, _tasks
+
+_JUDGED = {True: "yes", False: "no", None: "not judged"}
+
+
+def _paper_flow(name: str) -> Flow[..., Any]:
+    """Return the flow of a source; its parameters are the seed and whether to compute less."""
+
+    @flow(name=f"{name}-paper", flow_run_name=name + "-paper seed {seed}")
+    def paper_flow(seed: int = 0, quick: bool = False) -> dict[str, Any]:
+        found = _tasks.paper(name, quick, seed)
+        rows = [
+            [
+                line.get("target", ""),
+                line["what"],
+                line["paper"],
+                line["ours"],
+                _JUDGED[line["follows"]],
+            ]
+            for line in found["lines"]
+        ]
+        follows = [line["follows"] for line in found["lines"]]
+        _artifacts.publish_table(
+            f"{name}-paper",
+            ("target", "figure", "the paper", "ours", "follows"),
+            rows,
+            f"{PAPERS[name].source}: {follows.count(True)} figures follow, {follows.count(False)} do not",
+        )
+        return found
+
+    return paper_flow
+
+
+lathe_paper_flow = _paper_flow("lathe")
+turning_paper_flow = _paper_flow("turning")
+volumetric_paper_flow = _paper_flow("volumetric")
+dynamics_paper_flow = _paper_flow("dynamics")
+paper_flows = (lathe_paper_flow, turning_paper_flow, volumetric_paper_flow, dynamics_paper_flow)

@@ -1,0 +1,134 @@
+"""The page about slow tool servo is followed; its commands refuse what they must; the registry takes tones."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from shown_commands import blocks, follow, page
+from typer.testing import CliRunner
+
+from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_slide
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.pipeline.turning_paper import calibration_lines, turning_paper
+from dtwin.report.turning import paper_text
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle_file import create_bundle, save_bundle
+from dtwin.serve.interface import Input, Output
+from flows._runtime import run
+from flows.papers import turning_paper_flow
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+
+def invoke(*words: str, code: int = 0) -> str:
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("turning") / "tones"
+    simulate_turning(folder, grid=Grid((10.0, 20.0, 30.0, 40.0), (2.0, 6.0, 11.0)))
+    return folder
+
+
+def test_the_page_is_followed(tmp_path: Path) -> None:
+    said = follow(blocks(page("docs/how-to/slow-tool-servo.md")), tmp_path)
+    shown = next(text for command, text in said if "compensate" in command)
+    row = next(line for line in shown.splitlines() if line.startswith("40 "))
+    form, phase = (float(v) for v in re.findall(r"\(-([\d.]+) %\)", row)[:2])
+    assert form > 85.0
+    assert phase > 93.0
+    assert "became worse: none" in shown
+    assert (tmp_path / "surfaces.html").stat().st_size > 100_000
+
+
+def test_tones_are_trained_promoted_and_tried_like_circles(
+    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    invoke("ingest", str(campaign))
+    trained = json.loads(invoke("train", "slow-tool-servo-linear", "--json"))
+    assert all(gate["passed"] for gate in trained["gates"])
+    assert trained["noise_floor_um"] is None
+    assert any("dead constant" in line for line in trained["told"])
+    names = {c["name"] for c in trained["candidates"]}
+    assert {"two-modes", "symbolic-operon", "narx", "printed-form", "forest", "zero"} <= names
+    promoted = json.loads(invoke("promote", "candidate", "--json"))
+    assert promoted["champion"] is True
+    assert [c["frequency_hz"] for c in promoted["evidence"]["conditions"]] == [5, 10, 20, 30, 40]
+    versions = json.loads(invoke("models", "--json"))["versions"]
+    assert versions[0]["tags"]["evidence"] == "virtual"
+    assert "champion" in versions[0]["aliases"]
+    tried = json.loads(invoke("turning", "compensate", "latest", "--frequency", "40", "--json"))
+    assert tried["rows"][0]["reduction"]["form_um"] > 0.85
+    with pytest.raises(InputError, match="no device is known"):
+        CliRunner().invoke(app, ["serve", "--model", "latest"], catch_exceptions=False)
+    assert Home(tmp_path / "home").lake.exists()
+
+
+def test_what_a_gate_refused_is_not_written_without_force(campaign: Path, tmp_path: Path) -> None:
+    out = tmp_path / "subtract.json"
+    words = ["turning", "fit", str(campaign), "--action", "subtract", "--out", str(out), "--json"]
+    said = json.loads(invoke(*words, code=3))
+    assert [g["gate"] for g in said["gates"] if not g["passed"]] == ["stable on its own correction"]
+    assert not out.exists()
+    assert json.loads(invoke(*words, "--force"))["file"] == str(out)
+
+
+def test_bad_input_is_refused(campaign: Path, tmp_path: Path) -> None:
+    builder = GraphBuilder()
+    graph = builder.graph({"error_um": builder.input("angle_rad") * 1.0})
+    angle = Input("angle_rad", "rad", "path", 500.0, "path", -7.0, 7.0)
+    other = save_bundle(
+        create_bundle(
+            name="round", machine="cobot", model_version=1, inputs=[angle],
+            outputs=[Output("error_um", "path_radial")], tick_graph=graph,
+        ),
+        tmp_path / "other.json",
+    )  # fmt: skip
+    for words, told in (
+        (["fit", str(campaign), "--model", "magic"], "no such equation"),
+        (["fit", str(campaign), "--action", "hope"], "no such equation"),
+        (["compensate", str(other)], "does not correct tones"),
+        (["compensate", str(other), "--frequency", "0"], "cannot move so"),
+    ):
+        with pytest.raises(InputError, match=told):
+            CliRunner().invoke(app, ["turning", *words], catch_exceptions=False)
+
+
+def test_the_mechanism_is_compared_with_the_printed_figures() -> None:
+    lines = calibration_lines(virtual_slide("linear"))
+    judged = [line["follows"] for line in lines]
+    assert (judged.count(True), judged.count(False), judged.count(None)) == (8, 1, 1)
+    assert "1.97 um, but" in paper_text({"lines": lines, "told": []})
+
+
+@pytest.mark.long
+def test_the_comparison_is_made_of_figures_that_can_be_judged() -> None:
+    found = turning_paper(quick=True, seed=1, progress=lambda *_: None)
+    lines = {line["what"]: line for line in found["lines"]}
+    assert lines["surface at 40 Hz: form error"]["follows"] is True
+    assert lines["surface at 40 Hz: phase error"]["follows"] is True
+    assert lines["exponent beyond the encoder, linear slide"]["follows"] is True
+    assert lines["crest and shape factor matter"]["follows"] is False
+    assert lines["mechanism: amplitude error at 5 Hz"]["follows"] is False
+    assert lines["40 Hz, amplitude error times a sine"]["follows"] is False
+    assert lines["LSTM"]["follows"] is None
+    text = paper_text(found)
+    assert "the paper" in text
+    assert "dead constant" in text
+
+
+@pytest.mark.long
+def test_the_flow_gives_the_same_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    found = run(turning_paper_flow, quick=True)
+    assert found["groups"] == 24
+    assert {line["follows"] for line in found["lines"]} == {True, False, None}
