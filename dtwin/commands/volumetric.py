@@ -72,7 +72,7 @@ def fit(
     payload: dict[str, Any] = {"training": judged(models, whole)}
     if against is not None:
         other = with_offered(session(home(), against, progress), offered)
-        payload["validation"] = judged(models, other)
+        payload["validation"] = judged(models, other, whole)
         if out is not None:
             payload["bundle"] = str(_write(out, whole, other, offered))
 

@@ -20,7 +20,7 @@ from dtwin.physics.volumetric.intervals import (
     worse_steps,
 )
 from dtwin.physics.volumetric.slots import SLOTS, slot_places_mm, slot_ranges_um
-from dtwin.physics.volumetric.thermal_model import ThermalModel, explains, fit_thermal, inflation
+from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.pipeline.measuring import ingest
 from dtwin.schema import Floats, Run
 from dtwin.store import Lake
@@ -29,7 +29,7 @@ SENSORS = "thermocouples"
 REFERENCE_CYCLES = 3
 # An error motion is unexplained when a model takes away less than this of what can be seen.
 UNEXPLAINED_PCT = 40.0
-_CAUSE_SHARE, _CAUSE_P = 0.5, 0.01
+_HALVED = 0.5
 _SEEN = 4.0
 Strokes = dict[str, tuple[float, float]]
 Progress = Callable[[int, int, str], None]
@@ -201,7 +201,9 @@ def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
     return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
 
 
-def judged(models: Sequence[ThermalModel], measured: Session) -> dict[str, Any]:
+def judged(
+    models: Sequence[ThermalModel], measured: Session, training: Session | None = None
+) -> dict[str, Any]:
     """Compare the models with a campaign.
 
     Parameters
@@ -210,6 +212,8 @@ def judged(models: Sequence[ThermalModel], measured: Session) -> dict[str, Any]:
         One for each coefficient.
     measured : Session
         Another campaign than that of the fit, when the figures shall say anything.
+    training : Session, optional
+        The campaign of the fit: causes of what is unexplained are fitted there, and judged here.
 
     Returns
     -------
@@ -231,8 +235,10 @@ def judged(models: Sequence[ThermalModel], measured: Session) -> dict[str, Any]:
         "coefficients": rows,
         "lines": lines,
         "slots": _slots(measured, left),
-        "unexplained": [_unexplained(row, left[:, i], measured) for i, row in enumerate(rows)
-                        if _is_unexplained(row)],
+        "unexplained": [
+            _unexplained(models[i], i, training, measured, row["rms_left_um"])
+            for i, row in enumerate(rows) if _is_unexplained(row)
+        ],
         "worse": [row["name"] for row in rows if row["rms_reduction_pct"] < 0.0],
     }  # fmt: skip
 
@@ -243,18 +249,26 @@ def _is_unexplained(row: Mapping[str, Any]) -> bool:
     )
 
 
-def _unexplained(row: Mapping[str, Any], left: Floats, measured: Session) -> dict[str, Any]:
-    """Name the logged temperature that would explain what a model leaves, when there is one."""
-    best: dict[str, Any] = {"name": row["name"], "cause": None}
-    tested = []
-    for channel, rise in measured.offered.items():
-        share, p_value = explains(left, rise)
-        tested.append((share, min(1.0, p_value * len(measured.offered)), channel))
-    for share, p_value, channel in sorted(tested, reverse=True)[:1]:
-        best |= {"best_channel": channel, "share": share, "p_value": p_value}
-        if share > _CAUSE_SHARE and p_value < _CAUSE_P:
-            best["cause"] = channel
-    return best
+def _unexplained(
+    model: ThermalModel, column: int, training: Session | None, measured: Session, left_um: float
+) -> dict[str, Any]:
+    """Name the logged temperature that, fitted in one campaign, halves what is left in the other."""
+    out: dict[str, Any] = {"name": model.name, "cause": None, "tried": []}
+    if training is None:
+        return out
+    own = training.rise_of(model.sensors)
+    for channel, rise in training.offered.items():
+        if channel not in measured.offered:
+            continue
+        with_it = np.column_stack([own, rise])
+        per_k = np.linalg.lstsq(with_it, training.values[:, column], rcond=None)[0]
+        there = np.column_stack([measured.rise_of(model.sensors), measured.offered[channel]])
+        after = _rms(measured.values[:, column] - there @ per_k)
+        out["tried"].append({"channel": channel, "left_um": after})
+    best = min(out["tried"], key=lambda t: t["left_um"], default=None)
+    if best is not None and best["left_um"] < _HALVED * left_um:
+        out["cause"] = best["channel"]
+    return out
 
 
 def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> dict[str, Any]:

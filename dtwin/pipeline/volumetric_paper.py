@@ -59,7 +59,7 @@ def volumetric_paper(seed: int, progress: Progress, *, quick: bool = False) -> l
             found.append(session(home, str(folder), progress))
         training, validation = found
         models, _ = models_of(training)
-        own, other = judged(models, training), judged(models, validation)
+        own, other = judged(models, training), judged(models, validation, training)
         offered, whole = models_of(training, offered=("coolant_tank_c",))
     return _lines(own, other, judged(offered, whole))
 

@@ -67,19 +67,18 @@ def _line_lines(lines: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _unexplained_line(entry: Mapping[str, Any]) -> str:
+    left = ", ".join(f"{t['channel']} would leave {t['left_um']:.2f}" for t in entry["tried"])
     if entry["cause"]:
         return (
-            f"{entry['name']} is not explained by the thermocouples; {entry['cause']} moves with what is left "
-            f"({entry['share']:.0%} of it, p {entry['p_value']:.1g}): --offer {entry['cause']}"
+            f"{entry['name']} is not explained by the thermocouples; {entry['cause']} explains it in both "
+            f"campaigns ({left}): --offer {entry['cause']}"
         )
-    tried = (
-        f"; the best, {entry['best_channel']}, explains {entry['share']:.0%}"
-        if "share" in entry
-        else ""
+    told = (
+        f"nor by what else was logged ({left})"
+        if left
+        else "and no other campaign was given to look for a cause"
     )
-    return (
-        f"{entry['name']} is not explained by the thermocouples, nor by anything else logged{tried}"
-    )
+    return f"{entry['name']} is not explained by the thermocouples, {told}"
 
 
 def paper_text(lines: Sequence[Mapping[str, Any]]) -> str:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats
@@ -128,30 +127,6 @@ def fit_thermal(
     good = [m for m, (_, left) in zip(models, fits, strict=True) if np.linalg.norm(left) <= enough]
     best = min(good, key=lambda m: (m.free, m.criterion))
     return replace(best, tried=tuple((len(m.sensors), m.memory > 0.0, m.criterion) for m in models))
-
-
-def explains(left: Floats, rise_c: Floats) -> tuple[float, float]:
-    """Return the share of a residual that a channel explains, and the p-value of that.
-
-    Parameters
-    ----------
-    left : ndarray, shape (cycles,)
-        What a model leaves.
-    rise_c : ndarray, shape (cycles,)
-        A channel since the reference cycle.
-
-    Notes
-    -----
-    An F test with as many cycles as the autocorrelation leaves independent.
-    """
-    design = np.column_stack([np.ones(len(left)), rise_c])
-    rest = left - design @ np.linalg.lstsq(design, left, rcond=None)[0]
-    total, after = float(((left - left.mean()) ** 2).sum()), float((rest**2).sum())
-    if total <= 0.0:
-        return 0.0, 1.0
-    free = max(independent(left) - 2.0, 1.0)
-    ratio = (total - after) / max(after, 1e-300) * free
-    return 1.0 - after / total, float(f_distribution.sf(ratio, 1.0, free))
 
 
 def independent(values: Floats) -> float:

@@ -10,7 +10,7 @@ from dtwin.physics.volumetric.chain import COEFFICIENTS, coefficient, design, id
 from dtwin.physics.volumetric.identify import Artefact, Balls
 from dtwin.physics.volumetric.intervals import interval_curve, reduction_pct, worse_steps
 from dtwin.physics.volumetric.slots import slot_errors_um, slot_places_mm, slot_ranges_um
-from dtwin.physics.volumetric.thermal_model import explains, fit_thermal, inflation
+from dtwin.physics.volumetric.thermal_model import fit_thermal, inflation
 from dtwin.pipeline.volumetric_paper import printed_agree
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.volumetric_bundle import volumetric_bundle
@@ -151,16 +151,6 @@ def test_a_slow_body_is_given_a_memory_and_runs_free() -> None:
     assert model.memory == pytest.approx(0.9, abs=1e-6)
     assert np.abs(model.run(rise[:, [2]]) - motion).max() < 1e-6
     assert fit_thermal("EZ0", motion, rise, [f"s{k}" for k in range(6)], static=True).memory == 0.0
-
-
-def test_a_cause_is_told_from_a_bystander_that_is_as_slow() -> None:
-    cause = slow(200, 50)
-    left = 2.0 * cause + np.random.default_rng(3).normal(0, 0.3, 200)
-    share, p_value = explains(left, cause)
-    assert share > 0.9
-    assert p_value < 1e-3
-    by_chance = [explains(left, slow(200, 100 + k))[1] < 0.01 for k in range(60)]
-    assert sum(by_chance) <= 4
 
 
 def test_alike_sensors_are_reported() -> None:
