@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.encoder_split import Cutoff
@@ -19,7 +21,7 @@ from dtwin.physics.whitening import pure_error, to_harmonics
 from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 from dtwin.pipeline.measuring import ingest
 from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
-from dtwin.schema import Campaign, Floats
+from dtwin.schema import Campaign, Floats, Run
 from dtwin.store import Lake
 
 
@@ -169,6 +171,21 @@ def _reduced(
     if kept is not None:
         return kept
     runs = [lake.load(row, signals=False) for row in rows]
+    _require_different(runs, campaign.name)
     made = observe(campaign, runs), controller_rows_um(runs)
     keep_reduced(home, campaign.name, stamp, made)
     return made
+
+
+def _require_different(runs: Sequence[Run], campaign: str) -> None:
+    """Refuse copies: repeats that agree to the last digit would say that there is no noise."""
+    seen: dict[bytes, str] = {}
+    for run in runs:
+        name = run.meta.run_id
+        other = seen.setdefault(np.asarray(run.samples["deviation_um"]).tobytes(), name)
+        if other != name:
+            raise InputError(
+                "two runs hold the same readings", code="twin.same_readings",
+                where=f"{campaign}: {other} and {name}", allowed="repeats that were measured",
+                hint="ingest the campaign without the copy, under another name",
+            )  # fmt: skip

@@ -26,6 +26,7 @@ __all__ = [
     "Resolved",
     "clear_trial",
     "machine_folder",
+    "on_trial",
     "only_machine",
     "read_machine",
     "resolve",
@@ -120,6 +121,23 @@ def write_pointer(
     pointer = folder / _POINTERS["trial" if state == "trial" else "latest"]
     write_json(pointer, content)
     return pointer
+
+
+def on_trial(machine: str, home: Home) -> int | None:
+    """Return the version that is on trial, None when there is none.
+
+    Parameters
+    ----------
+    machine : str
+        Machine.
+    home : Home
+        Where state lives.
+    """
+    pointer = machine_folder(machine, home) / _POINTERS["trial"]
+    if not pointer.exists():
+        return None
+    fields = only_fields(read_json(pointer, _MAX_POINTER_BYTES), _FIELDS, str(pointer))
+    return whole(fields["version"], "version")
 
 
 def clear_trial(machine: str, home: Home) -> None:

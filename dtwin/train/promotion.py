@@ -14,7 +14,7 @@ from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
-from dtwin.serve.pointer import machine_folder, write_machine, write_pointer
+from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, write_machine, write_pointer
 from dtwin.train.gates import Verdict, evidence_gate, offline_gates
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
 from dtwin.train.tone_bundle import is_tone_bundle
@@ -105,6 +105,9 @@ def promote(
     _write_machine(found.machine, home, geometry)
     allow(found.machine, home, int(found.version))
     write_pointer(found.machine, home, path, int(found.version), "champion")
+    if on_trial(found.machine, home) == int(found.version):
+        # Its bundle now states the evidence, so that the trial's checksum is no longer the file's.
+        clear_trial(found.machine, home)
     if previous is not None and previous.version != found.version:
         registry.mark(previous, {"state": "previous"}, alias="previous")
     registry.mark(found, {"state": "champion", "evidence": kind}, alias="champion")

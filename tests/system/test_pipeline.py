@@ -193,6 +193,9 @@ def test_champion_previous_and_rollback(demo: tuple[Home, dict[str, Any]]) -> No
     path, reason = make_champion(home, second, evidence.as_dict(), "better")
     assert path is not None, reason
     assert resolve("latest", MACHINE, home).version == 2
+    assert resolve(str(path), MACHINE, home).version == 2
+    with pytest.raises(InputError, match="no model on trial"):
+        resolve("trial", MACHINE, home)
     assert registry.version(MACHINE, "previous").version == "1"
     rollback(registry, home, MACHINE, "robot hummed")
     assert resolve("latest", MACHINE, home).version == 1

@@ -228,6 +228,16 @@ def test_poor_data_get_an_honest_verdict(home: Home, tmp_path: Path) -> None:
     assert "Reverse the direction" in both.aliases[0]["separate_by"]
 
 
+def test_copies_are_no_repeats(home: Home, tmp_path: Path) -> None:
+    folder = write_campaign(
+        tmp_path / "copied", "none", name="copied", feeds=(2000.0,), radii=(100.0,), repeats=2
+    )
+    shutil.copy(folder / "r001.csv", folder / "r003.csv")
+    with pytest.raises(InputError, match="same readings") as caught:
+        Twins(home).fit(str(folder), KNOWN, "copied")
+    assert "r001 and r003" in str(caught.value.where)
+
+
 def test_a_twin_stays_on_its_machine_and_says_where_it_is_outside(
     twins: Twins, home: Home, tmp_path: Path
 ) -> None:
