@@ -12,6 +12,7 @@ from controls import CONTROLS
 from rows import ROWS
 
 Record = Mapping[str, Any]
+OUTSIDE = "outside the library called unknown"
 
 
 def wilson(hits: int, n: int, z: float = 1.96) -> tuple[float, float]:
@@ -57,13 +58,14 @@ def _figures(by_row: Mapping[str, list[Record]]) -> str:
     shares = [
         ("truth in the group, single, k = 1/2", ("single_half",), 0.95),
         ("truth in the group, single, k = 1/4", ("single_quarter",), 0.90),
-        ("outside the library called unknown", tuple(n for n in by_row if n.startswith("unknown_")), 0.95),
+        (OUTSIDE, tuple(n for n in by_row if n.startswith("unknown_")), 0.95),
         ("both of a pair found, k = 1", ("pair_one",), 0.95),
         ("thermal growth named with a cool-down, k = 1", ("heat_cool_down",), 0.90),
         ("lateral play named, k = 1/2", ("lateral_play_half",), 0.95),
     ]  # fmt: skip
     for label, names, limit in shares:
         lines.append(_share_line(label, _pooled(by_row, *names), limit))
+    lines.append(_channel_line(by_row.get("unknown_coolant", [])))
     lines += _beside(by_row.get("pair_one", []))
     single = _pooled(by_row, "single_half", "single_quarter")
     if single:
@@ -106,8 +108,17 @@ def _share_line(label: str, records: Sequence[Record], limit: float) -> str:
     if not records:
         return f"| {label} | >= {limit:.2f} | not run | 0 | - |"
     hits, n = _share(records, "right")
+    if label == OUTSIDE:
+        # Whether the logged channel behind it was named, too, is a line of its own.
+        hits = sum(r["verdict"] == "unknown_effect" for r in records)
     return (f"| {label} | >= {limit:.2f} | {hits / n:.3f} {_interval(hits, n)} | {n} "
             f"| {_said(hits / n >= limit)} |")  # fmt: skip
+
+
+def _channel_line(records: Sequence[Record]) -> str:
+    hits, n = _share(records, "right")
+    return (f"| logged channel behind the unknown named (unknown_coolant) | - | {hits}/{n} {_interval(hits, n)} "
+            f"| {n} | |")  # fmt: skip
 
 
 def _held_out(by_row: Mapping[str, list[Record]]) -> list[str]:
