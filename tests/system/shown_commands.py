@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from textwrap import dedent
+
+from typer.testing import CliRunner
+
+from dtwin.cli import app
 
 ROOT = Path(__file__).parents[2]
 
@@ -66,6 +72,28 @@ def run(command: str, folder: Path, *, code: int = 0) -> str:
         check=False,
     )
     assert done.returncode == code, f"{command}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def here(command: str, folder: Path) -> str:
+    """Run a plain ``dtwin`` command in this process, anything else as a reader would.
+
+    A process start costs seconds; README's tour is run in processes of its own.
+    """
+    words = shlex.split(command)
+    if words[0] != "dtwin" or set(command) & set("|><&;$`*"):
+        return run(command, folder)
+    before = {name: os.environ.get(name) for name in ("DTWIN_HOME", "OMP_NUM_THREADS")}
+    os.environ |= {name: environment(folder)[name] for name in before}
+    try:
+        with contextlib.chdir(folder):
+            done = CliRunner().invoke(app, words[1:], catch_exceptions=False)
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+    assert done.exit_code == 0, f"{command}\n{done.output}"
     return done.stdout
 
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import json
-import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from shown_commands import blocks, follow, page
+from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
 from dtwin.acquire.virtual_hexapod import VirtualHexapodBench, feed_sweep
 from dtwin.cli import app
-from dtwin.config import home
+from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.pipeline.ballbar_dynamics import split_runs
 from dtwin.pipeline.dynamics_ways import DynamicsRequest
@@ -26,18 +25,9 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 CAMPAIGN = Campaign("cell", "virtual-hexapod")
 
 
-def in_process(command: str, folder: Path) -> str:
-    words = shlex.split(command)
-    assert words[0] == "dtwin"
-    done = CliRunner().invoke(app, words[1:], catch_exceptions=False)
-    assert done.exit_code == 0, done.output
-    return done.stdout
-
-
-def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    follow(blocks(page("docs/how-to/ball-bar-dynamics.md")), tmp_path, in_process)
-    registry = Registry(home())
+def test_the_page_is_followed(tmp_path: Path) -> None:
+    follow(blocks(page("docs/how-to/ball-bar-dynamics.md")), tmp_path, here)
+    registry = Registry(Home(tmp_path / "home"))
     found = registry.client.search_runs([registry.experiment()])
     (run,) = [r for r in found if r.data.tags.get("dtwin.kind") == "filter tuning"]
     assert run.info.status == "FINISHED"

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shown_commands import ROOT, blocks, follow, page
+from shown_commands import ROOT, blocks, follow, here, page
 
 EXAMPLES = ROOT / "data" / "examples"
 pytestmark = pytest.mark.system
 
 
 def test_the_tutorial_about_the_three_mills_prints_what_it_shows(tmp_path: Path) -> None:
-    said = follow(blocks(page("docs/tutorials/three-mills.md")), tmp_path)
+    said = follow(blocks(page("docs/tutorials/three-mills.md")), tmp_path, here)
     assert len(said) >= 8
 
 

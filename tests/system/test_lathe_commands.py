@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from shown_commands import blocks, follow, page
+from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
 from dtwin.acquire.virtual_lathe import simulate_lathe, verification_plan
@@ -26,7 +26,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
 
 def test_the_page_is_followed(tmp_path: Path) -> None:
-    said = follow(blocks(page("docs/how-to/lathe.md")), tmp_path)
+    said = follow(blocks(page("docs/how-to/lathe.md")), tmp_path, here)
     shown = next(text for command, text in said if "compensate" in command)
     for title in ("Max average error", "Max reversal error"):
         percent = float(re.findall(rf"{title}.*?\(([\d.]+) %\)", shown)[0])

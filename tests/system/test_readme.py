@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shown_commands import ROOT, Block, blocks, environment, follow, page, run
+from shown_commands import ROOT, Block, blocks, environment, follow, here, page, run
 
 README = page("README.md")
 pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
@@ -87,5 +87,5 @@ def the_workbench_shows(twin: str, folder: Path) -> None:
 
 def test_the_main_job_step_by_step_ends_with_a_champion(tmp_path: Path) -> None:
     (tmp_path / "data").symlink_to(ROOT / "data")
-    said = follow(below("The main job, step by step"), tmp_path)
+    said = follow(below("The main job, step by step"), tmp_path, here)
     assert "champion" in dict(said)["dtwin models"]

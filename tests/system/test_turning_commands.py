@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from shown_commands import blocks, follow, page
+from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
 from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_slide
@@ -39,7 +39,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_page_is_followed(tmp_path: Path) -> None:
-    said = follow(blocks(page("docs/how-to/slow-tool-servo.md")), tmp_path)
+    said = follow(blocks(page("docs/how-to/slow-tool-servo.md")), tmp_path, here)
     shown = next(text for command, text in said if "compensate" in command)
     row = next(line for line in shown.splitlines() if line.startswith("40 "))
     form, phase = (float(v) for v in re.findall(r"\(-([\d.]+) %\)", row)[:2])

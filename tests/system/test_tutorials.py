@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from shown_commands import here
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
@@ -28,27 +26,12 @@ def test_the_page_includes_the_effect_that_it_runs() -> None:
 
 
 def test_the_hidden_effect_is_found_added_and_the_unknown_one_is_learned(tmp_path: Path) -> None:
-    environment = dict(
-        os.environ,
-        DTWIN_HOME=str(tmp_path / "home"),
-        OMP_NUM_THREADS="1",
-        PATH=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
-    )
     (tmp_path / "wobble.py").write_text(
         (ROOT / "docs" / "tutorials" / "wobble.py").read_text("utf-8"), encoding="utf-8"
     )
 
     def run(command: str) -> str:
-        done = subprocess.run(
-            ["bash", "-c", command],
-            cwd=tmp_path,
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-        return done.stdout
+        return here(command, tmp_path)
 
     said = [(command, run(command)) for command in commands("missing-effect.md")]
     verdicts = [text.split(":")[0] for command, text in said if " twin diagnose " in command]

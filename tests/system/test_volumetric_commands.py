@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shown_commands import blocks, follow, page
+from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
 from dtwin.acquire.virtual_volumetric import simulate_volumetric
@@ -29,7 +29,7 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
 
 def test_the_page_is_followed(tmp_path: Path) -> None:
-    said = follow(blocks(page("docs/how-to/volumetric-heat.md")), tmp_path)
+    said = follow(blocks(page("docs/how-to/volumetric-heat.md")), tmp_path, here)
     fitted, told = (text for command, text in said if "volumetric fit" in command)
     judged = fitted[fitted.index("volumetric-validation:") :]
     noise, held_out = map(
