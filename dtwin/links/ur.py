@@ -159,9 +159,9 @@ class UrLink:
         self._require_open()
         deadline_s = time.monotonic() + timeout_s
         while True:
-            written = self._memory.states_written
-            if written != self._seen and self._memory.read_state(self._buffer):
-                self._seen, self._heard_s = written, time.monotonic()
+            number = self._memory.read_state(self._buffer)
+            if number not in (0, self._seen):
+                self._seen, self._heard_s = number, time.monotonic()
                 return self._buffer[: layout.N]
             left_s = max(deadline_s - time.monotonic(), 0.0)
             ready, _, _ = select.select([self._state_ready, self._messages], [], [], left_s)

@@ -50,11 +50,6 @@ class SharedMemory:
         os.ftruncate(descriptor, SIZE)
         return descriptor
 
-    @property
-    def states_written(self) -> int:
-        """Number of states written so far."""
-        return int(self._counters[_STATE_COUNT]) // 2
-
     def write_state(self, state: layout.RobotState, received_s: float) -> None:
         """Publish a state and the monotonic time at which the driver saw it."""
         self._counters[_STATE_COUNT] += 1
@@ -62,8 +57,11 @@ class SharedMemory:
         self._state[-1] = received_s
         self._counters[_STATE_COUNT] += 1
 
-    def read_state(self, into: Floats) -> bool:
-        """Copy the newest state and its time to ``into``, shape (N + 1,)."""
+    def read_state(self, into: Floats) -> int:
+        """Copy the newest state and its time to ``into``, shape (N + 1,); return its number.
+
+        0 when there is none, or the driver did not keep still.
+        """
         return self._read(_STATE_COUNT, self._state, into)
 
     def write_correction(self, sequence: int, offset_um: Floats) -> None:
@@ -73,14 +71,14 @@ class SharedMemory:
         self._correction[layout.REGISTER_OFFSET :] = offset_um
         self._counters[_CORRECTION_COUNT] += 1
 
-    def read_correction(self, into: Floats) -> bool:
-        """Copy the newest correction to ``into``, shape (4,)."""
+    def read_correction(self, into: Floats) -> int:
+        """Copy the newest correction to ``into``, shape (4,); return its number, 0 for none."""
         return self._read(_CORRECTION_COUNT, self._correction, into)
 
-    def _read(self, counter: int, source: Floats, into: Floats) -> bool:
+    def _read(self, counter: int, source: Floats, into: Floats) -> int:
         for _ in range(_TRIES):
             before = self._counters[counter]
             into[:] = source
             if before % 2 == 0 and before == self._counters[counter]:
-                return bool(before > 0)
-        return False
+                return int(before) // 2
+        return 0

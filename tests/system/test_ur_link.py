@@ -258,9 +258,11 @@ def test_shared_memory_passes_whole_records() -> None:
     into = np.zeros(layout.N + 1)
     assert not two.read_state(into)
     one.write_state(np.arange(layout.N, dtype=float), 5.0)
-    assert two.read_state(into)
-    assert two.states_written == 1
+    assert two.read_state(into) == 1
     np.testing.assert_array_equal(into, [*range(layout.N), 5.0])
+    one.write_state(layout.empty_state(), 6.0)
+    # The number is that of what was read: a state that comes in between is not read twice.
+    assert two.read_state(into) == 2
     one.write_correction(3, PUSH_UM)
     registers = np.zeros(4)
     assert two.read_correction(registers)
