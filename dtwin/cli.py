@@ -23,6 +23,7 @@ from dtwin.commands import rechecking as rechecking_command
 from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
 from dtwin.commands import serving as serving_commands
+from dtwin.commands import simulating as simulating_command
 from dtwin.commands import turning as turning_commands
 from dtwin.commands import twins as twin_commands
 from dtwin.commands import ui as ui_command
@@ -51,6 +52,7 @@ app = typer.Typer(
 demo_command.register(app)
 data_commands.register(app)
 record_command.register(app)
+simulating_command.register(app)
 modelling_commands.register(app)
 rechecking_command.register(app)
 serving_commands.register(app)

@@ -1,4 +1,4 @@
-"""Commands about models: simulate, features, train, models, promote, rollback, report."""
+"""Commands about models: features, train, models, promote, rollback, report."""
 
 from __future__ import annotations
 
@@ -21,107 +21,11 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
 
-MACHINES = ("cobot", "mill", "lathe", "turning", "volumetric", "hexapod")
-
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
-    for command in (simulate, features, train, models, promote, rollback, report):
+    for command in (features, train, models, promote, rollback, report):
         app.command()(command)
-
-
-def simulate(
-    out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[
-        str, typer.Option(help=f"Virtual machine: {', '.join(MACHINES)}.")
-    ] = "cobot",
-    plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
-    hidden: Annotated[
-        str, typer.Option(help="Fault of the mill: backlash, wobble, servo, none.")
-    ] = "backlash",
-    truth: Annotated[
-        str | None,
-        typer.Option(
-            help="Error of the lathe: published, mechanism; of turning: linear, hardening, friction."
-        ),
-    ] = None,
-    schedule: Annotated[
-        str, typer.Option(help="Heat of the volumetric mill: training, or validation.")
-    ] = "training",
-    as_json: Json = False,
-) -> None:
-    """Measure a campaign on a virtual machine. Run it again to continue."""
-    if machine == "turning":
-        from dtwin.commands.turning import simulate_tones
-
-        simulate_tones(out, truth or "linear", seed=seed, quick=quick, as_json=as_json)
-        return
-    if machine == "volumetric":
-        from dtwin.commands.volumetric import simulate_heat
-
-        simulate_heat(out, schedule, seed=seed, quick=quick, as_json=as_json)
-        return
-    if machine == "lathe":
-        from dtwin.commands.lathe import simulate_positioning
-
-        simulate_positioning(
-            out, plan, truth or "published", seed=seed, quick=quick, as_json=as_json
-        )
-        return
-    if machine == "mill":
-        _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
-        return
-    from dtwin.acquire.runner import run_campaign
-    from dtwin.acquire.virtual import VirtualCobotBench
-    from dtwin.acquire.virtual_hexapod import VirtualHexapodBench, feed_sweep
-    from dtwin.pipeline.demo import quick_size
-    from dtwin.plan import read_plan, training_plan
-
-    if machine not in ("cobot", "hexapod"):
-        raise InputError(
-            "no such virtual machine",
-            code="simulate.machine",
-            got=machine[:40],
-            allowed=", ".join(MACHINES),
-        )
-    if plan is not None:
-        planned = read_plan(plan)
-    elif machine == "hexapod":
-        planned = feed_sweep(quick=quick)
-    else:
-        planned = quick_size().plan if quick else training_plan()
-    bench = VirtualHexapodBench(seed) if machine == "hexapod" else VirtualCobotBench(seed)
-    done = run_campaign(planned, bench, out, ProgressLine("measure", quiet=as_json))
-    payload = {
-        "folder": str(done.folder),
-        "measured": done.measured,
-        "kept": done.kept,
-        "raw_bytes": done.raw_bytes,
-        "campaign": planned.name,
-    }
-    emit(
-        payload,
-        lambda: (
-            f"{done.measured} tests measured, {done.kept} kept from before, in "
-            f"{done.folder}\nnext: dtwin ingest {done.folder}"
-        ),
-        as_json=as_json,
-    )
-
-
-def _simulate_mill(out: Path, *, seed: int, quick: bool, hidden: str, as_json: bool) -> None:
-    from dtwin.acquire.virtual_mill import simulate_mill
-
-    progress = ProgressLine("measure", quiet=as_json)
-    runs = simulate_mill(out, seed=seed, quick=quick, hidden=hidden, progress=progress)
-    payload = {"folder": str(out), "runs": len(runs), "campaign": f"mill-{hidden}"}
-    emit(
-        payload,
-        lambda: f"{len(runs)} runs in {out}\nnext: dtwin ingest {out}",
-        as_json=as_json,
-    )
 
 
 def features(

@@ -12,7 +12,7 @@ from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.physics.volumetric.thermal_model import ThermalModel
-    from dtwin.pipeline.volumetric import Session
+    from dtwin.pipeline.volumetric_session import Session
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
@@ -53,7 +53,8 @@ def fit(
 ) -> None:
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
     from dtwin.config import home
-    from dtwin.pipeline.volumetric import judged, models_of, session, with_offered
+    from dtwin.pipeline.volumetric import judged, models_of
+    from dtwin.pipeline.volumetric_session import session, with_offered
     from dtwin.report.volumetric import judged_text
 
     if out is not None and against is None:

@@ -10,7 +10,8 @@ from typing import Any
 from dtwin.acquire.virtual_volumetric import simulate_volumetric
 from dtwin.config import Home
 from dtwin.physics.volumetric.intervals import reduction_pct
-from dtwin.pipeline.volumetric import judged, models_of, session
+from dtwin.pipeline.volumetric import judged, models_of
+from dtwin.pipeline.volumetric_session import session
 
 Progress = Callable[[int, int, str], None]
 # Printed pairs before, after, and the printed reduction in per cent.
