@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -202,14 +203,14 @@ def start_controller(host: str) -> subprocess.Popen[str]:
     )
 
 
-def measure(seconds: float, host: str, folder: Path) -> dict[str, Any]:
+def measure(seconds: float, host: str, folder: Path, clients: Sequence[str]) -> dict[str, Any]:
     controller = start_controller(host)
     assert controller.stdin is not None
     assert controller.stdout is not None
     found: dict[str, Any] = {}
     try:
         ready = json.loads(controller.stdout.readline())
-        for name in CLIENTS:
+        for name in clients:
             out, log = folder / "client.npz", folder / "log.npz"
             before = _ask(controller, "status")
             subprocess.run(
@@ -263,8 +264,10 @@ def show(result: dict[str, Any]) -> None:
             print(f"           sensor age (made windows, modelled): filter {filter_ms:.2f} ms, "
                   f"block p50 {age['p50'] - filter_ms:.1f} p99 {age['p99'] - filter_ms:.1f} ms, "
                   f"half a window {5e2 * CONTRACT.n_samples / CONTRACT.rate_hz:.1f} ms")  # fmt: skip
+    if "naive" not in result["clients"]:
+        return
     naive = result["clients"]["naive"]["late_share"]
-    for name in CLIENTS[1:]:
+    for name in (n for n in CLIENTS[1:] if n in result["clients"]):
         share = max(result["clients"][name]["late_share"], 1e-6)
         print(f"naive / {name}: {naive / share:.0f} times as many (goal: at least 10)")
 
@@ -274,6 +277,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--host", default="127.0.0.77", help="loopback address with a free 30004")
+    parser.add_argument("--only", action="append", choices=CLIENTS, help="one of the clients")
     parser.add_argument("--client", choices=CLIENTS, help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, help=argparse.SUPPRESS)
     chosen = parser.parse_args()
@@ -282,7 +286,9 @@ def main() -> None:
         return
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as folder:
-        result = {"load_before": load} | measure(chosen.seconds, chosen.host, Path(folder))
+        result = {"load_before": load} | measure(
+            chosen.seconds, chosen.host, Path(folder), chosen.only or CLIENTS
+        )
     if chosen.json:
         print(json.dumps(result))
     else:
