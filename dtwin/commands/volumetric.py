@@ -49,13 +49,16 @@ def fit(
         typer.Option(help="A temperature that was logged beside the thermocouples."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Bundle to write; needs --against.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Page to write.")] = None,
     as_json: Json = False,
 ) -> None:
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
+    from dtwin.atomic import write_text
     from dtwin.config import home
     from dtwin.pipeline.volumetric import judged, models_of
     from dtwin.pipeline.volumetric_session import session, with_offered
     from dtwin.report.volumetric import judged_text
+    from dtwin.report.volumetric_page import volumetric_page
 
     if out is not None and against is None:
         raise InputError(
@@ -76,6 +79,11 @@ def fit(
         payload["validation"] = judged(models, other, whole)
         if out is not None:
             payload["bundle"] = str(_write(out, whole, other, offered))
+
+    if html is not None:
+        write_text(
+            html, volumetric_page(payload.get("validation", payload["training"])), "the page"
+        )
 
     def text() -> str:
         parts = [

@@ -35,13 +35,17 @@ def judged_text(found: Mapping[str, Any]) -> str:
     ]  # fmt: skip
     head = ("", "unit", "RMS", "left", "less %", "sensors", "memory", "inflation")
     lines += ["", table(head, rows), "", *_line_lines(found["lines"])]
-    for entry in found["unexplained"]:
-        lines.append(_unexplained_line(entry))
+    return "\n".join([*lines, *finding_lines(found)])
+
+
+def finding_lines(found: Mapping[str, Any]) -> list[str]:
+    """Return what is not explained, and what is worse than nothing, a line each."""
+    lines = [_unexplained_line(entry) for entry in found["unexplained"]]
     if found["worse"]:
         lines.append(
             f"worse than nothing, switched off in what is served: {', '.join(found['worse'])}"
         )
-    return "\n".join(lines)
+    return lines
 
 
 def _line_lines(lines: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -44,6 +44,7 @@ def test_the_page_is_followed(tmp_path: Path) -> None:
     )
     assert "EXZ1 is not explained" not in told[told.index("volumetric-validation:") :]
     bundle = load_bundle(tmp_path / "heat.json").bundle
+    assert "How much the error changes within a job" in (tmp_path / "heat.html").read_text("utf-8")
     worse = re.findall(r"switched off in what is served: (.*)", judged)
     assert {o.frame for o in bundle.outputs} == {"base_x", "base_y", "base_z"}
     assert worse == [] or "E" in worse[0]
