@@ -25,7 +25,7 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
     head = ("motion", "unit", "RMS", "left", "less, %", "temperatures")
     rows = [
         [r["name"], r["unit"], f"{r['rms_um']:.2f}", f"{r['rms_left_um']:.2f}",
-         f"{r['rms_reduction_pct']:.0f}", ", ".join(r["sensors"])]
+         str(round(r["rms_reduction_pct"])), str(len(r["sensors"]))]
         for r in found["coefficients"]
     ]  # fmt: skip
     sections = [
