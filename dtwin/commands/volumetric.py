@@ -59,12 +59,15 @@ def fit(
     from dtwin.pipeline.volumetric_session import session, with_offered
     from dtwin.report.volumetric import judged_text
     from dtwin.report.volumetric_page import volumetric_page
+    from dtwin.serve.bundle_file import require_new
 
     if out is not None and against is None:
         raise InputError(
             "a bundle needs another campaign that says what it is worth", code="volumetric.against",
             hint="--against CAMPAIGN",
         )  # fmt: skip
+    if out is not None:
+        require_new(out)
     if against == training:
         raise InputError(
             "a campaign cannot judge what was fitted to it", code="volumetric.same", got=training
@@ -78,7 +81,7 @@ def fit(
         other = with_offered(session(home(), against, progress), offered)
         payload["validation"] = judged(models, other, whole)
         if out is not None:
-            payload["bundle"] = str(_write(out, whole, other, offered))
+            payload["bundle"] = {"file": str(out), "switched_off": _write(out, whole, other)}
 
     if html is not None:
         write_text(
@@ -90,8 +93,10 @@ def fit(
             judged_text(payload[name]) for name in ("training", "validation") if name in payload
         ]
         if "bundle" in payload:
+            off = ", ".join(payload["bundle"]["switched_off"]) or "nothing"
             parts.append(
-                f"{payload['bundle']} written: models without memory, never run on a control"
+                f"{out} written: models without memory, never run on a control; switched off, "
+                f"since worse than nothing: {off}"
             )
         elif against is None:
             parts.append(
@@ -112,29 +117,22 @@ def paper(
 ) -> None:
     """Compute the figures of the published mill again: theirs, ours, whether they follow."""
     from dtwin.pipeline.volumetric_paper import volumetric_paper
-    from dtwin.report.volumetric import paper_text
+    from dtwin.report.papers import paper_table
 
     lines = volumetric_paper(seed, ProgressLine("volumetric", quiet=as_json), quick=quick)
-    emit({"lines": lines}, lambda: paper_text(lines), as_json=as_json)
+    emit({"lines": lines}, lambda: paper_table(lines), as_json=as_json)
 
 
-def _write(out: Path, training: Session, other: Session, offered: tuple[str, ...]) -> Path:
-    """Write what can be served: models without memory, those worse than nothing switched off."""
+def _write(out: Path, training: Session, other: Session) -> list[str]:
+    """Write models without memory as a bundle; return what is switched off in it."""
     from dtwin.config import home
     from dtwin.pipeline.volumetric import judged, models_of
     from dtwin.serve.bundle_file import save_bundle
     from dtwin.store import Lake
     from dtwin.train.volumetric_bundle import volumetric_bundle
 
-    if out.exists():
-        raise InputError(
-            "the file is there already",
-            code="volumetric.exists",
-            where=str(out),
-            hint="another --out",
-        )
     models: list[ThermalModel] = models_of(training, static=True)[0]
-    worse = judged(models, other)["worse"]
+    worse: list[str] = judged(models, other)["worse"]
     begun = dict(zip(training.sensors, training.begun_c.tolist(), strict=True))
     absolute = training.rise_c + training.begun_c
     seen = {
@@ -146,4 +144,4 @@ def _write(out: Path, training: Session, other: Session, offered: tuple[str, ...
         models, training.artefact.strokes_mm, begun, seen, "volumetric", machine, worse
     )
     save_bundle(bundle, out)
-    return out
+    return worse

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -32,7 +31,7 @@ from dtwin.pipeline.dynamics_ways import (
     radial_error_um,
     twin_static_um,
 )
-from dtwin.pipeline.measuring import ingest
+from dtwin.pipeline.measuring import in_lake
 from dtwin.schema import Campaign, Floats, Run, SignalGroup
 from dtwin.store import Lake
 from dtwin.train.filter_tuning import Tuning, log_tuning, tune
@@ -87,8 +86,7 @@ def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split
     """
     filter_of(request, 1.0)
     lake = Lake(home.lake)
-    if campaign not in lake.campaigns() and Path(campaign).exists():
-        campaign = ingest(Path(campaign), home).campaign
+    campaign = in_lake(home, campaign)
     known = lake.campaign(campaign)
     if known.kind != "circular":
         raise InputError(

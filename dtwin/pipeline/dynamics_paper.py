@@ -16,6 +16,7 @@ from dtwin.features.dynamics.turns import MOST_READINGS, Turn, one_turn
 from dtwin.machines.hexapod import VirtualHexapod
 from dtwin.machines.motion import CircleCondition
 from dtwin.pipeline.dynamics_ways import alpha_sensitivity, radial_error_um
+from dtwin.pipeline.paper_line import Line
 from dtwin.pipeline.simulated_dynamics import (
     DIRECTIONS,
     TWIN_OF_FOUR,
@@ -59,27 +60,6 @@ class Size:
 
 FULL = Size(("sim1", "sim2", "sim3", "sim4", "sim5"), VIBRATIONS_UM, FEEDS_MM_MIN, 50, 150)
 QUICK = Size(("sim1", "sim3"), (0.0, 5.0), QUICK_FEEDS_MM_MIN, 10, 15)
-
-
-@dataclass(frozen=True)
-class Line:
-    """One comparison.
-
-    Attributes
-    ----------
-    target : str
-        Number in the acceptance list, empty for what is no target.
-    what, paper, ours : str
-        The figure, theirs, ours.
-    follows : bool or None
-        None when it cannot be judged.
-    """
-
-    target: str
-    what: str
-    paper: str
-    ours: str
-    follows: bool | None
 
 
 def dynamics_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:

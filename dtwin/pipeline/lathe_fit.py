@@ -16,7 +16,7 @@ from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.pipeline.lathe_compensation import averages_of, campaign_test
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import save_bundle
+from dtwin.serve.bundle_file import require_new, save_bundle
 from dtwin.train.gates import Verdict
 from dtwin.train.positioning_bundle import (
     deployed_bundle,
@@ -127,10 +127,7 @@ def write_judged(
     InputError
         When the file is there.
     """
-    if out.exists() and not force:
-        raise InputError(
-            "the file is there already", code="lathe.exists", where=str(out), hint="--force"
-        )
+    require_new(out, force=force)
     provenance = replace(made.bundle.provenance, gates={v.gate: v.passed for v in verdicts})
     save_bundle(replace(made.bundle, provenance=provenance), out)
     return True

@@ -13,6 +13,7 @@ from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import UM_PER_IN
 from dtwin.pipeline.lathe_compensation import Figures, averages_of, measured
+from dtwin.pipeline.paper_line import Line
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
@@ -69,27 +70,6 @@ class Size:
 
 FULL = Size(campaigns=60, corrected=20, seeds=5, epochs=1000, single_epochs=1500)
 QUICK = Size(campaigns=12, corrected=4, seeds=3, epochs=300, single_epochs=150)
-
-
-@dataclass(frozen=True)
-class Line:
-    """One comparison.
-
-    Attributes
-    ----------
-    target : str
-        Number in the acceptance list.
-    what, paper, ours : str
-        The figure, theirs, ours.
-    follows : bool or None
-        None when it cannot be judged.
-    """
-
-    target: str
-    what: str
-    paper: str
-    ours: str
-    follows: bool | None
 
 
 def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:

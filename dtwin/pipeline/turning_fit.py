@@ -10,7 +10,7 @@ from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import save_bundle
+from dtwin.serve.bundle_file import require_new, save_bundle
 from dtwin.train.gates import Verdict
 from dtwin.train.registry import candidate_metrics
 from dtwin.train.results import Candidate
@@ -129,8 +129,5 @@ def write_tones(made: FittedTones, out: Path, *, force: bool = False) -> None:
     InputError
         When the file is there.
     """
-    if out.exists() and not force:
-        raise InputError(
-            "the file is there already", code="turning.exists", where=str(out), hint="--force"
-        )
+    require_new(out, force=force)
     save_bundle(made.bundle, out)

@@ -6,7 +6,6 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import pure_error, to_harmonics
 from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
-from dtwin.pipeline.measuring import ingest
+from dtwin.pipeline.measuring import in_lake
 from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
 from dtwin.schema import Campaign, Floats, Run
 from dtwin.store import Lake
@@ -120,9 +119,7 @@ def load(home: Home, campaign: str) -> Loaded:
         When there is no such campaign, or no usable run in it.
     """
     lake = Lake(home.lake)
-    name = campaign
-    if campaign not in lake.campaigns() and Path(campaign).exists():
-        name = ingest(Path(campaign), home).campaign
+    name = in_lake(home, campaign)
     found = lake.campaign(name)
     rows = lake.runs(name)
     left_out = {str(row["run_id"]): why for row in rows if (why := _error_in(row))}

@@ -109,12 +109,12 @@ def _unexplained(
     if training is None:
         return out
     own = training.rise_of(model.sensors)
-    for channel, rise in training.offered.items():
-        if channel not in measured.offered:
+    for channel in training.offered_c:
+        if channel not in measured.offered_c:
             continue
-        with_it = np.column_stack([own, rise])
+        with_it = np.column_stack([own, training.offered_rise(channel)])
         per_k = np.linalg.lstsq(with_it, training.values[:, column], rcond=None)[0]
-        there = np.column_stack([measured.rise_of(model.sensors), measured.offered[channel]])
+        there = np.column_stack([measured.rise_of(model.sensors), measured.offered_rise(channel)])
         after = _rms(measured.values[:, column] - there @ per_k)
         out["tried"].append({"channel": channel, "left_um": after})
     best = min(out["tried"], key=lambda t: t["left_um"], default=None)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics.volumetric.identify import Artefact, Balls, Identified, averaged_balls
-from dtwin.pipeline.measuring import ingest
+from dtwin.pipeline.measuring import in_lake
 from dtwin.schema import Floats, Run
 from dtwin.store import Lake
 
@@ -44,8 +43,8 @@ class Session:
         Their means over the cycle.
     begun_c : ndarray, shape (sensors,)
         What they read in the reference.
-    offered : dict of str to ndarray, shape (cycles,)
-        Other temperatures that were logged, likewise.
+    offered_c : dict of str to ndarray, shape (cycles,)
+        Other temperatures that were logged: means over the cycle, as they were read.
     """
 
     campaign: str
@@ -56,12 +55,17 @@ class Session:
     sensors: tuple[str, ...]
     rise_c: Floats
     begun_c: Floats
-    offered: Mapping[str, Floats]
+    offered_c: Mapping[str, Floats]
 
     @property
     def values(self) -> Floats:
         """Error motions, shape (cycles, coefficients)."""
         return np.array([found.values for found in self.found])
+
+    def offered_rise(self, channel: str) -> Floats:
+        """Return an offered temperature since the reference, shape (cycles,)."""
+        values = self.offered_c[channel]
+        return values - values[:REFERENCE_CYCLES].mean()
 
     def rise_of(self, names: Sequence[str]) -> Floats:
         """Return temperatures by name, shape (cycles, names).
@@ -98,9 +102,7 @@ def session(home: Home, campaign: str, progress: Progress) -> Session:
         When it is of another kind, or its balls cannot tell the error motions.
     """
     lake = Lake(home.lake)
-    name = campaign
-    if campaign not in lake.campaigns() and Path(campaign).exists():
-        name = ingest(Path(campaign), home).campaign
+    name = in_lake(home, campaign)
     known = lake.campaign(name)
     if known.kind != "volumetric":
         raise InputError(
@@ -136,7 +138,7 @@ def session(home: Home, campaign: str, progress: Progress) -> Session:
     return Session(
         name, np.array([float(run.meta.condition.get("time_h", i)) for i, run in enumerate(runs)]),
         artefact, moved, tuple(found), tuple(inside), absolute - begun, begun,
-        {n: t - t[:REFERENCE_CYCLES].mean() for n, (group, t) in table.items() if group != SENSORS},
+        {n: t for n, (group, t) in table.items() if group != SENSORS},
     )  # fmt: skip
 
 
@@ -148,15 +150,17 @@ def with_offered(measured: Session, offered: Sequence[str]) -> Session:
     InputError
         When one was not logged.
     """
-    absent = [name for name in offered if name not in measured.offered]
+    absent = [name for name in offered if name not in measured.offered_c]
     if absent:
         raise InputError(
             "no such temperature was logged beside the thermocouples", code="volumetric.offered",
             where=measured.campaign, got=", ".join(absent)[:120],
-            allowed=", ".join(measured.offered) or "none was",
+            allowed=", ".join(measured.offered_c) or "none was",
         )  # fmt: skip
-    more = np.column_stack([measured.rise_c, *(measured.offered[name] for name in offered)])
-    begun = np.concatenate([measured.begun_c, np.zeros(len(offered))])
+    rises = [measured.offered_rise(name) for name in offered]
+    more = np.column_stack([measured.rise_c, *rises])
+    read = [measured.offered_c[name][:REFERENCE_CYCLES].mean() for name in offered]
+    begun = np.concatenate([measured.begun_c, np.asarray(read, dtype=np.float64)])
     return replace(measured, sensors=(*measured.sensors, *offered), rise_c=more, begun_c=begun)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.report.html import Section, Table, page
+from dtwin.report.papers import paper_table
 from dtwin.report.plots import COLOURS, error_figure, polar_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
@@ -18,7 +19,6 @@ _HEAD = (
     "run", "feed", "way", "CD before", "CD after", "DC1", "DC2", "DC3", "to reference",
     "accelerometer, mg",
 )  # fmt: skip
-_JUDGED = {True: "yes", False: "no", None: "-"}
 _WHAT_THEY_ARE = (
     "um. CD: circular deviation about the least-squares circle. DC1: CD before minus CD after. DC2, "
     "DC3: peak to peak and RMS of what was taken out. To reference: relative difference of CD after "
@@ -87,14 +87,10 @@ def dynamics_page(result: Mapping[str, Any], curves: Curves, radius_mm: float) -
 
 def paper_text(found: Mapping[str, Any]) -> str:
     """Return the comparison with the paper, the machines and the feed sweep."""
-    lines = [
-        [line["target"], line["what"], line["paper"], line["ours"], _JUDGED[line["follows"]]]
-        for line in found["lines"]
-    ]
     sweep = found["sweep"]
     return "\n".join(
         [
-            table(("", "figure", "the paper", "ours", "follows"), lines),
+            paper_table(found["lines"]),
             "",
             "simulated machines, both directions, um: CD after by vibration, minus CD after without;",
             "what is taken out of a still machine; DC3 beside the RMS of the vibration put in:",

@@ -8,6 +8,7 @@ from typing import Any
 
 from dtwin.acquire.sinusoidal_runs import commanded, followed, heard
 from dtwin.report.html import Section, Table
+from dtwin.report.papers import paper_table
 from dtwin.report.text import table
 from dtwin.report.turning_plots import Surface, surface_figures_of, trial_figures
 from dtwin.schema import Run
@@ -146,6 +147,4 @@ def trial_section(
 
 def paper_text(found: Mapping[str, Any]) -> str:
     """Return the comparison with the published slide."""
-    judged = {True: "yes", False: "no", None: "-"}
-    rows = [[i["what"], i["paper"], i["ours"], judged[i["follows"]]] for i in found["lines"]]
-    return "\n".join([table(("figure", "the paper", "ours", "follows"), rows), "", *found["told"]])
+    return "\n".join([paper_table(found["lines"]), "", *found["told"]])

@@ -7,7 +7,6 @@ from typing import Any
 
 from dtwin.report.text import table
 
-_JUDGED = {True: "yes", False: "no", None: "-"}
 _SHOWN_H = (1, 5, 12, 20, 60)
 
 
@@ -42,9 +41,7 @@ def finding_lines(found: Mapping[str, Any]) -> list[str]:
     """Return what is not explained, and what is worse than nothing, a line each."""
     lines = [_unexplained_line(entry) for entry in found["unexplained"]]
     if found["worse"]:
-        lines.append(
-            f"worse than nothing, switched off in what is served: {', '.join(found['worse'])}"
-        )
+        lines.append(f"worse than nothing: {', '.join(found['worse'])}")
     return lines
 
 
@@ -83,9 +80,3 @@ def _unexplained_line(entry: Mapping[str, Any]) -> str:
         else "and no other campaign was given to look for a cause"
     )
     return f"{entry['name']} is not explained by the thermocouples, {told}"
-
-
-def paper_text(lines: Sequence[Mapping[str, Any]]) -> str:
-    """Return the comparison with the source."""
-    rows = [[x["what"], x["paper"], x["ours"], _JUDGED[x["follows"]]] for x in lines]
-    return table(("figure", "the paper", "ours", "follows"), rows)

@@ -66,6 +66,21 @@ def save_bundle(bundle: Bundle, path: Path) -> Path:
     return path
 
 
+def require_new(path: Path, *, force: bool = False) -> None:
+    """Refuse to write over a file, before hours are spent on what it would hold.
+
+    Raises
+    ------
+    InputError
+        When it is there and ``force`` is not set.
+    """
+    if path.exists() and not force:
+        raise InputError(
+            "the file is there already", code="bundle.exists", where=str(path),
+            hint="another --out, or --force where the command has it",
+        )  # fmt: skip
+
+
 def load_bundle(
     path: Path, machine: str | None = None, contract: WindowContract | None = None
 ) -> CompiledBundle:

@@ -10,7 +10,7 @@ from dtwin.physics.volumetric.chain import COEFFICIENTS, coefficient, design, id
 from dtwin.physics.volumetric.identify import Artefact, Balls
 from dtwin.physics.volumetric.intervals import interval_curve, reduction_pct, worse_steps
 from dtwin.physics.volumetric.slots import slot_errors_um, slot_places_mm, slot_ranges_um
-from dtwin.physics.volumetric.thermal_model import fit_thermal, inflation
+from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.pipeline.volumetric_paper import printed_agree
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.volumetric_bundle import volumetric_bundle
@@ -212,7 +212,6 @@ def test_the_served_equation_is_the_model() -> None:
         inputs = given | {f"{axis}_mm": float(v) for axis, v in zip("xyz", place, strict=True)}
         got = compiled.tick(np.array([inputs[i.name] for i in bundle.inputs]))
         assert np.abs(np.asarray(got)[:3] - row).max() < 1e-9
-    remembering = [fit_thermal("EZ0", np.cumsum(rise[:, 0]), rise, names)]
-    if remembering[0].memory:
-        with pytest.raises(InputError):
-            volumetric_bundle(remembering, STROKES, begun, seen, "heat", "mill")
+    remembering = [ThermalModel("EZ0", ("bed_c",), np.ones(1), 0.5, 0.0)]
+    with pytest.raises(InputError):
+        volumetric_bundle(remembering, STROKES, begun, seen, "heat", "mill")

@@ -1,0 +1,29 @@
+"""The table of a source's figures beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.report.text import table
+
+_JUDGED = {True: "yes", False: "no", None: "-"}
+
+
+def paper_table(lines: Sequence[Mapping[str, Any]], source: str = "the paper") -> str:
+    """Return what, theirs, ours and whether it follows, with target numbers where there are some.
+
+    Parameters
+    ----------
+    lines : sequence of dict
+        ``what``, ``paper``, ``ours``, ``follows``, perhaps ``target``.
+    source : str
+        Head of the column of theirs.
+    """
+    numbered = any("target" in line for line in lines)
+    rows = [
+        [line.get("target", "")] * numbered
+        + [line["what"], line["paper"], line["ours"], _JUDGED[line["follows"]]]
+        for line in lines
+    ]
+    return table(([""] * numbered) + ["figure", source, "ours", "follows"], rows)
