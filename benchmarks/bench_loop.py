@@ -176,6 +176,9 @@ def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
     delays_s = np.array([answered[t] for t in ticks if t in answered])
     late = {t for t in ticks if answered.get(t, 0.0) > 2 * PERIOD_S}
     never = set(ticks) - set(answered)
+    # A stalled controller hands over two states at once and reads the correction too late.
+    stalled = {t - back for t in log["late_ticks"].tolist() for back in range(3)}
+    sound = set(ticks) - stalled
     # What the loop itself can know: what it marked late, and states that it never saw.
     seen = {round(stamp_s / PERIOD_S) for stamp_s in notes[:, 1].tolist()}
     marked = {round(stamp_s / PERIOD_S) for stamp_s in late_s.tolist()} | (set(ticks) - seen)
@@ -185,6 +188,8 @@ def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
         "answered_late": len(late),
         "never_answered": len(never),
         "late_share": len(late | never) / len(ticks),
+        "sound_ticks": len(sound),
+        "late_share_sound": len((late | never) & sound) / len(sound),
         "not_noticed_by_the_loop": len((late | never) - marked),
         "not_noticed_but_used_in_time": len((late - marked) & used_in_time),
         "only_in_the_loop": len((marked & set(ticks)) - late - never),
@@ -248,7 +253,8 @@ def show(result: dict[str, Any]) -> None:
                  f"{100 * one['late_share']:.3f}", *(f"{v:.2f}" for v in delay.values()))  # fmt: skip
         print(f"{name}\n{'':9s}  " + "  ".join(f"{c!s:>9s}" for c in cells))
         print(f"           ticks that the controller itself made late: "
-              f"{one['controller_late_ticks']}")  # fmt: skip
+              f"{one['controller_late_ticks']}; share without these and the two before each: "
+              f"{100 * one['late_share_sound']:.3f} % of {one['sound_ticks']}")  # fmt: skip
         own = one["own_status"]
         if own:
             timing, age = own["timing"], own["timing"]["window_age_ms"]

@@ -20,8 +20,9 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -137,10 +138,14 @@ def _marked(wanted: list[Key], given: argparse.Namespace, until: float) -> Itera
             yield put(key)
         return
     with ProcessPoolExecutor(jobs) as pool:
-        for first in range(0, len(wanted), jobs):
-            if time.monotonic() > until:
+        rest, under_way = iter(wanted), set[Future[dict[str, Any]]]()
+        while True:
+            if time.monotonic() < until:
+                under_way |= {pool.submit(put, k) for k in islice(rest, jobs - len(under_way))}
+            if not under_way:
                 return
-            yield from pool.map(put, wanted[first : first + jobs])
+            ended, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            yield from (future.result() for future in ended)
 
 
 def one(key: Key, with_controls: int = WITH_CONTROLS) -> dict[str, Any]:

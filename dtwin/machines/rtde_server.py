@@ -106,6 +106,7 @@ class RtdeServer:
         self._state = self._controller.state().copy()
         self._tick = 0
         self._late = 0
+        self._late_ticks: deque[int] = deque(maxlen=_LOG_LENGTH)
         self._worst_late_s = 0.0
         self._slowdown = 1
         self._quiet_until_s = 0.0
@@ -147,6 +148,7 @@ class RtdeServer:
                 continue
             if -left_s > 0.5 / self._rate_hz:
                 self._late += 1
+                self._late_ticks.append(self._tick + 1)
                 self._worst_late_s = max(self._worst_late_s, -left_s)
             self._skip_after_a_pause(-left_s)
             self._advance()
@@ -294,9 +296,15 @@ class RtdeServer:
         }
 
     def _write_log(self, path: str) -> None:
-        """Write sequence, arrival and the stamp of the first state in which it acts."""
+        """Write sequence, arrival, the stamp at which it acts, and the ticks made late here."""
         log = np.array(self._log).reshape(-1, 3)
-        np.savez(path, sequence=log[:, 0], arrived_s=log[:, 1], latched_s=log[:, 2])
+        np.savez(
+            path,
+            sequence=log[:, 0],
+            arrived_s=log[:, 1],
+            latched_s=log[:, 2],
+            late_ticks=np.array(self._late_ticks, dtype=np.int64),
+        )
 
     def _write_recording(self, path: str) -> dict[str, Any]:
         if self._finished is None:

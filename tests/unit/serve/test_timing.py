@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,15 +85,26 @@ def test_jitter_lands_in_its_bin() -> None:
     assert (histogram["<10"], histogram["<50"], histogram["<5000"]) == (1, 1, 1)
 
 
+WAKE_UP = "/dev/cpu_dma_latency"
+
+
+def _target(link: Path) -> str:
+    """Where a descriptor of this process points; listing them opens one that is gone again."""
+    return str(link.readlink()) if link.is_symlink() else ""
+
+
 def test_realtime_is_undone_and_reports_every_part() -> None:
     policy, enabled = os.sched_getscheduler(0), gc.isenabled()
     with realtime(priority=10) as report:
         assert not gc.isenabled()
         assert set(report) == {
-            "priority", "memory_lock", "timer_slack", "processor", "garbage_collection",
+            "priority", "memory_lock", "timer_slack", "processor", "garbage_collection", "awake",
         }  # fmt: skip
         used = report["priority"] == "used"
         assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == used
+        wishes = [link for link in Path("/proc/self/fd").iterdir() if _target(link) == WAKE_UP]
+        assert (len(wishes) == 1) == (report["awake"] == "used")
+    assert WAKE_UP not in {_target(link) for link in Path("/proc/self/fd").iterdir()}
     assert os.sched_getscheduler(0) == policy
     assert gc.isenabled() == enabled
 
