@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics.effect import Effect, Instance
-from dtwin.physics.gridding import N_BINS, bin_angle_rad
+from dtwin.physics.gridding import bin_angle_rad
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, least_visible
@@ -177,7 +177,7 @@ def applicable(
     geometry = obs.campaign.machine_geometry
     untestable: dict[str, str] = {}
     out = []
-    for instance in campaign_instances(library, "circular", obs.planes, obs.axes, geometry):
+    for instance in campaign_instances(library, obs.grid.kind, obs.planes, obs.axes, geometry):
         effect = instance.effect
         absent = [name for name in effect.needs if name not in obs.logged]
         if effect.setup or effect.on_spread or instance.label in have:
@@ -223,7 +223,7 @@ def likely_pitches(
             continue
         along = np.cos(theta) if axis == AXES_OF[plane][0] else np.sin(theta)
         across = np.sin(theta) if axis == AXES_OF[plane][0] else -np.cos(theta)
-        mean = np.zeros(N_BINS)
+        mean = np.zeros(obs.n_bins)
         for row in rows:
             # The first axis moves against its positive sense where sin is positive in CCW.
             sense = -sign_of_row[row] * np.sign(across) if odd else 1.0
@@ -253,10 +253,7 @@ def _by_radius(
     for row, condition in enumerate(obs.condition_of):
         c = obs.conditions[int(condition)]
         groups.setdefault((c.plane, c.radius_mm), []).append(row)
-    sign = {
-        row: 1.0 if obs.conditions[int(c)].direction == "CCW" else -1.0
-        for row, c in enumerate(obs.condition_of)
-    }
+    sign = dict(enumerate(obs.sense.tolist()))
     return [(plane, radius, sign, rows) for (plane, radius), rows in groups.items()]
 
 
@@ -296,8 +293,8 @@ def probes(problem: Problem) -> Floats:
     Harmonics 0 to 8 and narrow windows round the circle, even and odd in direction.
     """
     obs = problem.obs
-    theta = bin_angle_rad()
-    sign = np.array([1.0 if m.direction == "CCW" else -1.0 for m in obs.runs])
+    theta = obs.grid.phase_rad
+    sign = obs.sense
     waves = [f(h * theta) for h in range(2, 9) for f in (np.cos, np.sin)]
     windows = [
         np.exp(-(((np.degrees(theta) - centre + 180.0) % 360.0 - 180.0) ** 2) / 200.0)

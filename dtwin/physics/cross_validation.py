@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.gridding import N_BINS
 from dtwin.physics.problem import Problem
 from dtwin.schema import Floats
 
@@ -31,11 +30,11 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
     """
     obs = problem.obs
     groups = obs.place_of if len(set(obs.place_of.tolist())) > 1 else obs.run_of
-    n_setup = 3 * len(obs.setups)
+    n_setup = obs.n_setup
     size = np.sqrt((whitened**2).sum(axis=0))
     both = np.concatenate([problem.raw, whitened / np.where(size > 0, size, 1.0)], axis=1)
-    columns = both.reshape(obs.n_rows, N_BINS, -1)
-    y = problem.y.reshape(obs.n_rows, N_BINS)
+    columns = both.reshape(obs.n_rows, obs.n_bins, -1)
+    y = problem.y.reshape(obs.n_rows, obs.n_bins)
     names = sorted(set(groups.tolist()))
     grams = np.array([_gram(columns[groups == g], columns[groups == g]) for g in names])
     rights = np.array([_gram(columns[groups == g], y[groups == g][:, :, None]) for g in names])

@@ -17,7 +17,6 @@ from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Verdict
 from dtwin.physics.effect import Effect
-from dtwin.physics.gridding import N_BINS, bin_angle_rad
 from dtwin.physics.law_search import search_laws
 from dtwin.physics.laws import LawTest, law_tests
 from dtwin.physics.observations import Observations
@@ -252,8 +251,8 @@ def _with_foreign(
 ) -> Problem:
     """Take out what moves with a channel that no effect knows, so that it is not noise."""
     obs = problem.obs
-    theta = bin_angle_rad()
-    waves = [np.ones(N_BINS)] + [f(h * theta) for h in range(1, 5) for f in (np.cos, np.sin)]
+    theta = obs.grid.phase_rad
+    waves = [np.ones(obs.n_bins)] + [f(h * theta) for h in range(1, 5) for f in (np.cos, np.sin)]
     for channel in channels:
         if not _is_foreign(channel.name, library):
             continue

@@ -13,7 +13,8 @@ from scipy import optimize, stats
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
-from dtwin.physics.gridding import N_BINS, Condition
+from dtwin.physics.grid import PathCondition
+from dtwin.physics.gridding import CIRCLE, Condition
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, least_visible, set_up, unweighted, weighted_like
 from dtwin.plan import Plan
@@ -22,7 +23,6 @@ from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta
 REPEATS = 3
 POWER = 0.8
 _ALPHA = 0.04
-_TURN_OVERHEAD_S = 20.0
 _SETUP_S = 600.0
 _BOTH: tuple[Direction, Direction] = ("CCW", "CW")
 
@@ -104,11 +104,11 @@ def next_experiment(
         and ``advice``; None when there is nothing to separate.
     """
     if diagnosis.verdict == "need_repeats":
-        minutes = sum(_seconds(c) for c in obs.conditions) * (REPEATS - 1) / 60.0
+        minutes = sum(c.seconds for c in obs.conditions) * (REPEATS - 1) / 60.0
         return {
             "text": f"measure every condition {REPEATS} times, in random order",
             "separates": [],
-            "conditions": [c.as_dict() for c in obs.conditions],
+            "conditions": [c.as_dict() for c in obs.conditions if isinstance(c, Condition)],
             "repeats": REPEATS - 1,
             "minutes": minutes,
             "expected_power": None,
@@ -164,7 +164,7 @@ def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None
         for test in plan.tests
         for direction in plan.directions
     ]
-    seconds = np.array([_seconds(c) for _, _, c in rows])
+    seconds = np.array([c.seconds for _, _, c in rows])
     time_h = np.concatenate([[0.0], np.cumsum(seconds)[:-1]]) / 3600.0
     logged = {"time_h": time_h, **(columns or {})}
     metas = tuple(
@@ -243,9 +243,11 @@ def _terms(
 
 
 def _proposals(obs: Observations) -> list[Proposal]:
-    """Return what could be measured besides: direction, feeds, a radius, planes."""
+    """Return what could be measured besides: direction, feeds, a radius, planes of a circle."""
     out = []
-    conditions = list(obs.conditions)
+    conditions = [c for c in obs.conditions if isinstance(c, Condition)]
+    if not conditions:
+        return []
     places = list(dict.fromkeys((c.plane, c.radius_mm, c.feed_mm_min) for c in conditions))
     missing = [
         Condition(plane, radius, feed, direction)
@@ -278,13 +280,8 @@ def _proposals(obs: Observations) -> list[Proposal]:
 
 
 def _proposal(text: str, conditions: list[Condition], *, new_setup: bool) -> Proposal:
-    seconds = REPEATS * sum(_seconds(c) for c in conditions) + (_SETUP_S if new_setup else 0.0)
+    seconds = REPEATS * sum(c.seconds for c in conditions) + (_SETUP_S if new_setup else 0.0)
     return Proposal(text, tuple(conditions), seconds / 60.0, 0.0)
-
-
-def _seconds(condition: Condition) -> float:
-    length_mm = 4.0 * np.pi * condition.radius_mm
-    return float(length_mm / (condition.feed_mm_min / 60.0)) + _TURN_OVERHEAD_S
 
 
 def _power(
@@ -320,14 +317,14 @@ def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
     """Return the runs with more of them, empty, in the set-ups that they would have."""
     means = {name: float(np.mean([np.mean(c[name]) for c in obs.columns])) for name in obs.logged}
     setups = {
-        (obs.conditions[int(c)].plane, obs.conditions[int(c)].radius_mm): meta.setup
+        obs.conditions[int(c)].mounted: meta.setup
         for meta, c in zip(obs.runs, obs.condition_of, strict=True)
     }
     metas, cells = list(obs.runs), [obs.conditions[i] for i in obs.condition_of]
     columns = list(obs.columns)
     for condition in conditions:
         for repeat in range(REPEATS):
-            setup = setups.get((condition.plane, condition.radius_mm), "new")
+            setup = setups.get(condition.mounted, "new")
             metas.append(
                 RunMeta(
                     f"next-{len(metas)}", plane=condition.plane, direction=condition.direction,
@@ -343,21 +340,21 @@ def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
 def _empty(
     campaign: Campaign,
     metas: tuple[RunMeta, ...],
-    cells: Sequence[Condition],
+    cells: Sequence[PathCondition],
     columns: tuple[Mapping[str, Any], ...],
 ) -> Observations:
     conditions = list(dict.fromkeys(cells))
-    keys = [(m.setup, m.plane, m.radius_mm) for m in metas]
+    keys = [(m.setup, c.mounted) for m, c in zip(metas, cells, strict=True)]
     setups = list(dict.fromkeys(keys))
     n = len(metas)
     return Observations(
         campaign=campaign,
         runs=metas,
-        y_um=np.zeros((n, N_BINS)),
-        mask=np.ones((n, N_BINS), dtype=bool),
+        y_um=np.zeros((n, CIRCLE.n)),
+        mask=np.ones((n, CIRCLE.n), dtype=bool),
         conditions=tuple(conditions),
         condition_of=np.array([conditions.index(c) for c in cells]),
-        setups=tuple(f"{name} {plane} R{radius:g}" for name, plane, radius in setups),
+        setups=tuple(f"{name} {mounted}" for name, mounted in setups),
         setup_of=np.array([setups.index(key) for key in keys]),
         run_of=np.arange(n),
         columns=columns,

@@ -13,7 +13,6 @@ from scipy import stats
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches, probes
-from dtwin.physics.gridding import N_BINS
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import (
     Problem,
@@ -174,7 +173,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
         weight = _run_weights(problem, columns, solution.x)
         solution = solve_blocks(_weighted(columns, problem.y, weight))
     expanded = _expanded(problem, terms, columns, solution.x)
-    n_setup = 3 * len(obs.setups)
+    n_setup = obs.n_setup
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
     residual = _residual_um(obs, columns, solution.x)
     before = localise.residual_um(obs, [])
@@ -233,12 +232,12 @@ def _columns(problem: Problem, terms: Sequence[Term]) -> Floats:
 def _weighted(columns: Floats, y: Floats, weight: Floats) -> Iterable[tuple[Floats, Floats]]:
     if (weight == 1.0).all():
         return in_blocks(columns, y)
-    root = np.repeat(np.sqrt(weight), N_BINS)
+    root = np.repeat(np.sqrt(weight), len(y) // len(weight))
     return in_blocks(columns * root[:, None], y * root)
 
 
 def _run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
-    left = (problem.y - columns @ x).reshape(problem.obs.n_rows, N_BINS)
+    left = (problem.y - columns @ x).reshape(problem.obs.n_rows, problem.obs.n_bins)
     size = np.sqrt((left**2).mean(axis=1))
     limit = _HUBER * float(np.median(size))
     return np.minimum(1.0, limit / np.maximum(size, 1e-300))
@@ -257,8 +256,8 @@ def _expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Float
     size = np.sqrt((columns**2).sum(axis=0))
     scaled = columns / np.where(size > 0.0, size, 1.0)
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)
-    influence = (scaled @ inverse).reshape(obs.n_rows, N_BINS, -1)
-    left = (problem.y - columns @ x).reshape(obs.n_rows, N_BINS)
+    influence = (scaled @ inverse).reshape(obs.n_rows, obs.n_bins, -1)
+    left = (problem.y - columns @ x).reshape(obs.n_rows, obs.n_bins)
     deviation, count = within_condition(left, obs.condition_of)
     scores = np.einsum("nqk,nq->nk", influence, deviation)
     runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
@@ -303,19 +302,20 @@ def _estimates(
 
 
 def _setups(obs: Observations, values: Floats, expanded: Floats) -> tuple[Mapping[str, Any], ...]:
-    names = ("radius_um", "centre_first_um", "centre_second_um")
+    names = obs.grid.setup_names
+    k = len(names)
     return tuple(
         {
             "setup": name,
-            **{n: float(values[3 * i + j]) for j, n in enumerate(names)},
-            "uncertainty_um": [float(u) for u in expanded[3 * i : 3 * i + 3]],
+            **{n: float(values[k * i + j]) for j, n in enumerate(names)},
+            "uncertainty_um": [float(u) for u in expanded[k * i : k * i + k]],
         }
         for i, name in enumerate(obs.setups)
     )
 
 
 def _residual_um(obs: Observations, columns: Floats, x: Floats) -> Floats:
-    fitted = from_harmonics((columns @ x).reshape(obs.n_rows, N_BINS))
+    fitted = from_harmonics((columns @ x).reshape(obs.n_rows, obs.n_bins))
     return np.where(obs.mask, obs.y_um - fitted, 0.0)
 
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
+from dtwin.physics.grid import Grid, PathCondition, Row
+from dtwin.physics.state import AXES_OF, State, circular_state
 from dtwin.schema import Direction, Floats, Plane, Run, RunMeta
 
 N_BINS = 360
@@ -17,13 +19,15 @@ POINTS_PER_BIN = 8
 _SAMPLE_COLUMNS = ("t_s", "angle_deg", "deviation_um")
 _MIN_BINS = 30
 _GAP_BINS = 3
+_TURN_OVERHEAD_S = 20.0
+_DESCRIBED_HARMONICS = 60
 _SMOOTH_HARMONICS = 3
 Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What is set for a run; repeats share it.
+    """What is set for a circular run; repeats share it.
 
     Attributes
     ----------
@@ -38,6 +42,37 @@ class Condition:
     feed_mm_min: float
     direction: Direction
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes that move."""
+        return AXES_OF[self.plane]
+
+    @property
+    def sense(self) -> float:
+        """Sense of motion: +1 for CCW, -1 for CW."""
+        return 1.0 if self.direction == "CCW" else -1.0
+
+    @property
+    def turned(self) -> Condition:
+        """The same circle the other way round."""
+        return replace(self, direction="CW" if self.direction == "CCW" else "CCW")
+
+    @property
+    def mounted(self) -> str:
+        """Plane and radius: another one needs another set-up."""
+        return f"{self.plane} R{self.radius_mm:g}"
+
+    @property
+    def swept(self) -> Mapping[str, float]:
+        """What campaigns change."""
+        return {"feed": self.feed_mm_min, "radius": self.radius_mm}
+
+    @property
+    def seconds(self) -> float:
+        """Time of two turns, with what comes before and after."""
+        length_mm = 4.0 * np.pi * self.radius_mm
+        return float(length_mm / (self.feed_mm_min / 60.0)) + _TURN_OVERHEAD_S
+
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         return dict(vars(self))
@@ -45,31 +80,6 @@ class Condition:
     def __str__(self) -> str:
         """Return it as people write it."""
         return f"{self.plane} R{self.radius_mm:g} F{self.feed_mm_min:g} {self.direction}"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One turn of a run on the grid.
-
-    Attributes
-    ----------
-    run : Run
-        Where it comes from.
-    y_um : ndarray, shape (360,)
-        Mean deviation in each bin.
-    mask : ndarray of bool, shape (360,)
-        Where something was measured.
-    columns : dict
-        What was logged: a number, or an array of shape (360,).
-    feed_mm_s : float
-        Path speed that was reached.
-    """
-
-    run: Run
-    y_um: Floats
-    mask: NDArray[np.bool_]
-    columns: Mapping[str, Any]
-    feed_mm_s: float
 
 
 def condition_of_run(meta: RunMeta) -> Condition:
@@ -144,7 +154,7 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
         y_um = means.pop("deviation_um")
         y_um += _off_centre_um(run, marked, angle, here, mask | gaps)
         columns = {"time_h": time_h, **run.meta.covariates, **means}
-        out.append(Row(run, y_um, mask | gaps, columns, feed_mm_s))
+        out.append(Row(run, condition, y_um, mask | gaps, columns, feed_mm_s))
     if not out:
         raise _too_short(run, len(angle))
     return out
@@ -226,3 +236,30 @@ def averaged(fine: Floats) -> Floats:
 def bin_angle_rad() -> Floats:
     """Return the middle of every bin, shape (360,)."""
     return np.asarray((np.arange(N_BINS) + 0.5) * (np.pi / 180.0), dtype=np.float64)
+
+
+def _state(
+    meta: RunMeta, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]
+) -> State:
+    return circular_state(
+        meta, fine_angle_rad(), feed_mm_s=feed_mm_s, columns={}, geometry=geometry
+    )
+
+
+def _circle() -> Grid:
+    theta = bin_angle_rad()
+    return Grid(
+        kind="circular",
+        coordinate="angle_deg",
+        points=np.arange(0.5, N_BINS),
+        setup=np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1),
+        setup_names=("radius_um", "centre_first_um", "centre_second_um"),
+        fine=POINTS_PER_BIN,
+        averaged=averaged,
+        state=_state,
+        described=_DESCRIBED_HARMONICS,
+        wave="harmonic {}".format,
+    )
+
+
+CIRCLE = _circle()

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from dtwin.physics.gridding import N_BINS
 from dtwin.physics.problem import INVISIBLE, Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
@@ -78,13 +77,13 @@ def search_laws(problem: Problem) -> list[ScalingLaw]:
     """
     obs = problem.obs
     feeds = obs.feed_mm_s / np.exp(np.mean(np.log(obs.feed_mm_s)))
-    radii = np.array([meta.radius_mm or 1.0 for meta in obs.runs])
-    radii = radii / np.exp(np.mean(np.log(radii)))
-    sign = np.array([1.0 if meta.direction == "CCW" else -1.0 for meta in obs.runs])
+    radii = obs.radius_mm / np.exp(np.mean(np.log(obs.radius_mm)))
+    sign = obs.sense
     feed_laws = FEED_EXPONENTS if np.ptp(np.log(feeds)) > 0.05 else (0.0,)
     radius_laws = RADIUS_EXPONENTS if np.ptp(np.log(radii)) > 0.05 else (0.0,)
     odds = (False, True) if np.ptp(sign) > 0.0 else (False,)
-    keys = list(itertools.product(HARMONICS, odds, feed_laws, radius_laws))
+    harmonics = [h for h in HARMONICS if h <= (obs.n_bins - 1) // 2]
+    keys = list(itertools.product(harmonics, odds, feed_laws, radius_laws))
     scale = {key: feeds ** key[2] * radii ** key[3] * (sign if key[1] else 1.0) for key in keys}
     tester = _Tester(problem)
     tested = [tester.test(key[0], scale[key]) for key in keys]
@@ -117,9 +116,10 @@ class _Tester:
         self.repeats = np.maximum(np.bincount(obs.condition_of) - 1, 0)
         self.residual = problem.residual
         self.deviation, _ = within_condition(self.residual, obs.condition_of)
-        self.basis = problem.basis.reshape(obs.n_rows, N_BINS, -1)
+        self.basis = problem.basis.reshape(obs.n_rows, obs.n_bins, -1)
         self.through = np.einsum("nqp,nq->np", self.basis, self.deviation)
-        self.harmonics = harmonic_numbers()
+        self.n_bins = obs.n_bins
+        self.harmonics = harmonic_numbers(obs.n_bins)
 
     def test(self, harmonic: int, scale: Floats) -> tuple[float, float, float, float]:
         """Return p-value, gain, gain expected from noise, and amplitude of one law."""
@@ -142,7 +142,9 @@ class _Tester:
         left = max(dof - k + 1.0, 1.0)
         f = float(total @ np.linalg.pinv(variance) @ total) / k * left / max(dof, 1.0)
         fitted = inverse @ total
-        amplitude = float(np.linalg.norm(fitted)) * np.sqrt((2.0 if harmonic else 1.0) / N_BINS)
+        amplitude = float(np.linalg.norm(fitted)) * np.sqrt(
+            (2.0 if harmonic else 1.0) / self.n_bins
+        )
         return float(stats.f.sf(f, k, left)), max(0.0, explained - expected), expected, amplitude
 
     def _dof(self, scores: Floats) -> float:

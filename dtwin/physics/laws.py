@@ -8,7 +8,6 @@ import numpy as np
 
 from dtwin.physics.candidates import Candidate, Candidates
 from dtwin.physics.effect import Law
-from dtwin.physics.gridding import N_BINS
 from dtwin.physics.observations import SETUP_COLUMNS, Observations
 from dtwin.physics.problem import Problem, least_visible
 from dtwin.physics.score import NoiseLevel, Score, score_test
@@ -91,7 +90,7 @@ def law_tests(
     columns = candidates.whitened(problem, term)
     with_it = problem.extended(candidate.visible, columns)
     amplitude = _amplitude(problem, columns)
-    along = (columns @ amplitude).reshape(-1, N_BINS)
+    along = (columns @ amplitude).reshape(-1, problem.obs.n_bins)
     within = term.instance.effect.within_condition
     least = least_visible(term)
     out: list[LawTest] = []
@@ -204,8 +203,8 @@ def _amplitude(problem: Problem, columns: Floats) -> Floats:
 def _contrasts(problem: Problem) -> dict[str, Floats]:
     obs = problem.obs
     feed = np.log(obs.feed_mm_s)
-    radius = np.log([meta.radius_mm or 1.0 for meta in obs.runs])
-    direction = np.array([1.0 if meta.direction == "CCW" else -1.0 for meta in obs.runs])
+    radius = np.log(obs.radius_mm)
+    direction = obs.sense
     found = {"feed": feed, "radius": radius, "direction": direction}
     return {name: values - values.mean() for name, values in found.items() if np.ptp(values) > 0.05}
 

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.physics.gridding import N_BINS
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers, to_harmonics
 from dtwin.schema import Floats
 
-_SECTOR_DEG = 20
+_SECTORS = 18
 _PLACES = 5
 
 
@@ -56,7 +55,7 @@ def systematic_rms_um(obs: Observations, residual: Floats) -> float:
         return float("nan")
     rows = residual[repeated]
     mean = condition_means(obs, residual)[obs.condition_of[repeated]]
-    share = float(obs.mask[repeated].mean()) * N_BINS
+    share = float(obs.mask[repeated].mean()) * obs.n_bins
     pure = ((rows - mean) ** 2).sum() / dof / share
     total = (rows**2).sum() / len(rows) / share
     return float(np.sqrt(max(0.0, total - pure)))
@@ -73,15 +72,16 @@ def worst_places(obs: Observations, residual: Floats) -> tuple[Mapping[str, Any]
         Residual of the twin.
     """
     means = condition_means(obs, residual)
-    sectors = np.sqrt((means.reshape(len(means), -1, _SECTOR_DEG) ** 2).mean(axis=2))
+    edges = np.linspace(0, obs.n_bins, min(_SECTORS, obs.n_bins) + 1).round().astype(int)
+    parts = np.add.reduceat(means**2, edges[:-1], axis=1) / np.diff(edges)
+    sectors = np.sqrt(parts)
     order = np.argsort(-sectors, axis=None)[:_PLACES]
     out = []
     for condition, sector in zip(*np.unravel_index(order, sectors.shape), strict=True):
-        start = int(sector) * _SECTOR_DEG
         out.append(
             {
                 **obs.conditions[int(condition)].as_dict(),
-                "angle_deg": [start, start + _SECTOR_DEG],
+                obs.grid.coordinate: obs.grid.between(edges[sector], edges[sector + 1]),
                 "residual_rms_um": float(sectors[condition, sector]),
             }
         )
@@ -104,17 +104,17 @@ def headline(obs: Observations, residual: Floats) -> str:
     if parity is not None:
         words.append(f"{parity} in direction")
     power = (to_harmonics(means) ** 2).sum(axis=0)
-    by_harmonic = np.bincount(harmonic_numbers(), power)[:61]
+    by_harmonic = np.bincount(harmonic_numbers(obs.n_bins), power)[: obs.grid.described + 1]
     top = int(np.argmax(by_harmonic))
     share = by_harmonic[top] / max(by_harmonic.sum(), 1e-300)
     words.append(
-        f"harmonic {top} ({100 * share:.0f} %)" if share > 0.4 else "spread over many harmonics"
+        f"{obs.grid.wave(top)} ({100 * share:.0f} %)"
+        if share > 0.4
+        else "spread over many harmonics"
     )
     size = 0.5 * np.log(np.maximum((means**2).mean(axis=1), 1e-300))
-    for name, values in (
-        ("feed", [c.feed_mm_min for c in obs.conditions]),
-        ("radius", [c.radius_mm for c in obs.conditions]),
-    ):
+    for name in obs.conditions[0].swept:
+        values = [c.swept[name] for c in obs.conditions]
         if len(set(values)) > 1:
             slope = float(np.polyfit(np.log(values), size, 1)[0])
             words.append(f"{_trend(slope)} with {name}")
@@ -126,8 +126,8 @@ def _parity(obs: Observations, means: Floats) -> str | None:
     index = {c: i for i, c in enumerate(obs.conditions)}
     even = odd = 0.0
     for condition, i in index.items():
-        other = type(condition)(condition.plane, condition.radius_mm, condition.feed_mm_min, "CW")
-        if condition.direction == "CCW" and other in index:
+        other = condition.turned
+        if condition.sense > 0.0 and other in index:
             even += float(((means[i] + means[index[other]]) ** 2).sum())
             odd += float(((means[i] - means[index[other]]) ** 2).sum())
     if even + odd == 0.0:

@@ -13,19 +13,12 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics.effect import Instance, Shape
-from dtwin.physics.gridding import (
-    N_BINS,
-    POINTS_PER_BIN,
-    Condition,
-    Indices,
-    averaged,
-    bin_angle_rad,
-    condition_of_run,
-    fine_angle_rad,
-    rows_of,
-)
+from dtwin.physics.grid import Grid, PathCondition, Row
+from dtwin.physics.gridding import CIRCLE, Indices, rows_of
 from dtwin.physics.kept_columns import condition_key, kept_columns
-from dtwin.physics.state import AXES_OF, State, circular_state
+from dtwin.physics.state import State
+from dtwin.physics.stroke_grid import stroke_rows
+from dtwin.physics.tone_grid import TONE, tone_row
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -34,7 +27,7 @@ SETUP_COLUMNS = "setup_"
 
 @dataclass(frozen=True)
 class Observations:
-    """Runs of a campaign, averaged over bins of one degree.
+    """Runs of a campaign on the points of one path: on a circle, averaged over degrees.
 
     Attributes
     ----------
@@ -47,7 +40,7 @@ class Observations:
         offset that is of second order is taken out.
     mask : ndarray of bool, shape (rows, 360)
         Where something was measured.
-    conditions : tuple of Condition
+    conditions : tuple of PathCondition
         The distinct conditions.
     condition_of, setup_of, run_of : ndarray of int, shape (rows,)
         Condition, set-up and run of each row; a run of several turns has several rows.
@@ -57,19 +50,42 @@ class Observations:
         Logged columns of each row: a number, or an array of shape (360,).
     feed_mm_s : ndarray, shape (rows,)
         Path speed that was reached.
+    grid : Grid
+        The points along the path. Shapes that are given with 360 bins have as many as it has.
     """
 
     campaign: Campaign
     runs: tuple[RunMeta, ...]
     y_um: Floats
     mask: NDArray[np.bool_]
-    conditions: tuple[Condition, ...]
+    conditions: tuple[PathCondition, ...]
     condition_of: Indices
     setups: tuple[str, ...]
     setup_of: Indices
     run_of: Indices
     columns: tuple[Mapping[str, Any], ...]
     feed_mm_s: Floats
+    grid: Grid = CIRCLE
+
+    @property
+    def n_bins(self) -> int:
+        """Number of points along the path."""
+        return self.grid.n
+
+    @property
+    def n_setup(self) -> int:
+        """Number of terms that belong to set-ups."""
+        return len(self.grid.setup_names) * len(self.setups)
+
+    @cached_property
+    def sense(self) -> Floats:
+        """Sense of motion of each row, +1 or -1, shape (rows,)."""
+        return np.array([self.conditions[c].sense for c in self.condition_of])
+
+    @cached_property
+    def radius_mm(self) -> Floats:
+        """Size of the path of each row, shape (rows,)."""
+        return np.array([self.conditions[c].radius_mm or 1.0 for c in self.condition_of])
 
     @property
     def n_rows(self) -> int:
@@ -78,13 +94,13 @@ class Observations:
 
     @property
     def planes(self) -> tuple[str, ...]:
-        """Planes that were measured."""
+        """Planes that were measured, or axes that moved alone."""
         return tuple(sorted({c.plane for c in self.conditions}))
 
     @property
     def axes(self) -> tuple[str, ...]:
         """Axes that were moved."""
-        return tuple(sorted({axis for plane in self.planes for axis in AXES_OF[plane]}))
+        return tuple(sorted({axis for c in self.conditions for axis in c.axes}))
 
     @property
     def logged(self) -> tuple[str, ...]:
@@ -101,7 +117,7 @@ class Observations:
         keys = [
             (
                 self.setup_of[i],
-                meta.feed_mm_min,
+                self.conditions[self.condition_of[i]].feed_mm_min,
                 meta.repeat,
                 tuple(sorted(meta.covariates.items())),
             )
@@ -113,7 +129,8 @@ class Observations:
     @cached_property
     def place_of(self) -> Indices:
         """Condition of each row without its direction, shape (rows,)."""
-        keys = [(m.plane, m.radius_mm, m.feed_mm_min) for m in self.runs]
+        found = [self.conditions[c] for c in self.condition_of]
+        keys = [(c.plane, c.radius_mm, c.feed_mm_min) for c in found]
         numbers = {key: n for n, key in enumerate(dict.fromkeys(keys))}
         return np.array([numbers[key] for key in keys])
 
@@ -122,7 +139,9 @@ class Observations:
         """Logged columns minus their mean over the campaign, shape (rows, 360) each."""
         out = {}
         for name in self.logged:
-            values = np.array([np.broadcast_to(c[name], N_BINS) for c in self.columns], dtype=float)
+            values = np.array(
+                [np.broadcast_to(c[name], self.n_bins) for c in self.columns], dtype=float
+            )
             out[name] = values - values[self.mask].mean()
         return out
 
@@ -187,13 +206,13 @@ class Observations:
             um per unit of each parameter, zero where nothing was measured.
         """
         effect = instance.effect
-        out = np.zeros((self.n_rows, N_BINS, len(effect.parameters)))
+        out = np.zeros((self.n_rows, self.n_bins, len(effect.parameters)))
         if effect.within_condition or effect.needs:
             for row in range(self.n_rows):
-                out[row] = averaged(effect.columns(self._row_state(row), instance.axis, shape))
+                out[row] = _averaged(self.grid, instance, shape, self._row_state(row))
         else:
             for number, state in enumerate(self._condition_states):
-                make = partial(_averaged, instance, shape, state)
+                make = partial(_averaged, self.grid, instance, shape, state)
                 key = self._condition_keys[number]
                 out[self.condition_of == number] = kept_columns(instance, shape, key, make)
         return np.where(self.mask[:, :, None], out, 0.0)
@@ -208,25 +227,20 @@ class Observations:
         for number in range(len(self.conditions)):
             rows = np.flatnonzero(self.condition_of == number)
             feed = float(self.feed_mm_s[rows].mean())
-            meta = self.runs[int(rows[0])]
-            states.append(
-                circular_state(
-                    meta, fine_angle_rad(), feed_mm_s=feed, columns={},
-                    geometry=self.campaign.machine_geometry,
-                )
-            )  # fmt: skip
+            meta, geometry = self.runs[int(rows[0])], self.campaign.machine_geometry
+            states.append(self.grid.state(meta, self.conditions[number], feed, geometry))
         return states
 
     def _row_state(self, row: int) -> State:
         state = self._condition_states[int(self.condition_of[row])]
         columns = {
-            name: np.repeat(np.broadcast_to(value, N_BINS).astype(float), POINTS_PER_BIN)
+            name: np.repeat(np.broadcast_to(value, self.n_bins).astype(float), self.grid.fine)
             for name, value in self.columns[row].items()
         }
         for name in [n for n in columns if n.endswith("_c")]:
             rise = self.centred_columns[name][row] if name in self.centred_columns else None
             if rise is not None:
-                columns[f"{name[:-2]}_rise_c"] = np.repeat(rise, POINTS_PER_BIN)
+                columns[f"{name[:-2]}_rise_c"] = np.repeat(rise, self.grid.fine)
         return replace(state, columns=columns)
 
 
@@ -238,23 +252,23 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
     campaign : Campaign
         Where the runs come from.
     runs : sequence of Run
-        Circular runs with ``angle_deg`` and ``deviation_um``; outside a marked window samples
-        are left out.
+        Of one kind: circular runs with ``angle_deg`` and ``deviation_um``, outside a marked window
+        samples are left out; sweeps with ``position_mm`` and ``error_um``; tones with the
+        command and the tool.
 
     Raises
     ------
     InputError
-        When there is no run, or a run is not circular or too short.
+        When there is no run, or a run lacks what its kind needs or is too short.
     """
     if not runs:
         raise InputError("there is no run to look at", code="twin.no_runs", where=campaign.name)
-    times_h = _times_h(runs)
-    rows = [row for run, time_h in zip(runs, times_h, strict=True) for row in rows_of(run, time_h)]
+    grid, rows = _passages(campaign, runs, _times_h(runs))
     conditions = sorted(
-        {condition_of_run(row.run.meta) for row in rows},
+        {row.condition for row in rows},
         key=lambda c: (c.plane, c.radius_mm, c.feed_mm_min, c.direction),
     )
-    keys = [(r.run.meta.setup, r.run.meta.plane, r.run.meta.radius_mm) for r in rows]
+    keys = [(row.run.meta.setup, row.condition.mounted) for row in rows]
     setups = list(dict.fromkeys(keys))
     ids = list(dict.fromkeys(run.meta.run_id for run in runs))
     made = Observations(
@@ -263,13 +277,30 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
         y_um=np.array([row.y_um for row in rows]),
         mask=np.array([row.mask for row in rows]),
         conditions=tuple(conditions),
-        condition_of=np.array([conditions.index(condition_of_run(row.run.meta)) for row in rows]),
-        setups=tuple(f"{name} {plane} R{radius:g}" for name, plane, radius in setups),
+        condition_of=np.array([conditions.index(row.condition) for row in rows]),
+        setups=tuple(f"{name} {mounted}" for name, mounted in setups),
         setup_of=np.array([setups.index(key) for key in keys]),
         run_of=np.array([ids.index(row.run.meta.run_id) for row in rows]),
         columns=tuple(row.columns for row in rows),
         feed_mm_s=np.array([row.feed_mm_s for row in rows]),
+        grid=grid,
     )
+    return _without_second_order(made) if grid is CIRCLE else made
+
+
+def _passages(
+    campaign: Campaign, runs: Sequence[Run], times_h: Sequence[float]
+) -> tuple[Grid, list[Row]]:
+    if campaign.kind == "linear":
+        return stroke_rows(runs, times_h)
+    pairs = list(zip(runs, times_h, strict=True))
+    if campaign.kind == "sinusoidal":
+        return TONE, [tone_row(run, time_h) for run, time_h in pairs]
+    return CIRCLE, [row for run, time_h in pairs for row in rows_of(run, time_h)]
+
+
+def _without_second_order(made: Observations) -> Observations:
+    """Take out the second-order part of the centre offsets, and log the centres."""
     centres = _centres_um(made)
     columns = tuple(
         {**logged, f"{SETUP_COLUMNS}first_um": a_um, f"{SETUP_COLUMNS}second_um": b_um}
@@ -303,8 +334,7 @@ def _length_s(run: Run) -> float:
 
 def _centres_um(made: Observations) -> Floats:
     """Return the centre of each row's set-up, shape (rows, 2)."""
-    theta = bin_angle_rad()
-    basis = np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1)
+    basis = made.grid.setup
     out: Floats = np.zeros((made.n_rows, 2))
     for setup in range(len(made.setups)):
         rows = np.flatnonzero(made.setup_of == setup)
@@ -320,11 +350,11 @@ def _second_order_um(made: Observations, centres_um: Floats) -> Floats:
     The distance from a shifted pivot to a point of the commanded circle exceeds the first-order
     term by (a sin t - b cos t)^2 / 2R.
     """
-    theta = bin_angle_rad()
-    radius_um = np.array([meta.radius_mm or 1.0 for meta in made.runs]) * UM_PER_MM
+    theta = made.grid.phase_rad
+    radius_um = made.radius_mm * UM_PER_MM
     across = np.outer(centres_um[:, 0], np.sin(theta)) - np.outer(centres_um[:, 1], np.cos(theta))
     return np.asarray(across**2 / (2.0 * radius_um[:, None]))
 
 
-def _averaged(instance: Instance, shape: Shape, state: State) -> Floats:
-    return averaged(instance.effect.columns(state, instance.axis, shape))
+def _averaged(grid: Grid, instance: Instance, shape: Shape, state: State) -> Floats:
+    return grid.averaged(instance.effect.columns(state, instance.axis, shape))

@@ -11,6 +11,8 @@ _RATIO = 12.0
 _LOW_RATIO = 40.0
 _LOW_HARMONICS = 13
 _MOST_SHARE = 0.1
+# A tone is a handful of numbers: two of three repeats lie close together by chance.
+_FEWEST_POINTS = 100
 
 
 def odd_runs(problem: Problem) -> list[int]:
@@ -28,9 +30,9 @@ def odd_runs(problem: Problem) -> list[int]:
     tenth of the runs is called odd, the worst ones; beyond that the campaign is noisy, not spoilt.
     """
     obs = problem.obs
-    if problem.noise is None:
+    if problem.noise is None or obs.n_bins < _FEWEST_POINTS:
         return []
-    harmonic = harmonic_numbers()
+    harmonic = harmonic_numbers(obs.n_bins)
     # Unweighted: a spoilt harmonic would have lost its weight through the run that spoils it.
     plain = problem.residual / problem.weights
     bands = [harmonic >= 0, *(harmonic == h for h in range(_LOW_HARMONICS))]

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dtwin.physics.effect import Instance
-from dtwin.physics.gridding import N_BINS, bin_angle_rad
 from dtwin.physics.observations import Observations
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
 from dtwin.schema import Floats
@@ -56,7 +55,7 @@ class Problem:
     weights : ndarray, shape (360,)
         Whitening.
     raw : ndarray, shape (rows * 360, q)
-        Columns that the basis spans: three for each set-up, then the known effects.
+        Columns that the basis spans: those of every set-up, then the known effects.
     """
 
     obs: Observations
@@ -70,7 +69,7 @@ class Problem:
     def residual(self) -> Floats:
         """What the known effects leave, shape (rows, 360)."""
         left = self.y - self.basis @ (self.basis.T @ self.y)
-        return left.reshape(self.obs.n_rows, N_BINS)
+        return left.reshape(self.obs.n_rows, self.obs.n_bins)
 
     def whitened(self, columns: Floats) -> Floats:
         """Return columns of shape (rows, 360, k) as shape (rows * 360, k)."""
@@ -159,7 +158,7 @@ def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
     known : sequence of Term
         Effects that the twin has, without set-up terms.
     """
-    flat = PureError(0.0, np.ones(N_BINS), np.ones(len(obs.conditions)), 0)
+    flat = PureError(0.0, np.ones(obs.n_bins), np.ones(len(obs.conditions)), 0)
     return replace(weighted_like(obs, known, flat), noise=None)
 
 
@@ -184,13 +183,13 @@ def weighted_like(obs: Observations, known: Sequence[Term], noise: PureError) ->
 
 
 def setup_columns(obs: Observations) -> Floats:
-    """Return centre and radius of every set-up, shape (rows, 360, 3 * set-ups)."""
-    theta = bin_angle_rad()
-    basis = np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1)
-    out = np.zeros((obs.n_rows, N_BINS, 3 * len(obs.setups)))
+    """Return what belongs to every set-up, shape (rows, n, set-up terms): on a circle its centre and radius."""
+    basis = obs.grid.setup
+    k = basis.shape[1]
+    out = np.zeros((obs.n_rows, obs.n_bins, k * len(obs.setups)))
     for row in range(obs.n_rows):
-        first = 3 * int(obs.setup_of[row])
-        out[row, :, first : first + 3] = basis
+        first = k * int(obs.setup_of[row])
+        out[row, :, first : first + k] = basis
     return np.where(obs.mask[:, :, None], out, 0.0)
 
 
@@ -220,7 +219,7 @@ def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
         whitened = plain.whitened(columns)
         moving, _ = plain.visible(whitened)
         extended = plain.extended(moving, whitened)
-        columns = moving.reshape(obs.n_rows, N_BINS, -1)
+        columns = moving.reshape(obs.n_rows, obs.n_bins, -1)
         found = pure_error(extended.residual, obs.condition_of, share, columns)
         if found is not None:
             return found

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 from scipy.special import polygamma
 
-from dtwin.physics.gridding import N_BINS, Indices
+from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers, within_condition
 from dtwin.schema import Floats
@@ -25,6 +25,7 @@ _BANDS = (
     (31, HIGHEST_HARMONIC),
     *((h, h) for h in range(13)),
 )
+_CIRCLE = 360
 _FLIPS = 1999
 _FEW_DOF = 12
 _MOST_PRIOR = 1.0
@@ -95,7 +96,7 @@ def score_test(
     """
     obs = problem.obs
     k = visible.shape[1]
-    z = visible.reshape(obs.n_rows, N_BINS, k)
+    z = visible.reshape(obs.n_rows, obs.n_bins, k)
     total = visible.T @ residual.ravel()
     noise = residual
     if within:
@@ -134,7 +135,7 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     """
     obs = problem.obs
     deviation, count = within_condition(problem.residual, obs.condition_of)
-    z = probes.reshape(obs.n_rows, N_BINS, -1)
+    z = probes.reshape(obs.n_rows, obs.n_bins, -1)
     scores = np.einsum("nqk,nq->nk", z, deviation)
     summed = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
     np.add.at(summed, obs.run_of, scores)
@@ -182,7 +183,7 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
     """
     obs = problem.obs
     pairs = _pairs(obs.condition_of, obs.run_of)
-    bands = [(harmonic_numbers() >= a) & (harmonic_numbers() <= b) for a, b in _BANDS]
+    bands = _bands(obs.n_bins)
     grams = np.array([(residual[:, band] @ residual[:, band].T) * pairs for band in bands])
     found = grams.sum(axis=(1, 2))
     rng = np.random.default_rng(seed)
@@ -200,6 +201,13 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
     return float((1 + (drawn_most >= most).sum()) / (len(drawn_most) + 1))
 
 
+def _bands(n_bins: int) -> list[NDArray[np.bool_]]:
+    """Return which coefficients each band takes; long travels have more harmonics than circles."""
+    harmonic = harmonic_numbers(n_bins)
+    beyond = [(HIGHEST_HARMONIC + 1, n_bins)] if n_bins > _CIRCLE else []
+    return [(harmonic >= a) & (harmonic <= b) for a, b in (*_BANDS, *beyond)]
+
+
 def _gaussian_draws(
     problem: Problem, pairs: Floats, bands: Sequence[NDArray[np.bool_]], rng: np.random.Generator
 ) -> Floats:
@@ -213,7 +221,7 @@ def _gaussian_draws(
         scale = np.sqrt(level * _FEW_DOF / rng.chisquare(_FEW_DOF))
         drawn = scale * rng.standard_normal(problem.y.size)
         drawn -= problem.basis @ (problem.basis.T @ drawn)
-        rows = drawn.reshape(obs.n_rows, N_BINS)
+        rows = drawn.reshape(obs.n_rows, obs.n_bins)
         out[i] = [((rows[:, band] @ rows[:, band].T) * pairs).sum() for band in bands]
     return out
 
@@ -237,7 +245,7 @@ def _local_variance(problem: Problem) -> Floats:
     """
     noise, obs = problem.noise, problem.obs
     if noise is None:
-        return np.ones((obs.n_rows, N_BINS))
+        return np.ones((obs.n_rows, obs.n_bins))
     typical = float(np.nanmean(noise.variance))
     level = np.nan_to_num(noise.variance, nan=typical)[obs.condition_of]
     deviation, count = within_condition(from_harmonics(problem.residual), obs.condition_of)

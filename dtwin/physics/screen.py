@@ -61,7 +61,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     that one is taken out.
     """
     obs = problem.obs
-    low = (harmonic_numbers() <= _HIGHEST_HARMONIC) & (problem.weights > 0)
+    low = (harmonic_numbers(obs.n_bins) <= _HIGHEST_HARMONIC) & (problem.weights > 0)
     spread, count = within_condition(problem.residual[:, low], obs.condition_of)
     channels = {}
     for name in (n for n in obs.logged if not n.startswith(SETUP_COLUMNS)):

@@ -16,6 +16,8 @@ from dtwin.physics.shapes import refined
 
 ALPHA = 0.03
 _MOST_STEPS = 4
+# A travel has more to show at once than a circle: most of its errors keep their own places.
+_MOST_STEPS_ALONG = 8
 _LEADING = 6
 _GROUP_GAIN = 0.5
 _GROUP_P = 0.05
@@ -122,6 +124,7 @@ def search(
     steps: list[Step] = []
     fits = [lack_of_fit(problem, problem.residual, seed)]
     systematic = [systematic_rms_um(problem.obs, in_angle(plain))]
+    most = _MOST_STEPS_ALONG if problem.obs.grid.kind == "linear" else _MOST_STEPS
     while True:
         level = noise_level(problem, probes(problem))
         tested, invisible = candidates.tested(problem, level)
@@ -135,7 +138,7 @@ def search(
             if p_values[c.term.label] <= ALPHA and _is_material(plain, candidates, c, problem)
         ]
         step = _step(problem, candidates, level, tested, significant, p_values, tuple(invisible))
-        if step is None or len(steps) == _MOST_STEPS:
+        if step is None or len(steps) == most:
             break
         steps.append(step)
         whitened = candidates.whitened(problem, step.top.term)

@@ -45,7 +45,7 @@ def spread_of(
         if abs(fitted.slope) > _MATERIAL_EXPONENT:
             found["feed"] = float(fitted.pvalue)
     geometry = obs.campaign.machine_geometry
-    for instance in campaign_instances(library, "circular", obs.planes, obs.axes, geometry):
+    for instance in campaign_instances(library, obs.grid.kind, obs.planes, obs.axes, geometry):
         if instance.effect.on_spread:
             found[instance.label] = _local(obs, deviation, rows, instance)
     if not found:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dtwin.physics.gridding import N_BINS, Indices
+from dtwin.physics.gridding import Indices
 from dtwin.schema import Floats
 
 _SEPARATE = 5
@@ -14,40 +14,49 @@ _FLOOR = 1e-4
 
 
 def to_harmonics(values: Floats) -> Floats:
-    """Return real, orthonormal Fourier coefficients along an axis of 360 angles.
+    """Return real, orthonormal Fourier coefficients along the path.
 
     Parameters
     ----------
-    values : ndarray, shape (rows, 360, ...)
+    values : ndarray, shape (rows, n, ...)
         Values in every bin.
 
     Returns
     -------
     ndarray, same shape
-        Harmonic 0, then cosine and sine of harmonics 1 to 179, then harmonic 180: an
-        orthonormal transform, so sums of squares are kept.
+        Harmonic 0, then cosine and sine of harmonics 1, 2 ..., for an even number of bins at
+        last harmonic n / 2: an orthonormal transform, so sums of squares are kept.
     """
     spectrum = np.fft.rfft(values, axis=1, norm="ortho")
+    n = values.shape[1]
+    paired = slice(1, (n + 1) // 2)
     out = np.empty(values.shape)
     out[:, 0] = spectrum[:, 0].real
-    out[:, -1] = spectrum[:, -1].real
-    out[:, 1:-1:2] = np.sqrt(2.0) * spectrum[:, 1:-1].real
-    out[:, 2:-1:2] = np.sqrt(2.0) * spectrum[:, 1:-1].imag
+    if n % 2 == 0:
+        out[:, -1] = spectrum[:, -1].real
+    end = n - 1 + n % 2
+    out[:, 1:end:2] = np.sqrt(2.0) * spectrum[:, paired].real
+    out[:, 2:end:2] = np.sqrt(2.0) * spectrum[:, paired].imag
     return out
 
 
 def from_harmonics(coefficients: Floats) -> Floats:
-    """Return values over the angle from real Fourier coefficients, shape (rows, 360, ...)."""
-    shape = (len(coefficients), N_BINS // 2 + 1, *coefficients.shape[2:])
+    """Return values along the path from real Fourier coefficients, shape (rows, n, ...)."""
+    n = coefficients.shape[1]
+    shape = (len(coefficients), n // 2 + 1, *coefficients.shape[2:])
     spectrum = np.empty(shape, dtype=complex)
-    spectrum[:, 0], spectrum[:, -1] = coefficients[:, 0], coefficients[:, -1]
-    spectrum[:, 1:-1] = (coefficients[:, 1:-1:2] + 1j * coefficients[:, 2:-1:2]) / np.sqrt(2.0)
-    return np.asarray(np.fft.irfft(spectrum, N_BINS, axis=1, norm="ortho"))
+    spectrum[:, 0] = coefficients[:, 0]
+    if n % 2 == 0:
+        spectrum[:, -1] = coefficients[:, -1]
+    end, paired = n - 1 + n % 2, slice(1, (n + 1) // 2)
+    both = coefficients[:, 1:end:2] + 1j * coefficients[:, 2:end:2]
+    spectrum[:, paired] = both / np.sqrt(2.0)
+    return np.asarray(np.fft.irfft(spectrum, n, axis=1, norm="ortho"))
 
 
-def harmonic_numbers() -> Indices:
-    """Return the harmonic that each coefficient belongs to, shape (360,)."""
-    return (np.arange(N_BINS) + 1) // 2
+def harmonic_numbers(n_bins: int) -> Indices:
+    """Return the harmonic that each of so many coefficients belongs to, shape (n,)."""
+    return (np.arange(n_bins) + 1) // 2
 
 
 @dataclass(frozen=True)
@@ -124,12 +133,13 @@ def pure_error(
     repeated = m > 1
     n_conditions = len(set(condition_of[repeated].tolist()))
     full_dof = int(repeated.sum()) - n_conditions
-    lost = np.zeros(N_BINS) if fitted is None else _used_up(fitted, condition_of)
+    n_bins = residual.shape[1]
+    lost = np.zeros(n_bins) if fitted is None else _used_up(fitted, condition_of)
     dof = int(full_dof - np.ceil(lost.max() - 1e-9))
     if dof < 2:
         return None
     power = (deviation[repeated] ** 2).mean(axis=0) * full_dof / (full_dof - lost)
-    floor_um = float(np.sqrt(power.sum() / (N_BINS * mask_share)))
+    floor_um = float(np.sqrt(power.sum() / (n_bins * mask_share)))
     smooth = _smoothed(power)
     weights = 1.0 / np.sqrt(np.maximum(smooth, _FLOOR * np.median(smooth)))
     weights /= np.sqrt(np.mean(weights**2))
@@ -149,7 +159,7 @@ def _used_up(fitted: Floats, condition_of: Indices) -> Floats:
 
 def _smoothed(power: Floats) -> Floats:
     """Average over neighbouring harmonics; the lowest keep their own level."""
-    harmonic = harmonic_numbers()
+    harmonic = harmonic_numbers(len(power))
     level = np.bincount(harmonic, power) / np.bincount(harmonic)
     out = level.copy()
     for h in range(_SEPARATE, len(level)):

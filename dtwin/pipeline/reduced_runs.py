@@ -20,8 +20,8 @@ import numpy as np
 from dtwin.atomic import whole_file
 from dtwin.config import Home
 from dtwin.errors import StoreError
-from dtwin.physics import gridding, observations
-from dtwin.physics.gridding import N_BINS, Condition
+from dtwin.physics import grid, gridding, observations
+from dtwin.physics.gridding import CIRCLE, N_BINS, Condition
 from dtwin.physics.observations import Observations
 from dtwin.pipeline import encoder_comparison
 from dtwin.schema import Campaign, Floats, RunMeta, require_name
@@ -95,6 +95,9 @@ def keep_reduced(home: Home, campaign: str, stamp: str, reduced: Reduced) -> Non
         What to keep.
     """
     obs, controller = reduced
+    if obs.grid is not CIRCLE:
+        # Sweeps and tones are few numbers: they are reduced again each time.
+        return
     names = sorted({n for row in obs.columns for n, v in row.items() if np.ndim(v)})
     blank = np.full(N_BINS, np.nan)
     arrays = {name: getattr(obs, name) for name in _ARRAYS}
@@ -110,7 +113,7 @@ def keep_reduced(home: Home, campaign: str, stamp: str, reduced: Reduced) -> Non
         "stamp": stamp,
         "campaign": asdict(obs.campaign),
         "runs": [asdict(meta) for meta in obs.runs],
-        "conditions": [asdict(c) for c in obs.conditions],
+        "conditions": [c.as_dict() for c in obs.conditions],
         "setups": obs.setups,
         "columns": [{n: float(v) for n, v in row.items() if n not in names} for row in obs.columns],
     }
@@ -132,6 +135,6 @@ def _path(home: Home, campaign: str) -> Path:
 def _code_sha256() -> str:
     """Return the check sum of the code that reduces runs."""
     digest = hashlib.sha256()
-    for module in (gridding, observations, encoder_comparison):
+    for module in (grid, gridding, observations, encoder_comparison):
         digest.update(Path(str(module.__file__)).read_bytes())
     return digest.hexdigest()

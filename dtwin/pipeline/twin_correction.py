@@ -17,7 +17,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
 from dtwin.pipeline.modelling import CONDITIONS_FILE
-from dtwin.pipeline.twin_data import load, pure_rms_um
+from dtwin.pipeline.twin_data import load, pure_rms_um, require_circle
 from dtwin.pipeline.twins import Twins
 from dtwin.schema import Floats
 from dtwin.serve.export import to_c, to_latex, to_python, to_text
@@ -128,6 +128,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     """
     twin, found = twins.diagnose(name, seed=seed)
     obs = load(twins.home, twin.campaign).obs
+    require_circle(obs, "a correction by a twin")
     geometry = dict(obs.campaign.machine_geometry)
     frozen = twin_bundle(twin, obs, horizon_s=float(geometry.get("correction_delay_s", 0.0)))
     gradings = _graded(frozen.twin, twin, obs, twins, seed)

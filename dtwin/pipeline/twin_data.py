@@ -14,6 +14,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.encoder_split import Cutoff
 from dtwin.physics import localise
+from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import pure_error, to_harmonics
@@ -22,6 +23,14 @@ from dtwin.pipeline.measuring import in_lake
 from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
 from dtwin.schema import Campaign, Floats, Run
 from dtwin.store import Lake
+
+KINDS = ("circular", "linear", "sinusoidal")
+_READ = ("deviation_um", "error_um", "tool_z_mm", "tool_x_mm", "tool_y_mm", "t_s")
+_CORRECTED_BY = {
+    "linear": "dtwin lathe fit makes a correction of a positioning test, with memory of the play",
+    "sinusoidal": "dtwin turning fit makes a correction of tones",
+}
+_OTHERWISE = {"volumetric": "dtwin volumetric fit has a model of its own for balls in a volume"}
 
 
 @dataclass(frozen=True)
@@ -133,13 +142,14 @@ def load(home: Home, campaign: str) -> Loaded:
             got=why or "no runs",
             hint=f"dtwin check {name}",
         )
-    if found.kind != "circular":
+    if found.kind not in KINDS:
         raise InputError(
-            "twins are fitted to circular tests",
+            "twins are fitted to tests of a path",
             code="twin.kind",
             where=name,
             got=found.kind,
-            allowed="circular",
+            allowed=", ".join(KINDS),
+            hint=_OTHERWISE.get(found.kind, ""),
         )
     digest = hashlib.sha256()
     for row in usable:
@@ -152,6 +162,21 @@ def load(home: Home, campaign: str) -> Loaded:
     }
     obs, controller_um = _reduced(home, lake, found, usable)
     return Loaded(obs, data, controller_um)
+
+
+def require_circle(obs: Observations, what: str) -> None:
+    """Refuse what is only known for circular tests.
+
+    Raises
+    ------
+    InputError
+        When the runs are of another kind; the hint says what serves them.
+    """
+    if obs.grid is not CIRCLE:
+        raise InputError(
+            f"{what} is made of circular tests only", code="twin.kind", where=obs.campaign.name,
+            got=obs.grid.kind, allowed="circular", hint=_CORRECTED_BY[obs.grid.kind],
+        )  # fmt: skip
 
 
 def _error_in(row: Mapping[str, Any]) -> str:
@@ -169,7 +194,8 @@ def _reduced(
         return kept
     runs = [lake.load(row, signals=False) for row in rows]
     _require_different(runs, campaign.name)
-    made = observe(campaign, runs), controller_rows_um(runs)
+    obs = observe(campaign, runs)
+    made = obs, controller_rows_um(runs) if obs.grid is CIRCLE else None
     keep_reduced(home, campaign.name, stamp, made)
     return made
 
@@ -179,7 +205,8 @@ def _require_different(runs: Sequence[Run], campaign: str) -> None:
     seen: dict[bytes, str] = {}
     for run in runs:
         name = run.meta.run_id
-        other = seen.setdefault(np.asarray(run.samples["deviation_um"]).tobytes(), name)
+        read = next(c for c in _READ if c in run.samples)
+        other = seen.setdefault(np.asarray(run.samples[read]).tobytes(), name)
         if other != name:
             raise InputError(
                 "two runs hold the same readings", code="twin.same_readings",

@@ -12,7 +12,7 @@ from dtwin.physics.effect import Instance
 from dtwin.physics.learned import learned_effect, learned_name
 from dtwin.physics.problem import set_up
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.twin_data import load
+from dtwin.pipeline.twin_data import load, require_circle
 from dtwin.train.residual_formula import ResidualFormula, search_residual
 from dtwin.train.symbolic import Engine
 
@@ -46,6 +46,7 @@ def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:
     """
     twin, found = _unknown(twins, name, seed)
     obs = load(twins.home, twin.campaign).obs
+    require_circle(obs, "a law for what is left")
     problem = set_up(obs, twin.terms, [])
     for law in found.laws:
         effect = learned_effect(learned_name(law))
@@ -92,6 +93,7 @@ def learn_formula(
     """
     twin, _ = _unknown(twins, name, seed)
     obs = load(twins.home, twin.campaign).obs
+    require_circle(obs, "a formula for what is left")
     learned = search_residual(obs, localise.residual_um(obs, twin.terms), engine, seed)
     if learned.gain <= 0.0:
         raise GateRefusal(

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from dtwin.physics.grid import Grid
+from dtwin.physics.gridding import CIRCLE
 from dtwin.report.plots import (
     BEHIND_TEXT,
     COLOURS,
@@ -26,6 +28,8 @@ _NOMINAL = (
     0.0,
     {"line": {"color": COLOURS["floor"], "width": 1, "dash": "dot"}, "hoverinfo": "skip"},
 )
+_ALONG = {"angle_deg": "path angle", "position_mm": "position", "phase_deg": "phase of the command"}
+_CELLS = 72
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
 
 
@@ -99,31 +103,35 @@ def overlay_figure(
     return made
 
 
-def angle_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float) -> go.Figure:
-    """Return error over the path angle with the noise floor as a band.
+def along_figure(
+    curves: Mapping[str, Floats], *, title: str, floor_um: float, grid: Grid = CIRCLE
+) -> go.Figure:
+    """Return error along the path with the noise floor as a band.
 
     Parameters
     ----------
-    curves : mapping of str to ndarray, shape (360,)
-        Error over the angle by name, um; NaN where not measured.
+    curves : mapping of str to ndarray, shape (n,)
+        Error along the path by name, um; NaN where not measured.
     title : str
         Heading.
     floor_um : float
         Noise floor; NaN says that it is not known.
+    grid : Grid
+        The points along the path; the degrees of a circle without.
     """
     figure = go.Figure()
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
         figure.add_trace(
             go.Scatter(
-                x=np.arange(360) + 0.5, y=[round(float(v), 3) for v in curve], mode="lines",
+                x=grid.points, y=[round(float(v), 4) for v in curve], mode="lines",
                 name=name, line={"color": colour, "width": 1.6, "dash": dash_of(name)},
-                hovertemplate="%{x:.0f} deg<br>%{y:.2f} um<extra>" + name + "</extra>",
+                hovertemplate="%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
     draw_floor_band(figure, floor_um)
     figure.update_layout(
         title=title,
-        xaxis={"title": "path angle, deg", "range": [0, 360], "dtick": 45},
+        xaxis=_axis(grid),
         yaxis_title="error, um",
     )
     return styled(figure)
@@ -132,13 +140,13 @@ def angle_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float) -
 def harmonics_figure(
     curves: Mapping[str, Floats], floor_um: Floats | None, *, title: str, most: int = 60
 ) -> go.Figure:
-    """Return the amplitude of every harmonic of the path angle.
+    """Return the amplitude of every harmonic of the path.
 
     Parameters
     ----------
-    curves : mapping of str to ndarray, shape (360,)
-        Error over a full turn by name, um.
-    floor_um : ndarray, shape (181,), or None
+    curves : mapping of str to ndarray, shape (n,)
+        Error over a full turn, travel or period by name, um.
+    floor_um : ndarray, shape (n // 2 + 1,), or None
         Amplitude by which repeats disagree; None when nothing was repeated.
     title : str
         Heading.
@@ -146,13 +154,15 @@ def harmonics_figure(
         Highest harmonic that is shown.
     """
     figure = go.Figure()
+    shortest = min((len(curve) for curve in curves.values()), default=2 * most)
+    most = min(most, shortest // 2)
     numbers = np.arange(1, most + 1)
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
         figure.add_trace(
             go.Bar(
                 x=numbers, y=np.round(harmonic_amplitudes_um(curve)[1 : most + 1], 4), name=name,
                 marker_color=colour,
-                hovertemplate="%{x} per turn: %{y:.3f} um<extra>" + name + "</extra>",
+                hovertemplate="%{x} times: %{y:.3f} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
     if floor_um is not None:
@@ -163,35 +173,40 @@ def harmonics_figure(
             )
         )  # fmt: skip
     figure.update_layout(
-        title=title, barmode="group", xaxis_title="undulations per turn",
+        title=title, barmode="group", xaxis_title="undulations along the path",
         yaxis={"title": "amplitude, um", "rangemode": "tozero"},
     )  # fmt: skip
     return styled(figure)
 
 
 def harmonic_amplitudes_um(curve: Floats) -> Floats:
-    """Return the amplitudes of harmonics 0 to 180 of an error over a full turn.
+    """Return the amplitudes of the harmonics of an error over a full turn, travel or period.
 
     Parameters
     ----------
-    curve : ndarray, shape (..., 360)
-        Error in every degree, um.
+    curve : ndarray, shape (..., n)
+        Error in every bin, um.
 
     Returns
     -------
-    ndarray, shape (..., 181)
+    ndarray, shape (..., n // 2 + 1)
     """
     return np.asarray(2.0 * np.abs(np.fft.rfft(curve, axis=-1)) / curve.shape[-1])
 
 
 def residual_map(
-    means_um: Floats, conditions: Sequence[str], *, floor_um: float, title: str
+    means_um: Floats,
+    conditions: Sequence[str],
+    *,
+    floor_um: float,
+    title: str,
+    grid: Grid = CIRCLE,
 ) -> go.Figure:
-    """Return the mean residual of every condition over the angle.
+    """Return the mean residual of every condition along the path.
 
     Parameters
     ----------
-    means_um : ndarray, shape (conditions, 360)
+    means_um : ndarray, shape (conditions, n)
         Mean residual.
     conditions : sequence of str
         Names.
@@ -199,24 +214,28 @@ def residual_map(
         Noise floor; where the mean is within two of its standard errors nothing is shown.
     title : str
         Heading.
+    grid : Grid
+        The points along the path; the degrees of a circle without.
     """
-    smooth = means_um.reshape(len(means_um), 72, 5).mean(axis=2)
+    edges = np.linspace(0, grid.n, min(_CELLS, grid.n) + 1).round().astype(int)
+    smooth = np.add.reduceat(means_um, edges[:-1], axis=1) / np.diff(edges)
+    middles = np.add.reduceat(grid.points, edges[:-1]) / np.diff(edges)
     limit = float(np.nanmax(np.abs(smooth))) or 1.0
     figure = go.Figure(
         go.Heatmap(
-            x=np.arange(72) * 5.0 + 2.5,
+            x=middles,
             y=list(conditions),
             z=np.round(smooth, 3),
             zmin=-limit,
             zmax=limit,
             colorscale=[[0.0, "#D55E00"], [0.5, "#FFFFFF"], [1.0, "#0072B2"]],
             colorbar={"title": "um"},
-            hovertemplate="%{y}<br>%{x:.0f} deg: %{z:.2f} um<extra></extra>",
+            hovertemplate="%{y}<br>%{x:.4g} " + _unit(grid) + ": %{z:.3g} um<extra></extra>",
         )
     )
     figure.update_layout(
         title=f"{title} ({_floor_words(floor_um)})",
-        xaxis={"title": "path angle, deg", "dtick": 45},
+        xaxis=_axis(grid),
         height=max(320, 60 + 22 * len(conditions)),
         yaxis={"autorange": "reversed", "dtick": 1},
     )
@@ -280,6 +299,16 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
         xaxis_title="RMS, um", height=max(320, 170 + 30 * len(rows)),
     )  # fmt: skip
     return styled(figure)
+
+
+def _unit(grid: Grid) -> str:
+    return grid.coordinate.rpartition("_")[2]
+
+
+def _axis(grid: Grid) -> dict[str, Any]:
+    """Return how the coordinate of a path is drawn; full turns are divided as on a dial."""
+    turn = {"range": [0, 360], "dtick": 45} if _unit(grid) == "deg" else {}
+    return {"title": f"{_ALONG[grid.coordinate]}, {_unit(grid)}", **turn}
 
 
 def dash_of(name: str) -> str:

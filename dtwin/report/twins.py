@@ -7,18 +7,27 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import plotly.graph_objects as go
 
 from dtwin.physics import localise
 from dtwin.physics.effect import Effect
+from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, left_out_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text
 from dtwin.report.html import Section, Table
 from dtwin.report.text import table
-from dtwin.report.twin_plots import overlay_figure, ranked_figure, residual_map, waterfall_figure
+from dtwin.report.twin_plots import (
+    along_figure,
+    overlay_figure,
+    ranked_figure,
+    residual_map,
+    waterfall_figure,
+)
 from dtwin.schema import Floats
 
 _OVERLAYS = 4
+_COORDINATES = ("angle_deg", "position_mm", "phase_deg")
 _SEVERITY = {
     "nothing_missing": "info",
     "missing_effect": "warning",
@@ -34,6 +43,17 @@ def number(value: float | None, digits: int = 3) -> str:
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:.{digits}g}"
+
+
+def condition_words(condition: Mapping[str, Any]) -> str:
+    """Return a condition, as its ``as_dict`` gives it, as people write it."""
+    if "plane" in condition:
+        place = f"{condition['plane']} R{condition['radius_mm']:g}"
+        return f"{place} F{condition['feed_mm_min']:g} {condition['direction']}"
+    if "frequency_hz" in condition:
+        tone = f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+        return f"{condition['axis']} {tone}"
+    return f"{condition['axis']} {condition['direction']}"
 
 
 def parameter_table(twin: Twin) -> Table:
@@ -82,7 +102,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
     head = ("condition", "runs", "before, um", "after, um")
     rows = [
         (
-            f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g} {c['direction']}",
+            condition_words(c),
             c["runs"],
             f"{c['rms_before_um']:.2f}",
             f"{c['rms_after_um']:.2f}",
@@ -133,6 +153,8 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         f"(p = {c['p_value']:.2g})"
         for c in result["channels"]
     ]
+    if result["verdict"] == "unknown_effect" and result["closest"]:
+        lines.append(f"closest of what is known: {result['closest']}")
     if result["outlier_runs"]:
         lines.append(f"left out, not like their repeats: {', '.join(result['outlier_runs'])}")
     if result["invisible"]:
@@ -198,21 +220,10 @@ def comparison_sections(
     measured = localise.condition_means(obs, before_um)
     floor = float(result["noise_floor_um"])
     worst = np.argsort(-np.sqrt((means**2).mean(axis=1)))[:_OVERLAYS]
-    figures = [
-        overlay_figure(
-            {
-                "measured": measured[c],
-                "predicted": measured[c] - means[c],
-                "residual": means[c],
-            },
-            obs.conditions[int(c)].radius_mm,
-            title=str(obs.conditions[int(c)]),
-            floor_um=floor,
-        )
-        for c in worst
-    ]
+    figures = [_overlay(obs, int(c), measured[c], means[c], floor) for c in worst]
     names = [str(c) for c in obs.conditions]
-    overview = residual_map(means, names, floor_um=floor, title="Mean residual")
+    overview = residual_map(means, names, floor_um=floor, title="Mean residual", grid=obs.grid)
+    hint = ["Choose the magnification below each plot."] if obs.grid is CIRCLE else []
     seen = result["encoder_split"]
     return [
         Section(
@@ -222,11 +233,19 @@ def comparison_sections(
             [_condition_table(result)],
         ),
         Section("Where it fails", [_place(p) for p in result["where"]], [], [], [overview]),
-        Section(
-            "The worst conditions", ["Choose the magnification below each plot."], [], [], figures
-        ),
+        Section("The worst conditions", hint, [], [], figures),
         *([encoder_section(seen)] if seen else []),
     ]
+
+
+def _overlay(
+    obs: Observations, number: int, measured_um: Floats, left_um: Floats, floor_um: float
+) -> go.Figure:
+    condition = obs.conditions[number]
+    curves = {"measured": measured_um, "predicted": measured_um - left_um, "residual": left_um}
+    if obs.grid is CIRCLE:
+        return overlay_figure(curves, condition.radius_mm, title=str(condition), floor_um=floor_um)
+    return along_figure(curves, title=str(condition), floor_um=floor_um, grid=obs.grid)
 
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
@@ -258,7 +277,7 @@ def twin_section(twin: Twin) -> Section:
 def _condition_table(result: Mapping[str, Any]) -> Table:
     rows = [
         (
-            f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g} {c['direction']}",
+            condition_words(c),
             str(c["runs"]),
             f"{c['rms_before_um']:.2f}",
             f"{c['rms_after_um']:.2f}",
@@ -276,10 +295,11 @@ def _alias(alias: Mapping[str, Any]) -> str:
 
 
 def _place(place: Mapping[str, Any]) -> str:
-    low, high = place["angle_deg"]
+    name = next(n for n in _COORDINATES if n in place)
+    low, high = place[name]
+    unit = name.rpartition("_")[2]
     return (
-        f"{place['plane']} R{place['radius_mm']:g} F{place['feed_mm_min']:g} "
-        f"{place['direction']}, {low} to {high} deg: {place['residual_rms_um']:.2f} um"
+        f"{condition_words(place)}, {low:g} to {high:g} {unit}: {place['residual_rms_um']:.2f} um"
     )
 
 

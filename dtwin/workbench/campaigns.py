@@ -135,7 +135,8 @@ def possible_effects(
         Effects by name.
     """
     planes = _distinct(rows, "plane")
-    axes = sorted({axis for plane in planes for axis in AXES_OF[plane]})
+    alone = {str(axis) for row in rows if (axis := meta_of(row).condition.get("axis"))}
+    axes = sorted({axis for plane in planes for axis in AXES_OF[plane]} | alone)
     geometry = json.loads(rows[0]["geometry_json"])
     found = campaign_instances(library, rows[0]["kind"], planes, axes, geometry)
     effects = {i.effect.name: i.effect for i in found if not i.effect.setup}

@@ -70,7 +70,7 @@ class View:
         Measured against predicted.
     result : dict
         Its figures.
-    measured_um, residual_um : ndarray, shape (conditions, 360)
+    measured_um, residual_um : ndarray, shape (conditions, n)
         Means over the repeats; NaN where nothing was measured.
     """
 
@@ -238,14 +238,14 @@ def runs_of(found: View, conditions: Sequence[int]) -> list[str]:
 
 
 def floor_harmonics_um(found: View) -> Floats | None:
-    """Return the amplitude by which repeats disagree at each harmonic, shape (181,).
+    """Return the amplitude by which repeats disagree at each harmonic, shape (n // 2 + 1,).
 
     Mean square over the rows of what each differs from the mean of its condition, with the
     degrees of freedom of the means taken out; None without repeats over full turns.
     """
     obs = found.obs
     full = obs.mask.all(axis=1)
-    total, dof = np.zeros(181), 0
+    total, dof = np.zeros(obs.n_bins // 2 + 1), 0
     for number in range(len(obs.conditions)):
         rows = found.comparison.residual_um[(obs.condition_of == number) & full]
         if len(rows) > 1:
@@ -268,7 +268,7 @@ def taken_away_um(bench: Bench, found: View, label: str) -> Floats:
 
     Returns
     -------
-    ndarray, shape (conditions, 360)
+    ndarray, shape (conditions, n)
         NaN where nothing was measured.
     """
     name, _, axis = label.partition(" ")

@@ -9,10 +9,11 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from dtwin.errors import InputError
+from dtwin.physics.gridding import CIRCLE
 from dtwin.report.encoder_split import encoder_section
 from dtwin.report.html import page
 from dtwin.report.twin_plots import (
-    angle_figure,
+    along_figure,
     harmonics_figure,
     overlay_figure,
     ranked_figure,
@@ -34,6 +35,7 @@ from dtwin.workbench.models import mlflow_page
 from dtwin.workbench.numbers import decimal
 from dtwin.workbench.pages import download, drawn, rendered
 
+_HARMONICS = 60
 router = APIRouter()
 Numbers = Annotated[list[int], Query()]
 Words = Annotated[list[str], Query()]
@@ -64,7 +66,7 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
         twin=found.twin, result=found.result, labels=found.labels, worst=worst,
         conditions=found.obs.conditions, floor=reading.floor_of(bench, found),
         parameters=parameter_table(found.twin), campaigns=campaigns,
-        on=found.obs.campaign.name,
+        on=found.obs.campaign.name, kind=found.obs.grid.kind,
         seen=encoder_section(split) if (split := found.result["encoder_split"]) else None,
     )  # fmt: skip
 
@@ -164,13 +166,20 @@ def overlay(
     shown = [w for w in ("measured", "twin", "residual") if w in show] or ["measured", "twin"]
     curves = reading.overlay(found, chosen, shown, run[:12])
     title = found.labels[chosen[0]] if len(chosen) == 1 else f"{len(chosen)} conditions"
+    grid = found.obs.grid
     if kind == "angle":
-        return drawn(angle_figure(curves, title=title, floor_um=floor_um))
+        return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=grid))
     if kind == "harmonics":
         floor = reading.floor_harmonics_um(found)
         whole = {n: c for n, c in curves.items() if np.isfinite(c).all()}
         known = "" if floor is not None else " (noise floor not known: no repeats of full turns)"
-        return drawn(harmonics_figure(whole, floor, title=f"Harmonics, {title}{known}"))
+        most = _HARMONICS if grid is CIRCLE else grid.n // 2
+        return drawn(harmonics_figure(whole, floor, title=f"Harmonics, {title}{known}", most=most))
+    if grid is not CIRCLE:
+        raise InputError(
+            "only circles are drawn as polar plots", code="page.unknown", where=name,
+            got=grid.kind,
+        )  # fmt: skip
     radius = found.obs.conditions[chosen[0]].radius_mm
     factor = decimal(magnification, "the magnification") if magnification else None
     return drawn(
@@ -198,9 +207,9 @@ def heat_map(request: Request, name: str, on: str = "") -> Response:
     bench = bench_of(request)
     found = reading.view(bench, name, on=on)
     floor_um = reading.floor_of(bench, found).um
-    return drawn(
-        residual_map(found.residual_um, found.labels, floor_um=floor_um, title="Mean residual")
-    )
+    means, grid = found.residual_um, found.obs.grid
+    title = "Mean residual"
+    return drawn(residual_map(means, found.labels, floor_um=floor_um, title=title, grid=grid))
 
 
 @router.get("/api/twins/{name}/encoder")
@@ -236,7 +245,7 @@ def signature(request: Request, name: str, effect: str, condition: Numbers = [])
     curves = {"residual": found.residual_um[chosen], f"predicted: {effect}": taken[chosen]}
     title = f"What {effect} would take away, {found.labels[chosen]}"
     floor_um = reading.floor_of(bench, found).um
-    return drawn(angle_figure(curves, title=title, floor_um=floor_um))
+    return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=found.obs.grid))
 
 
 def _experiment(request: Request, name: str) -> tuple[Any, Any]:

@@ -31,6 +31,7 @@ EFFECT = Effect(
     separate_by="Lower the feed: spikes shrink, a step stays.",
     remedy=("Preload or renew nut and bearings; else enter backlash compensation in the control."),
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
+    kinds=("circular", "linear", "sinusoidal"),
     confusables=(
         "friction",
         "reversal_spike",

@@ -34,6 +34,7 @@ EFFECT = Effect(
         "has one."
     ),
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
+    kinds=("circular", "linear"),
     confusables=(
         "backlash",
         "lateral_play",

@@ -39,6 +39,7 @@ EFFECT = Effect(
         "typical machine errors on circular paths"
     ),
     per="machine",
+    kinds=("circular", "sinusoidal"),
     confusables=(
         "servo_lag",
         "structural_resonance",

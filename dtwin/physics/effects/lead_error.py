@@ -27,7 +27,7 @@ EFFECT = Effect(
     separate_by="Measure cold and warm: growth by heat follows temperature.",
     remedy="Scale factor of the axis.",
     reference="ISO 230-2",
-    kinds=("linear",),
+    kinds=("linear", "sinusoidal"),
     confusables=("thermal_growth",),
     correctable="A compensation value of the control, or an offset of position.",
 )

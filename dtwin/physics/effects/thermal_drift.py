@@ -12,7 +12,9 @@ from dtwin.schema import Floats
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     time_h = state.column("time_h")
     shift = [time_h * state.sensitivity[a] if a in state.axes else np.zeros(state.n) for a in "XYZ"]
-    return stacked(*shift, time_h)
+    # Only a circle has a radius; along an axis that would be the same as its shift.
+    length = time_h if state.kind == "circular" else np.zeros(state.n)
+    return stacked(*shift, length)
 
 
 EFFECT = Effect(
@@ -39,6 +41,7 @@ EFFECT = Effect(
     remedy="Warm up, wait for the set-up to settle, shorten the test.",
     reference="ISO 230-3",
     per="machine",
+    kinds=("circular", "linear"),
     confusables=(
         "thermal_growth",
         "centre_offset",

@@ -39,6 +39,7 @@ EFFECT = Effect(
     reference="ISO 230-3; ISO 1",
     per="machine_and_axis",
     needs=("temperature_c",),
+    kinds=("circular", "linear"),
     confusables=(
         "thermal_drift",
         "scale_mismatch",

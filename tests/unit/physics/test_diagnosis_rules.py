@@ -63,7 +63,7 @@ def test_the_floor_is_the_noise_whatever_was_fitted_inside_conditions() -> None:
     # Only the harmonics that were touched are scaled up for the freedom that was spent.
     bare = pure_error(left, condition_of, 1.0)
     assert bare is not None
-    untouched = harmonic_numbers() > 20
+    untouched = harmonic_numbers(N_BINS) > 20
     assert found.weights[untouched] == pytest.approx(bare.weights[untouched], rel=0.01)
     assert found.dof < bare.dof
 

@@ -11,9 +11,10 @@ from dtwin.errors import InputError
 from dtwin.kinematics import UR10E
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.library import Library, campaign_instances
+from dtwin.physics.observations import observe
 from dtwin.physics.state import AXES_OF, State, circular_state
 from dtwin.physics.template import template
-from dtwin.schema import Direction, Floats, Plane, RunMeta
+from dtwin.schema import Campaign, Direction, Floats, Plane, Run, RunMeta
 
 LIBRARY = Library()
 ROBOT = {"type": "ur10e", "centre_mm": [-550.0, 0.0, 300.0], "tcp_mm": [0.0, 0.0, 158.3]}
@@ -84,6 +85,9 @@ def test_an_effect_is_documented_and_finite_everywhere(name: str) -> None:
         assert len(text) > 2
     assert all(other in LIBRARY for other in effect.confusables)
     assert name not in effect.confusables
+    if "circular" not in effect.kinds:
+        assert acts_along_an_axis(effect), "it never acts"
+        return
     planes: list[Plane] = ["XY", "YZ", "ZX"]
     acting = 0
     for instance in everywhere(effect, list(planes)):
@@ -93,6 +97,33 @@ def test_an_effect_is_documented_and_finite_everywhere(name: str) -> None:
                 columns = effect.columns(state(plane, way), instance.axis, effect.start_shape)
                 acting += int(np.abs(columns).max() > 0)
     assert acting > 0, "it never acts"
+
+
+def acts_along_an_axis(effect: Effect) -> bool:
+    """Tell whether an effect is finite and not zero on a travel or a tone, and zero elsewhere."""
+    if effect.kinds[0] == "linear":
+        t_s, position = np.arange(80.0), np.linspace(0.0, 50.0, 40)
+        samples = {
+            "t_s": t_s,
+            "position_mm": np.concatenate([position, position[::-1]]),
+            "direction": np.repeat(["forward", "reverse"], 40).astype(object),
+            "error_um": t_s,
+        }
+    else:
+        t_s = np.arange(3000.0) / 1000.0
+        command = 0.005 * np.sin(2.0 * np.pi * 10.0 * t_s)
+        samples = {"t_s": t_s, "cmd_z_mm": command, "tool_z_mm": 1.1 * command}
+    condition: dict[str, float | str] = {"axis": "Z", "frequency_hz": 10.0, "amplitude_um": 5.0}
+    kind = effect.kinds[0]
+    campaign = Campaign("c", "m", kind=kind, machine_geometry={"screw_pitch_mm": 6.35})
+    obs = observe(campaign, [Run(RunMeta("r", kind=kind, condition=condition), samples)])
+    found = obs.regressors(Instance(effect, "" if effect.setup else "Z"), effect.start_shape)
+    still = (
+        np.array([[1.0]])
+        if effect.setup
+        else obs.regressors(Instance(effect, "X"), effect.start_shape)
+    )
+    return bool(np.isfinite(found).all() and found.any() and (effect.setup or not still.any()))
 
 
 @pytest.mark.parametrize("name", sorted(LIBRARY))

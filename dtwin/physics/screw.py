@@ -1,0 +1,43 @@
+"""What turns with a lead screw, as waves of its pitch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.effect import moves, stacked
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+ORDERS = 4
+_GRAIN = 360
+PITCH = "screw_pitch_mm"
+
+
+def screw_waves(state: State, axis: str) -> Floats:
+    """Return cosine and sine of the first orders of a turn, where the pitch is known.
+
+    Parameters
+    ----------
+    state : State
+        ``geometry`` holds ``screw_pitch_mm``.
+    axis : str
+        Axis that the screw drives.
+
+    Returns
+    -------
+    ndarray, shape (n, 2 * ORDERS)
+        Zero where the axis stands, the pitch is not stated, or the points of the path meet the
+        screw at too few angles to show an order.
+    """
+    pitch_mm = state.geometry.get(PITCH)
+    out = np.zeros((state.n, 2 * ORDERS))
+    if not moves(state, axis) or not isinstance(pitch_mm, int | float) or pitch_mm <= 0.0:
+        return out
+    position_mm = state.position_mm[axis]
+    turn = 2.0 * np.pi * position_mm / pitch_mm
+    angles = len(np.unique(np.round(_GRAIN * (position_mm / pitch_mm % 1.0)) % _GRAIN))
+    for order in range(1, ORDERS + 1):
+        if 2 * order < angles:
+            waves = stacked(np.cos(order * turn), np.sin(order * turn))
+            out[:, 2 * order - 2 : 2 * order] = waves * state.sensitivity[axis][:, None]
+    return out
