@@ -1,18 +1,23 @@
 """The hidden-effect exam: what is missing in the twin of a machine that shares no formula with it?
 
 Run: OMP_NUM_THREADS=1 python benchmarks/hidden_effect/run.py [--short] [--rows a,b] [--cases N]
-     [--jobs 2] [--minutes M] [--out FILE] [--table-only]
+     [--jobs 2] [--minutes M] [--out FILE] [--table-only | --again N]
 
 One JSON line for each case is added to FILE; cases that are there are skipped, so that an
 interrupted run goes on where it stopped. Each line carries a check sum of the modules of
 ``dtwin.physics`` that were loaded; cases that were marked with other code are put again. The seed
 of a case is derived from its row and number. Cases are taken in rounds over all rows, so that a run
 that is cut short has some of every row.
+
+``answers.jsonl.gz`` beside this script holds the answers of the published table. ``--table-only --out``
+with that file prints the table; ``--again N`` puts N cases of each row of it again and says which
+answers are others now.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
 import hashlib
 import json
 import sys
@@ -26,6 +31,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from cases import ROWS, make_case
 from controls import answers
 from judge import answer
@@ -63,6 +69,8 @@ def main() -> None:
         raise SystemExit(f"no such row: {', '.join(unknown)}; there are {', '.join(ROWS)}")
     most = given.cases or (SHORT_CASES if given.short else None)
     done = _done(given.out)
+    if given.again:
+        sys.exit(_again([r for r in done.values() if r["row"] in rows], given))
     if not given.table_only:
         _run(list(_wanted(rows, most, done)), given)
     records = [r for r in _done(given.out).values() if r["row"] in rows]
@@ -84,14 +92,20 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=0.0, help="begin no case after that")
     parser.add_argument("--out", type=Path, default=Path("hidden-effect-cases.jsonl"))
     parser.add_argument("--table-only", action="store_true")
-    return parser.parse_args()
+    parser.add_argument("--again", type=int, default=0, help="put so many cases of each row again")
+    given = parser.parse_args()
+    if given.out.suffix == ".gz" and not (given.table_only or given.again):
+        parser.error("a packed file is only read: with --table-only or --again")
+    return given
 
 
 def _done(path: Path) -> dict[Key, dict[str, Any]]:
     """Return the cases of earlier runs; a line that was cut off does not count."""
     out: dict[Key, dict[str, Any]] = {}
     if path.exists():
-        for line in path.read_text().splitlines():
+        packed = path.read_bytes()
+        text = (gzip.decompress(packed) if path.suffix == ".gz" else packed).decode()
+        for line in text.splitlines():
             try:
                 record = json.loads(line)
             except json.JSONDecodeError:
@@ -127,10 +141,41 @@ def _run(wanted: list[Key], given: argparse.Namespace) -> None:
             )
 
 
-def _marked(wanted: list[Key], given: argparse.Namespace, until: float) -> Iterator[dict[str, Any]]:
-    jobs, put = given.jobs, one
-    if given.short:
-        put = partial(one, with_controls=SHORT_CONTROLS)
+def _again(records: list[dict[str, Any]], given: argparse.Namespace) -> int:
+    """Put some cases of each row again; return 1 when an answer is another one now."""
+    before = {(r["row"], r["case"]): r for r in records}
+    of_row: dict[str, list[Key]] = {}
+    for key in sorted(before):
+        of_row.setdefault(key[0], []).append(key)
+    wanted = [
+        keys[i]
+        for keys in of_row.values()
+        for i in sorted({int(i) for i in np.linspace(0, len(keys) - 1, given.again)})
+    ]
+    put = partial(_marked, wanted, given, float("inf"), with_controls=0)
+    others = 0
+    for n, record in enumerate(put(), start=1):
+        old = before[record["row"], record["case"]]
+        changed = {k: (old.get(k), v) for k, v in record.items() if _differs(k, old.get(k), v)}
+        others += bool(changed)
+        print(f"{n}/{len(wanted)} {record['row']} {record['case']}", changed or "as before")
+    codes = ", ".join(sorted({r["code"] for r in records}))
+    print(
+        f"{len(wanted) - others} of {len(wanted)} answers of check sum {codes} are the same with {CODE}"
+    )
+    return int(others > 0)
+
+
+def _differs(name: str, old: Any, new: Any) -> bool:
+    return name not in ("code", "seconds") and json.dumps(old) != json.dumps(new)
+
+
+def _marked(
+    wanted: list[Key], given: argparse.Namespace, until: float, with_controls: int | None = None
+) -> Iterator[dict[str, Any]]:
+    usual = SHORT_CONTROLS if given.short else WITH_CONTROLS
+    jobs = given.jobs
+    put = partial(one, with_controls=usual if with_controls is None else with_controls)
     if jobs <= 1:
         for key in wanted:
             if time.monotonic() > until:

@@ -118,7 +118,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         f"{number(result['noise_floor_um'])} um",
         f"in words: {result['headline']}",
         "largest:",
-        *(f"  {_place(place)}" for place in result["where"]),
+        *(f"  {place_words(place)}" for place in result["where"]),
         *([encoder_text(result["encoder_split"])] if result["encoder_split"] else []),
         *(f"warning: {warning}" for warning in result["warnings"]),
     ]
@@ -232,7 +232,7 @@ def comparison_sections(
             [("warning", warning) for warning in result["warnings"]],
             [_condition_table(result)],
         ),
-        Section("Where it fails", [_place(p) for p in result["where"]], [], [], [overview]),
+        Section("Where it fails", [place_words(p) for p in result["where"]], [], [], [overview]),
         Section("The worst conditions", hint, [], [], figures),
         *([encoder_section(seen)] if seen else []),
     ]
@@ -294,7 +294,8 @@ def _alias(alias: Mapping[str, Any]) -> str:
     )
 
 
-def _place(place: Mapping[str, Any]) -> str:
+def place_words(place: Mapping[str, Any]) -> str:
+    """Return where the residual is large, as ``localise.worst_places`` gives it, in words."""
     name = next(n for n in _COORDINATES if n in place)
     low, high = place[name]
     unit = name.rpartition("_")[2]

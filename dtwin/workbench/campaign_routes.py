@@ -12,6 +12,7 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.physics.circular import fit_circle, residual_um
+from dtwin.physics.tone_grid import TONE, tone_row
 from dtwin.pipeline.measuring import ingest
 from dtwin.report.plots import error_figure, polar_figure, spectrum_figure
 from dtwin.schema import Floats, Run
@@ -72,11 +73,13 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
 
 @router.get("/api/campaigns/{name}/runs/{run_id}/{kind}")
 def run_figure(request: Request, name: str, run_id: str, kind: str) -> Response:
-    """Return a figure of a run: polar, angle, time or spectrum."""
+    """Return a figure of a run: polar, angle, time or spectrum; along a travel or tone ``along``."""
     bench = bench_of(request)
     row = _row(bench, name, run_id)
     key = ("run", name, run_id, row["content_sha256"])
     run = bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
+    if kind == "along":
+        return drawn(_along(run))
     angle, left = _centred(run)
     curves = {run_id: (angle, left)}
     title = f"{run_id}: error after centre and radius"
@@ -170,6 +173,24 @@ def _centred(run: Run) -> tuple[Floats, Floats]:
     deviation = np.asarray(run.samples["deviation_um"], float)[window]
     radius = float(run.meta.radius_mm or 100.0)
     return angle, residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
+
+
+def _along(run: Run) -> Any:
+    """Draw a sweep over its positions, and a tone over the phase of its command."""
+    title = f"{run.meta.run_id}: error as measured"
+    if run.meta.kind == "sinusoidal":
+        reduced = tone_row(run, 0.0)
+        curves = {"tool minus command": (TONE.points, reduced.y_um)}
+        return error_figure(curves, title=title, x_title="phase of the command, deg")
+    if not {"position_mm", "direction", "error_um"} <= set(run.samples):
+        raise InputError(
+            "this run has no error over a path", code="run.kind", where=run.meta.run_id,
+            got=run.meta.kind, allowed="linear, sinusoidal",
+        )  # fmt: skip
+    position, error = (np.asarray(run.samples[n], float) for n in ("position_mm", "error_um"))
+    ways = np.asarray(run.samples["direction"])
+    curves = {str(way): (position[ways == way], error[ways == way]) for way in np.unique(ways)}
+    return error_figure(curves, title=title, x_title="position, mm")
 
 
 def _spectrum(run_id: str, left_um: Floats, rate_hz: float) -> Any:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import plotly.graph_objects as go
@@ -12,7 +14,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
-from dtwin.report.twins import number
+from dtwin.report.twins import condition_words, number, place_words
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.jobs import Job
 
@@ -42,10 +44,19 @@ def plain(value: float | None, digits: int = 3) -> str:
     return number(value, digits)
 
 
+def stated(row: Mapping[str, Any]) -> str:
+    """Return the conditions of a run that is no circle, for example ``axis Z, frequency_hz 5``."""
+    condition = json.loads(row["condition_json"])
+    return ", ".join(f"{name} {value}" for name, value in condition.items()) or "not stated"
+
+
 _ENVIRONMENT = Environment(
     loader=PackageLoader("dtwin.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True
 )
-_ENVIRONMENT.filters |= {"when": when, "um": um, "plain": plain}
+_ENVIRONMENT.filters |= {
+    "when": when, "um": um, "plain": plain, "condition": condition_words, "place": place_words,
+    "stated": stated,
+}  # fmt: skip
 _ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
 
 
