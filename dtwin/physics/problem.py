@@ -14,6 +14,7 @@ from dtwin.schema import Floats
 
 INVISIBLE = 0.01
 _LEAST_OF_A_JOINT = 1e-7
+_LEAST_OF_A_TONE = 1e-6
 _RANK = 1e-9
 
 
@@ -125,9 +126,13 @@ def least_visible(term: Term) -> float:
     """Return the share of a term's sum of squares that must be left beside what is known.
 
     An error of a joint moves the whole circle first. What is left is a thousandth of it, and
-    exact, for it comes from the kinematics.
+    exact, for it comes from the kinematics. Modes answer tones much alike, and tones are told to a
+    thousandth.
     """
-    return _LEAST_OF_A_JOINT if term.instance.effect.per == "joint" else INVISIBLE
+    effect = term.instance.effect
+    if effect.kinds == ("sinusoidal",):
+        return _LEAST_OF_A_TONE
+    return _LEAST_OF_A_JOINT if effect.per == "joint" else INVISIBLE
 
 
 def set_up(obs: Observations, known: Sequence[Term], within: Sequence[Term]) -> Problem:

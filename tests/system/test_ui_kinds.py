@@ -1,0 +1,85 @@
+"""Travels and tones in the workbench: every page of their twins answers, and says what it shows."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from workbench_server import Workbench, running_workbench
+
+from dtwin.acquire.virtual_lathe import simulate_lathe
+from dtwin.acquire.virtual_turning import Grid, simulate_turning
+from dtwin.config import Home
+from dtwin.linear_plan import linear_plan
+from dtwin.pipeline.twins import Twins
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+PLAN = {
+    "name": "z", "machine": "lathe", "axis": "Z", "unit": "in", "start": 1, "end": 4, "step": 0.025,
+    "runs": 3, "dwell_s": 6, "feed_min": 20, "overshoot": 0.1, "window": 0.01, "axis_low": 0,
+    "axis_high": 41, "pitch": 0.25,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
+    folder = tmp_path_factory.mktemp("kinds")
+    twins = Twins(Home(folder / "home"))
+    simulate_lathe(folder / "z", plan=linear_plan(PLAN, "the test"), truth="mechanism")
+    twins.fit(str(folder / "z"), ["lead_error", "backlash"], "axis")
+    twins.diagnose("axis")
+    simulate_turning(folder / "tones", grid=Grid((10.0, 30.0), (5.0, 10.0)))
+    twins.fit(str(folder / "tones"), ["structural_mode"], "slide")
+    twins.diagnose("slide")
+    with running_workbench(folder / "home") as started:
+        yield started
+
+
+def said(bench: Workbench, path: str) -> str:
+    status, text = bench.ask(path)
+    assert status == 200, (path, text[:300])
+    return text
+
+
+@pytest.mark.parametrize(
+    ("twin", "campaign", "run", "words"),
+    [
+        ("axis", "z", "z-1", ("Z forward", "Error over the position", "screw_pitch_mm 6.35")),
+        ("slide", "slow-tool-servo-linear", "g001",
+         ("Z 10 Hz 5 um", "Error over the phase", "frequency_hz 10")),
+    ],
+)  # fmt: skip
+def test_every_page_of_another_kind_answers(
+    bench: Workbench, twin: str, campaign: str, run: str, words: tuple[str, ...]
+) -> None:
+    pages = [f"/campaigns/{campaign}", f"/campaigns/{campaign}/runs/{run}"]
+    pages += [f"/twins/{twin}{tab}" for tab in ("", "/diagnose", "/versions")]
+    together = "".join(said(bench, page) for page in pages)
+    assert all(word in together for word in words)
+    assert "Polar" not in said(bench, f"/twins/{twin}")
+    assert said(bench, f"/twins/{twin}/report.html").count("<section") >= 4
+
+
+@pytest.mark.parametrize(
+    ("twin", "across"), [("axis", "position, mm"), ("slide", "phase of the command, deg")]
+)
+def test_figures_run_along_the_path(bench: Workbench, twin: str, across: str) -> None:
+    for figure in ("overlay/angle", "map"):
+        drawn = json.loads(said(bench, f"/api/twins/{twin}/{figure}"))
+        assert drawn["layout"]["xaxis"]["title"]["text"] == across
+    assert json.loads(said(bench, f"/api/twins/{twin}/overlay/harmonics"))["data"]
+    status, text = bench.ask(f"/api/twins/{twin}/overlay/polar")
+    assert status == 404
+    assert "only circles are drawn as polar plots" in text
+
+
+def test_without_repeats_the_page_says_so(bench: Workbench) -> None:
+    assert "Repeats are needed" in said(bench, "/twins/slide/diagnose")
+
+
+def test_a_sweep_is_drawn_in_both_directions(bench: Workbench) -> None:
+    drawn = json.loads(said(bench, "/api/campaigns/z/runs/z-1/along"))
+    assert [trace["name"] for trace in drawn["data"]] == ["forward", "reverse"]
