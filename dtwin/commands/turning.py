@@ -116,12 +116,11 @@ def compensate(
 ) -> None:
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
     from dtwin.atomic import write_text
-    from dtwin.config import home
+    from dtwin.commands.modelling import bundle_on_virtual
     from dtwin.pipeline.turning_trial import TRIAL_HZ, trial
     from dtwin.report.html import page
     from dtwin.report.turning import trial_section, trial_text
     from dtwin.serve.bundle_file import load_bundle
-    from dtwin.serve.pointer import resolve
 
     chosen = tuple(frequency or TRIAL_HZ)
     if not all(0.5 <= f <= 200.0 for f in chosen):
@@ -129,12 +128,7 @@ def compensate(
             "the tool cannot move so", code="turning.frequency", got=f"{chosen} Hz",
             allowed="0.5 to 200 Hz",
         )  # fmt: skip
-    if model.endswith(".json"):
-        path, told = Path(model), model
-    else:
-        # The slide is virtual: nothing can be harmed by a version that did not pass.
-        found = resolve(model, machine, home(), harmless=True)
-        path, told = found.path, found.describe()
+    path, told = bundle_on_virtual(model, machine)
     bundle = load_bundle(path).bundle
     result, surfaces = trial(
         bundle, truth=truth, seed=seed, frequencies_hz=chosen,

@@ -55,9 +55,9 @@ def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]
         _held_out(metrics),
         _no_slice_worse(metrics),
         _sign_and_frame(bundle),
-        _bounded(bundle),
+        bounded_output(bundle),
         _contract(bundle),
-        _latency(metrics),
+        latency_gate(metrics),
     ]
 
 
@@ -135,7 +135,16 @@ def _sign_and_frame(bundle: Bundle) -> Verdict:
     return Verdict("sign and frame", passed, f"cosine to the inward radius {worst:.6f}")
 
 
-def _bounded(bundle: Bundle) -> Verdict:
+def vectors_proved(bundle: Bundle) -> Verdict:
+    """Evaluate the bundle's own test vectors again."""
+    try:
+        prove(bundle)
+    except Exception as error:  # whatever it is, it is the reason
+        return Verdict("train and serve agree", False, f"test vectors: {error}")
+    return Verdict("train and serve agree", True, "test vectors proved, bit for bit")
+
+
+def bounded_output(bundle: Bundle) -> Verdict:
     """Whatever comes in, what goes out stays inside the clamp."""
     rng = np.random.default_rng(7)
     low = np.array([i.low for i in bundle.inputs if i.source != "feature"])
@@ -170,10 +179,9 @@ def _contract(bundle: Bundle) -> Verdict:
         if i.source == "path" and (PATH_INPUT_UNITS.get(i.name) != i.unit or i.rate_hz != TICK_HZ)
     ]
     problems += [i.name for i in bundle.inputs if i.source == "path" and i.name not in PATH_INPUTS]
-    try:
-        prove(bundle)
-    except Exception as error:  # whatever it is, it is the reason
-        return Verdict("train and serve agree", False, f"test vectors: {error}")
+    proved = vectors_proved(bundle)
+    if not proved.passed:
+        return proved
     return Verdict(
         "train and serve agree",
         not problems,
@@ -182,7 +190,8 @@ def _contract(bundle: Bundle) -> Verdict:
     )
 
 
-def _latency(metrics: Mapping[str, float]) -> Verdict:
+def latency_gate(metrics: Mapping[str, float]) -> Verdict:
+    """Compare the time of one evaluation with its budget."""
     p99 = metrics.get("latency_p99_us", float("inf"))
     return Verdict(
         "latency", p99 <= LATENCY_BUDGET_US, f"p99 {p99:.2f} us of {LATENCY_BUDGET_US:g}"

@@ -181,7 +181,9 @@ class TrainingReport:
 
 
 def condition_name(condition: Mapping[str, Any]) -> str:
-    """Return what a condition of closed-loop evidence is called: a circle, or a tone."""
+    """Return what a condition of closed-loop evidence is called: a circle, a tone, a way to go."""
     if "frequency_hz" in condition:
         return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+    if "approached" in condition:
+        return f"{condition['axis']} {condition['approached']}"
     return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"

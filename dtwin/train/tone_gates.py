@@ -9,10 +9,9 @@ import numpy as np
 from dtwin.features.tone_window import TONE_FEATURES, tone_columns
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
-from dtwin.train.gates import Verdict
+from dtwin.train.gates import Verdict, vectors_proved
 from dtwin.train.tone_bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.train.tone_groups import HELD_OUT, SENT_RMS, ToneGroups, dead_features
 from dtwin.train.tone_laws import MOST_FEATURES
@@ -159,7 +158,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
             f"spectral radius from window to window {radius:.3f}; at most {MOST_RADIUS:g}",
         ),
         _bounded(bundle),
-        _proved(bundle),
+        vectors_proved(bundle),
         Verdict("latency", p99 <= TICK_BUDGET_US, f"p99 {p99:.2f} us of {TICK_BUDGET_US:g}"),
     ]  # fmt: skip
 
@@ -226,11 +225,3 @@ def _bounded(bundle: Bundle) -> Verdict:
         f"up to {raw:.1f} um inside the box, {largest:.1f} um after a clamp of "
         f"{bundle.safety.clamp_um:.1f} um whatever comes in",
     )  # fmt: skip
-
-
-def _proved(bundle: Bundle) -> Verdict:
-    try:
-        prove(bundle)
-    except Exception as error:  # whatever it is, it is the reason
-        return Verdict("train and serve agree", False, f"test vectors: {error}")
-    return Verdict("train and serve agree", True, "window and test vectors proved, bit for bit")
