@@ -114,6 +114,8 @@ def _campaign_text(schedule: str, cycles: list[int], mill: VolumetricMill) -> st
         f"machine = {toml_value(MACHINE)}",
         'kind = "volumetric"',
         "[campaign.machine_geometry]",
+        'type = "volumetric"',
+        "virtual = true",
         'chain = "XZY"',
         *(f"stroke_{axis}_mm = {list(reach)}" for axis, reach in STROKES_MM.items()),
         f"poses = {len(AZIMUTHS_DEG)}",

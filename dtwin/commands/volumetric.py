@@ -127,21 +127,12 @@ def _write(out: Path, training: Session, other: Session) -> list[str]:
     """Write models without memory as a bundle; return what is switched off in it."""
     from dtwin.config import home
     from dtwin.pipeline.volumetric import judged, models_of
+    from dtwin.pipeline.volumetric_training import serving_bundle
     from dtwin.serve.bundle_file import save_bundle
     from dtwin.store import Lake
-    from dtwin.train.volumetric_bundle import volumetric_bundle
 
     models: list[ThermalModel] = models_of(training, static=True)[0]
     worse: list[str] = judged(models, other)["worse"]
-    begun = dict(zip(training.sensors, training.begun_c.tolist(), strict=True))
-    absolute = training.rise_c + training.begun_c
-    seen = {
-        name: (float(column.min()), float(column.max()))
-        for name, column in zip(training.sensors, absolute.T, strict=True)
-    }
     machine = Lake(home().lake).campaign(training.campaign).machine
-    bundle = volumetric_bundle(
-        models, training.artefact.strokes_mm, begun, seen, "volumetric", machine, worse
-    )
-    save_bundle(bundle, out)
+    save_bundle(serving_bundle(models, training, machine, worse), out)
     return worse

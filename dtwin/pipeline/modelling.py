@@ -15,6 +15,8 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.pipeline.lathe_evidence import measure_lathe_evidence
 from dtwin.pipeline.turning_evidence import EVIDENCE_FILE, measure_tone_evidence
+from dtwin.pipeline.volumetric_evidence import measure_volumetric_evidence
+from dtwin.pipeline.volumetric_training import train_volumetric
 from dtwin.report.campaign import (
     comparison_table,
     evidence_section,
@@ -34,8 +36,16 @@ from dtwin.train.tone_training import train_tones
 from dtwin.train.training import Training, train_campaign
 
 CONDITIONS_FILE = "conditions.json"
-_EVIDENCE = {"turning": measure_tone_evidence, "lathe": measure_lathe_evidence}
-_TRAININGS = {"sinusoidal": train_tones, "linear": train_positioning}
+_EVIDENCE = {
+    "turning": measure_tone_evidence,
+    "lathe": measure_lathe_evidence,
+    "volumetric": measure_volumetric_evidence,
+}
+_TRAININGS = {
+    "sinusoidal": train_tones,
+    "linear": train_positioning,
+    "volumetric": train_volumetric,
+}
 StageProgress = Callable[[str, int, int, str], None]
 
 

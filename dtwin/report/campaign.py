@@ -242,6 +242,7 @@ def _um(value: float) -> str:
 _LEFT_OUT = {
     "feed_mm_min": "feed", "radius_mm": "radius", "frequency_hz": "frequency",
     "amplitude_um": "amplitude", "run": "run",
+    "hours": "span of hours",
 }  # fmt: skip
 _FIGURES = (
     ("centre along first axis, um", "centre_a_um", "centre_a_um"),

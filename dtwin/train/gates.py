@@ -156,13 +156,14 @@ def bounded_output(bundle: Bundle) -> Verdict:
         for _ in range(300):
             middle, half = 0.5 * (low + high), 0.5 * (high - low) * scale
             inputs = middle + half * rng.uniform(-1.0, 1.0, low.size)
-            value = float(compiled.tick(inputs)[0])
-            safe = guard.step(np.array([value, 0.0, 0.0]), inputs, age_s=0.0, elapsed_s=0.002)
+            wanted = np.zeros(3)
+            wanted[: len(bundle.outputs)] = compiled.tick(inputs)
+            safe = guard.step(wanted, inputs, age_s=0.0, elapsed_s=0.002)
             length = float(np.linalg.norm(safe))
             if not np.isfinite(length):
                 return Verdict("bounded output", False, "not finite after the guard")
             largest = max(largest, length)
-            raw = max(raw, abs(value)) if scale == 1.0 else raw
+            raw = max(raw, float(np.max(np.abs(wanted)))) if scale == 1.0 else raw
     passed = largest <= bundle.safety.clamp_um * (1 + 1e-9)
     return Verdict(
         "bounded output",

@@ -21,6 +21,8 @@ from dtwin.train.positioning_gates import registered_positioning_gates
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
 from dtwin.train.tone_bundle import is_tone_bundle
 from dtwin.train.tone_gates import tone_gates
+from dtwin.train.volumetric_bundle import is_volumetric_bundle
+from dtwin.train.volumetric_gates import volumetric_gates
 
 HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
@@ -53,10 +55,15 @@ def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle,
 
 
 def _judge_of(bundle: Bundle) -> Callable[[Bundle, Mapping[str, float]], list[Verdict]]:
-    """Return the offline gates of what a bundle corrects: tones, a position, or circles."""
-    if is_tone_bundle(bundle):
-        return tone_gates
-    return registered_positioning_gates if is_positioning_bundle(bundle) else offline_gates
+    """Return the offline gates of what a bundle corrects: tones, a position, heat, or circles."""
+    for corrects, judge in (
+        (is_tone_bundle, tone_gates),
+        (is_positioning_bundle, registered_positioning_gates),
+        (is_volumetric_bundle, volumetric_gates),
+    ):
+        if corrects(bundle):
+            return judge
+    return offline_gates
 
 
 def promote(
@@ -260,7 +267,7 @@ def verdict_lines(verdicts: Sequence[Verdict]) -> list[str]:
 
 def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> None:
     """Keep what the serving host must know; only robots have a chain and a tool to know of."""
-    if geometry.get("type") not in ("mill", "turning", "lathe"):
+    if geometry.get("type") not in ("mill", "turning", "lathe", "volumetric"):
         write_machine(machine, home, dict(geometry))
 
 

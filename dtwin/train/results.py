@@ -181,9 +181,11 @@ class TrainingReport:
 
 
 def condition_name(condition: Mapping[str, Any]) -> str:
-    """Return what a condition of closed-loop evidence is called: a circle, a tone, a way to go."""
+    """Return what a condition of closed-loop evidence is called: a circle, a tone, hours ..."""
     if "frequency_hz" in condition:
         return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+    if "from_h" in condition:
+        return f"{condition['campaign']} {condition['from_h']:g} to {condition['to_h']:g} h"
     if "approached" in condition:
         return f"{condition['axis']} {condition['approached']}"
     return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"
