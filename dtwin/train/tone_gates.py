@@ -81,9 +81,10 @@ def correction_radius(bundle: Bundle, groups: ToneGroups) -> tuple[float, str]:
     worst, where = 0.0, ""
     for frequency in np.unique(groups.frequency_hz):
         here = groups.only(groups.frequency_hz == frequency)
-        if here.n < 2:
+        amplitudes = np.unique(here.amplitude_um)
+        if len(amplitudes) < 2:
             continue
-        for amplitude in here.amplitude_um.tolist():
+        for amplitude in amplitudes.tolist():
             radius = _radius(answers, here, amplitude)
             if not radius <= worst:
                 worst, where = radius, f"{frequency:g} Hz, {amplitude:g} um"
@@ -110,14 +111,14 @@ def _radius(answers: AnsweredWindow, here: ToneGroups, amplitude_um: float) -> f
 
 def _features_at(here: ToneGroups, sent_um: float) -> dict[str, float]:
     """Return features of a sent amplitude, straight between groups and on beyond the outermost."""
-    order = np.argsort(here.amplitude_um)
-    sizes = here.amplitude_um[order]
+    sizes, place = np.unique(here.amplitude_um, return_inverse=True)
     k = int(np.clip(np.searchsorted(sizes, sent_um) - 1, 0, len(sizes) - 2))
     share = (sent_um - sizes[k]) / (sizes[k + 1] - sizes[k])
 
     def straight(values: Floats) -> float:
-        low, high = values[order][k], values[order][k + 1]
-        return float(max(low + share * (high - low), 0.1 * low))
+        # Repeats of a group count as their mean.
+        low, high = (float(np.mean(values[place == at])) for at in (k, k + 1))
+        return max(low + share * (high - low), 0.1 * low)
 
     found = {name: straight(values) for name, values in here.columns.items()}
     return found | {SENT_RMS: sent_um / np.sqrt(2.0)}

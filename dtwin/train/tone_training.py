@@ -17,6 +17,7 @@ from dtwin.train.tone_groups import (
     feature_findings,
     heard_groups,
     load_tone_groups,
+    noise_floor_um,
 )
 from dtwin.train.training import Progress, Training
 
@@ -54,7 +55,7 @@ def train_tones(
     found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=float("nan"), rms_before_um=_rms(groups.amplitude_error_um),
+        noise_floor_um=noise_floor_um(groups), rms_before_um=_rms(groups.amplitude_error_um),
         n_runs=groups.n, n_rows=groups.n, candidates=tuple(found),
         proposed=proposed(found, MOST_RADIUS), seed=seed, told=tuple(what_was_seen(everything)),
     )  # fmt: skip
