@@ -299,7 +299,9 @@ def _campaign_text(measured: Sequence[RunMeta], truth: str, plan: TonePlan | Non
             f'signals = "{meta.run_id}.accelerometers.parquet"',
             f"repeat = {meta.repeat}",
             "[run.condition]",
-            *(f"{name} = {toml_value(value)}" for name, value in meta.condition.items()),
+            'axis = "Z"',
+            f"frequency_hz = {meta.condition['frequency_hz']:g}",
+            f"amplitude_um = {meta.condition['amplitude_um']:g}",
         ]
         if meta.covariates:
             lines.append("[run.covariates]")

@@ -172,8 +172,9 @@ class TrainingReport:
     @property
     def noise_floor_text(self) -> str:
         """The noise floor with its unit, or that nobody knows it."""
-        known = not math.isnan(self.noise_floor_um)
-        return f"{self.noise_floor_um:.1f} um" if known else "unknown without repeats"
+        if math.isnan(self.noise_floor_um):
+            return "unknown without repeats"
+        return f"{self.noise_floor_um:.{1 if self.noise_floor_um >= 1.0 else 4}f} um"
 
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""
