@@ -20,6 +20,7 @@ from dtwin.pipeline.lathe_compensation import PERIOD_S, exact_correction, looped
 from dtwin.pipeline.turning_evidence import EVIDENCE_FILE
 from dtwin.report.campaign import evidence_table
 from dtwin.report.html import Section, Table, page
+from dtwin.report.model_plots import evidence_figure
 from dtwin.serve.bundle import Bundle
 from dtwin.train.positioning_bundle import is_positioning_bundle
 from dtwin.train.registry import RegisteredVersion, Registry
@@ -119,6 +120,7 @@ def measure_lathe_evidence(
             "on the days without."
         ],
         tables=[Table(*evidence_table(found))],
+        figures=[evidence_figure(found, "Error over the targets, RMS; bars: 95 % over days")],
     )
     registry.attach(
         version,

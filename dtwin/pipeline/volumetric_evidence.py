@@ -18,6 +18,7 @@ from dtwin.pipeline.volumetric import distance_changes_um
 from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
 from dtwin.report.campaign import evidence_table
 from dtwin.report.html import Section, Table, page
+from dtwin.report.model_plots import evidence_figure
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -77,6 +78,11 @@ def measure_volumetric_evidence(
         "With and without the correction",
         [f"Changes of the distances between balls in {', '.join(others)}: {CLOCK}."],
         tables=[Table(*evidence_table(found))],
+        figures=[
+            evidence_figure(
+                found, "Distances between balls, RMS of their changes; bars: 95 % over cycles"
+            )
+        ],
     )
     content = page("Evidence of other campaigns", f"version {version.version}", [section])
     files = {EVIDENCE_FILE: json.dumps(found, indent=1), "evidence.html": content}

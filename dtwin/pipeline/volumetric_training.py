@@ -70,6 +70,7 @@ def train_volumetric(
         n_runs=len(measured.hour), n_rows=sum(len(part) for part in before),
         candidates=tuple(found), proposed=min(equations, key=lambda c: c.held_out.rms_um).name,
         seed=seed, told=tuple(_what_was_seen(measured, engine)),
+        floor_is="what the identified error motions leave themselves",
     )  # fmt: skip
     geometry = {"type": "volumetric"} | dict(campaign.machine_geometry)
     hours = float(measured.hour[0]), float(measured.hour[-1])
@@ -203,7 +204,7 @@ def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores
 def _what_was_seen(measured: Session, engine: Engine | None) -> list[str]:
     told = [
         f"errors are changes of the distances between balls of an array; {SPANS} spans of hours were left "
-        "out in turn, each as a whole; the noise floor is what the identified error motions leave themselves",
+        "out in turn, each as a whole; the noise floor is what the identified error motions leave",
         "models with a memory are not candidates: serving does not know the cycle before; "
         "dtwin volumetric fit compares them",
     ]

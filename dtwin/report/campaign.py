@@ -112,8 +112,7 @@ def training_section(report: TrainingReport) -> Section:
                 if "feed_mm_min" in proposed.scores
                 else ""
             )
-            + "; what repeats of the same condition disagree by: "
-            f"{report.noise_floor_text} (unit of replication: the run).",
+            + f"; noise floor {report.noise_floor_text}: {report.floor_is}.",
             *report.told,
             "Every error is on what was left out as a whole: one "
             + ", or one ".join(_LEFT_OUT[group] for group in proposed.scores)

@@ -385,9 +385,10 @@ def _rms(values: Any) -> float:
 
 
 _SAID = {
-    "pair": "error = slow network(direction, position) + cyclic network(direction, position within a "
-    "turn); tick.txt holds every number",
-    "flanks": "slide = min(max(slide before, position + forward flank), position + reverse flank); "
-    "error = slide - position; each flank = slow network(position) + harmonics of the screw's turn, "
+    "pair": "error = slow network(direction, position) + cyclic network(direction, position in the turn)\n"
+    "tick.txt holds every number",
+    "flanks": "slide = min(max(slide before, position + forward flank), position + reverse flank)\n"
+    "error = slide - position\n"
+    "each flank = slow network(position) + harmonics of the screw's turn,\n"
     "taken where the correction puts the screw; tick.txt holds every number",
 }

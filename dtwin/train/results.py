@@ -142,7 +142,7 @@ class TrainingReport:
     table_versions : dict of str to int
         Versions of the lake's tables: the same data can be read again.
     noise_floor_um : float
-        RMS that repeats of the same condition disagree by.
+        RMS that no model's held-out error may go below.
     rms_before_um : float
         RMS of the set-up-corrected error without any model.
     n_runs, n_rows : int
@@ -155,6 +155,8 @@ class TrainingReport:
         Seed of everything random.
     told : tuple of str
         What the data show before any model, for the reviewer.
+    floor_is : str
+        What the noise floor is made of.
     """
 
     machine: str
@@ -168,6 +170,7 @@ class TrainingReport:
     proposed: str
     seed: int
     told: tuple[str, ...] = ()
+    floor_is: str = "what repeats of the same condition disagree by (unit of replication: the run)"
 
     @property
     def noise_floor_text(self) -> str:
