@@ -204,7 +204,7 @@ def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores
 def _what_was_seen(measured: Session, engine: Engine | None) -> list[str]:
     told = [
         f"errors are changes of the distances between balls of an array; {SPANS} spans of hours were left "
-        "out in turn, each as a whole; the noise floor is what the identified error motions leave",
+        "out in turn, each as a whole",
         "models with a memory are not candidates: serving does not know the cycle before; "
         "dtwin volumetric fit compares them",
     ]
