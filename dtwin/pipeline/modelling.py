@@ -151,7 +151,7 @@ def measure_evidence(
     """
     if not geometry.get("virtual", False):
         raise InputError(
-            "a real machine has to be measured itself",
+            "what a correction does to a real machine has to be measured on it",
             code="evidence.real",
             where=f"machine {version.machine}",
             hint="serve the trial, measure with and without it, and give the file to "
