@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dtwin.errors import InputError
-from dtwin.plan_file import read_plan_file
+from dtwin.plan_file import broken_rule, filled, plan_settings
 from dtwin.schema import Finding, Floats, require_name
 
 MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
@@ -113,11 +112,7 @@ def read_linear_plan(path: Path) -> LinearPlan:
     InputError
         With the first rule that is broken.
     """
-    document = read_plan_file(path)
-    table = document.get("plan")
-    if not isinstance(table, dict):
-        raise InputError("the plan needs a [plan] table", code="plan.table", where=str(path))
-    return linear_plan({k: v for k, v in table.items() if k != "kind"}, str(path))
+    return linear_plan(plan_settings(path), str(path))
 
 
 def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
@@ -135,39 +130,9 @@ def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
     InputError
         When a setting is unknown, missing or of the wrong type, or a rule is broken.
     """
-    known = {f.name: str(f.type) for f in fields(LinearPlan)}
-    unknown = sorted(set(stated) - set(known))
-    if unknown:
-        raise InputError(
-            "unknown setting of a plan", code="plan.setting", where=where,
-            got=", ".join(unknown[:5]), allowed=", ".join(known),
-        )  # fmt: skip
-    missing = [f.name for f in fields(LinearPlan) if f.name not in stated and f.default is MISSING]
-    if missing:
-        raise InputError(
-            "the plan lacks settings", code="plan.setting", where=where, got=", ".join(missing)
-        )
-    values = {name: _typed(name, known[name], value, where) for name, value in stated.items()}
-    plan = LinearPlan(**values)
+    plan = filled(LinearPlan, stated, where)
     check_linear(plan, where)
     return plan
-
-
-def _typed(name: str, kind: str, value: Any, where: str) -> Any:
-    right = {
-        "str": isinstance(value, str),
-        "int": isinstance(value, int) and not isinstance(value, bool),
-        "float": isinstance(value, int | float)
-        and not isinstance(value, bool)
-        and math.isfinite(value),
-    }[kind]
-    if not right:
-        wanted = {"str": "text", "int": "a whole number", "float": "a number"}[kind]
-        raise InputError(
-            f"{name} is of the wrong kind", code="plan.setting", where=f"{where} plan.{name}",
-            got=repr(value)[:60], allowed=wanted,
-        )  # fmt: skip
-    return float(value) if kind == "float" else value
 
 
 def check_linear(plan: LinearPlan, where: str) -> None:
@@ -181,7 +146,7 @@ def check_linear(plan: LinearPlan, where: str) -> None:
     require_name(plan.name, "plan.name")
     require_name(plan.machine, "plan.machine")
     if plan.unit not in MM_PER:
-        raise _broken("unit", "the unit of length is unknown", where, plan.unit, "in, mm")
+        raise broken_rule("unit", "the unit of length is unknown", where, plan.unit, "in, mm")
     unit, span = plan.unit, plan.end - plan.start
     inch = 25.4 / MM_PER[unit]
     smallest = _SMALLEST_STEP_IN * inch
@@ -217,13 +182,7 @@ def check_linear(plan: LinearPlan, where: str) -> None:
     )  # fmt: skip
     for name, kept, what, got, allowed in rules:
         if not kept:
-            raise _broken(name, what, where, str(got), allowed)
-
-
-def _broken(name: str, what: str, where: str, got: str, allowed: str) -> InputError:
-    return InputError(
-        what, code=f"plan.{name}", where=f"{where} plan.{name}", got=got[:60], allowed=allowed
-    )
+            raise broken_rule(name, what, where, got, allowed)
 
 
 def _divides(step: float, span: float, tolerance: float) -> bool:

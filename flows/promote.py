@@ -61,7 +61,7 @@ def promote_flow(
 
 
 def publish_circles(version: RegisteredVersion, evidence: Mapping[str, Any]) -> None:
-    """Leave table and plot of circles with and without a version.
+    """Leave table and plot of what was measured with and without a version.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def publish_circles(version: RegisteredVersion, evidence: Mapping[str, Any]) -> 
     _artifacts.publish_table(
         f"evidence-{version.machine}",
         *evidence_table(evidence),
-        f"Circles with and without version {version.version}: {evidence['kind']} evidence, "
+        f"With and without version {version.version}: {evidence['kind']} evidence, "
         f"{evidence['clock']}",
     )
     _artifacts.publish_evidence(version.machine, version.version, evidence)

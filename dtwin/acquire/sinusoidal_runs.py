@@ -12,11 +12,9 @@ from dtwin.errors import InputError
 from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
 from dtwin.features.tone_window import HORIZON_S, WINDOW_S
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
+from dtwin.tone_plan import FEWEST_PER_PERIOD, SAFE_SHARE
 from dtwin.units import UM_PER_MM
 
-# Share of the control bandwidth up to which a slide may be driven.
-SAFE_SHARE = 0.8
-_FEWEST_PER_PERIOD = 10.0
 # A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
 _CLIPPED_SHARE = 0.05
 # Below this share of the tone in the accelerometer's power its features are noise.
@@ -186,7 +184,7 @@ def _sampling(run: Run, told: Commanded) -> list[Finding]:
 
 
 def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Finding]:
-    if not np.isfinite(rate_hz) or rate_hz >= _FEWEST_PER_PERIOD * frequency_hz:
+    if not np.isfinite(rate_hz) or rate_hz >= FEWEST_PER_PERIOD * frequency_hz:
         return []
     folded = rate_hz <= 2.0 * frequency_hz
     alias = abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz))

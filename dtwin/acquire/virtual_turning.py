@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,14 +22,18 @@ from dtwin.machines.turning import (
     Slide,
     TurningSlide,
 )
+from dtwin.machines.turning_drift import RoomDrift
 from dtwin.parquet import table_of, write_parquet
 from dtwin.schema import Floats, Run, RunMeta, SignalGroup
+from dtwin.tone_plan import BETWEEN_S, TonePlan
 
 # Servo ticks to one sample of probe, encoder and accelerometer.
 EVERY = 8
 SAMPLE_HZ = SERVO_HZ / EVERY
 GROUP_S = 6.0
 BANDWIDTH_HZ = 50.0
+# Mean of the room where the slide stands, and the noise of the thermometer in it.
+ROOM_C, THERMOMETER_C = 20.0, 0.05
 # The slide swings in before a group is recorded.
 _RUN_UP_S = 0.5
 TRUTHS = ("linear", "hardening", "friction")
@@ -83,9 +87,10 @@ def virtual_slide(truth: str) -> Slide:
 
 
 def record_group(
-    slide: Slide, instruments: Instruments, frequency_hz: float, amplitude_um: float, seed: int
-) -> tuple[dict[str, Floats], SignalGroup]:
-    """Command one tone for six seconds and return what the instruments record.
+    slide: Slide, instruments: Instruments, frequency_hz: float, amplitude_um: float, seed: int,
+    seconds: float = GROUP_S,
+) -> tuple[dict[str, Floats], SignalGroup]:  # fmt: skip
+    """Command one tone, six seconds without other word, and return what the instruments record.
 
     Parameters
     ----------
@@ -97,6 +102,8 @@ def record_group(
         Of the command.
     seed : int
         Of noise.
+    seconds : float
+        Length of the group.
 
     Returns
     -------
@@ -105,7 +112,7 @@ def record_group(
     """
     rng = np.random.default_rng(seed)
     machine, channel = TurningSlide(slide), AccelerationChannel(instruments.accelerometer, rng)
-    t = np.arange(-round(_RUN_UP_S * SERVO_HZ), round(GROUP_S * SERVO_HZ)) / SERVO_HZ
+    t = np.arange(-round(_RUN_UP_S * SERVO_HZ), round(seconds * SERVO_HZ)) / SERVO_HZ
     swell = np.minimum(1.0, (t + _RUN_UP_S) / (0.5 * _RUN_UP_S))
     command = swell * amplitude_um * np.sin(2.0 * np.pi * frequency_hz * t)
     motion = machine.run(command)
@@ -139,25 +146,79 @@ def virtual_runs(
     instruments : Instruments, optional
         Others than the usual.
     """
+    seen_by = instruments or Instruments()
     for number, (frequency, amplitude) in enumerate(grid.groups, start=1):
-        samples, signals = record_group(
-            slide, instruments or Instruments(), frequency, amplitude, seed * 10_007 + number
-        )
-        condition: dict[str, float | str] = {
-            "axis": "Z",
-            "frequency_hz": frequency,
-            "amplitude_um": amplitude,
-        }
-        meta = RunMeta(
-            f"g{number:03d}", kind="sinusoidal", condition=condition, sample_rate_hz=SAMPLE_HZ
-        )
-        yield Run(meta, samples, signals=(signals,))
+        recorded = record_group(slide, seen_by, frequency, amplitude, seed * 10_007 + number)
+        yield _run(number, frequency, amplitude, recorded)
+
+
+def planned_runs(
+    plan: TonePlan, slide: Slide, seed: int, instruments: Instruments | None = None,
+    drift: RoomDrift | None = None,
+) -> Iterator[Run]:  # fmt: skip
+    """Return the groups of a plan as runs: the slide follows the room, so that repeats differ.
+
+    Parameters
+    ----------
+    plan : TonePlan
+        What is commanded, in which order.
+    slide : Slide
+        The mechanism at the room's mean temperature.
+    seed : int
+        Of all noise.
+    instruments : Instruments, optional
+        Others than the usual.
+    drift : RoomDrift, optional
+        Another room than the usual.
+
+    Raises
+    ------
+    InputError
+        When the virtual slide cannot be driven or read as planned.
+    """
+    if plan.axis != "Z" or plan.sample_hz != SAMPLE_HZ:
+        raise InputError(
+            "the virtual slide cannot do this", code="simulate.plan",
+            got=f"axis {plan.axis}, sample_hz {plan.sample_hz:g}",
+            allowed=f"axis Z, sample_hz {SAMPLE_HZ:g}",
+        )  # fmt: skip
+    room, seen_by = drift or RoomDrift(), instruments or Instruments()
+    started_s = np.arange(plan.count, dtype=np.float64) * (plan.seconds + BETWEEN_S)
+    rises = room.rises_c(started_s, seed).tolist()
+    thermometer = np.random.default_rng([seed, 37])
+    for number, (group, rise) in enumerate(zip(plan.groups, rises, strict=True), start=1):
+        recorded = record_group(
+            room.slide_at(slide, rise), seen_by, group.frequency_hz, group.amplitude_um,
+            seed * 10_007 + number, plan.seconds,
+        )  # fmt: skip
+        read_c = ROOM_C + rise + THERMOMETER_C * float(thermometer.normal())
+        yield _run(
+            number, group.frequency_hz, group.amplitude_um, recorded, group.repeat,
+            {"room_c": round(read_c, 2)},
+        )  # fmt: skip
+
+
+def _run(
+    number: int, frequency_hz: float, amplitude_um: float,
+    recorded: tuple[dict[str, Floats], SignalGroup], repeat: int = 1,
+    covariates: Mapping[str, float] | None = None,
+) -> Run:  # fmt: skip
+    condition: dict[str, float | str] = {
+        "axis": "Z",
+        "frequency_hz": frequency_hz,
+        "amplitude_um": amplitude_um,
+    }
+    meta = RunMeta(
+        f"g{number:03d}", kind="sinusoidal", condition=condition, sample_rate_hz=SAMPLE_HZ,
+        repeat=repeat, covariates=covariates or {},
+    )  # fmt: skip
+    return Run(meta, recorded[0], signals=(recorded[1],))
 
 
 def simulate_turning(
     folder: Path, *, truth: str = "linear", seed: int = 0, quick: bool = False,
-    grid: Grid | None = None, instruments: Instruments | None = None,
-    progress: Progress | None = None,
+    grid: Grid | None = None, plan: TonePlan | None = None,
+    instruments: Instruments | None = None, progress: Progress | None = None,
 ) -> int:  # fmt: skip
     """Measure a campaign of tones; return the number of groups.
 
@@ -173,6 +234,8 @@ def simulate_turning(
         24 groups instead of the published 99.
     grid : Grid, optional
         Other groups.
+    plan : TonePlan, optional
+        Groups, repeats and order instead of a grid; the slide then follows the room.
     instruments : Instruments, optional
         Others than the usual.
     progress : callable, optional
@@ -189,30 +252,37 @@ def simulate_turning(
             hint="give another --out",
         )  # fmt: skip
     slide, seen_by = virtual_slide(truth), instruments or Instruments()
-    chosen = grid or (QUICK if quick else PUBLISHED)
-    groups = chosen.groups
-    for number, run in enumerate(virtual_runs(chosen, slide, seed, seen_by), start=1):
+    told = {"truth": truth, "seed": seed} | asdict(slide) | asdict(seen_by.accelerometer)
+    if plan is None:
+        chosen = grid or (QUICK if quick else PUBLISHED)
+        runs, count = virtual_runs(chosen, slide, seed, seen_by), len(chosen.groups)
+    else:
+        room = RoomDrift()
+        told |= {f"drift_{k}": v for k, v in asdict(room).items()}
+        runs, count = planned_runs(plan, slide, seed, seen_by, room), plan.count
+    measured = []
+    for number, run in enumerate(runs, start=1):
         name = run.meta.run_id
         write_parquet(folder / f"{name}.parquet", table_of(run.samples))
         write_signals(folder / f"{name}.accelerometers.parquet", run.signals[0])
+        measured.append(run.meta)
         if progress is not None:
-            progress(number, len(groups), name)
-    told = {"truth": truth, "seed": seed} | asdict(slide) | asdict(seen_by.accelerometer)
+            progress(number, count, name)
     lines = [f"{k} = {toml_value(v)}" for k, v in told.items()]
     write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")
-    write_text(folder / "campaign.toml", _campaign_text(groups, truth), "the campaign file")
-    return len(groups)
+    write_text(folder / "campaign.toml", _campaign_text(measured, truth, plan), "the campaign file")
+    return count
 
 
-def _campaign_text(groups: Sequence[tuple[float, float]], truth: str) -> str:
+def _campaign_text(measured: Sequence[RunMeta], truth: str, plan: TonePlan | None) -> str:
     head: dict[str, Any] = {
         "type": "turning", "virtual": True, "truth": truth, "z_bandwidth_hz": BANDWIDTH_HZ,
         "correction_delay_s": AnaloguePath().delay_s,
     }  # fmt: skip
     lines = [
         "[campaign]",
-        f"name = {toml_value(f'slow-tool-servo-{truth}')}",
-        'machine = "virtual-turning"',
+        f"name = {toml_value(plan.name if plan else f'slow-tool-servo-{truth}')}",
+        f"machine = {toml_value(plan.machine if plan else 'virtual-turning')}",
         'kind = "sinusoidal"',
         "[campaign.machine_geometry]",
         *(f"{k} = {toml_value(v)}" for k, v in head.items()),
@@ -220,18 +290,22 @@ def _campaign_text(groups: Sequence[tuple[float, float]], truth: str) -> str:
         'model = "virtual capacitance probe"',
         f"sample_rate_hz = {SAMPLE_HZ:g}",
     ]
-    for number, (frequency, amplitude) in enumerate(groups, start=1):
+    for meta in measured:
         lines += [
             "",
             "[[run]]",
-            f'id = "g{number:03d}"',
-            f'file = "g{number:03d}.parquet"',
-            f'signals = "g{number:03d}.accelerometers.parquet"',
+            f'id = "{meta.run_id}"',
+            f'file = "{meta.run_id}.parquet"',
+            f'signals = "{meta.run_id}.accelerometers.parquet"',
+            f"repeat = {meta.repeat}",
             "[run.condition]",
             'axis = "Z"',
-            f"frequency_hz = {frequency:g}",
-            f"amplitude_um = {amplitude:g}",
+            f"frequency_hz = {meta.condition['frequency_hz']:g}",
+            f"amplitude_um = {meta.condition['amplitude_um']:g}",
         ]
+        if meta.covariates:
+            lines.append("[run.covariates]")
+            lines += [f"{name} = {toml_value(value)}" for name, value in meta.covariates.items()]
     return "\n".join([*lines, ""])
 
 

@@ -12,16 +12,20 @@ from numpy.typing import NDArray
 from dtwin.acquire.runner import toml_value
 from dtwin.acquire.signal_files import write_signals
 from dtwin.atomic import write_text
+from dtwin.ball_plan import BallPlan
 from dtwin.errors import InputError
 from dtwin.machines.thermal_network import SCHEDULES
 from dtwin.machines.volumetric import (
     AZIMUTHS_DEG,
+    BALL_S,
+    FIXED_BALLS_MM,
     HELD_OUT_POSES,
     READING_S,
     STROKES_MM,
     BallReadings,
     VolumetricMill,
     VolumetricParameters,
+    array_balls,
 )
 from dtwin.parquet import table_of, write_parquet
 from dtwin.schema import SignalGroup
@@ -34,6 +38,7 @@ Progress = Callable[[int, int, str], None]
 def simulate_volumetric(
     folder: Path, progress: Progress, *, schedule: str = "training", seed: int = 0,
     quick: bool = False, parameters: VolumetricParameters | None = None,
+    plan: BallPlan | None = None,
 ) -> int:  # fmt: skip
     """Measure the virtual mill for days and write a campaign folder.
 
@@ -51,6 +56,8 @@ def simulate_volumetric(
         Every third cycle only.
     parameters : VolumetricParameters, optional
         What the machine is like.
+    plan : BallPlan, optional
+        Hours, and how often; the array and its poses are the machine's own.
 
     Returns
     -------
@@ -73,15 +80,39 @@ def simulate_volumetric(
             allowed=", ".join(SCHEDULES),
         )  # fmt: skip
     mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
-    cycles = range(0, mill.cycles, QUICK_EVERY if quick else 1)
+    cycles = _planned(plan, mill) if plan else range(0, mill.cycles, QUICK_EVERY if quick else 1)
     folder.mkdir(parents=True, exist_ok=True)
     for done, cycle in enumerate(cycles):
         _write_cycle(folder, cycle, mill)
         progress(done + 1, len(cycles), f"hour {cycle}")
-    write_text(
-        folder / "campaign.toml", _campaign_text(schedule, list(cycles), mill), "the campaign file"
-    )
+    name = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
+    text = _campaign_text(*name, list(cycles), mill)
+    write_text(folder / "campaign.toml", text, "the campaign file")
     return len(cycles)
+
+
+def _planned(plan: BallPlan, mill: VolumetricMill) -> range:
+    """Return the hours at which cycles begin.
+
+    Raises
+    ------
+    InputError
+        When the virtual mill has another array, or is not heated for so long.
+    """
+    own = {
+        "balls": len(array_balls(1)), "poses": len(AZIMUTHS_DEG), "table_balls": len(FIXED_BALLS_MM),
+        "ball_s": BALL_S,
+    }  # fmt: skip
+    asked = {name: getattr(plan, name) for name in own}
+    if asked != own or plan.every_h != int(plan.every_h) or plan.hours > mill.cycles:
+        raise InputError(
+            "the virtual mill cannot do this", code="simulate.plan",
+            got=", ".join(f"{k} {v:g}" for k, v in asked.items())
+            + f", every_h {plan.every_h:g}, hours {plan.hours:g}",
+            allowed=", ".join(f"{k} {v:g}" for k, v in own.items())
+            + f", every_h in whole hours, hours up to {mill.cycles}",
+        )  # fmt: skip
+    return range(0, plan.cycles * int(plan.every_h), int(plan.every_h))
 
 
 def _write_cycle(folder: Path, cycle: int, mill: VolumetricMill) -> None:
@@ -107,13 +138,15 @@ def _columns(readings: BallReadings) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _campaign_text(schedule: str, cycles: list[int], mill: VolumetricMill) -> str:
+def _campaign_text(name: str, machine: str, cycles: list[int], mill: VolumetricMill) -> str:
     lines = [
         "[campaign]",
-        f'name = "volumetric-{schedule}"',
-        f"machine = {toml_value(MACHINE)}",
+        f"name = {toml_value(name)}",
+        f"machine = {toml_value(machine)}",
         'kind = "volumetric"',
         "[campaign.machine_geometry]",
+        'type = "volumetric"',
+        "virtual = true",
         'chain = "XZY"',
         *(f"stroke_{axis}_mm = {list(reach)}" for axis, reach in STROKES_MM.items()),
         f"poses = {len(AZIMUTHS_DEG)}",

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from dtwin.ball_plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 FIXED_POSE = 0
 MAX_ERROR_UM = 2_000.0
-_DRIFT_UM = 6.0
 _STUCK_C = 1e-6
-_FEWEST_FIXED = 3
 _PLAUSIBLE_C = (-20.0, 90.0)
 
 
@@ -49,7 +48,7 @@ def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
     """Judge the balls on the table: without three of them the machine's own shift is unknown."""
     there = pose == FIXED_POSE
     balls = np.unique(ball[there])
-    if len(balls) < _FEWEST_FIXED:
+    if len(balls) < FEWEST_TABLE_BALLS:
         text = (
             f"{len(balls)} balls on the table were measured: shifts and turns of the whole machine "
             "need three"
@@ -60,7 +59,7 @@ def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
         rows = error[there & (ball == number)]
         if len(rows) > 1:
             moved = max(moved, float(np.abs(rows[-1] - rows[0]).max()))
-    if moved <= _DRIFT_UM:
+    if moved <= MOST_DRIFT_UM:
         return []
     text = (
         f"a ball on the table moved by {moved:.1f} um within the cycle: it takes longer than the heat "

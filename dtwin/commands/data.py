@@ -142,12 +142,11 @@ def plan(
     as_json: Json = False,
 ) -> None:
     """Expand a campaign before anything moves: order, limits, time, programs."""
-    from dtwin.plan_file import is_linear, read_plan_file
+    from dtwin.plan_file import plan_kind, read_plan_file
 
-    if file is not None and is_linear(read_plan_file(file)):
-        from dtwin.commands.lathe import plan_positioning
-
-        plan_positioning(file, out, control, as_json=as_json)
+    kind = "circular" if file is None else plan_kind(read_plan_file(file))
+    if file is not None and kind != "circular":
+        _plan_of(kind, file, out, control, as_json=as_json)
         return
     from dtwin.plan import advice, duration_s, read_plan, training_plan
 
@@ -201,6 +200,27 @@ def _recovered(folder: Path) -> list[RecordedRun]:
     if folder.is_dir():
         return recover_runs(folder)
     raise InputError("no such folder", code="repair.folder", where=str(folder))
+
+
+def _plan_of(kind: str, file: Path, out: Path | None, control: str, *, as_json: bool) -> None:
+    if kind == "linear":
+        from dtwin.commands.lathe import plan_positioning
+
+        plan_positioning(file, out, control, as_json=as_json)
+        return
+    if out is not None:
+        raise InputError(
+            "no program is written for this kind of campaign", code="plan.program", got=kind,
+            allowed="circular, linear", hint="leave --out away",
+        )  # fmt: skip
+    if kind == "sinusoidal":
+        from dtwin.commands.turning import plan_tones
+
+        plan_tones(file, as_json=as_json)
+    else:
+        from dtwin.commands.volumetric import plan_balls
+
+        plan_balls(file, as_json=as_json)
 
 
 def _write_programs(planned: Plan, out: Path) -> list[str]:

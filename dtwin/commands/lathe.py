@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from dtwin.serve.bundle import Bundle
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
-BundleFile = Annotated[Path, typer.Argument(help="A bundle that dtwin lathe fit wrote.")]
 MODELS = ("flanks", "pair", "printed")
 
 app_lathe = typer.Typer(
@@ -132,7 +131,9 @@ def fit(
 
 @app_lathe.command("compensate")
 def compensate(
-    bundle: BundleFile,
+    model: Annotated[
+        str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")
+    ],
     truth: Annotated[
         str, typer.Option(help="Error of the virtual lathe: published, or mechanism.")
     ] = "published",
@@ -140,16 +141,21 @@ def compensate(
     plan: Annotated[
         Path | None, typer.Option(help="Positioning plan; every 0.52 in without.")
     ] = None,
+    machine: Annotated[
+        str | None, typer.Option(help="Required when several machines have a model.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
+    from dtwin.commands.modelling import bundle_on_virtual
     from dtwin.linear_plan import read_linear_plan
     from dtwin.pipeline.lathe_compensation import before_and_after
     from dtwin.report.lathe import compensation_text
 
     chosen = None if plan is None else read_linear_plan(plan)
-    found = before_and_after(_bundle(bundle), truth, seed, chosen)
-    emit(found, lambda: compensation_text(found), as_json=as_json)
+    path, told = bundle_on_virtual(model, machine)
+    found = {"model": told} | before_and_after(_bundle(path), truth, seed, chosen)
+    emit(found, lambda: f"{told}\n{compensation_text(found)}", as_json=as_json)
 
 
 @app_lathe.command("paper")

@@ -280,6 +280,20 @@ def machine_named(registry: Registry, named: str | None) -> str:
     )
 
 
+def bundle_on_virtual(model: str, machine: str | None) -> tuple[Path, str]:
+    """Return a bundle's file and what to call it, from a file's name, ``latest`` or ``trial``.
+
+    The machine is virtual: nothing can be harmed by a version that did not pass.
+    """
+    from dtwin.config import home
+    from dtwin.serve.pointer import resolve
+
+    if model.endswith(".json"):
+        return Path(model), model
+    found = resolve(model, machine, home(), harmless=True)
+    return found.path, found.describe()
+
+
 def _engine(name: str) -> Engine | None:
     """Return the engine that was asked for; None for each kind of campaign's own Operon."""
     from dtwin.errors import MissingPart

@@ -25,7 +25,9 @@ def simulate(
     machine: Annotated[
         str, typer.Option(help=f"Virtual machine: {', '.join(MACHINES)}.")
     ] = "cobot",
-    plan: Annotated[Path | None, typer.Option(help="Plan file; the 81-test plan without.")] = None,
+    plan: Annotated[
+        Path | None, typer.Option(help="Plan file; the machine's own campaign without.")
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
     hidden: Annotated[
@@ -53,11 +55,11 @@ def simulate(
     if machine == "turning":
         from dtwin.commands.turning import simulate_tones
 
-        simulate_tones(out, truth or "linear", seed=seed, quick=quick, as_json=as_json)
+        simulate_tones(out, plan, truth or "linear", seed=seed, quick=quick, as_json=as_json)
     elif machine == "volumetric":
         from dtwin.commands.volumetric import simulate_heat
 
-        simulate_heat(out, schedule, seed=seed, quick=quick, as_json=as_json)
+        simulate_heat(out, plan, schedule, seed=seed, quick=quick, as_json=as_json)
     elif machine == "lathe":
         from dtwin.commands.lathe import simulate_positioning
 

@@ -26,12 +26,45 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_turning, name="turning")
 
 
-def simulate_tones(out: Path, truth: str, *, seed: int, quick: bool, as_json: bool) -> None:
+def plan_tones(file: Path, *, as_json: bool) -> None:
+    """Check a plan of tones, say what it cannot tell."""
+    from dtwin.tone_plan import duration_s, read_tone_plan, tone_advice
+
+    plan = read_tone_plan(file)
+    findings = tone_advice(plan)
+    payload = {
+        "name": plan.name,
+        "machine": plan.machine,
+        "kind": "sinusoidal",
+        "axis": plan.axis,
+        "groups": plan.count,
+        "total_s": duration_s(plan),
+        "order": [vars(group) for group in plan.groups],
+        "findings": [finding.as_dict() for finding in findings],
+    }
+    first = ", ".join(f"{g.frequency_hz:g} Hz {g.amplitude_um:g} um" for g in plan.groups[:3])
+    head = (
+        f"{plan.name} on {plan.machine}: axis {plan.axis}, {len(plan.frequencies_hz)} frequencies, "
+        f"{len(plan.amplitudes_um)} amplitudes, {plan.repeats} times, {plan.count} groups of "
+        f"{plan.seconds:g} s, about {duration_s(plan) / 60.0:.0f} min"
+    )
+    lines = [head, f"  in random order (seed {plan.seed}), repeat by repeat: {first} ..."]
+    lines += [f"  {f.severity}: {f.message}" for f in findings]
+    emit(payload, lambda: "\n".join(lines), as_json=as_json)
+
+
+def simulate_tones(
+    out: Path, plan: Path | None, truth: str, *, seed: int, quick: bool, as_json: bool
+) -> None:
     """Measure tones on the virtual Z slide."""
     from dtwin.acquire.virtual_turning import simulate_turning
+    from dtwin.tone_plan import read_tone_plan
 
     progress = ProgressLine("measure", quiet=as_json)
-    groups = simulate_turning(out, truth=truth, seed=seed, quick=quick, progress=progress)
+    chosen = None if plan is None else read_tone_plan(plan)
+    groups = simulate_turning(
+        out, truth=truth, seed=seed, quick=quick, plan=chosen, progress=progress
+    )
     payload = {"folder": str(out), "groups": groups, "truth": truth}
     emit(payload, lambda: f"{groups} groups in {out}\nnext: dtwin check {out}", as_json=as_json)
 
@@ -116,12 +149,11 @@ def compensate(
 ) -> None:
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
     from dtwin.atomic import write_text
-    from dtwin.config import home
+    from dtwin.commands.modelling import bundle_on_virtual
     from dtwin.pipeline.turning_trial import TRIAL_HZ, trial
     from dtwin.report.html import page
     from dtwin.report.turning import trial_section, trial_text
     from dtwin.serve.bundle_file import load_bundle
-    from dtwin.serve.pointer import resolve
 
     chosen = tuple(frequency or TRIAL_HZ)
     if not all(0.5 <= f <= 200.0 for f in chosen):
@@ -129,12 +161,7 @@ def compensate(
             "the tool cannot move so", code="turning.frequency", got=f"{chosen} Hz",
             allowed="0.5 to 200 Hz",
         )  # fmt: skip
-    if model.endswith(".json"):
-        path, told = Path(model), model
-    else:
-        # The slide is virtual: nothing can be harmed by a version that did not pass.
-        found = resolve(model, machine, home(), harmless=True)
-        path, told = found.path, found.describe()
+    path, told = bundle_on_virtual(model, machine)
     bundle = load_bundle(path).bundle
     result, surfaces = trial(
         bundle, truth=truth, seed=seed, frequencies_hz=chosen,

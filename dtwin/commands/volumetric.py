@@ -27,12 +27,41 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_volumetric, name="volumetric")
 
 
-def simulate_heat(out: Path, schedule: str, *, seed: int, quick: bool, as_json: bool) -> None:
+def plan_balls(file: Path, *, as_json: bool) -> None:
+    """Check a plan of a ball array, say what it cannot tell."""
+    from dtwin.ball_plan import ball_advice, read_ball_plan
+
+    plan = read_ball_plan(file)
+    findings = ball_advice(plan)
+    payload = {
+        "name": plan.name,
+        "machine": plan.machine,
+        "kind": "volumetric",
+        "cycles": plan.cycles,
+        "cycle_s": 3600.0 * plan.cycle_h,
+        "total_s": 3600.0 * plan.hours,
+        "findings": [finding.as_dict() for finding in findings],
+    }
+    head = (
+        f"{plan.name} on {plan.machine}: {plan.cycles} cycles of {60.0 * plan.cycle_h:.0f} min, one every "
+        f"{plan.every_h:g} h, {plan.touches} balls in each, {plan.hours:g} h in all"
+    )
+    lines = [head, *(f"  {f.severity}: {f.message}" for f in findings)]
+    emit(payload, lambda: "\n".join(lines), as_json=as_json)
+
+
+def simulate_heat(
+    out: Path, plan: Path | None, schedule: str, *, seed: int, quick: bool, as_json: bool
+) -> None:
     """Measure the virtual mill for days."""
     from dtwin.acquire.virtual_volumetric import simulate_volumetric
+    from dtwin.ball_plan import read_ball_plan
 
     progress = ProgressLine("measure", quiet=as_json)
-    cycles = simulate_volumetric(out, progress, schedule=schedule, seed=seed, quick=quick)
+    chosen = None if plan is None else read_ball_plan(plan)
+    cycles = simulate_volumetric(
+        out, progress, schedule=schedule, seed=seed, quick=quick, plan=chosen
+    )
     payload = {"folder": str(out), "schedule": schedule, "cycles": cycles}
     text = f"{cycles} cycles in {out}\nnext: dtwin ingest {out}"
     emit(payload, lambda: text, as_json=as_json)
@@ -127,21 +156,12 @@ def _write(out: Path, training: Session, other: Session) -> list[str]:
     """Write models without memory as a bundle; return what is switched off in it."""
     from dtwin.config import home
     from dtwin.pipeline.volumetric import judged, models_of
+    from dtwin.pipeline.volumetric_training import serving_bundle
     from dtwin.serve.bundle_file import save_bundle
     from dtwin.store import Lake
-    from dtwin.train.volumetric_bundle import volumetric_bundle
 
     models: list[ThermalModel] = models_of(training, static=True)[0]
     worse: list[str] = judged(models, other)["worse"]
-    begun = dict(zip(training.sensors, training.begun_c.tolist(), strict=True))
-    absolute = training.rise_c + training.begun_c
-    seen = {
-        name: (float(column.min()), float(column.max()))
-        for name, column in zip(training.sensors, absolute.T, strict=True)
-    }
     machine = Lake(home().lake).campaign(training.campaign).machine
-    bundle = volumetric_bundle(
-        models, training.artefact.strokes_mm, begun, seen, "volumetric", machine, worse
-    )
-    save_bundle(bundle, out)
+    save_bundle(serving_bundle(models, training, machine, worse), out)
     return worse

@@ -14,6 +14,7 @@ import numpy as np
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork
 from dtwin.machines.laser_trigger import LaserSetup, Triggered, watch
 from dtwin.machines.lathe_control import Motion
+from dtwin.machines.wandering import wandering
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
@@ -258,11 +259,11 @@ class VirtualLathe:
         shown = truth - (zero_mm - first) * UM_PER_MM + moved[1:] - moved[0]
         shown = shown + self.wander.reading_um * rng.normal(size=len(shown))
         step = self.wander.quantum_um
-        air = 70.4 + 0.3 * _wandering(rng, at, 7200.0)[1:]
+        air = 70.4 + 0.3 * wandering(rng, at, 7200.0)[1:]
         return LatheRecording(
             triggered=triggered, t_s=end - motion.zeroed_s,
             error_um=np.round(shown / step) * step if step > 0 else shown,
-            air_f=air, air_inhg=29.25 + 0.02 * _wandering(rng, at, 20_000.0)[1:],
+            air_f=air, air_inhg=29.25 + 0.02 * wandering(rng, at, 20_000.0)[1:],
             material_f=air + 1.1 + 1.8 * self._warm_c(end - motion.t_s[0]), truth_um=truth,
         )  # fmt: skip
 
@@ -270,8 +271,8 @@ class VirtualLathe:
         self, rng: np.random.Generator, at: Floats, x_m: Floats, motion: Motion
     ) -> Floats:
         wander = self.wander
-        offset = wander.offset_um * _wandering(rng, at, wander.time_constant_s)
-        scale = wander.scale_um_per_m * _wandering(rng, at, wander.time_constant_s)
+        offset = wander.offset_um * wandering(rng, at, wander.time_constant_s)
+        scale = wander.scale_um_per_m * wandering(rng, at, wander.time_constant_s)
         reach = x_m - wander.fixed_at_mm / 1000.0
         grown = wander.expansion_um_per_m_c * self._warm_c(at - motion.t_s[0]) * reach
         moved: Floats = offset + scale * x_m + grown
@@ -296,18 +297,6 @@ def _averages(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floa
 
     mean: Floats = (until(end) - until(begin)) / (end - begin)
     return mean
-
-
-def _wandering(rng: np.random.Generator, t_s: Floats, time_constant_s: float) -> Floats:
-    """Return a stationary Ornstein-Uhlenbeck process of standard deviation 1, shape (n,)."""
-    kept = np.exp(-np.diff(t_s) / time_constant_s)
-    pushes = rng.normal(size=len(t_s))
-    value = pushes[0]
-    out = [value]
-    for keep, push in zip(kept.tolist(), pushes[1:].tolist(), strict=True):
-        value = keep * value + np.sqrt(1.0 - keep * keep) * push
-        out.append(value)
-    return np.array(out)
 
 
 def _periodic(turned: Floats, over_one_turn: Floats) -> Floats:

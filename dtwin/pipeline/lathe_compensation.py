@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.ingest import open_source
+from dtwin.acquire.linear_matrix import LinearTest, linear_test
 from dtwin.acquire.virtual_lathe import (
     laser_setup,
     motion_of_plan,
@@ -18,13 +19,13 @@ from dtwin.acquire.virtual_lathe import (
 from dtwin.errors import InputError
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN, LatheRecording, VirtualLathe, Wander
-from dtwin.report.positioning import LinearTest, before_after_figures, linear_test
+from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.safety import Guard
 from dtwin.train.positioning_bundle import RATE_HZ
 from dtwin.train.positioning_gates import along
-from dtwin.train.positioning_models import Averages, PositionModel
+from dtwin.train.positioning_models import PositionModel
 
 PERIOD_S = 1.0 / RATE_HZ
 Figures = dict[str, float | None]
@@ -36,6 +37,8 @@ class LoopRun:
 
     Attributes
     ----------
+    test : LinearTest
+        What the laser read.
     figures : dict
         The four figures of a before/after table, um.
     ticks : int
@@ -46,19 +49,11 @@ class LoopRun:
         Largest change of the correction in one cycle.
     """
 
+    test: LinearTest
     figures: Figures
     ticks: int
     guard: dict[str, int]
     largest_step_um: float
-
-
-def averages_of(test: LinearTest) -> Averages:
-    """Return the mean errors of a test in inches."""
-    return Averages(
-        test.position_mm / MM_PER_IN,
-        test.forward_um.mean(axis=1) / UM_PER_IN,
-        test.reverse_um.mean(axis=1) / UM_PER_IN,
-    )
 
 
 def campaign_test(folder: Path) -> tuple[str, LinearTest]:
@@ -177,8 +172,9 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
     sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, 2]
     applied = np.concatenate([[0.0], sent[:-1]])
     recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / 1000.0)
+    test = test_of(recording, plan)
     return LoopRun(
-        figures=before_after_figures(test_of(recording, plan)), ticks=len(ticks),
+        test=test, figures=before_after_figures(test), ticks=len(ticks),
         guard=guard.counted(), largest_step_um=float(np.max(np.abs(np.diff(sent[1:])))),
     )  # fmt: skip
 
@@ -204,7 +200,7 @@ def before_and_after(
     before = before_after_figures(measured(lathe, chosen))
     after = looped(lathe, chosen, bundle)
     calm = VirtualLathe(lathe.screw, Wander(0.0, 0.0, reading_um=0.0, quantum_um=0.0), seed)
-    floor = before_after_figures(measured(lathe, chosen, _Exact(lathe)))
+    floor = before_after_figures(measured(lathe, chosen, exact_correction(lathe)))
     return {
         "clock": "machine clock, 10 ms cycle, one cycle late",
         "before": before,
@@ -215,6 +211,11 @@ def before_and_after(
         "guard": after.guard,
         "largest_step_um": after.largest_step_um,
     }
+
+
+def exact_correction(lathe: VirtualLathe) -> PositionModel:
+    """Return a correction that knows the screw exactly."""
+    return _Exact(lathe)
 
 
 @dataclass(frozen=True)

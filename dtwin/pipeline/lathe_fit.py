@@ -9,28 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.linear_quality import phases_of
-from dtwin.errors import InputError
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
-from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
-from dtwin.pipeline.lathe_compensation import averages_of, campaign_test
+from dtwin.pipeline.lathe_compensation import campaign_test
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import require_new, save_bundle
 from dtwin.train.gates import Verdict
-from dtwin.train.positioning_bundle import (
-    deployed_bundle,
-    flanks_bundle,
-    flanks_of,
-    printed_pair,
-)
+from dtwin.train.positioning_bundle import deployed_bundle, printed_pair
 from dtwin.train.positioning_gates import positioning_gates
-from dtwin.train.positioning_models import Averages, PositionModel, fit_dual
-
-# Beyond the map the ends are held; the axis may go this much further while it turns round.
-ROOM_IN = 1.0
-_FEWEST_PHASES = 5
-_MOST_ORDERS = 5
+from dtwin.train.positioning_models import (
+    UM_PER_IN,
+    Averages,
+    PositionModel,
+    averages_of,
+)
+from dtwin.train.positioning_training import fit_pair, flanks_from, screw_of, serving_bundle
 
 
 @dataclass(frozen=True)
@@ -78,27 +71,13 @@ def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
         return Fitted(bundle, PITCH_IN, MAPPED_IN, {"from": network.source})
     machine, test = campaign_test(campaign)
     averages = averages_of(test)
-    assert test.pitch_mm is not None
-    pitch = test.pitch_mm / MM_PER_IN
-    phases = phases_of(test.position_mm, test.pitch_mm)
-    slow_targets = len(averages.every(pitch).position_in)
-    if phases < _FEWEST_PHASES or slow_targets < 8:
-        raise InputError(
-            "the targets do not show the screw", code="lathe.targets", where=str(campaign),
-            got=f"{phases} angles of the screw, {slow_targets} targets at whole turns",
-            allowed=f"at least {_FEWEST_PHASES} angles and 8 whole turns",
-            hint="a step of a tenth of the pitch: dtwin plan says what a step can show",
-        )  # fmt: skip
-    reach = (float(averages.position_in[0]), float(averages.position_in[-1]))
-    pair = fit_dual(averages, pitch, seed)
-    if model == "pair":
-        bundle = deployed_bundle(pair, "lathe-pair", machine, reach)
-        return Fitted(bundle, pitch, reach, _figures(pair, averages, phases))
-    orders = min(_MOST_ORDERS, (phases - 1) // 2)
-    flanks = flanks_of(pair.full, averages, pitch, orders, reach)
-    travel = (reach[0] - ROOM_IN, reach[1] + ROOM_IN)
-    bundle = flanks_bundle(flanks, "lathe-flanks", machine, travel)
-    return Fitted(bundle, pitch, reach, _figures(flanks, averages, phases))
+    screw = screw_of(test, str(campaign))
+    pair = fit_pair(averages, screw, seed)
+    chosen = pair if model == "pair" else flanks_from(pair, averages, screw)
+    equation = serving_bundle(chosen, machine, screw)
+    assert equation is not None
+    figures = _figures(chosen, averages, screw.phases)
+    return Fitted(equation, screw.pitch_in, screw.reach_in, figures)
 
 
 def judged(made: Fitted) -> list[Verdict]:

@@ -12,7 +12,7 @@ from dtwin.acquire.virtual_lathe import mapping_plan, verification_plan, virtual
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import UM_PER_IN
-from dtwin.pipeline.lathe_compensation import Figures, averages_of, measured
+from dtwin.pipeline.lathe_compensation import Figures, measured
 from dtwin.pipeline.paper_line import Line
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
@@ -24,6 +24,7 @@ from dtwin.train.positioning_models import (
     Bidirectional,
     PositionModel,
     Unidirectional,
+    averages_of,
     fit_dual,
     fit_single,
     whole_turns,

@@ -13,7 +13,10 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.pipeline.lathe_evidence import measure_lathe_evidence
 from dtwin.pipeline.turning_evidence import EVIDENCE_FILE, measure_tone_evidence
+from dtwin.pipeline.volumetric_evidence import measure_volumetric_evidence
+from dtwin.pipeline.volumetric_training import train_volumetric
 from dtwin.report.campaign import (
     comparison_table,
     evidence_section,
@@ -25,6 +28,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.store import Lake
 from dtwin.train.evidence import Evidence, EvidencePlan, plan_within, virtual_evidence
 from dtwin.train.gates import Verdict
+from dtwin.train.positioning_training import train_positioning
 from dtwin.train.promotion import check_version, promote, trial, verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.symbolic import Engine
@@ -32,6 +36,16 @@ from dtwin.train.tone_training import train_tones
 from dtwin.train.training import Training, train_campaign
 
 CONDITIONS_FILE = "conditions.json"
+_EVIDENCE = {
+    "turning": measure_tone_evidence,
+    "lathe": measure_lathe_evidence,
+    "volumetric": measure_volumetric_evidence,
+}
+_TRAININGS = {
+    "sinusoidal": train_tones,
+    "linear": train_positioning,
+    "volumetric": train_volumetric,
+}
 StageProgress = Callable[[str, int, int, str], None]
 
 
@@ -78,8 +92,7 @@ def train(
         Called with (stage, done, total, what).
     """
     lake = Lake(home.lake)
-    tones = lake.campaign(campaign).kind == "sinusoidal"
-    train_kind = train_tones if tones else train_campaign
+    train_kind = _TRAININGS.get(lake.campaign(campaign).kind, train_campaign)
     training = train_kind(lake, campaign, seed=seed, engine=engine, progress=progress)
     report = training.report
     if progress is not None:
@@ -138,10 +151,10 @@ def measure_evidence(
     """
     if not geometry.get("virtual", False):
         raise InputError(
-            "a real machine's circles have to be measured on it",
+            "what a correction does to a real machine has to be measured on it",
             code="evidence.real",
             where=f"machine {version.machine}",
-            hint="serve the trial, measure circles with and without it, and give the file to "
+            hint="serve the trial, measure with and without it, and give the file to "
             "dtwin promote --evidence",
         )
     registry = Registry(home)
@@ -196,8 +209,9 @@ def evidence_for(
         When the machine is real: it has to be measured on it.
     """
     geometry = geometry_of(Registry(home), version)
-    if geometry.get("type") == "turning" and geometry.get("virtual", False):
-        return measure_tone_evidence(home, version, geometry, seed=seed, progress=progress)
+    own_way = _EVIDENCE.get(str(geometry.get("type"))) if geometry.get("virtual") else None
+    if own_way is not None:
+        return own_way(home, version, geometry, seed=seed, progress=progress)
     return measure_evidence(home, version, geometry, seed=seed, progress=progress).as_dict()
 
 

@@ -16,6 +16,7 @@ from dtwin.errors import InputError
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.modelling import CONDITIONS_FILE, evidence_of, geometry_of
 from dtwin.serve.bundle import Bundle
+from dtwin.serve.machine_file import MACHINE_TYPES
 from dtwin.train.evidence import plan_within
 from dtwin.train.promotion import withdraw
 from dtwin.train.recheck import CheckedRun, Recheck, interleaved_runs, judge, read_runs
@@ -139,7 +140,7 @@ def _measure(
     progress: Callable[[int, int, str], None] | None,
 ) -> list[CheckedRun]:
     geometry = geometry_of(registry, champion)
-    if not geometry.get("virtual", False) or geometry.get("type") == "mill":
+    if not geometry.get("virtual", False) or geometry.get("type") not in MACHINE_TYPES:
         raise InputError(
             "this machine's circles have to be measured on it",
             code="recheck.real",

@@ -191,7 +191,7 @@ def _obstacle(rows: list[dict[str, Any]]) -> str:
     if not rows:
         return "no usable runs"
     if rows[0]["kind"] != "circular":
-        return f"a {rows[0]['kind']} campaign cannot train a correction yet"
+        return f"a {rows[0]['kind']} campaign is trained by hand: dtwin train"
     if not all(_has_controller(row) for row in rows):
         return "no controller signals, so it cannot train a correction"
     feeds = {row["feed_mm_min"] for row in rows}

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.physics.volumetric.chain import coefficient, design
+from dtwin.physics.volumetric.identify import Balls
 from dtwin.physics.volumetric.intervals import (
     IntervalCurve,
     interval_curve,
@@ -142,19 +143,34 @@ def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> d
     }
 
 
+def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
+    """Return how the distances between balls of the same pose change, shape (pairs,).
+
+    Parameters
+    ----------
+    where : Balls
+        Where the balls are.
+    moved_um : ndarray, shape (n, 3)
+        How the tool point moves there.
+    """
+    found = []
+    for pose in sorted(set(where.pose.tolist()) - {0}):
+        rows = np.flatnonzero(where.pose == pose)
+        one, other = np.triu_indices(len(rows), 1)
+        apart = where.position_mm[rows][one] - where.position_mm[rows][other]
+        unit = apart / np.linalg.norm(apart, axis=1)[:, None]
+        found.append(((moved_um[rows][one] - moved_um[rows][other]) * unit).sum(axis=1))
+    return np.concatenate(found)
+
+
 def _distances(measured: Session, expected: Floats) -> dict[str, float]:
     """Return how distances between balls change, before and after; fitted and held-out poses."""
     before: list[Floats] = []
     after: list[Floats] = []
     for (where, moved), values in zip(measured.moved, expected, strict=True):
         rest = moved - measured.artefact.predicted_um(where, values)
-        for pose in sorted(set(where.pose.tolist()) - {0}):
-            rows = np.flatnonzero(where.pose == pose)
-            one, other = np.triu_indices(len(rows), 1)
-            apart = where.position_mm[rows][one] - where.position_mm[rows][other]
-            unit = apart / np.linalg.norm(apart, axis=1)[:, None]
-            for kept, values_um in ((before, moved), (after, rest)):
-                kept.append(((values_um[rows][one] - values_um[rows][other]) * unit).sum(axis=1))
+        before.append(distance_changes_um(where, moved))
+        after.append(distance_changes_um(where, rest))
     was, is_now = np.concatenate(before), np.concatenate(after)
     return {
         "p2p_um": float(np.ptp(was)),

@@ -83,6 +83,10 @@ class Session:
             )  # fmt: skip
         return self.rise_c[:, [self.sensors.index(name) for name in names]]
 
+    def begun_of(self, names: Sequence[str]) -> Floats:
+        """Return what thermocouples read in the reference, by name, shape (names,)."""
+        return self.begun_c[[self.sensors.index(name) for name in names]]
+
 
 def session(home: Home, campaign: str, progress: Progress) -> Session:
     """Identify the error motions of every cycle of a campaign.
@@ -101,8 +105,26 @@ def session(home: Home, campaign: str, progress: Progress) -> Session:
     InputError
         When it is of another kind, or its balls cannot tell the error motions.
     """
-    lake = Lake(home.lake)
-    name = in_lake(home, campaign)
+    return session_in(Lake(home.lake), in_lake(home, campaign), progress)
+
+
+def session_in(lake: Lake, name: str, progress: Progress) -> Session:
+    """Identify the error motions of every cycle of a campaign that is in the lake.
+
+    Parameters
+    ----------
+    lake : Lake
+        Where it is.
+    name : str
+        Campaign.
+    progress : callable
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        As for :func:`session`.
+    """
     known = lake.campaign(name)
     if known.kind != "volumetric":
         raise InputError(

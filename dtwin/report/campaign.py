@@ -106,13 +106,17 @@ def training_section(report: TrainingReport) -> Section:
         "Candidates",
         [
             f"Campaign {report.campaign} on {report.machine}: {report.n_runs} runs, "
-            f"{report.n_rows} rows. Error without a model {report.rms_before_um:.1f} um RMS after "
-            f"centre and radius of each set-up; what repeats of the same condition disagree by: "
-            f"{report.noise_floor_text} (unit of replication: the run).",
+            f"{report.n_rows} rows. Error without a model {report.rms_before_um:.1f} um RMS"
+            + (
+                " after centre and radius of each set-up"
+                if "feed_mm_min" in proposed.scores
+                else ""
+            )
+            + f"; noise floor {report.noise_floor_text}: {report.floor_is}.",
             *report.told,
-            "Every error is on conditions that were left out as a whole: all runs of one "
-            + ", or of one ".join(_LEFT_OUT[group] for group in proposed.scores)
-            + ", at a time.",
+            "Every error is on what was left out as a whole: one "
+            + ", or one ".join(_LEFT_OUT[group] for group in proposed.scores)
+            + " at a time.",
         ],
         [("info", f"{proposed.name}: {finding}") for finding in proposed.findings],
         [Table(*comparison_table(report.candidates))],
@@ -236,7 +240,8 @@ def _um(value: float) -> str:
 
 _LEFT_OUT = {
     "feed_mm_min": "feed", "radius_mm": "radius", "frequency_hz": "frequency",
-    "amplitude_um": "amplitude",
+    "amplitude_um": "amplitude", "run": "run",
+    "hours": "span of hours",
 }  # fmt: skip
 _FIGURES = (
     ("centre along first axis, um", "centre_a_um", "centre_a_um"),

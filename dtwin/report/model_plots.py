@@ -9,24 +9,25 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.report.plots import COLOURS, styled
+from dtwin.train.results import condition_name
 
 _LOWEST_R2 = -0.5
 _FAR = 100.0
+_CIRCLES = "Radial error, RMS after set-up; bars: 95 % over runs; *: feed not trained"
 
 
-def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
+def evidence_figure(evidence: Mapping[str, Any], title: str = _CIRCLES) -> go.Figure:
     """Return error before and after per condition, with the oracle and the noise floor.
 
     Parameters
     ----------
     evidence : mapping
         As ``Evidence.as_dict`` gives it.
+    title : str
+        What the errors are.
     """
     conditions = evidence["conditions"]
-    names = [
-        f"{c['plane']} R{c['radius_mm']:g} F{c['feed_mm_min']:g}{'' if c['trained'] else ' *'}"
-        for c in conditions
-    ]
+    names = [condition_name(c) + ("" if c["trained"] else " *") for c in conditions]
     figure = go.Figure()
     for name, key, colour in (
         ("uncompensated", "before", COLOURS["measured"]),
@@ -65,7 +66,7 @@ def evidence_figure(evidence: Mapping[str, Any]) -> go.Figure:
         )
     )
     figure.update_layout(
-        title="Radial error, RMS after set-up; bars: 95 % over runs; *: feed not trained",
+        title=title,
         yaxis_title="um",
         barmode="group",
     )
@@ -91,7 +92,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
                 y=[c["rms_um"] for c in chosen],
                 text=[c["name"] for c in chosen],
                 mode="markers+text" if promotable else "markers",
-                textposition="top right",
+                textposition="top center",
                 hovertemplate="%{text}<br>%{x:.3g} us, %{y:.1f} um<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={

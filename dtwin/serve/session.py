@@ -8,7 +8,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -54,6 +54,15 @@ TRIAL_SHARE = 0.25
 
 Announce = Callable[[str], None]
 OpenSensors = Callable[[WindowContract], AbstractContextManager[SensorSource]]
+
+# By an input that only they have: corrections that no link takes to a machine.
+_ONLY_VIRTUAL = {
+    COMMAND_PHASE: ("tones", "dtwin turning compensate runs it at 8 kHz on the virtual slide"),
+    "position_in": (
+        "a position",
+        "dtwin lathe compensate runs it every 10 ms on the virtual lathe",
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -248,18 +257,22 @@ def serve(
     return dataclasses.replace(served, log=log)
 
 
+def _require_device(machine: str, inputs: Sequence[str]) -> None:
+    for name, (what, where) in _ONLY_VIRTUAL.items():
+        if name in inputs:
+            raise InputError(
+                f"no device is known for a correction of {what}", code="serve.virtual_only",
+                where=f"machine {machine}", got=", ".join(inputs),
+                hint=f"{where}; a real machine has not been tried",
+            )  # fmt: skip
+
+
 def _serve_resolved(
     request: ServeRequest, resolved: Resolved, home: Home, announce: Announce,
     open_sensors: OpenSensors | None,
 ) -> Served:  # fmt: skip
     compiled = load_bundle(resolved.path, resolved.machine)
-    if COMMAND_PHASE in compiled.bundle.tick_inputs:
-        raise InputError(
-            "no device is known for a correction of tones", code="serve.tones",
-            where=f"machine {resolved.machine}", got=", ".join(compiled.bundle.tick_inputs),
-            hint="dtwin turning compensate runs it at 8 kHz on the virtual slide; a real slide has not "
-            "been tried",
-        )  # fmt: skip
+    _require_device(resolved.machine, compiled.bundle.tick_inputs)
     trial = request.trial or resolved.state == "trial"
     if trial:
         compiled = with_trial_clamp(compiled)

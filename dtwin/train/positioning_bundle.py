@@ -18,13 +18,21 @@ from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
-from dtwin.train.positioning_models import Averages, DualNet
+from dtwin.train.positioning_models import UM_PER_IN, Averages, DualNet
 from dtwin.train.small_net import SmallNet
 
 RATE_HZ = 100.0
-UM_PER_IN = 25_400.0
+# Beyond the map the ends are held; the axis may go this much further while it turns round.
+ROOM_IN = 1.0
+# Below every place that an axis can start from.
+_FAR_IN = 100.0
 POSITION, DIRECTION, OUTPUT = "position_in", "direction_1", "error_z_um"
 SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=2000.0, stale_s=0.025)
+
+
+def is_positioning_bundle(bundle: Bundle) -> bool:
+    """Tell whether a bundle corrects the position of one axis."""
+    return POSITION in bundle.tick_inputs
 
 
 def printed_pair(network: LatheNetwork) -> DualNet:
@@ -213,7 +221,7 @@ def flanks_bundle(
     return create_bundle(
         name=name, machine=machine, model_version=1,
         inputs=(Input(POSITION, "in", "none", RATE_HZ, "controller", *travel_in),),
-        outputs=(Output(OUTPUT, "base_z"),), states=(State("slide_in", "in", travel_in[0] - 1.0),),
+        outputs=(Output(OUTPUT, "base_z"),), states=(State("slide_in", "in", travel_in[0] - _FAR_IN),),
         tick_graph=graph, safety=SAFETY,
         provenance=Provenance(code_version=__version__, evidence="none"),
     )  # fmt: skip

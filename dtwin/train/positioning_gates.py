@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.gates import Verdict
+from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
 from dtwin.train.positioning_bundle import DIRECTION, OUTPUT, POSITION
 
 SEAM_UM = 0.25
 # What a correction may change while the axis moves by less than this.
 STANDSTILL_UM = 1.0
 OUTSIDE_UM = 1.0
+LEAST_EXPLAINED = 0.9
 _CLOSE_IN = 1e-7
 _COUNT_IN = 6.23e-6
 _UM_PER_IN = 25_400.0
@@ -95,6 +98,47 @@ def positioning_gates(
         _reversal(answers, places),
         _standstill(answers, places),
     ]
+
+
+def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+    """Judge a registered equation by everything that needs no motion.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The equation.
+    metrics : mapping of str to float
+        What training logged: scores of runs left out, the screw, latency.
+    """
+    known = {name: metrics.get(name, float("nan")) for name in _LOGGED}
+    pitch, low, high, share, rms, table, worst = known.values()
+    shape = (
+        positioning_gates(bundle, pitch, (low, high))
+        if pitch > 0.0 and low < high
+        else [Verdict("the screw is known", False, "training logged no pitch or no mapped travel")]
+    )
+    return [
+        Verdict(
+            "held-out runs", share >= LEAST_EXPLAINED,
+            f"{100 * share:.1f} % of what the runs have in common is explained in runs left out; at "
+            f"least {100 * LEAST_EXPLAINED:.0f} %",
+        ),
+        Verdict(
+            "better than a table with backlash", rms < table,
+            f"{rms:.2f} um RMS are left of runs left out, the table leaves {table:.2f} um",
+        ),
+        Verdict(
+            "no slice worse than no correction", worst < 1.0,
+            f"the worst tenth of the travel keeps {100 * worst:.0f} % of its error, scatter included",
+        ),
+        *shape, bounded_output(bundle), vectors_proved(bundle), latency_gate(metrics),
+    ]  # fmt: skip
+
+
+_LOGGED = (
+    "screw_pitch_in", "mapped_from_in", "mapped_to_in", "explained_share", "leave_run_out.rms_um",
+    "table_rms_um", "leave_run_out.worst_slice_ratio",
+)  # fmt: skip
 
 
 def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:

@@ -11,9 +11,12 @@ from typing import Protocol
 
 import numpy as np
 
+from dtwin.acquire.linear_matrix import LinearTest
 from dtwin.schema import Floats
 from dtwin.train.net_training import Trained, train_net
 from dtwin.train.small_net import SmallNet, new_net
+
+MM_PER_IN, UM_PER_IN = 25.4, 25_400.0
 
 
 class PositionModel(Protocol):
@@ -53,6 +56,24 @@ class Averages:
         offset = (self.position_in - self.position_in[0]) / step_in
         kept = np.abs(offset - np.round(offset)) < 1e-6
         return Averages(self.position_in[kept], self.forward_in[kept], self.reverse_in[kept])
+
+
+def averages_of(test: LinearTest) -> Averages:
+    """Return the mean errors of a test in inches."""
+    return Averages(
+        test.position_mm / MM_PER_IN,
+        test.forward_um.mean(axis=1) / UM_PER_IN,
+        test.reverse_um.mean(axis=1) / UM_PER_IN,
+    )
+
+
+@dataclass(frozen=True)
+class Uncorrected:
+    """No correction: an error of zero everywhere."""
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return zeros, shape (n,)."""
+        return np.zeros(np.broadcast(direction, position_in).shape)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
@@ -16,9 +16,13 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, write_machine, write_pointer
 from dtwin.train.gates import Verdict, evidence_gate, offline_gates
+from dtwin.train.positioning_bundle import is_positioning_bundle
+from dtwin.train.positioning_gates import registered_positioning_gates
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
 from dtwin.train.tone_bundle import is_tone_bundle
 from dtwin.train.tone_gates import tone_gates
+from dtwin.train.volumetric_bundle import is_volumetric_bundle
+from dtwin.train.volumetric_gates import volumetric_gates
 
 HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
@@ -44,11 +48,22 @@ def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle,
             got=bundle.machine,
             allowed=found.machine,
         )
-    judge = tone_gates if is_tone_bundle(bundle) else offline_gates
-    verdicts = judge(bundle, registry.metrics(found))
+    verdicts = _judge_of(bundle)(bundle, registry.metrics(found))
     barred = found.tags.get("state") == "barred"
     verdicts.append(Verdict("not barred", not barred, found.tags.get("state", "candidate")))
     return bundle, verdicts
+
+
+def _judge_of(bundle: Bundle) -> Callable[[Bundle, Mapping[str, float]], list[Verdict]]:
+    """Return the offline gates of what a bundle corrects: tones, a position, heat, or circles."""
+    for corrects, judge in (
+        (is_tone_bundle, tone_gates),
+        (is_positioning_bundle, registered_positioning_gates),
+        (is_volumetric_bundle, volumetric_gates),
+    ):
+        if corrects(bundle):
+            return judge
+    return offline_gates
 
 
 def promote(
@@ -252,7 +267,7 @@ def verdict_lines(verdicts: Sequence[Verdict]) -> list[str]:
 
 def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> None:
     """Keep what the serving host must know; only robots have a chain and a tool to know of."""
-    if geometry.get("type") not in ("mill", "turning"):
+    if geometry.get("type") not in ("mill", "turning", "lathe", "volumetric"):
         write_machine(machine, home, dict(geometry))
 
 

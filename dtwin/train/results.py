@@ -142,7 +142,7 @@ class TrainingReport:
     table_versions : dict of str to int
         Versions of the lake's tables: the same data can be read again.
     noise_floor_um : float
-        RMS that repeats of the same condition disagree by.
+        RMS that no model's held-out error may go below.
     rms_before_um : float
         RMS of the set-up-corrected error without any model.
     n_runs, n_rows : int
@@ -155,6 +155,8 @@ class TrainingReport:
         Seed of everything random.
     told : tuple of str
         What the data show before any model, for the reviewer.
+    floor_is : str
+        What the noise floor is made of.
     """
 
     machine: str
@@ -168,12 +170,14 @@ class TrainingReport:
     proposed: str
     seed: int
     told: tuple[str, ...] = ()
+    floor_is: str = "what repeats of the same condition disagree by (unit of replication: the run)"
 
     @property
     def noise_floor_text(self) -> str:
         """The noise floor with its unit, or that nobody knows it."""
-        known = not math.isnan(self.noise_floor_um)
-        return f"{self.noise_floor_um:.1f} um" if known else "unknown without repeats"
+        if math.isnan(self.noise_floor_um):
+            return "unknown without repeats"
+        return f"{self.noise_floor_um:.{1 if self.noise_floor_um >= 1.0 else 4}f} um"
 
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""
@@ -181,7 +185,11 @@ class TrainingReport:
 
 
 def condition_name(condition: Mapping[str, Any]) -> str:
-    """Return what a condition of closed-loop evidence is called: a circle, or a tone."""
+    """Return what a condition of closed-loop evidence is called: a circle, a tone, hours ..."""
     if "frequency_hz" in condition:
         return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+    if "from_h" in condition:
+        return f"{condition['campaign']} {condition['from_h']:g} to {condition['to_h']:g} h"
+    if "approached" in condition:
+        return f"{condition['axis']} {condition['approached']}"
     return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"

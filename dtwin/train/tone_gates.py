@@ -9,10 +9,9 @@ import numpy as np
 from dtwin.features.tone_window import TONE_FEATURES, tone_columns
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
-from dtwin.train.gates import Verdict
+from dtwin.train.gates import Verdict, vectors_proved
 from dtwin.train.tone_bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.train.tone_groups import HELD_OUT, SENT_RMS, ToneGroups, dead_features
 from dtwin.train.tone_laws import MOST_FEATURES
@@ -82,9 +81,10 @@ def correction_radius(bundle: Bundle, groups: ToneGroups) -> tuple[float, str]:
     worst, where = 0.0, ""
     for frequency in np.unique(groups.frequency_hz):
         here = groups.only(groups.frequency_hz == frequency)
-        if here.n < 2:
+        amplitudes = np.unique(here.amplitude_um)
+        if len(amplitudes) < 2:
             continue
-        for amplitude in here.amplitude_um.tolist():
+        for amplitude in amplitudes.tolist():
             radius = _radius(answers, here, amplitude)
             if not radius <= worst:
                 worst, where = radius, f"{frequency:g} Hz, {amplitude:g} um"
@@ -111,14 +111,14 @@ def _radius(answers: AnsweredWindow, here: ToneGroups, amplitude_um: float) -> f
 
 def _features_at(here: ToneGroups, sent_um: float) -> dict[str, float]:
     """Return features of a sent amplitude, straight between groups and on beyond the outermost."""
-    order = np.argsort(here.amplitude_um)
-    sizes = here.amplitude_um[order]
+    sizes, place = np.unique(here.amplitude_um, return_inverse=True)
     k = int(np.clip(np.searchsorted(sizes, sent_um) - 1, 0, len(sizes) - 2))
     share = (sent_um - sizes[k]) / (sizes[k + 1] - sizes[k])
 
     def straight(values: Floats) -> float:
-        low, high = values[order][k], values[order][k + 1]
-        return float(max(low + share * (high - low), 0.1 * low))
+        # Repeats of a group count as their mean.
+        low, high = (float(np.mean(values[place == at])) for at in (k, k + 1))
+        return max(low + share * (high - low), 0.1 * low)
 
     found = {name: straight(values) for name, values in here.columns.items()}
     return found | {SENT_RMS: sent_um / np.sqrt(2.0)}
@@ -159,7 +159,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
             f"spectral radius from window to window {radius:.3f}; at most {MOST_RADIUS:g}",
         ),
         _bounded(bundle),
-        _proved(bundle),
+        vectors_proved(bundle),
         Verdict("latency", p99 <= TICK_BUDGET_US, f"p99 {p99:.2f} us of {TICK_BUDGET_US:g}"),
     ]  # fmt: skip
 
@@ -226,11 +226,3 @@ def _bounded(bundle: Bundle) -> Verdict:
         f"up to {raw:.1f} um inside the box, {largest:.1f} um after a clamp of "
         f"{bundle.safety.clamp_um:.1f} um whatever comes in",
     )  # fmt: skip
-
-
-def _proved(bundle: Bundle) -> Verdict:
-    try:
-        prove(bundle)
-    except Exception as error:  # whatever it is, it is the reason
-        return Verdict("train and serve agree", False, f"test vectors: {error}")
-    return Verdict("train and serve agree", True, "window and test vectors proved, bit for bit")

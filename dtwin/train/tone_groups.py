@@ -177,6 +177,22 @@ def heard_groups(everything: ToneGroups) -> ToneGroups:
     return groups
 
 
+def noise_floor_um(groups: ToneGroups) -> float:
+    """Return what repeats of a tone disagree by in the amplitude error, NaN without repeats.
+
+    Parameters
+    ----------
+    groups : ToneGroups
+        Repeats are groups of the same frequency and amplitude.
+    """
+    tones = np.column_stack([groups.frequency_hz, groups.amplitude_um])
+    place = np.unique(tones, axis=0, return_inverse=True)[1].ravel()
+    error = groups.amplitude_error_um
+    mean = (np.bincount(place, weights=error) / np.bincount(place))[place]
+    freedom = groups.n - int(place.max()) - 1
+    return float(np.sqrt(np.sum((error - mean) ** 2) / freedom)) if freedom else float("nan")
+
+
 def _group(run: Run) -> Mapping[str, Any] | None:
     group = next((g for g in run.signals if g.name == "accelerometers" and g.columns), None)
     errors, told, tone = followed(run, HORIZON_S), commanded(run), heard(run)

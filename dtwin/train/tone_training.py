@@ -17,6 +17,7 @@ from dtwin.train.tone_groups import (
     feature_findings,
     heard_groups,
     load_tone_groups,
+    noise_floor_um,
 )
 from dtwin.train.training import Progress, Training
 
@@ -52,11 +53,17 @@ def train_tones(
     others = compared_candidates(groups, seed)
     tell("comparison models", 1, 1, "")
     found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
+    floor, told = noise_floor_um(groups), what_was_seen(everything)
+    if not np.isnan(floor):
+        told.append(
+            "the accelerometer hears part of what makes repeats differ: an equation may leave less than "
+            "they disagree by"
+        )
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=float("nan"), rms_before_um=_rms(groups.amplitude_error_um),
+        noise_floor_um=floor, rms_before_um=_rms(groups.amplitude_error_um),
         n_runs=groups.n, n_rows=groups.n, candidates=tuple(found),
-        proposed=proposed(found, MOST_RADIUS), seed=seed, told=tuple(what_was_seen(everything)),
+        proposed=proposed(found, MOST_RADIUS), seed=seed, told=tuple(told),
     )  # fmt: skip
     conditions = [(f"{f:g} Hz", float(f), float(a)) for f, a in _grid(groups)]
     return Training(report, campaign.machine_geometry, tuple(conditions))

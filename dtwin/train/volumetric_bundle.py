@@ -90,6 +90,11 @@ def volumetric_bundle(
     )  # fmt: skip
 
 
+def is_volumetric_bundle(bundle: Bundle) -> bool:
+    """Tell whether a bundle corrects the tool point by temperatures."""
+    return any(i.source == "covariate" and i.unit == "degC" for i in bundle.inputs)
+
+
 def _acts(
     builder: GraphBuilder, name: str, position: Mapping[str, Expression],
     strokes_mm: Mapping[str, tuple[float, float]],

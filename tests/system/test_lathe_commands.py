@@ -12,15 +12,19 @@ import pytest
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_lathe import simulate_lathe, verification_plan
+from dtwin.acquire.virtual_lathe import mapping_plan, simulate_lathe, verification_plan
 from dtwin.cli import app
+from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.pipeline.lathe_fit import fitted
 from dtwin.pipeline.lathe_paper import Size, lathe_paper
 from dtwin.report.lathe import paper_text
 from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
+from dtwin.train.positioning_gates import registered_positioning_gates
+from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
@@ -82,3 +86,52 @@ def test_the_comparison_is_made_of_figures_that_can_be_judged() -> None:
     text = paper_text(found)
     assert "the thesis" in text
     assert " no" in text
+
+
+def invoke(*words: str, code: int = 0) -> str:
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == code, done.output
+    return done.stdout
+
+
+def test_positions_are_trained_promoted_and_tried_like_circles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    plan = replace(mapping_plan(), name="map", end=4.0, runs=3)
+    simulate_lathe(tmp_path / "map", plan=plan)
+    invoke("ingest", str(tmp_path / "map"))
+    trained = json.loads(invoke("train", "map", "--json"))
+    left = {c["name"]: c["scores"]["run"] for c in trained["candidates"]}
+    assert set(left) == {"zero", "table and backlash", "two tables", "pair", "flanks"}
+    assert {scores["n_groups"] for scores in left.values()} == {3}
+    # Nothing can leave less than a mean of two runs does of a third.
+    floor = trained["noise_floor_um"] * math.sqrt(3 / 2)
+    assert left["two tables"]["rms_um"] == pytest.approx(floor, rel=1e-6)
+    assert left["flanks"]["rms_um"] < left["table and backlash"]["rms_um"] < left["zero"]["rms_um"]
+    assert trained["proposed"] == "flanks"
+    assert all(gate["passed"] for gate in trained["gates"])
+    assert any("pair is not proposed, it fails: no seam" in line for line in trained["told"])
+    promoted = json.loads(invoke("promote", "candidate", "--json"))
+    assert promoted["champion"] is True
+    conditions = promoted["evidence"]["conditions"]
+    assert [c["approached"] for c in conditions] == ["forward", "reverse"]
+    assert all(c["reduction"] > 0.7 for c in conditions)
+    assert json.loads(invoke("models", "--json"))["versions"][0]["tags"]["evidence"] == "virtual"
+    with pytest.raises(InputError, match="no device is known for a correction of a position"):
+        CliRunner().invoke(app, ["serve", "--model", "latest"], catch_exceptions=False)
+    again = Bundle.from_dict(
+        Registry(home()).bundle(Registry(home()).version("virtual-lathe", "1"))
+    )
+    worse = registered_positioning_gates(again, {"screw_pitch_in": 0.25, "explained_share": 0.5})
+    assert {v.gate for v in worse if not v.passed} >= {"held-out runs", "the screw is known"}
+
+
+def test_a_position_cannot_be_learned_from_one_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    simulate_lathe(tmp_path / "once", plan=replace(mapping_plan(), name="once", end=4.0, runs=1))
+    invoke("ingest", str(tmp_path / "once"))
+    with pytest.raises(InputError, match="cannot be judged"):
+        CliRunner().invoke(app, ["train", "once"], catch_exceptions=False)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,8 @@ from typer.testing import CliRunner
 from dtwin.acquire.virtual_volumetric import simulate_volumetric
 from dtwin.acquire.volumetric_quality import judge_volumetric_run
 from dtwin.cli import app
-from dtwin.errors import InputError
+from dtwin.config import home
+from dtwin.errors import GateRefusal, InputError
 from dtwin.machines.thermal_network import TRAINING
 from dtwin.machines.volumetric import (
     HELD_OUT_POSES,
@@ -22,8 +25,13 @@ from dtwin.machines.volumetric import (
     VolumetricParameters,
 )
 from dtwin.physics.volumetric.identify import Artefact, Balls, averaged_balls
+from dtwin.pipeline.volumetric_evidence import judged_hours
+from dtwin.pipeline.volumetric_session import session_in
 from dtwin.schema import Run, RunMeta, SignalGroup
+from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
+from dtwin.store import Lake
+from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -114,3 +122,53 @@ def test_what_cannot_be_is_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=told):
             CliRunner().invoke(app, words, catch_exceptions=False)
+
+
+def test_heat_is_trained_and_judged_by_another_campaign_like_circles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+
+    def invoke(*words: str, code: int = 0) -> str:
+        done = CliRunner().invoke(app, list(words))
+        assert done.exit_code == code, done.output
+        return done.stdout
+
+    def measured(name: str, schedule: str, hours: int) -> None:
+        file = tmp_path / f"{name}.toml"
+        file.write_text(
+            f'[plan]\nkind = "volumetric"\nname = "{name}"\nmachine = "mill"\nhours = {hours}\n'
+            "every_h = 8\n"
+        )
+        words = ("--machine", "volumetric", "--plan", str(file), "--schedule", schedule)
+        invoke("simulate", *words, "--out", str(tmp_path / name))
+        invoke("ingest", str(tmp_path / name))
+
+    measured("spring", "training", 234)
+    trained = json.loads(invoke("train", "spring", "--json"))
+    left = {c["name"]: c["scores"]["hours"] for c in trained["candidates"]}
+    assert set(left) == {"zero", "one temperature", "few temperatures", "all temperatures"}
+    assert {scores["n_groups"] for scores in left.values()} == {5}
+    assert left[trained["proposed"]]["rms_um"] < 0.5 * left["zero"]["rms_um"]
+    assert trained["noise_floor_um"] < min(scores["rms_um"] for scores in left.values())
+    with pytest.raises(GateRefusal, match="no other campaign of the machine can judge"):
+        CliRunner().invoke(app, ["promote", "candidate"], catch_exceptions=False)
+    measured("summer", "validation", 168)
+    refused = json.loads(invoke("promote", "candidate", "--json", code=3))
+    days = refused["evidence"]["conditions"]
+    assert {day["campaign"] for day in days} == {"summer"}
+    # The warmer season leaves the validity box: there the correction is zero, and steps.
+    assert "no condition worse" in refused["reason"]
+    assert max(day["acted"]["outside_box"] for day in days if day["worse"]) > 0.5
+    registry, lake = Registry(home()), Lake(home().lake)
+    bundle = Bundle.from_dict(registry.bundle(registry.version("mill", "candidate")))
+    wider = replace(
+        bundle,
+        inputs=tuple(
+            replace(i, low=i.low - 2.0, high=i.high + 2.0) if i.source == "covariate" else i
+            for i in bundle.inputs
+        ),
+    )
+    again = judged_hours(wider, session_in(lake, "summer", lambda *_: None))
+    assert not any(day["worse"] for day in again)
+    assert sum(day["after_um"] for day in again) < 0.6 * sum(day["before_um"] for day in again)

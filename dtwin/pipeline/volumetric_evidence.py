@@ -1,0 +1,177 @@
+"""What an equation of heat is worth in other campaigns of the machine, hour by hour."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from dtwin.config import Home
+from dtwin.errors import GateRefusal
+from dtwin.physics.volumetric.thermal_model import independent
+from dtwin.pipeline.turning_evidence import EVIDENCE_FILE
+from dtwin.pipeline.volumetric import distance_changes_um
+from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
+from dtwin.report.campaign import evidence_table
+from dtwin.report.html import Section, Table, page
+from dtwin.report.model_plots import evidence_figure
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.store import Lake
+from dtwin.train.registry import RegisteredVersion, Registry
+
+SPAN_H = 24.0
+CLOCK = "measured without it, the prediction taken off afterwards"
+Progress = Callable[[int, int, str], None]
+
+
+def measure_volumetric_evidence(
+    home: Home, version: RegisteredVersion, geometry: Mapping[str, Any], *, seed: int,
+    progress: Progress | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Judge a registered version by every other ball-array campaign of its machine in the lake.
+
+    A correction of micrometres does not change the heat, so that it is taken off what was measured. Where a
+    temperature lies outside of the validity box it is zero, as in serving.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    version : RegisteredVersion
+        The version.
+    geometry : mapping
+        Of the machine.
+    seed : int
+        Not used: nothing is measured anew.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    GateRefusal
+        When the lake holds no other campaign.
+    """
+    registry, lake = Registry(home), Lake(home.lake)
+    bundle = Bundle.from_dict(registry.bundle(version))
+    trained = str(registry.read_json(version, "conditions.json")[0][0])
+    others = [name for name in lake.campaigns() if name != trained and _judges(lake, name, version)]
+    if not others:
+        raise GateRefusal(
+            "no other campaign of the machine can judge the equation", code="promote.campaign",
+            where=f"machine {version.machine}", got=f"{trained} only, which it was fitted to",
+            hint="measure under another schedule and ingest it: dtwin simulate --machine volumetric "
+            "--schedule validation --out summer",
+        )  # fmt: skip
+    tell = progress or (lambda *_: None)
+    conditions = [c for name in others for c in judged_hours(bundle, session_in(lake, name, tell))]
+    found = {
+        "kind": "virtual", "clock": CLOCK, "bundle_sha256": bundle.sha256, "delays": {},
+        "conditions": conditions,
+    }  # fmt: skip
+    section = Section(
+        "With and without the correction",
+        [f"Changes of the distances between balls in {', '.join(others)}: {CLOCK}."],
+        tables=[Table(*evidence_table(found))],
+        figures=[
+            evidence_figure(
+                found, "Distances between balls, RMS of their changes; bars: 95 % over cycles"
+            )
+        ],
+    )
+    content = page("Evidence of other campaigns", f"version {version.version}", [section])
+    files = {EVIDENCE_FILE: json.dumps(found, indent=1), "evidence.html": content}
+    registry.attach(version, files)
+    return found
+
+
+def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
+    """Return what an equation leaves of a campaign, a day at a time, in the form that gates read.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Corrects the tool point by temperatures.
+    measured : Session
+        Another campaign than that of its fit.
+    """
+    correction, inside = _corrections(bundle, measured)
+    was, left, noise = [], [], []
+    for (where, moved), values, off in zip(
+        measured.moved, measured.values, correction, strict=True
+    ):
+        was.append(_rms(distance_changes_um(where, moved)))
+        left.append(_rms(distance_changes_um(where, moved - off)))
+        seen = measured.artefact.predicted_um(where, values)
+        noise.append(_rms(distance_changes_um(where, moved - seen)))
+    day = np.floor((measured.hour - measured.hour[0]) / SPAN_H).astype(int)
+    # The first cycles are the reference: there is nothing to take away.
+    day[:REFERENCE_CYCLES] = -1
+    return [
+        _condition(measured, d, *(np.array(v)[day == d] for v in (was, left, noise, inside)))
+        for d in np.unique(day[day >= 0])
+        if np.count_nonzero(day == d) > 1
+    ]
+
+
+def _judges(lake: Lake, name: str, version: RegisteredVersion) -> bool:
+    known = lake.campaign(name)
+    return known.machine == version.machine and known.kind == "volumetric"
+
+
+def _corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[bool]]:
+    """Return what the equation foretells at the balls since the reference, and where it may."""
+    compiled = CompiledBundle(bundle)
+    temperatures = [i for i in bundle.inputs if i.source == "covariate"]
+    names = [i.name for i in temperatures]
+    read = measured.rise_of(names) + measured.begun_of(names)
+    low, high = (np.array([getattr(i, end) for i in temperatures]) for end in ("low", "high"))
+
+    def seen(temperature_c: Floats) -> bool:
+        return bool(np.all((temperature_c >= low) & (temperature_c <= high)))
+
+    def sent(place_mm: Floats, temperature_c: Floats) -> Floats:
+        if not seen(temperature_c):
+            return np.zeros((len(place_mm), 3))
+        given = {f"{axis}_mm": place_mm[:, k] for k, axis in enumerate("xyz")}
+        given |= {n: np.full(len(place_mm), t) for n, t in zip(names, temperature_c, strict=True)}
+        return compiled.run(np.column_stack([given[name] for name in bundle.tick_inputs]))
+
+    first = read[:REFERENCE_CYCLES].mean(axis=0)
+    found = [
+        sent(where.position_mm, now) - sent(where.position_mm, first)
+        for (where, _), now in zip(measured.moved, read, strict=True)
+    ]
+    return found, [seen(now) for now in read]
+
+
+def _condition(
+    measured: Session, day: int, was: Floats, left: Floats, noise: Floats, inside: Floats
+) -> dict[str, Any]:
+    ci = [_half_width(values) for values in (was, left)]
+    grown = left - was
+    begin = float(measured.hour[0] + SPAN_H * day)
+    return {
+        "campaign": measured.campaign, "from_h": begin, "to_h": begin + SPAN_H, "trained": False,
+        "before_um": float(was.mean()), "after_um": float(left.mean()),
+        "before_ci_um": ci[0], "after_ci_um": ci[1],
+        "floor_um": float(noise.mean()), "oracle_um": None, "n_runs": len(was),
+        "reduction": 1.0 - float(left.mean() / was.mean()),
+        "worse": float(grown.mean()) > _half_width(grown),
+        "acted": {"outside_box": 1.0 - float(np.mean(inside))},
+    }  # fmt: skip
+
+
+def _half_width(values: Floats) -> float:
+    """Return half the 95 % interval of a mean of cycles that are not independent."""
+    n = min(max(independent(values), 2.0), float(len(values)))
+    return float(student.ppf(0.975, n - 1.0) * values.std(ddof=1) / math.sqrt(n))
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,32 @@
+"""What an equation of heat must show before it may move a tool point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from dtwin.serve.bundle import Bundle
+from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
+
+LEAST_R2 = 0.5
+
+
+def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+    """Judge a bundle for heat by everything that needs no other campaign.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The equation.
+    metrics : mapping of str to float
+        What training logged: scores of hours left out, latency.
+    """
+    r2 = metrics.get("leave_hours_out.r2", float("nan"))
+    worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))
+    return [
+        Verdict("held-out hours", r2 >= LEAST_R2, f"R2 {r2:.3f}; at least {LEAST_R2}"),
+        Verdict(
+            "no slice worse than no correction", worst < 1.0,
+            f"the worst span of hours keeps {100 * worst:.0f} % of its error",
+        ),
+        bounded_output(bundle), vectors_proved(bundle), latency_gate(metrics),
+    ]  # fmt: skip
