@@ -360,14 +360,16 @@ def _effect_dict(effect: Effect) -> dict[str, Any]:
 
 
 def _show_rung(twins: Twins, before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:
+    from dtwin.report.text import micrometres
     from dtwin.report.twins import twin_text
 
+    after_um = twin.figures["rms_after_um"]
     payload = {**twin.as_dict(), "before": dict(before)}
     emit(
         payload,
         lambda: (
-            f"{twin_text(twin)}\nthis step: {before['rms_after_um']:.2f} -> "
-            f"{twin.figures['rms_after_um']:.2f} um RMS\nnext: dtwin twin diagnose {twin.name}"
+            f"{twin_text(twin)}\nthis step: {micrometres(before['rms_after_um'])} -> "
+            f"{micrometres(after_um)} um RMS\nnext: dtwin twin diagnose {twin.name}"
         ),
         as_json=as_json,
     )

@@ -1,9 +1,11 @@
-"""Tables for terminals."""
+"""Tables and numbers for people."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+
+_NANOMETRES = 0.1
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -44,3 +46,10 @@ def _cell(value: object) -> str:
             return "-"
         return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.3e}"
     return str(value)
+
+
+def micrometres(value: float | None) -> str:
+    """Return micrometres for people: two decimals, below a tenth three digits that count."""
+    if value is None or not math.isfinite(value):
+        return "-"
+    return f"{value:.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else f"{value:.3g}"

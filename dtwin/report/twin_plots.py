@@ -20,6 +20,7 @@ from dtwin.report.plots import (
     say_no_floor,
     styled,
 )
+from dtwin.report.text import micrometres
 from dtwin.schema import Floats
 
 _CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fourth"])
@@ -256,14 +257,14 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]]) -> go.Figure:
     figure = go.Figure(
         go.Bar(
             x=names, y=heights, marker_color=[COLOURS["second"]] + [COLOURS["measured"]] * len(rungs),
-            text=[f"{h:.2f}" for h in heights], textposition="outside", name="residual RMS",
+            text=[micrometres(h) for h in heights], textposition="outside", name="residual RMS",
         )
     )  # fmt: skip
     floor = rungs[-1]["noise_floor_um"]
     if floor is not None:
         figure.add_hline(
             y=floor, line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise floor {floor:.2f} um", annotation_bgcolor=BEHIND_TEXT,
+            annotation_text=f"noise floor {micrometres(floor)} um", annotation_bgcolor=BEHIND_TEXT,
         )  # fmt: skip
     figure.update_layout(title="Error from version to version", yaxis_title="RMS, um")
     return styled(figure)
@@ -331,7 +332,7 @@ def _magnifier(drawn: Sequence[Floats], radius_mm: float, fitting: float) -> dic
 def _floor_words(floor_um: float) -> str:
     if not math.isfinite(floor_um):
         return "noise floor not known"
-    return f"noise floor {floor_um:.2f} um RMS of one run"
+    return f"noise floor {micrometres(floor_um)} um RMS of one run"
 
 
 def _drawn(curve: Floats, radius_mm: float, factor: float) -> list[float]:

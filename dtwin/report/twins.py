@@ -16,7 +16,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, left_out_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text
 from dtwin.report.html import Section, Table
-from dtwin.report.text import table
+from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import (
     along_figure,
     overlay_figure,
@@ -86,7 +86,7 @@ def twin_text(twin: Twin) -> str:
     head = (
         f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, "
         f"campaign {twin.campaign}\n"
-        f"error {figures['rms_before_um']:.2f} -> {figures['rms_after_um']:.2f} um RMS, of which "
+        f"error {micrometres(figures['rms_before_um'])} -> {micrometres(figures['rms_after_um'])} um RMS, of which "
         f"repeats agree on {number(figures['systematic_rms_um'])} um; noise floor "
         f"{number(figures['noise_floor_um'])} um (unit of replication: the run)\n"
     )
@@ -104,8 +104,8 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         (
             condition_words(c),
             c["runs"],
-            f"{c['rms_before_um']:.2f}",
-            f"{c['rms_after_um']:.2f}",
+            micrometres(c["rms_before_um"]),
+            micrometres(c["rms_after_um"]),
         )
         for c in result["conditions"]
     ]
@@ -113,7 +113,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         f"twin {result['twin']} version {result['version']} against campaign "
         f"{result['campaign']} ({result['runs']} runs)",
         table(head, rows),
-        f"residual {result['residual_rms_um']:.2f} um RMS, of which repeats agree on "
+        f"residual {micrometres(result['residual_rms_um'])} um RMS, of which repeats agree on "
         f"{number(result['systematic_rms_um'])} um; noise floor "
         f"{number(result['noise_floor_um'])} um",
         f"in words: {result['headline']}",
@@ -129,7 +129,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
     lines = [
         f"{result['verdict']}: {result['headline']}",
-        f"residual {result['residual_rms_um']:.2f} um RMS, repeats agree on "
+        f"residual {micrometres(result['residual_rms_um'])} um RMS, repeats agree on "
         f"{number(result['systematic_rms_um'])} um of it; noise floor "
         f"{number(result['noise_floor_um'])} um; lack of fit p = {number(result['lack_of_fit_p'], 2)}",
     ]
@@ -138,7 +138,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         rows = [
             (
                 f"{c['effect']} {c['axis']}".strip(),
-                f"{c['rms_after_um']:.2f}",
+                micrometres(c["rms_after_um"]),
                 f"{100 * c['cv_gain']:.1f} %",
                 number(c["p_value"], 2),
                 c["grade"] or "",
@@ -172,8 +172,8 @@ def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
         (
             r["version"],
             r["action"],
-            f"{r['rms_before_um']:.2f}",
-            f"{r['rms_after_um']:.2f}",
+            micrometres(r["rms_before_um"]),
+            micrometres(r["rms_after_um"]),
             number(r["noise_floor_um"]),
             r["verdict"] or "",
             ", ".join(r["group"]),
@@ -266,8 +266,8 @@ def twin_section(twin: Twin) -> Section:
     """Return the twin and its parameters."""
     figures = twin.figures
     said = (
-        f"Version {twin.version} ({twin.action}): {figures['rms_before_um']:.2f} -> "
-        f"{figures['rms_after_um']:.2f} um RMS, noise floor {number(figures['noise_floor_um'])} um. "
+        f"Version {twin.version} ({twin.action}): {micrometres(figures['rms_before_um'])} -> "
+        f"{micrometres(figures['rms_after_um'])} um RMS, noise floor {number(figures['noise_floor_um'])} um. "
         "Uncertainties are expanded (k = 2); the unit of replication is the run."
     )
     warnings = [("warning", f"cannot be told apart: {_alias(alias)}") for alias in twin.aliases]
@@ -279,8 +279,8 @@ def _condition_table(result: Mapping[str, Any]) -> Table:
         (
             condition_words(c),
             str(c["runs"]),
-            f"{c['rms_before_um']:.2f}",
-            f"{c['rms_after_um']:.2f}",
+            micrometres(c["rms_before_um"]),
+            micrometres(c["rms_after_um"]),
         )
         for c in result["conditions"]
     ]
@@ -299,9 +299,7 @@ def place_words(place: Mapping[str, Any]) -> str:
     name = next(n for n in _COORDINATES if n in place)
     low, high = place[name]
     unit = name.rpartition("_")[2]
-    return (
-        f"{condition_words(place)}, {low:g} to {high:g} {unit}: {place['residual_rms_um']:.2f} um"
-    )
+    return f"{condition_words(place)}, {low:g} to {high:g} {unit}: {micrometres(place['residual_rms_um'])} um"
 
 
 def _advice(name: str, result: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
+from dtwin.report.text import micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.jobs import Job
@@ -35,8 +36,8 @@ def when(text: str | None) -> str:
 
 
 def um(value: float | None) -> str:
-    """Return micrometres with two decimals; a dash when not known."""
-    return "\u2013" if value is None or not math.isfinite(value) else f"{value:.2f}"
+    """Return micrometres for people; a dash when not known."""
+    return "\u2013" if value is None or not math.isfinite(value) else micrometres(value)
 
 
 def plain(value: float | None, digits: int = 3) -> str:
