@@ -35,6 +35,7 @@ from dtwin.serve.decision import Decision
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.loop import ServingLoop
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.timing import LoopTiming
 
 PERIOD_S = 0.002
 CLIENTS = ("naive", "loop", "loop with priority")
@@ -115,6 +116,8 @@ def run_loop(
     with UrLink(host, realtime=priority > 0) as link:
         noted = NotedLink(link, int(seconds * 800) + 5000)
         loop = ServingLoop(decision, noted, first_sequence=first)
+        # A server remembers its newest two minutes; every tick is to be compared here.
+        loop.timing = LoopTiming(PERIOD_S, int(seconds * 800) + 5000)
         status = loop.run(seconds, priority=priority)
     return noted.notes[: noted.n], loop.timing.late_stamps_s(), status.as_dict()
 

@@ -11,6 +11,7 @@ from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
 if TYPE_CHECKING:
+    from dtwin.linear_plan import LinearPlan
     from dtwin.serve.bundle import Bundle
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
@@ -144,6 +145,9 @@ def compensate(
     machine: Annotated[
         str | None, typer.Option(help="Required when several machines have a model.")
     ] = None,
+    wall_clock: Annotated[
+        float, typer.Option(help="Only run the loop in real time for so many seconds.", min=0.0)
+    ] = 0.0,
     as_json: Json = False,
 ) -> None:
     """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
@@ -154,6 +158,9 @@ def compensate(
 
     chosen = None if plan is None else read_linear_plan(plan)
     path, told = bundle_on_virtual(model, machine)
+    if wall_clock > 0.0:
+        _in_real_time(_bundle(path), chosen, wall_clock, told, as_json=as_json)
+        return
     found = {"model": told} | before_and_after(_bundle(path), truth, seed, chosen)
     emit(found, lambda: f"{told}\n{compensation_text(found)}", as_json=as_json)
 
@@ -172,6 +179,17 @@ def paper(
 
     found = lathe_paper(QUICK if quick else FULL, seed, ProgressLine("lathe", quiet=as_json))
     emit(found, lambda: paper_text(found), as_json=as_json)
+
+
+def _in_real_time(
+    bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool
+) -> None:
+    from dtwin.acquire.virtual_lathe import verification_plan
+    from dtwin.pipeline.lathe_wall_clock import paced
+    from dtwin.report.lathe import wall_clock_text
+
+    found = {"model": told} | paced(bundle, plan or verification_plan(), seconds)
+    emit(found, lambda: f"{told}\n{wall_clock_text(found)}", as_json=as_json)
 
 
 def _bundle(path: Path) -> Bundle:

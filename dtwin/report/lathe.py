@@ -30,6 +30,21 @@ def gate_lines(verdicts: Sequence[Any]) -> list[str]:
     return [f"  {'passed' if v.passed else 'FAILED'}  {v.gate}: {v.reason}" for v in verdicts]
 
 
+def wall_clock_text(found: Mapping[str, Any]) -> str:
+    """Return how the loop kept its time."""
+    begun, work = found["jitter_ms"], found["work_ms"]
+    allowed = ", ".join(f"{name} {said}" for name, said in found["realtime"].items())
+    return "\n".join(
+        [
+            f"{found['cycles']} cycles of 10 ms on the wall clock: {found['corrected']} corrected, "
+            f"{found['missed']} missed, {found['late']} late, {found['unaccounted']} not accounted for",
+            f"begun after due, ms: p50 {begun['p50']:.3f}, p99.9 {begun['p99.9']:.3f}, max "
+            f"{begun['max']:.3f}; work, ms: p50 {work['p50']:.3f}, p99.9 {work['p99.9']:.3f}",
+            f"the system: {allowed}",
+        ]
+    )
+
+
 def compensation_text(found: Mapping[str, Any]) -> str:
     """Return before and after on the virtual lathe."""
     states = {
