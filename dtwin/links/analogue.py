@@ -41,6 +41,7 @@ _ENGAGED, _TRIPPED, _PWM, _READ_BACK_WRONG, _NOT_ENGAGED, _STALE, _UNKNOWN = (
 _MODES: dict[Output, int] = {"dac": 0, "pwm": 1}
 # A board of this kind restarts when its port is opened, and its boot loader listens first.
 _WAKE_S = 4.0
+_TRIES = 3
 _PWM_STEPS = 255
 
 
@@ -228,14 +229,16 @@ class AnalogueOutput(OpenAndClose):
         """Wait until at most so many corrections are unanswered, and check the answers."""
         while len(self._waiting) > unanswered:
             for frame in self.link.receive():
-                answer = Answer.of(frame)
-                while self._waiting and self._waiting[0][0] != answer.sequence:
-                    # An answer was lost; the next one says what the board holds.
-                    self._waiting.popleft()
-                if self._waiting:
-                    _, codes = self._waiting.popleft()
-                    self.answered += 1
-                    self._check(answer, codes)
+                self._take(Answer.of(frame))
+
+    def _take(self, answer: Answer) -> None:
+        """Check the answer to a correction; those before it that were not answered are lost."""
+        while self._waiting and self._waiting[0][0] != answer.sequence:
+            self._waiting.popleft()
+        if self._waiting:
+            _, codes = self._waiting.popleft()
+            self.answered += 1
+            self._check(answer, codes)
 
     def close(self) -> None:
         """Release the port; the board goes neutral by itself."""
@@ -261,13 +264,25 @@ class AnalogueOutput(OpenAndClose):
         return x, y, z
 
     def _ask(self, command: int, arguments: Codes) -> Answer:
-        self.settle()
+        """Ask until the board answers: a spoilt line loses requests and answers alike."""
+        for left in reversed(range(_TRIES)):
+            try:
+                return self._asked(command, arguments)
+            except DeviceError as error:
+                if error.code != "serial.silent" or not left:
+                    raise
+        raise AssertionError("the last try returns or raises")
+
+    def _asked(self, command: int, arguments: Codes) -> Answer:
+        # Not settled first: where the last answers were lost, nothing more would come.
         sequence = self.link.send(_REQUEST.pack(command, *arguments))
         until_s = time.monotonic() + self.link.timeout_s
         while time.monotonic() < until_s:
             for frame in self.link.receive():
                 if frame.sequence == sequence:
+                    self._waiting.clear()
                     return Answer.of(frame)
+                self._take(Answer.of(frame))
         raise DeviceError(
             "the board answers other requests than this one", code="serial.silent",
             where=self.link.port, hint="another program talks to the board",

@@ -33,7 +33,7 @@ class Candidate:
     ----------
     term : Term
         Effect, axis and the shape that suits best.
-    visible : ndarray, shape (rows * 360, k)
+    visible : ndarray, shape (rows * n, k)
         Orthonormal columns that the known effects cannot imitate.
     share : float
         Visible share of its sum of squares.
@@ -126,7 +126,7 @@ class Candidates:
         return problem.visible(self.whitened(problem, term), given, least_visible(term))[0]
 
     def whitened(self, problem: Problem, term: Term) -> Floats:
-        """Return the whitened columns of a term, shape (rows * 360, k)."""
+        """Return the whitened columns of a term, shape (rows * n, k)."""
         key = (term.label, tuple(sorted(term.shape.items())))
         if key not in self._columns:
             columns = self.obs.regressors(term.instance, term.shape)
@@ -205,7 +205,7 @@ def likely_pitches(
     ----------
     obs : Observations
         The runs.
-    residual : ndarray, shape (rows, 360)
+    residual : ndarray, shape (rows, n)
         Whitened coefficients of the residual.
     instance : Instance
         Effect and axis.
@@ -288,7 +288,7 @@ def independent(visible: Sequence[Floats]) -> float:
 
 
 def probes(problem: Problem) -> Floats:
-    """Return columns that stand for all that could be tested, shape (rows * 360, k).
+    """Return columns that stand for all that could be tested, shape (rows * n, k).
 
     Harmonics 0 to 8 and narrow windows round the circle, even and odd in direction.
     """

@@ -17,7 +17,7 @@ def left_out_gain(problem: Problem, whitened: Floats) -> float:
     ----------
     problem : Problem
         Whitened campaign with everything known.
-    whitened : ndarray, shape (rows * 360, k)
+    whitened : ndarray, shape (rows * n, k)
         Columns of the candidate.
 
     Returns

@@ -110,7 +110,7 @@ class Fit:
         Their parameters, in the order of the terms.
     setups : tuple of dict
         Centre and radius of every set-up.
-    residual_um : ndarray, shape (rows, 360)
+    residual_um : ndarray, shape (rows, n)
         What is left.
     rms_before_um, rms_after_um : float
         RMS with set-up terms only, and with the effects.
@@ -223,7 +223,7 @@ def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
 
 
 def _columns(problem: Problem, terms: Sequence[Term]) -> Floats:
-    """Return set-up columns and effects, in their units, shape (rows * 360, k)."""
+    """Return set-up columns and effects, in their units, shape (rows * n, k)."""
     parts = [setup_columns(problem.obs)]
     parts += [problem.obs.regressors(t.instance, t.shape) for t in terms]
     return problem.whitened(np.concatenate(parts, axis=2))

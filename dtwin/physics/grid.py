@@ -70,6 +70,34 @@ class PathCondition(Protocol):
 
 
 @dataclass(frozen=True)
+class OneAxis:
+    """The part of a condition that all tests of a single axis share.
+
+    Attributes
+    ----------
+    axis : str
+        What moves.
+    """
+
+    axis: str
+
+    @property
+    def plane(self) -> str:
+        """The axis."""
+        return self.axis
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Axes that move."""
+        return (self.axis,)
+
+    @property
+    def mounted(self) -> str:
+        """The axis: another one needs another set-up."""
+        return self.axis
+
+
+@dataclass(frozen=True)
 class Row:
     """One passage of a run on the grid.
 

@@ -38,7 +38,7 @@ def kept_columns(
 
     Returns
     -------
-    ndarray, shape (360, parameters)
+    ndarray, shape (n, parameters)
         Read-only.
     """
     key = (

@@ -188,7 +188,7 @@ def _late(obs: Observations) -> list[Observations]:
 
 
 def _of(lagging: Observations, problem: Problem, candidate: Candidate, amplitude: Floats) -> Floats:
-    """Return what the candidate would be with late channels, whitened, shape (rows, 360)."""
+    """Return what the candidate would be with late channels, whitened, shape (rows, n)."""
     term = candidate.term
     columns = to_harmonics(lagging.regressors(term.instance, term.shape))
     return np.asarray((columns * problem.weights[:, None]) @ amplitude)

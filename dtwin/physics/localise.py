@@ -17,17 +17,17 @@ _PLACES = 5
 
 
 def residual_um(obs: Observations, known: Sequence[Term]) -> Floats:
-    """Return what ordinary least squares leaves, shape (rows, 360), zero where not measured."""
+    """Return what ordinary least squares leaves, shape (rows, n), zero where not measured."""
     return in_angle(unweighted(obs, known))
 
 
 def in_angle(problem: Problem) -> Floats:
-    """Return the residual of an unweighted problem over the angle, shape (rows, 360)."""
+    """Return the residual of an unweighted problem over the angle, shape (rows, n)."""
     return from_harmonics(problem.residual) * problem.obs.mask
 
 
 def condition_means(obs: Observations, values: Floats) -> Floats:
-    """Return the mean over the repeats of each condition, shape (conditions, 360)."""
+    """Return the mean over the repeats of each condition, shape (conditions, n)."""
     return np.array(
         [values[obs.condition_of == c].mean(axis=0) for c in range(len(obs.conditions))]
     )
@@ -40,7 +40,7 @@ def systematic_rms_um(obs: Observations, residual: Floats) -> float:
     ----------
     obs : Observations
         The runs.
-    residual : ndarray, shape (rows, 360)
+    residual : ndarray, shape (rows, n)
         Residual of the twin.
 
     Returns
@@ -68,7 +68,7 @@ def worst_places(obs: Observations, residual: Floats) -> tuple[Mapping[str, Any]
     ----------
     obs : Observations
         The runs.
-    residual : ndarray, shape (rows, 360)
+    residual : ndarray, shape (rows, n)
         Residual of the twin.
     """
     means = condition_means(obs, residual)
@@ -95,7 +95,7 @@ def headline(obs: Observations, residual: Floats) -> str:
     ----------
     obs : Observations
         The runs.
-    residual : ndarray, shape (rows, 360)
+    residual : ndarray, shape (rows, n)
         Residual of the twin.
     """
     means = condition_means(obs, residual)

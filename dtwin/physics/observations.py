@@ -35,10 +35,10 @@ class Observations:
         Where they come from.
     runs : tuple of RunMeta
         One for each row.
-    y_um : ndarray, shape (rows, 360)
+    y_um : ndarray, shape (rows, n)
         Mean deviation in each bin, zero where nothing was measured. The part of a centre
         offset that is of second order is taken out.
-    mask : ndarray of bool, shape (rows, 360)
+    mask : ndarray of bool, shape (rows, n)
         Where something was measured.
     conditions : tuple of PathCondition
         The distinct conditions.
@@ -47,11 +47,11 @@ class Observations:
     setups : tuple of str
         Names of the set-ups.
     columns : tuple of dict
-        Logged columns of each row: a number, or an array of shape (360,).
+        Logged columns of each row: a number, or an array of shape (n,).
     feed_mm_s : ndarray, shape (rows,)
         Path speed that was reached.
     grid : Grid
-        The points along the path. Shapes that are given with 360 bins have as many as it has.
+        The n points along the path: on a circle 360.
     """
 
     campaign: Campaign
@@ -136,7 +136,7 @@ class Observations:
 
     @cached_property
     def centred_columns(self) -> Mapping[str, Floats]:
-        """Logged columns minus their mean over the campaign, shape (rows, 360) each."""
+        """Logged columns minus their mean over the campaign, shape (rows, n) each."""
         out = {}
         for name in self.logged:
             values = np.array(
@@ -146,7 +146,7 @@ class Observations:
         return out
 
     def rms(self, values: Floats) -> float:
-        """Return the RMS of values, shape (rows, 360), over what was measured."""
+        """Return the RMS of values, shape (rows, n), over what was measured."""
         return float(np.sqrt((values[self.mask] ** 2).mean()))
 
     def without(self, drop: Sequence[int]) -> Observations:
@@ -187,7 +187,7 @@ class Observations:
         )
 
     def with_y(self, y_um: Floats) -> Observations:
-        """Return the same runs with other measurements, shape (rows, 360)."""
+        """Return the same runs with other measurements, shape (rows, n)."""
         return replace(self, y_um=np.where(self.mask, y_um, 0.0))
 
     def regressors(self, instance: Instance, shape: Shape) -> Floats:
@@ -202,7 +202,7 @@ class Observations:
 
         Returns
         -------
-        ndarray, shape (rows, 360, parameters)
+        ndarray, shape (rows, n, parameters)
             um per unit of each parameter, zero where nothing was measured.
         """
         effect = instance.effect

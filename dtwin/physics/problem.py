@@ -47,15 +47,15 @@ class Problem:
     ----------
     obs : Observations
         The runs.
-    y : ndarray, shape (rows * 360,)
+    y : ndarray, shape (rows * n,)
         Whitened coefficients of the measurements.
-    basis : ndarray, shape (rows * 360, p)
+    basis : ndarray, shape (rows * n, p)
         Orthonormal basis of the set-up terms and the effects that are taken as known.
     noise : PureError or None
         What repeats disagree by; None without repeats.
-    weights : ndarray, shape (360,)
+    weights : ndarray, shape (n,)
         Whitening.
-    raw : ndarray, shape (rows * 360, q)
+    raw : ndarray, shape (rows * n, q)
         Columns that the basis spans: those of every set-up, then the known effects.
     """
 
@@ -68,12 +68,12 @@ class Problem:
 
     @property
     def residual(self) -> Floats:
-        """What the known effects leave, shape (rows, 360)."""
+        """What the known effects leave, shape (rows, n)."""
         left = self.y - self.basis @ (self.basis.T @ self.y)
         return left.reshape(self.obs.n_rows, self.obs.n_bins)
 
     def whitened(self, columns: Floats) -> Floats:
-        """Return columns of shape (rows, 360, k) as shape (rows * 360, k)."""
+        """Return columns of shape (rows, n, k) as shape (rows * n, k)."""
         return (to_harmonics(columns) * self.weights[:, None]).reshape(-1, columns.shape[2])
 
     def visible(
@@ -83,16 +83,16 @@ class Problem:
 
         Parameters
         ----------
-        whitened : ndarray, shape (rows * 360, k)
+        whitened : ndarray, shape (rows * n, k)
             Whitened columns.
-        given : ndarray, shape (rows * 360, q), optional
+        given : ndarray, shape (rows * n, q), optional
             Orthonormal columns, orthogonal to the basis, that are taken out too.
         least : float
             Columns of which a smaller share is left do not count as visible.
 
         Returns
         -------
-        left : ndarray, shape (rows * 360, j)
+        left : ndarray, shape (rows * n, j)
             Orthonormal columns, j <= k.
         share : ndarray, shape (k,)
             Share of each column's sum of squares that is visible.
@@ -110,9 +110,9 @@ class Problem:
 
         Parameters
         ----------
-        visible : ndarray, shape (rows * 360, j)
+        visible : ndarray, shape (rows * n, j)
             What ``visible`` returned for it.
-        whitened : ndarray, shape (rows * 360, k)
+        whitened : ndarray, shape (rows * n, k)
             Its whitened columns.
         """
         return replace(

@@ -85,9 +85,9 @@ def score_test(
     ----------
     problem : Problem
         Whitened campaign.
-    visible : ndarray, shape (rows * 360, k)
+    visible : ndarray, shape (rows * n, k)
         Orthonormal columns, orthogonal to what is known.
-    residual : ndarray, shape (rows, 360)
+    residual : ndarray, shape (rows, n)
         Whitened residual.
     level : NoiseLevel
         What other scores tell of the noise.
@@ -130,7 +130,7 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     ----------
     problem : Problem
         Whitened campaign.
-    probes : ndarray, shape (rows * 360, k)
+    probes : ndarray, shape (rows * n, k)
         Columns, constant inside a condition, orthogonal to what is known, each of length one.
     """
     obs = problem.obs
@@ -171,7 +171,7 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
     ----------
     problem : Problem
         Whitened campaign.
-    residual : ndarray, shape (rows, 360)
+    residual : ndarray, shape (rows, n)
         Whitened residual.
     seed : int
         Seed of the signs.
@@ -238,7 +238,7 @@ def _pairs(condition_of: Indices, run_of: Indices) -> Floats:
 
 
 def _local_variance(problem: Problem) -> Floats:
-    """Return the variance of whitened noise at every angle of every row, shape (rows, 360).
+    """Return the variance of whitened noise at every angle of every row, shape (rows, n).
 
     The level of the condition times a profile round the circle that all conditions share:
     noise is often larger at reversals.

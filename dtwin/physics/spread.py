@@ -28,7 +28,7 @@ def spread_of(
     ----------
     obs : Observations
         The runs.
-    residual_um : ndarray, shape (rows, 360)
+    residual_um : ndarray, shape (rows, n)
         Residual of the twin.
     library : mapping of str to Effect
         Effects; those that act on the spread are tried.

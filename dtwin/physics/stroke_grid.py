@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.physics.grid import Grid, PathCondition, Row
+from dtwin.physics.grid import Grid, OneAxis, PathCondition, Row
 from dtwin.physics.state import State
 from dtwin.schema import Floats, Run, RunMeta
 
@@ -22,13 +22,11 @@ _NOT_LOGGED = ("t_s", "position_mm", "error_um", "direction", "laser_mm", "statu
 
 
 @dataclass(frozen=True)
-class Stroke:
+class Stroke(OneAxis):
     """A sweep along an axis, from one side.
 
     Attributes
     ----------
-    axis : str
-        What moves.
     radius_mm : float
         Half the stroke.
     feed_mm_min : float
@@ -37,20 +35,9 @@ class Stroke:
         ``forward`` or ``reverse``.
     """
 
-    axis: str
     radius_mm: float
     feed_mm_min: float
     direction: Way
-
-    @property
-    def plane(self) -> str:
-        """The axis."""
-        return self.axis
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Axes that move."""
-        return (self.axis,)
 
     @property
     def sense(self) -> float:
@@ -61,11 +48,6 @@ class Stroke:
     def turned(self) -> Stroke:
         """The same sweep from the other side."""
         return replace(self, direction="reverse" if self.direction == "forward" else "forward")
-
-    @property
-    def mounted(self) -> str:
-        """The axis: another one needs another set-up."""
-        return self.axis
 
     @property
     def swept(self) -> Mapping[str, float]:

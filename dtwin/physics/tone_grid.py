@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.physics.grid import Grid, PathCondition, Row
+from dtwin.physics.grid import Grid, OneAxis, PathCondition, Row
 from dtwin.physics.state import State
 from dtwin.schema import Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
@@ -23,30 +23,17 @@ _NOT_LOGGED = ("cmd_", "act_", "tool_", "t_s")
 
 
 @dataclass(frozen=True)
-class ToneCondition:
+class ToneCondition(OneAxis):
     """A tone on an axis.
 
     Attributes
     ----------
-    axis : str
-        What moves.
     amplitude_um, frequency_hz : float
         As commanded.
     """
 
-    axis: str
     amplitude_um: float
     frequency_hz: float
-
-    @property
-    def plane(self) -> str:
-        """The axis."""
-        return self.axis
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """Axes that move."""
-        return (self.axis,)
 
     @property
     def radius_mm(self) -> float:
@@ -72,11 +59,6 @@ class ToneCondition:
     def turned(self) -> None:
         """There is no other sense."""
         return
-
-    @property
-    def mounted(self) -> str:
-        """The axis."""
-        return self.axis
 
     @property
     def swept(self) -> Mapping[str, float]:

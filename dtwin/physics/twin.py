@@ -224,7 +224,7 @@ def by_condition(
     ----------
     obs : Observations
         The runs.
-    before_um, after_um : ndarray, shape (rows, 360)
+    before_um, after_um : ndarray, shape (rows, n)
         Residuals.
     """
     out = []
@@ -254,7 +254,7 @@ def predict_um(twin: Twin, obs: Observations) -> Floats:
 
     Returns
     -------
-    ndarray, shape (rows, 360)
+    ndarray, shape (rows, n)
     """
     out = np.zeros(obs.y_um.shape)
     for term in twin.terms:
@@ -274,7 +274,7 @@ def frozen_residual_um(twin: Twin, obs: Observations) -> Floats:
 
     Returns
     -------
-    ndarray, shape (rows, 360)
+    ndarray, shape (rows, n)
     """
     return localise.residual_um(obs.with_y(obs.y_um - predict_um(twin, obs)), [])
 

@@ -67,7 +67,7 @@ class PureError:
     ----------
     floor_um : float
         RMS of one run about the mean of its condition.
-    weights : ndarray, shape (360,)
+    weights : ndarray, shape (n,)
         Factors of the coefficients that make this noise white, with RMS one.
     variance : ndarray, shape (conditions,)
         Variance of a whitened coefficient in each condition, NaN without repeats.
@@ -114,13 +114,13 @@ def pure_error(
 
     Parameters
     ----------
-    residual : ndarray, shape (rows, 360)
+    residual : ndarray, shape (rows, n)
         Harmonic coefficients of the residual.
     condition_of : ndarray of int, shape (rows,)
         Condition of each row.
     mask_share : float
         Share of the bins that was measured.
-    fitted : ndarray, shape (rows, 360, k), optional
+    fitted : ndarray, shape (rows, n, k), optional
         Orthonormal columns that were fitted: inside conditions they have used up degrees of
         freedom, each in the harmonics that it touches.
 
@@ -151,7 +151,7 @@ def pure_error(
 
 
 def _used_up(fitted: Floats, condition_of: Indices) -> Floats:
-    """Return the degrees of freedom inside conditions that columns cost, shape (360,)."""
+    """Return the degrees of freedom inside conditions that columns cost, shape (n,)."""
     inside, m = within_condition(fitted, condition_of)
     share = (m - 1) / np.maximum(m, 1)
     return np.asarray(np.einsum("n,nqk->q", share, inside**2))

@@ -43,7 +43,7 @@ class Loaded:
         The runs.
     data : dict
         Table versions, a hash of what was used, and ``left_out``: runs with errors, and which.
-    controller_um : ndarray, shape (rows, 360), or None
+    controller_um : ndarray, shape (rows, n), or None
         Following error that the controller saw; None when it was not logged.
     """
 
@@ -62,13 +62,13 @@ class Comparison:
         The twin, parameters as they are.
     obs : Observations
         The runs.
-    residual_um : ndarray, shape (rows, 360)
+    residual_um : ndarray, shape (rows, n)
         Measured minus predicted.
-    before_um : ndarray, shape (rows, 360)
+    before_um : ndarray, shape (rows, n)
         Measured, set-ups taken out.
     warnings : tuple of str
         What a reader must know: another machine, outside the box.
-    controller_um : ndarray, shape (rows, 360), or None
+    controller_um : ndarray, shape (rows, n), or None
         Following error that the controller saw; None when it was not logged.
     """
 
