@@ -257,7 +257,8 @@ def test_two_servers_at_once(robot: VirtualRobot, home: Home) -> None:
     assert str(first.process.pid) in answer["error"]["got"]
     code, status, _ = served(f"--host={robot.host}", "--duration=0.5", "--shadow")
     assert (code, status["last_sequence"]) == (0, 0)
-    assert applied_um(robot) > 15.0
+    # The first one goes on; on a busy host it may have dropped to zero for a moment.
+    wait_until_corrected(robot)
     first.interrupt()
     assert first.end()[0] == 0
 
