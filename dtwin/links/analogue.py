@@ -265,13 +265,13 @@ class AnalogueOutput(OpenAndClose):
 
     def _ask(self, command: int, arguments: Codes) -> Answer:
         """Ask until the board answers: a spoilt line loses requests and answers alike."""
-        for left in reversed(range(_TRIES)):
+        for _ in range(_TRIES - 1):
             try:
                 return self._asked(command, arguments)
             except DeviceError as error:
-                if error.code != "serial.silent" or not left:
+                if error.code != "serial.silent":
                     raise
-        raise AssertionError("the last try returns or raises")
+        return self._asked(command, arguments)
 
     def _asked(self, command: int, arguments: Codes) -> Answer:
         # Not settled first: where the last answers were lost, nothing more would come.

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from dtwin.physics.state import State
 from dtwin.schema import Floats, Kind, Run, RunMeta
 
-StateOf = Callable[[RunMeta, float, Mapping[str, Any]], State]
-
 
 class PathCondition(Protocol):
     """What is set for a run, whatever its kind; repeats share it.
@@ -146,7 +144,7 @@ class Grid:
     averaged : callable
         Takes values at the fine points, shape (n * fine, k), to the bins, shape (n, k).
     state : callable
-        ``state(meta, feed_mm_s, geometry)``: the machine at the fine points of a run, nothing
+        ``state(meta, condition, feed_mm_s, geometry)``: the machine at the fine points of a run, nothing
         logged.
     described : int
         Highest harmonic that a headline names.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.physics.effect import moves, stacked
+from dtwin.physics.effect import Shape, moves, stacked
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -40,6 +40,11 @@ def answer_to_tone(state: State, axis: str, frequency_hz: float, damping: float)
     turning = 1e3 * state.radius_mm * np.exp(1j * state.angle_rad)
     parts = [(turning * factor / denominator).imag for factor in (s**2, s * mode_rad_s)]
     return stacked(*parts) * state.sensitivity[axis][:, None]
+
+
+def mode_columns(state: State, axis: str, shape: Shape) -> Floats:
+    """Return ``answer_to_tone`` of a mode given by ``frequency_hz`` and ``damping``."""
+    return answer_to_tone(state, axis, shape["frequency_hz"], shape["damping"])
 
 
 def answer_to_force(state: State, force: Floats, frequency_hz: float, damping: float) -> Floats:

@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter
-from dtwin.physics.second_order import answer_to_tone
-from dtwin.physics.state import State
-from dtwin.schema import Floats
-
-
-def _columns(state: State, axis: str, shape: Shape) -> Floats:
-    return answer_to_tone(state, axis, shape["frequency_hz"], shape["damping"])
-
+from dtwin.physics.effect import Effect, Law, Parameter, ShapeParameter
+from dtwin.physics.second_order import mode_columns
 
 EFFECT = Effect(
     name="servo_response",
@@ -19,7 +12,7 @@ EFFECT = Effect(
         Parameter("with_acceleration", "1", 0.2),
         Parameter("with_velocity", "1", 0.05),
     ),
-    regressors=_columns,
+    regressors=mode_columns,
     law=Law(None, None, "even"),
     meaning=(
         "The closed position loop is a system of second order: towards its bandwidth it overshoots, "

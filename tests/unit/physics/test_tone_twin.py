@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
-from dtwin.acquire.virtual_turning import Grid, virtual_runs, virtual_slide
+from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_runs, virtual_slide
+from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.parquet import write_parquet
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import chosen_terms
 from dtwin.physics.whitening import from_harmonics, to_harmonics
+from dtwin.pipeline.twin_data import load
 from dtwin.schema import Campaign, Run
 
 LIBRARY = Library()
@@ -110,3 +115,14 @@ def test_harmonics_keep_sums_of_squares_and_come_back(n: int) -> None:
     there = to_harmonics(values)
     assert (there**2).sum() == pytest.approx((values**2).sum())
     np.testing.assert_allclose(from_harmonics(there), values, atol=1e-12)
+
+
+def test_tones_without_the_tool_are_not_taken_for_copies(tmp_path: Path) -> None:
+    simulate_turning(tmp_path / "blind", grid=Grid((10.0,), (2.0, 5.0)))
+    for run in ("g001", "g002"):
+        path = tmp_path / "blind" / f"{run}.parquet"
+        seen = pq.read_table(path)
+        write_parquet(path, seen.drop_columns(["tool_z_mm"]))
+    with pytest.raises(InputError) as refused:
+        load(Home(tmp_path / "home"), str(tmp_path / "blind"))
+    assert refused.value.code == "twin.columns"
