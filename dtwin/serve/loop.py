@@ -350,14 +350,16 @@ def serve_lockstep(
     Returns
     -------
     ServeStatus
-        With machine-clock ages; stage times are of the computation alone.
+        With machine-clock ages; stage times are of the computation alone. A device fault is in it,
+        not raised.
     """
     decision.reset()
     decision.guard.reset()
     timing = LoopTiming(period_s)
     queue = np.zeros((max(1, transport_ticks), layout.REGISTERS_N))
     sequence, largest, last_stamp_s, stopped = 0, 0.0, np.nan, False
-    while not controller.done:
+    fault: DeviceError | None = None
+    while not controller.done and fault is None:
         start_ns = time.perf_counter_ns()
         state = controller.state()
         stopped = stopped or (stop is not None and stop())
@@ -372,19 +374,24 @@ def serve_lockstep(
         sequence += 1
         row[5] = time.perf_counter_ns() - start_ns
         row[4] = 0
-        controller.step(queue[sequence % len(queue)])
+        try:
+            controller.step(queue[sequence % len(queue)])
+        except DeviceError as error:
+            fault = error
         stamp_s = float(state[layout.TIMESTAMP])
         step_s = stamp_s - last_stamp_s
-        timing.tick(step_s, step_s, (len(queue) - 1) * period_s, decision.window_age_s)
+        # It waits for every correction: whatever time it leaves out, no state is missed.
+        timing.tick(step_s, period_s, (len(queue) - 1) * period_s, decision.window_age_s)
         last_stamp_s = stamp_s
     rested = mode != "live" or decision.guard.at_rest
     return ServeStatus(
         clock="machine",
         mode=mode,
-        ended="stopped" if stopped else "finished",
-        released=rested,
+        ended=fault.code if fault else "stopped" if stopped else "finished",
+        released=rested and fault is None,
         reasons=decision.guard.counted(),
         timing=timing.summary(),
+        fault=fault.as_dict() if fault else None,
         largest_um=largest,
         last_sequence=0 if mode == "shadow" else sequence,
     )
