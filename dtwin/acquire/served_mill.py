@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.acquire.virtual_volumetric import (
+    MACHINE,
     QUICK_EVERY,
     planned_cycles,
     write_ball_campaign,
@@ -50,6 +51,7 @@ class ServedMill:
 
     def __init__(self, plan: BallPlan | None, schedule: str, seed: int, *, quick: bool) -> None:
         self._mill = VolumetricMill(SCHEDULES[schedule], VolumetricParameters(), seed)
+        self._machine = plan.machine if plan else MACHINE
         n = _QUICK_CYCLES if quick else _CYCLES
         self._cycles: Sequence[int] = (
             planned_cycles(plan, self._mill) if plan else range(0, QUICK_EVERY * n, QUICK_EVERY)
@@ -98,7 +100,7 @@ class ServedMill:
             for found, offset in zip(self._balls, parts, strict=True)
         ]
         write_ball_campaign(
-            folder, folder.name, self._cycles, readings, self._mill,
+            folder, folder.name, self._machine, self._cycles, readings, self._mill,
             corrected=bool(self._offset_um.any()),
         )  # fmt: skip
         return f"{len(readings)} cycles of the ball array"

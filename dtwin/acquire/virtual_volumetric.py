@@ -94,8 +94,8 @@ def simulate_volumetric(
 
 
 def write_ball_campaign(
-    folder: Path, name: str, cycles: Sequence[int], readings: Sequence[BallReadings],
-    mill: VolumetricMill, *, corrected: bool,
+    folder: Path, name: str, machine: str, cycles: Sequence[int],
+    readings: Sequence[BallReadings], mill: VolumetricMill, *, corrected: bool,
 ) -> None:  # fmt: skip
     """Write cycles that were measured as a campaign folder; the campaign file comes last.
 
@@ -103,8 +103,8 @@ def write_ball_campaign(
     ----------
     folder : Path
         Folder to write.
-    name : str
-        Of the campaign.
+    name, machine : str
+        Of the campaign and of its machine.
     cycles : sequence of int
         Hours at which they began.
     readings : sequence of BallReadings
@@ -117,7 +117,7 @@ def write_ball_campaign(
     folder.mkdir(parents=True, exist_ok=True)
     for cycle, found in zip(cycles, readings, strict=True):
         _write_cycle(folder, cycle, found, mill)
-    text = _campaign_text(name, MACHINE, list(cycles), mill, corrected=corrected)
+    text = _campaign_text(name, machine, list(cycles), mill, corrected=corrected)
     write_text(folder / "campaign.toml", text, "the campaign file")
 
 

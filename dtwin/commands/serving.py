@@ -15,7 +15,7 @@ from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.serve.analogue_link import AnalogueWiring
-    from dtwin.serve.loop import Mode
+    from dtwin.serve.loop import Mode, ServeStatus
     from dtwin.serve.serve_request import Served
     from dtwin.serve.session import OpenSensors
 
@@ -118,9 +118,7 @@ def render_served(served: Served) -> str:
         head,
         f"  ended: {status.ended}; the correction is {kept}",
         f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:.1f} um",
-        f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
-        f"states missed ({100 * timing['late_share']:.2f} % together), "
-        f"{timing['timeouts']} waits without a state, {status.reconnects} links came back",
+        _tick_line(status),
         "",
         _percentiles("stage_us", timing["stage_us"]),
         "",
@@ -136,6 +134,17 @@ def render_served(served: Served) -> str:
         f"session log: {served.log}",
     ]
     return "\n".join(lines)
+
+
+def _tick_line(status: ServeStatus) -> str:
+    timing = status.timing
+    if status.clock == "machine":
+        return f"  {timing['ticks']} ticks, each waited for its correction"
+    return (
+        f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
+        f"states missed ({100 * timing['late_share']:.2f} % together), "
+        f"{timing['timeouts']} waits without a state, {status.reconnects} links came back"
+    )
 
 
 def _times(timing: Mapping[str, Any]) -> dict[str, Any]:

@@ -29,6 +29,8 @@ STATE_NAMES = ("timestamp_s", "runtime_running", "safety_ok")
 
 LONGEST_LINE = 65_536
 _GREETING_S = 5.0
+# A control on the machine clock may think for long between two states.
+_LAPSED_S = 30.0
 _AXES = ("x", "y", "z")
 Clock = Literal["wall", "machine"]
 Samples = Callable[[Floats], None]
@@ -202,6 +204,8 @@ class AxisLink(OpenAndClose):
                 got=str(told["refused"])[:200],
             )  # fmt: skip
         self.greeting = self._greeting(told)
+        if self.greeting.clock == "machine":
+            self._lost_after_s = max(self._lost_after_s, _LAPSED_S)
         lacking = told.get("missing")
         missing = list(lacking) if isinstance(lacking, list) else []
         missing += [axis for axis in self._axes if axis not in self.greeting.axes]

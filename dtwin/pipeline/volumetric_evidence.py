@@ -26,7 +26,9 @@ from dtwin.serve.safety import box_factor
 from dtwin.store import Lake
 from dtwin.train.registry import RegisteredVersion, Registry
 
-SPAN_H = 24.0
+DAY_H = 24.0
+# A span has at least so many cycles: fewer say nothing of their scatter.
+FEWEST_CYCLES = 8
 CLOCK = "measured without it, the prediction taken off afterwards"
 Progress = Callable[[int, int, str], None]
 
@@ -98,7 +100,9 @@ def measure_volumetric_evidence(
 
 
 def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
-    """Return what an equation leaves of a campaign, a day at a time, in the form that gates read.
+    """Return what an equation leaves of a campaign, day by day, in the form that gates read.
+
+    Where cycles are far apart, several days are taken together.
 
     Parameters
     ----------
@@ -116,11 +120,18 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
         left.append(_rms(distance_changes_um(where, moved - off)))
         seen = measured.artefact.predicted_um(where, values)
         noise.append(_rms(distance_changes_um(where, moved - seen)))
-    day = np.floor((measured.hour - measured.hour[0]) / SPAN_H).astype(int)
+    apart_h = float(np.median(np.diff(measured.hour)))
+    span_h = DAY_H * math.ceil(FEWEST_CYCLES * apart_h / DAY_H)
+    day = np.floor((measured.hour - measured.hour[0]) / span_h).astype(int)
     # The first cycles are the reference: there is nothing to take away.
     day[:REFERENCE_CYCLES] = -1
     return [
-        _condition(measured, d, *(np.array(v)[day == d] for v in (was, left, noise, trusted)))
+        _condition(
+            measured,
+            span_h * d,
+            span_h,
+            *(np.array(v)[day == d] for v in (was, left, noise, trusted)),
+        )
         for d in np.unique(day[day >= 0])
         if np.count_nonzero(day == d) > 1
     ]
@@ -162,16 +173,22 @@ def _corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[
 
 
 def _condition(
-    measured: Session, day: int, was: Floats, left: Floats, noise: Floats, trusted: Floats
+    measured: Session,
+    since_h: float,
+    span_h: float,
+    was: Floats,
+    left: Floats,
+    noise: Floats,
+    trusted: Floats,
 ) -> dict[str, Any]:
     ci = [_half_width(values) for values in (was, left)]
     # With and without are of the same cycles, whose heat differs more than the correction does: what
     # counts is the share that each cycle keeps.
     kept = np.log(left / was)
     change, half = float(kept.mean()), _half_width(kept)
-    begin = float(measured.hour[0] + SPAN_H * day)
+    begin = float(measured.hour[0]) + since_h
     return {
-        "campaign": measured.campaign, "from_h": begin, "to_h": begin + SPAN_H, "trained": False,
+        "campaign": measured.campaign, "from_h": begin, "to_h": begin + span_h, "trained": False,
         "before_um": float(was.mean()), "after_um": float(left.mean()),
         "before_ci_um": ci[0], "after_ci_um": ci[1],
         "floor_um": float(noise.mean()), "oracle_um": None, "n_runs": len(was),

@@ -14,12 +14,14 @@ from dtwin.serve.decision import Decision
 from dtwin.serve.endings import fault_of
 from dtwin.serve.journal import Note
 from dtwin.serve.live_board import LiveBoard
-from dtwin.serve.loop import ServeStatus, serve_lockstep
+from dtwin.serve.lockstep import serve_lockstep
+from dtwin.serve.loop import ServeStatus
 from dtwin.serve.machine_serving import Stop, Withdrawn
-from dtwin.serve.safety import OUTSIDE
+from dtwin.serve.program_watch import ProgramWatch
+from dtwin.serve.safety import NOT_FINITE, OUTSIDE
 from dtwin.serve.serve_request import ServeRequest
 
-_ANSWER_S = 30.0
+_ANSWER_S = 5.0
 # The board is for eyes: not every tick of a fast control.
 _SHOWN_EVERY_S = 0.02
 _ASKED_EVERY_S = 0.1
@@ -44,6 +46,8 @@ class LockstepControl:
         A text says why the model may not be served any more.
     board : LiveBoard or None
         Shows ticks to other processes.
+    note : callable
+        Takes events.
 
     Attributes
     ----------
@@ -53,10 +57,11 @@ class LockstepControl:
 
     def __init__(
         self, link: AxisLink, decision: Decision, inputs: AxisInputs, longest_s: float,
-        asked: Stop, withdrawn: Withdrawn, board: LiveBoard | None,
+        asked: Stop, withdrawn: Withdrawn, board: LiveBoard | None, note: Note,
     ) -> None:  # fmt: skip
         self._link, self._decision, self._inputs = link, decision, inputs
         self._asked, self._withdrawn, self._board = asked, withdrawn, board
+        self._program = ProgramWatch(note)
         self._begun_s = float(link.newest[layout.TIMESTAMP])
         self._until_s = self._begun_s + longest_s
         self._segment = float(link.newest[layout.SEGMENT_ID])
@@ -77,27 +82,19 @@ class LockstepControl:
             self._inputs.forget()
         windows = self._inputs.windows
         # What was not measured yet is no fault: the correction waits for its first window.
-        self._decision.hold = windows is not None and not windows.ready
+        stands = self._program.hold(state, float(state[layout.TIMESTAMP]))
+        self._decision.hold = stands or (windows is not None and not windows.ready)
         return state
 
     def step(self, registers: Floats) -> None:
         """Send a correction and wait for the state after it."""
         self._judge_window()
-        self._link.send(registers[layout.REGISTER_OFFSET :], int(registers[0]))
-        state, offset_um = self._link.newest, registers[layout.REGISTER_OFFSET :]
-        stamp_s = float(state[layout.TIMESTAMP])
-        if self._board is not None and stamp_s - self._shown_s >= _SHOWN_EVERY_S:
-            since_s = stamp_s - self._shown_s if self._shown_s >= 0.0 else 0.0
-            self._board.show(
-                state, offset_um, self._decision.guard.reason,
-                (since_s, 0.0, self._decision.window_age_s), (0, 0),
-            )  # fmt: skip
-            self._shown_s = stamp_s
-        if self._link.wait_state(_ANSWER_S) is None:
-            raise DeviceError(
-                f"the control waits for {_ANSWER_S:g} s already", code="states.silent",
-                hint="look at the control; its program may be stopped",
-            )  # fmt: skip
+        offset_um = registers[layout.REGISTER_OFFSET :]
+        self._link.send(offset_um, int(registers[layout.REGISTER_SEQUENCE]))
+        self._tell(offset_um)
+        # A control that stays silent is a fault of the link, which the link raises.
+        while self._link.wait_state(_ANSWER_S) is None:
+            pass
 
     def stops(self) -> bool:
         """Tell whether the correction is to be released; ``why`` says why."""
@@ -115,6 +112,18 @@ class LockstepControl:
             self.reason = self._withdrawn()
             self.why = "stopped" if self._asked() else "withdrawn" if self.reason else ""
         return bool(self.why)
+
+    def _tell(self, offset_um: Floats) -> None:
+        """Note why the guard acts, and show the tick."""
+        state, reason = self._link.newest, self._decision.guard.reason
+        stamp_s = float(state[layout.TIMESTAMP])
+        trouble = self._decision.trouble if reason == NOT_FINITE else ""
+        self._program.reason(reason, stamp_s, trouble)
+        if self._board is not None and stamp_s - self._shown_s >= _SHOWN_EVERY_S:
+            since_s = stamp_s - self._shown_s if self._shown_s >= 0.0 else 0.0
+            times_s = since_s, 0.0, self._decision.window_age_s
+            self._board.show(state, offset_um, reason, times_s, (0, 0))
+            self._shown_s = stamp_s
 
     def _judge_window(self) -> None:
         decision, watch = self._decision, self._inputs.watch
@@ -150,7 +159,7 @@ def serve_machine_clock(
     if link.wait_state(_ANSWER_S) is None:
         raise DeviceError("the control sends no states", code="states.silent", where=request.place)
     control = LockstepControl(
-        link, decision, inputs, request.longest_s, asked, withdrawn, board
+        link, decision, inputs, request.longest_s, asked, withdrawn, board, note
     )  # fmt: skip
     status = serve_lockstep(
         decision, control, period_s=link.greeting.period_s, mode=request.mode, stop=control.stops
@@ -164,7 +173,7 @@ def serve_machine_clock(
     except DeviceError:
         # It has gone: nothing moves there any more.
         note("gone_before_release")
-    trips = f"{decision.guard.trips} faults"
+    trips = f"{decision.guard.trips} faults; {decision.trouble or 'nothing is missing now'}"
     fault = fault_of(control.why, request.place, control.reason or trips)
     return dataclasses.replace(
         status, ended=control.why or "finished", released=True, last_sequence=last,

@@ -95,7 +95,7 @@ class Decision:
         self._state = self._pool[n_path : n_path + layout.N]
         first_live = n_path + layout.N + len(given)
         self._pool[n_path + layout.N : first_live] = list(given.values())
-        self._live_values, self._live = sent.values, self._pool[first_live:]
+        self._sent, self._live = sent, self._pool[first_live:]
         missing = [name for name in bundle.tick_inputs if name not in names]
         if missing:
             raise InputError(
@@ -119,6 +119,11 @@ class Decision:
         self.sensor_trouble = ""
         self._prepare_window(sensors)
         self._warm_up()
+
+    @property
+    def trouble(self) -> str:
+        """What is not finite: a channel of the newest window, or values that the control sends no more."""
+        return self.sensor_trouble or ", ".join(self._sent.old())
 
     def _prepare_window(self, sensors: SensorSource | None) -> None:
         bundle = self.compiled.bundle
@@ -187,7 +192,7 @@ class Decision:
         self._state[:] = state
         # The feed that the program asks for is not the one that the slider leaves of it.
         self._state[layout.FEED] *= state[layout.SPEED_SCALING]
-        self._live[:] = self._live_values
+        self._live[:] = self._sent.values
         self._path.update(self._state)
         np.take(self._pool, self._take, out=self._tick, mode="clip")
         self.compiled.tick_inputs[:] = self._tick

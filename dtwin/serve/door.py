@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 
 from dtwin.config import Home
-from dtwin.errors import GateRefusal, InputError
+from dtwin.errors import DeviceError, GateRefusal, InputError
 from dtwin.links.axis_link import AxisLink, Clock, Greeting
 from dtwin.links.ur import UrLink
 from dtwin.links.virtual_key import proves
@@ -20,6 +21,8 @@ from dtwin.serve.serve_request import ServeRequest
 
 TRIAL_SHARE = 0.25
 """Share of a bundle's clamp that a trial may use."""
+
+_TRY_S = 0.2
 
 
 class Door:
@@ -108,9 +111,15 @@ class AxisDoor(Door):
         return self.greet().clock
 
     def greet(self) -> Greeting:
-        """Return what the control says of itself; connects to it when nobody has."""
-        if self._link is None:
-            self._link = self._opened()
+        """Return what the control says of itself; connects to it when nobody has, with patience."""
+        until_s = time.monotonic() + self._request.patience_s
+        while self._link is None:
+            try:
+                self._link = self._opened()
+            except DeviceError as error:
+                if error.code != "states.absent" or time.monotonic() >= until_s:
+                    raise
+                time.sleep(_TRY_S)
         return self._link.greeting
 
     def __call__(self) -> AxisLink:

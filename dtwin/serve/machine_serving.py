@@ -242,11 +242,9 @@ class _Stops:
 
     def fault(self, where: str) -> DtwinError | None:
         """Return what a stop that nobody asked for means."""
-        broken = self._sensors.fault() if self._sensors is not None else None
-        seen = {
-            "safety_stop": self._watch.condition.replace("_", " "),
-            "withdrawn": self._reason,
-            "latched": f"{self._guard.trips} faults"
-            + (f"; the sensors: {broken}" if broken else ""),
-        }
-        return fault_of(self.why, where, seen.get(self.why, ""))
+        if self.why == "latched":
+            broken = self._sensors.fault() if self._sensors is not None else None
+            got = f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else "")
+        else:
+            got = self._reason or self._watch.condition.replace("_", " ")
+        return fault_of(self.why, where, got)
