@@ -119,9 +119,8 @@ class LockstepControl:
         stamp_s = float(state[layout.TIMESTAMP])
         trouble = self._decision.trouble if reason == NOT_FINITE else ""
         self._program.reason(reason, stamp_s, trouble)
-        if self._board is not None and stamp_s - self._shown_s >= _SHOWN_EVERY_S:
-            since_s = stamp_s - self._shown_s if self._shown_s >= 0.0 else 0.0
-            times_s = since_s, 0.0, self._decision.window_age_s
+        if self._board is not None and abs(stamp_s - self._shown_s) >= _SHOWN_EVERY_S:
+            times_s = self._link.greeting.period_s, 0.0, self._decision.window_age_s
             self._board.show(state, offset_um, reason, times_s, (0, 0))
             self._shown_s = stamp_s
 
