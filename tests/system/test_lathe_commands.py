@@ -22,6 +22,7 @@ from dtwin.errors import InputError
 from dtwin.pipeline.lathe_compensation import campaign_test
 from dtwin.pipeline.lathe_fit import fitted
 from dtwin.pipeline.lathe_paper import Size, lathe_paper
+from dtwin.pipeline.scheduled import scheduled_training
 from dtwin.report.lathe import paper_text
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -165,6 +166,17 @@ def test_positions_are_trained_promoted_and_tried_like_circles(
     invoke("ingest", str(tmp_path / "served"))
     with pytest.raises(InputError, match="a correction was in force"):
         CliRunner().invoke(app, ["train", "served"], catch_exceptions=False)
+    assert scheduled_training(home()).outcome == "skipped"
+    simulate_lathe(tmp_path / "again", plan=replace(plan, name="again"), seed=5)
+    invoke("ingest", str(tmp_path / "again"))
+    turn = scheduled_training(home())
+    assert turn.reason == "3 new runs in again: version 2 is the candidate"
+    assert scheduled_training(home()).campaigns == {
+        "again": "0 new runs", "served": "older than the newest campaign that was trained on",
+        "map": "older than the newest campaign that was trained on",
+    }  # fmt: skip
+    newest = Registry(home()).version("virtual-lathe", "candidate")
+    assert "cannot be judged on recorded runs" in newest.tags["against_champion"]
     again = Bundle.from_dict(
         Registry(home()).bundle(Registry(home()).version("virtual-lathe", "1"))
     )
