@@ -195,9 +195,11 @@ def test_a_served_control_on_the_wall_clock(home: Home) -> None:
         found = served(home, control.address)
     assert (found.status.ended, found.status.clock) == ("finished", "wall")
     assert found.status.released
-    late = sledge.offset_um[20:-20, 2] - sledge.wanted_um()[20:-20]
-    # A tick or two behind, never more than the axis moves meanwhile.
-    assert np.percentile(np.abs(late), 90) < 1.5
+    wanted, sent = sledge.wanted_um(), sledge.offset_um[:, 2]
+    # However busy the host is: what is in force was right for a state that had been sent before.
+    exact = [np.isclose(sent[k], wanted[:k]).any() for k in range(20, 200) if sent[k]]
+    assert len(exact) > 20
+    assert np.mean(exact) > 0.9
 
 
 def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
