@@ -23,7 +23,7 @@ def correction_text(found: Mapping[str, Any]) -> str:
     ]
     predicted = [
         (
-            f"{p['plane']} R{p['radius_mm']:g} F{p['feed_mm_min']:g} {p['direction']}",
+            p["condition"],
             f"{p['rms_before_um']:.2f}",
             f"{p['rms_predicted_um']:.2f}",
         )

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
+from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 
 _PLAIN = {
@@ -86,6 +87,58 @@ class Traced(NDArrayOperatorsMixin):
     def __array__(self, *_: Any, **__: Any) -> Any:
         """Refuse: there is no array yet."""
         raise NotTraceable("an array that depends on the state")
+
+
+class TracedAlong(Traced):
+    """A point of a path whose measured points are known: what is asked of them all is a number.
+
+    Parameters
+    ----------
+    point : Expression
+        The point.
+    points : ndarray, shape (n,)
+        Where the path was measured.
+    """
+
+    def __init__(self, point: Expression, points: Floats) -> None:
+        super().__init__([point])
+        self.points = points
+
+    def min(self) -> float:
+        """Return the lowest measured point."""
+        return float(self.points.min())
+
+    def max(self) -> float:
+        """Return the highest measured point."""
+        return float(self.points.max())
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Answer for all measured points, or as any stand-in."""
+        if func in (np.unique, np.ptp, np.min, np.max) and len(args) == 1 and not kwargs:
+            return func(self.points)
+        return super().__array_function__(func, types, args, kwargs)
+
+
+class NotTold(Traced):
+    """What serving does not know: whatever is done with it is refused.
+
+    Parameters
+    ----------
+    what : str
+        For the message.
+    """
+
+    def __init__(self, what: str) -> None:
+        super().__init__([])
+        self.what = what
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Traced:
+        """Refuse."""
+        raise NotTraceable(f"it needs {self.what}, which is not known while the machine works")
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Traced:
+        """Refuse."""
+        raise NotTraceable(f"it needs {self.what}, which is not known while the machine works")
 
 
 def expressions_of(found: Any, builder: GraphBuilder, count: int) -> list[Expression]:
