@@ -35,7 +35,7 @@ from dtwin.train.twin_terms import TwinBundle
 _FEWEST_RUNS = 2
 
 
-def freeze_axis(twin: Twin, obs: Observations) -> TwinBundle:
+def freeze_axis(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     """Freeze a twin of an axis, when there are runs enough to judge it by."""
     test_of_runs(obs)
     return flanks_twin_bundle(twin, obs)

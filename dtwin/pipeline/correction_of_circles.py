@@ -23,7 +23,7 @@ from dtwin.train.twin_terms import TwinBundle
 _VISIBLE_SHARE = 0.1
 
 
-def freeze_circles(twin: Twin, obs: Observations) -> TwinBundle:
+def freeze_circles(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     """Freeze a twin of circles; the geometry may state a delay of the correction."""
     delay = obs.campaign.machine_geometry.get("correction_delay_s", 0.0)
     return twin_bundle(twin, obs, horizon_s=float(delay))

@@ -17,6 +17,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
 from dtwin.pipeline.correction_of_axis import freeze_axis, judge_axis
 from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles
+from dtwin.pipeline.correction_of_tones import freeze_tones, judge_tones
 from dtwin.pipeline.judged_twin import Judged
 from dtwin.pipeline.modelling import CONDITIONS_FILE
 from dtwin.pipeline.twin_data import load
@@ -31,6 +32,8 @@ from dtwin.train.twin_terms import TwinBundle
 _BY_LAW = ("law-confirmed", "intervention-confirmed")
 # Served inside of what was measured only, nothing is carried on by a law: the shape must hold there.
 _BY_SHAPE = ("shape-consistent", *_BY_LAW)
+# What differs in its spread only leaves nothing for a correction of the mean.
+_MEAN_IS_TOLD = ("nothing_missing", "variance_effect")
 NOT_NEEDED = "not needed: without it the residual is at the floor"
 
 
@@ -46,19 +49,23 @@ class _Way:
         Returns what is known of that bundle from runs that were left out.
     grades : tuple of str
         Grades that confirm an effect.
+    quiet : tuple of str
+        Verdicts that miss nothing.
     geometry : dict of str to str
         What a campaign need not say of its machine, because its kind does.
     """
 
-    freeze: Callable[[Twin, Observations], TwinBundle]
+    freeze: Callable[[Twin, Observations, Home], TwinBundle]
     judge: Callable[[TwinBundle, Twin, Observations, Home], Judged]
     grades: tuple[str, ...]
+    quiet: tuple[str, ...]
     geometry: Mapping[str, str] = field(default_factory=dict)
 
 
 _WAYS = {
-    "circular": _Way(freeze_circles, judge_circles, _BY_LAW),
-    "linear": _Way(freeze_axis, judge_axis, _BY_SHAPE, {"type": "lathe"}),
+    "circular": _Way(freeze_circles, judge_circles, _BY_LAW, ("nothing_missing",)),
+    "linear": _Way(freeze_axis, judge_axis, _BY_SHAPE, _MEAN_IS_TOLD, {"type": "lathe"}),
+    "sinusoidal": _Way(freeze_tones, judge_tones, _BY_SHAPE, _MEAN_IS_TOLD, {"type": "turning"}),
 }
 
 
@@ -157,9 +164,9 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     twin, found = twins.diagnose(name, seed=seed)
     obs = load(twins.home, twin.campaign).obs
     way = _WAYS[obs.grid.kind]
-    frozen = way.freeze(twin, obs)
-    gradings = _graded(frozen.twin, twin, obs, twins, way.grades, seed)
-    objections = tuple(_objections(found, gradings, frozen.twin))
+    frozen = way.freeze(twin, obs, twins.home)
+    gradings = _graded(frozen.twin, twin, obs, twins, way, seed)
+    objections = tuple(_objections(found, gradings, frozen.twin, way))
     if objections and not trial:
         raise GateRefusal(
             "the twin is not confirmed well enough to move a machine",
@@ -222,19 +229,19 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
 
 
 def _graded(
-    corrected: Twin, twin: Twin, obs: Observations, twins: Twins, grades: Sequence[str], seed: int
+    corrected: Twin, twin: Twin, obs: Observations, twins: Twins, way: _Way, seed: int
 ) -> tuple[Grading, ...]:
     """Leave out each corrected effect in turn: would it be found, and its law confirmed?"""
     out = []
     for term in corrected.terms:
         others = [t for t in twin.terms if t.label != term.label]
         found = diagnose(obs, others, twins.library, seed=seed)
-        out.append(_grading(term, found, grades))
+        out.append(_grading(term, found, way))
     return tuple(out)
 
 
-def _grading(term: Term, found: Diagnosis, grades: Sequence[str]) -> Grading:
-    if found.verdict == "nothing_missing":
+def _grading(term: Term, found: Diagnosis, way: _Way) -> Grading:
+    if found.verdict in way.quiet:
         return Grading(term.label, NOT_NEEDED, False)
     named = next((s for s in found.suspects if s.label == term.label and s.in_group), None)
     if named is None:
@@ -243,12 +250,14 @@ def _grading(term: Term, found: Diagnosis, grades: Sequence[str]) -> Grading:
         alike = ", ".join(s.label for s in found.group if s.label != term.label)
         return Grading(term.label, f"not told from {alike or 'others'}", False)
     grade = str(named.grade)
-    return Grading(term.label, grade, grade in grades)
+    return Grading(term.label, grade, grade in way.grades)
 
 
-def _objections(found: Diagnosis, gradings: Sequence[Grading], corrected: Twin) -> list[str]:
+def _objections(
+    found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: _Way
+) -> list[str]:
     out = []
-    if found.verdict != "nothing_missing":
+    if found.verdict not in way.quiet:
         out.append(f"{found.verdict}: {found.headline}")
     out += [f"{g.label}: {g.grade}" for g in gradings if not g.confirmed]
     labels = set(corrected.labels)
