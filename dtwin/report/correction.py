@@ -21,11 +21,12 @@ def correction_text(found: Mapping[str, Any]) -> str:
         (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"])
         for t in found["terms"]
     ]
+    digits = 2 if max(p["rms_before_um"] for p in found["predicted"]) >= 10.0 else 3
     predicted = [
         (
             p["condition"],
-            f"{p['rms_before_um']:.2f}",
-            f"{p['rms_predicted_um']:.2f}",
+            f"{p['rms_before_um']:.{digits}f}",
+            f"{p['rms_predicted_um']:.{digits}f}",
         )
         for p in found["predicted"]
     ]

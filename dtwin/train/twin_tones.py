@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -56,16 +57,16 @@ def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinB
             where=f"twin {twin.name}", got=f"axis {', '.join(obs.axes)}",
             allowed="axis Z, the only one whose equation can be written so far",
         )  # fmt: skip
-    builder = GraphBuilder()
-    size = builder.input(SENT_RMS) * float(np.sqrt(2.0))
-    tone = _Tone(builder, twin, obs, builder.input(SENT_FREQUENCY), size)
+    builder, inputs = GraphBuilder(), _inputs(groups)
+    frequency, rms = (_held(builder, inputs, name) for name in (SENT_FREQUENCY, SENT_RMS))
+    tone = _Tone(builder, twin, obs, frequency, rms * float(np.sqrt(2.0)))
     kept = carried(twin, tone.response)
     graph = _window_graph(tone, [*kept.traced])
     _require_smooth(graph, twin.name, groups)
     reach = float(np.abs(predict_um(kept.twin, obs)).max())
     versions = {k: v for k, v in twin.data.items() if isinstance(v, int)}
     bundle = two_rate_bundle(
-        graph, _inputs(groups), groups, reach, f"twin-{twin.name}", twin.machine,
+        graph, inputs, groups, reach, f"twin-{twin.name}", twin.machine,
         table_versions=versions,
     )  # fmt: skip
     return TwinBundle(bundle, kept.choices, kept.twin)
@@ -179,6 +180,12 @@ def _window_graph(tone: _Tone, effects: list[tuple[Expression, Expression]]) -> 
     )
 
 
+def _held(builder: GraphBuilder, inputs: Sequence[Input], name: str) -> Expression:
+    """Return a feature held at the edge of its box: the guard refuses what is outside of it."""
+    box = next(i for i in inputs if i.name == name)
+    return builder.apply("min", builder.apply("max", builder.input(name), box.low), box.high)
+
+
 def _inputs(groups: ToneGroups) -> list[Input]:
     rate = groups.contract.rate_hz / groups.contract.hop
     # A window tells a frequency to half the distance of its lines.
@@ -186,7 +193,15 @@ def _inputs(groups: ToneGroups) -> list[Input]:
     low, high = float(groups.frequency_hz.min()), float(groups.frequency_hz.max())
     return [
         *command_inputs(groups),
-        Input(SENT_FREQUENCY, "hz", "path", rate, "feature", low - half_line, high + half_line),
+        Input(
+            SENT_FREQUENCY,
+            "hz",
+            "path",
+            rate,
+            "feature",
+            max(low - half_line, 0.5 * low),
+            high + half_line,
+        ),
         # In no equation: it tells a tone from anything else that may be commanded.
         Input(SENT_CREST, "1", "path", rate, "feature", 1.0, MOST_CREST),
     ]
