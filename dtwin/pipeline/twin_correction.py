@@ -32,6 +32,9 @@ from dtwin.train.twin_terms import TwinBundle
 _BY_LAW = ("law-confirmed", "intervention-confirmed")
 # Served inside of what was measured only, nothing is carried on by a law: the shape must hold there.
 _BY_SHAPE = ("shape-consistent", *_BY_LAW)
+_STRUCTURE = ("missing_effect", "ambiguous", "unknown_effect")
+# What is left there is bounded by what it left of the runs.
+_LITTLE = 0.01
 # What differs in its spread only leaves nothing for a correction of the mean.
 _MEAN_IS_TOLD = ("nothing_missing", "variance_effect")
 NOT_NEEDED = "not needed: without it the residual is at the floor"
@@ -51,6 +54,8 @@ class _Way:
         Grades that confirm an effect.
     quiet : tuple of str
         Verdicts that miss nothing.
+    little : float
+        Share of the error before that may be left, whatever the verdict says of it.
     geometry : dict of str to str
         What a campaign need not say of its machine, because its kind does.
     """
@@ -59,13 +64,16 @@ class _Way:
     judge: Callable[[TwinBundle, Twin, Observations, Home], Judged]
     grades: tuple[str, ...]
     quiet: tuple[str, ...]
+    little: float
     geometry: Mapping[str, str] = field(default_factory=dict)
 
 
 _WAYS = {
-    "circular": _Way(freeze_circles, judge_circles, _BY_LAW, ("nothing_missing",)),
-    "linear": _Way(freeze_axis, judge_axis, _BY_SHAPE, _MEAN_IS_TOLD, {"type": "lathe"}),
-    "sinusoidal": _Way(freeze_tones, judge_tones, _BY_SHAPE, _MEAN_IS_TOLD, {"type": "turning"}),
+    "circular": _Way(freeze_circles, judge_circles, _BY_LAW, ("nothing_missing",), 0.0),
+    "linear": _Way(freeze_axis, judge_axis, _BY_SHAPE, _MEAN_IS_TOLD, _LITTLE, {"type": "lathe"}),
+    "sinusoidal": _Way(
+        freeze_tones, judge_tones, _BY_SHAPE, _MEAN_IS_TOLD, _LITTLE, {"type": "turning"}
+    ),
 }
 
 
@@ -110,6 +118,8 @@ class Correction:
         RMS of every condition before, and after as the twin predicts it.
     virtual : bool
         Whether the machine is one on which evidence can be measured here.
+    left : str
+        What is known to be left uncorrected and does not matter; empty when nothing is.
     """
 
     frozen: TwinBundle
@@ -120,6 +130,7 @@ class Correction:
     gates: tuple[Verdict, ...]
     predicted: tuple[Mapping[str, Any], ...]
     virtual: bool
+    left: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -130,6 +141,7 @@ class Correction:
             "version": self.version.version,
             "verdict": self.verdict,
             "virtual": self.virtual,
+            "left": self.left,
             "trial_only": bool(self.objections),
             "objections": list(self.objections),
             "terms": [dict(vars(t)) for t in self.frozen.terms],
@@ -177,12 +189,16 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
             hint=_advice(name, gradings, frozen.twin, obs)
             + "; --trial registers it for a trial only",
         )
+    left = _left(found, frozen.twin, way)
     judged = way.judge(frozen, twin, obs, twins.home)
     report = _report(frozen, judged, twin, obs, seed)
     registry = Registry(twins.home)
     ids = registry.log_training(report, {})
     version = registry.register(
-        report, ids[report.proposed], report.candidates[0], _description(frozen, found, objections)
+        report,
+        ids[report.proposed],
+        report.candidates[0],
+        _description(frozen, found, objections, left),
     )
     geometry = dict(way.geometry) | dict(obs.campaign.machine_geometry)
     registry.attach(
@@ -202,7 +218,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     virtual = bool(geometry.get("virtual", False))
     predicted = tuple(_predicted(frozen, obs))
     return Correction(
-        frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual
+        frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual, left
     )
 
 
@@ -257,7 +273,7 @@ def _objections(
     found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: _Way
 ) -> list[str]:
     out = []
-    if found.verdict not in way.quiet:
+    if found.verdict not in way.quiet and not _left(found, corrected, way):
         out.append(f"{found.verdict}: {found.headline}")
     out += [f"{g.label}: {g.grade}" for g in gradings if not g.confirmed]
     labels = set(corrected.labels)
@@ -269,11 +285,22 @@ def _objections(
     return out
 
 
+def _left(found: Diagnosis, twin: Twin, way: _Way) -> str:
+    """Say what a diagnosis finds that is too little to object to; empty without."""
+    share = found.systematic_rms_um / twin.figures["rms_before_um"]
+    if found.verdict not in _STRUCTURE or not share < way.little:
+        return ""
+    return (
+        f"{found.verdict}, but what repeats agree on is {100 * share:.2g} % of the error (up to "
+        f"{100 * way.little:g} % may be left): {found.headline}"
+    )
+
+
 def _report(
     frozen: TwinBundle, judged: Judged, twin: Twin, obs: Observations, seed: int
 ) -> TrainingReport:
-    left = (t for t in frozen.terms if not t.included)
-    findings = (f"{t.label} is not corrected: {t.how}" for t in left)
+    out = (t for t in frozen.terms if not t.included)
+    findings = (f"{t.label} is not corrected: {t.how}" for t in out)
     candidate = replace(
         judged.candidate, findings=(*findings, *judged.candidate.findings),
         numbers={**judged.candidate.numbers, "terms": float(len(frozen.twin.terms))},
@@ -310,7 +337,7 @@ def _predicted(frozen: TwinBundle, obs: Observations) -> list[dict[str, Any]]:
     return out
 
 
-def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str]) -> str:
+def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str], left: str) -> str:
     twin = frozen.twin
     lines = [
         f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{found.verdict}`, "
@@ -321,6 +348,8 @@ def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str]
             for t in frozen.terms
         ),
     ]
+    if left:
+        lines += ["", f"Left: {left}"]
     if objections:
         lines += ["", "**For a trial only:** " + "; ".join(objections)]
     return "\n".join(lines)

@@ -41,6 +41,7 @@ def correction_text(found: Mapping[str, Any]) -> str:
         table(("condition", "before, um RMS", "predicted, um RMS"), predicted),
         "",
         *gates,
+        *([f"left: {found['left']}"] if found["left"] else []),
     ]
     promote = f"dtwin promote {found['version']} --machine {found['machine']}"
     if found["trial_only"]:
