@@ -8,7 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from dtwin.config import Home
+from dtwin.errors import InputError
 from dtwin.physics.fit import fit
+from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
 from dtwin.physics.tone_grid import ToneCondition
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
@@ -21,14 +23,40 @@ from dtwin.train.positioning_judging import rms_um
 from dtwin.train.results import Candidate
 from dtwin.train.tone_candidates import Predicted, judged
 from dtwin.train.tone_gates import correction_radius, dead_terms
-from dtwin.train.tone_groups import ToneGroups, load_tone_groups
+from dtwin.train.tone_groups import HELD_OUT, ToneGroups, load_tone_groups
 from dtwin.train.twin_terms import TwinBundle
 from dtwin.train.twin_tones import tone_of, tone_twin_bundle
 
+_FEWEST_FREQUENCIES, _FEWEST_AMPLITUDES = 3, 2
+
 
 def freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
-    """Freeze a twin of tones; the window is that of the campaign's accelerometer."""
-    return tone_twin_bundle(twin, obs, _groups(twin, home))
+    """Freeze a twin of tones, when there are enough of them to leave one out.
+
+    Parameters
+    ----------
+    twin : Twin
+        The twin.
+    obs : Observations
+        The runs that it was fitted to.
+    home : Home
+        Where the campaign's signals are: the window is that of its accelerometer.
+
+    Raises
+    ------
+    InputError
+        When there are too few frequencies or amplitudes, or nothing is left to correct.
+    """
+    groups = _groups(twin, home)
+    counts = [len(np.unique(groups.label(name))) for name in HELD_OUT]
+    if counts[0] < _FEWEST_FREQUENCIES or counts[1] < _FEWEST_AMPLITUDES:
+        raise InputError(
+            "too few tones to judge a correction by what was left out", code="correct.tones",
+            where=f"twin {twin.name}, campaign {twin.campaign}",
+            got=f"{counts[0]} frequencies, {counts[1]} amplitudes",
+            allowed=f"{_FEWEST_FREQUENCIES} frequencies and {_FEWEST_AMPLITUDES} amplitudes at least",
+        )  # fmt: skip
+    return tone_twin_bundle(twin, obs, groups)
 
 
 def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -> Judged:
@@ -97,7 +125,7 @@ def _tone(obs: Observations, row: int) -> tuple[float, float]:
     return condition.frequency_hz, condition.amplitude_um
 
 
-def _rows(obs: Observations, groups: ToneGroups) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _rows(obs: Observations, groups: ToneGroups) -> Indices:
     wanted = set(zip(groups.frequency_hz.tolist(), groups.amplitude_um.tolist(), strict=True))
     return np.array([row for row in range(obs.n_rows) if _tone(obs, row) in wanted])
 

@@ -50,7 +50,7 @@ def correction_text(found: Mapping[str, Any]) -> str:
         lines.append(f"next: {promote}")
     else:
         lines.append(
-            f"next: {promote} --trial, then measure circles with and without it; or, for a control "
+            f"next: {promote} --trial, then measure with and without it; or, for a control "
             f"that dtwin does not serve: dtwin export {found['twin']} --as FORM --out FILE"
         )
     return "\n".join(lines)

@@ -18,7 +18,13 @@ from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import Input
-from dtwin.train.tone_bundle import MOST_CREST, command_inputs, two_rate_bundle
+from dtwin.train.tone_bundle import (
+    AMPLITUDE,
+    MOST_CREST,
+    ROOM,
+    command_inputs,
+    two_rate_bundle,
+)
 from dtwin.train.tone_gates import MOST_ERROR_UM
 from dtwin.train.tone_groups import SENT_CREST, SENT_FREQUENCY, SENT_RMS, ToneGroups
 from dtwin.train.traced import NotTold, NotTraceable, Traced
@@ -28,6 +34,7 @@ from dtwin.units import UM_PER_MM
 # Share of an effect's power beside the fundamental that a sine may leave.
 _NOT_A_SINE = 1e-6
 _BETWEEN = 20
+_MARGIN = 1e-6
 
 
 def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinBundle:
@@ -191,20 +198,16 @@ def _inputs(groups: ToneGroups) -> list[Input]:
     # A window tells a frequency to half the distance of its lines.
     half_line = 0.5 * groups.contract.rate_hz / groups.contract.n_samples
     low, high = float(groups.frequency_hz.min()), float(groups.frequency_hz.max())
+    largest = float(groups.amplitude_um.max())
+    # A sent tone is larger than the commanded one where the slide falls short.
+    highest = {AMPLITUDE: largest * (1.0 + _MARGIN), SENT_RMS: ROOM * largest / float(np.sqrt(2.0))}
     return [
-        *command_inputs(groups),
-        Input(
-            SENT_FREQUENCY,
-            "hz",
-            "path",
-            rate,
-            "feature",
-            max(low - half_line, 0.5 * low),
-            high + half_line,
-        ),
+        *(replace(i, high=highest.get(i.name, i.high)) for i in command_inputs(groups)),
+        Input(SENT_FREQUENCY, "hz", "path", rate, "feature", max(low - half_line, 0.5 * low),
+              high + half_line),
         # In no equation: it tells a tone from anything else that may be commanded.
         Input(SENT_CREST, "1", "path", rate, "feature", 1.0, MOST_CREST),
-    ]
+    ]  # fmt: skip
 
 
 def _require_smooth(graph: Graph, name: str, groups: ToneGroups) -> None:

@@ -101,6 +101,19 @@ def test_tones_whose_mode_is_not_known_are_refused(tones: None) -> None:
 
 
 @pytest.mark.long
+def test_a_single_amplitude_is_too_few(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    (tmp_path / "plan.toml").write_text(TONES.replace("[2, 11]", "[6]"), encoding="utf-8")
+    made = ("simulate", "--machine", "turning", "--plan", str(tmp_path / "plan.toml"), "--out")
+    assert run(*made, str(tmp_path / "few"))[0] == 0
+    fitted = ("twin", "fit", str(tmp_path / "few"), "--name", "f", "--effects")
+    assert run(*fitted, "structural_mode")[0] == 0
+    code, output = run("twin", "correct", "f")
+    assert code == 1
+    assert "4 frequencies, 1 amplitudes" in output
+
+
+@pytest.mark.long
 def test_an_axis_is_tried_and_with_all_its_effects_promoted(axis: None) -> None:
     tried("z", "virtual-lathe")
     assert run("twin", "add", "z", "worn_screw")[0] == 0

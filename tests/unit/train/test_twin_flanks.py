@@ -22,6 +22,7 @@ from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
 from dtwin.physics.state import State
 from dtwin.physics.twin import Twin, chosen_terms, predict_um, twin_of
+from dtwin.pipeline.correction_of_axis import test_of_runs
 from dtwin.schema import Floats
 from dtwin.train.positioning_gates import along, positioning_gates
 from dtwin.train.twin_flanks import flank_graph, flanks_twin_bundle, pitch_in, reach_in
@@ -155,3 +156,14 @@ def test_runs_that_do_not_show_play_or_screw_are_refused(
     coarse = measured(tmp_path / "coarse", step=0.5, end=31)
     with pytest.raises(InputError, match="do not show the screw"):
         flanks_twin_bundle(twin_from(fit(coarse, lead), coarse), coarse)
+
+
+def test_a_correction_is_not_judged_by_one_run(worn: Observations) -> None:
+    one = worn.take(np.flatnonzero(worn.run_of == 0))
+    with pytest.raises(InputError, match="cannot be judged"):
+        test_of_runs(one)
+    test = test_of_runs(worn)
+    assert (test.forward_um.shape, test.left_out) == ((63, 3), 0)
+    assert np.array_equal(
+        test.reverse_um[:, 1], worn.y_um[(worn.run_of == 1) & (worn.sense < 0)][0]
+    )

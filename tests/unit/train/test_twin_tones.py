@@ -104,6 +104,14 @@ def test_a_tone_that_was_never_measured_is_corrected(
     assert after < share * before
 
 
+def test_outside_of_what_was_measured_nothing_is_corrected(linear: Measured) -> None:
+    obs, groups = linear
+    bundle = tone_twin_bundle(twin_with(["structural_mode"], obs), obs, groups).bundle
+    for frequency, amplitude in ((46.0, 6.0), (20.0, 12.0), (20.0, 0.7)):
+        before, after = (left_of_a_tone(b, "linear", frequency, amplitude) for b in (None, bundle))
+        assert after == pytest.approx(before, rel=0.02)
+
+
 def test_what_is_no_sine_is_left_out_by_name(linear: Measured) -> None:
     obs, groups = linear
     frozen = tone_twin_bundle(
