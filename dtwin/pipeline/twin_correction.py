@@ -19,7 +19,7 @@ from dtwin.pipeline.correction_of_axis import freeze_axis, judge_axis
 from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles
 from dtwin.pipeline.correction_of_tones import freeze_tones, judge_tones
 from dtwin.pipeline.judged_twin import Judged
-from dtwin.pipeline.modelling import CONDITIONS_FILE
+from dtwin.pipeline.modelling import CONDITIONS_FILE, require_uncorrected
 from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twins import Twins
 from dtwin.train.gates import Verdict
@@ -171,10 +171,12 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     GateRefusal
         When the twin lacks something, or an effect is not confirmed, and ``trial`` is not set.
     InputError
-        When no effect can be corrected by offsets of position.
+        When no effect can be corrected by offsets of position, or the runs were measured under a
+        correction.
     """
+    obs = load(twins.home, twins.newest(name).campaign).obs
+    require_uncorrected(obs.campaign)
     twin, found = twins.diagnose(name, seed=seed)
-    obs = load(twins.home, twin.campaign).obs
     way = _WAYS[obs.grid.kind]
     frozen = way.freeze(twin, obs, twins.home)
     gradings = _graded(frozen.twin, twin, obs, twins, way, seed)

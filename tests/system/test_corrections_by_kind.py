@@ -96,6 +96,21 @@ def test_an_axis_whose_wear_is_not_known_is_refused(axis: None) -> None:
     refused("z", "worn_screw Z is missing")
 
 
+@pytest.mark.long
+def test_what_a_correction_left_makes_no_correction(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    simulate_lathe(tmp_path / "after", plan=verification_plan(), truth="mechanism")
+    told = tmp_path / "after" / "campaign.toml"
+    text = told.read_text(encoding="utf-8").replace("corrected = false", "corrected = true")
+    told.write_text(text, encoding="utf-8")
+    assert run("twin", "fit", str(tmp_path / "after"), "--effects", WORN, "--name", "a")[0] == 0
+    code, output = run("twin", "correct", "a", "--trial")
+    assert code == 1
+    assert "a correction was in force" in output
+
+
 def test_tones_whose_mode_is_not_known_are_refused(tones: None) -> None:
     refused("s", "missing_effect: ")
 
