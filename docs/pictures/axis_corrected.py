@@ -19,8 +19,8 @@ from dtwin.pipeline.lathe_evidence import evidence_plan
 from dtwin.schema import Floats
 from dtwin.serve.bundle_file import load_bundle
 
-WIDTH, HEIGHT, LEFT, TOP = 270, 190, 46, 66
-GAP, FOOTER = 56, 76
+WIDTH, HEIGHT, LEFT, TOP = 300, 170, 46, 66
+GAP, BELOW, FOOTER = 60, 34, 60
 COLOURS = {"up": "#0072B2", "down": "#D55E00"}
 DAY = 7
 
@@ -40,14 +40,14 @@ def axis_picture(mapped: Path, twin: Path) -> str:
     corrected = max(float(np.abs(e).max()) for e in list(errors.values())[1:])
     x_mm = tests["no correction"].position_mm
     parts = []
-    for column, (title, error) in enumerate(errors.items()):
-        reach = _rounded(float(np.abs(error).max()) if column == 0 else corrected)
-        parts += _panel(column, title, rms[title], x_mm, error, reach)
-    width, height = LEFT + 4 * (WIDTH + GAP), TOP + HEIGHT + FOOTER
+    for number, (title, error) in enumerate(errors.items()):
+        reach = _rounded(corrected if number else float(np.abs(error).max()))
+        parts += _panel(number, title, rms[title], x_mm, error, reach)
+    width, height = LEFT + 2 * (WIDTH + GAP) - GAP // 2, 2 * (TOP + HEIGHT + BELOW) + FOOTER
     told = ", ".join(f"{title} {value:.1f}" for title, value in rms.items())
     note = (
-        f"Virtual lathe of mechanism, one day that no fit has seen, {len(x_mm)} targets, mean of both "
-        "directions taken out. The first panel has a scale of its own."
+        f"One day that no fit has seen, {len(x_mm)} targets, mean of both directions taken out. "
+        "The first panel has its own scale."
     )
     return "\n".join(
         [
@@ -74,15 +74,16 @@ def _rounded(reach_um: float) -> float:
 
 
 def _panel(
-    column: int, title: str, rms_um: float, x_mm: Floats, error: Floats, reach_um: float
+    number: int, title: str, rms_um: float, x_mm: Floats, error: Floats, reach_um: float
 ) -> list[str]:
-    left = LEFT + column * (WIDTH + GAP)
-    middle = TOP + HEIGHT / 2.0
+    left = LEFT + number % 2 * (WIDTH + GAP)
+    top = number // 2 * (TOP + HEIGHT + BELOW) + TOP
+    middle = top + HEIGHT / 2.0
     across = left + WIDTH * (x_mm - x_mm[0]) / (x_mm[-1] - x_mm[0])
     parts = [
-        f'<text x="{left}" y="24" font-size="14" fill="#333">{escape(title)}</text>',
-        f'<text x="{left}" y="52" font-size="22" font-weight="bold">{rms_um:.1f} µm RMS</text>',
-        f'<rect x="{left}" y="{TOP}" width="{WIDTH}" height="{HEIGHT}" fill="none" stroke="#ccc"/>',
+        f'<text x="{left}" y="{top - 42}" font-size="14" fill="#333">{escape(title)}</text>',
+        f'<text x="{left}" y="{top - 14}" font-size="22" font-weight="bold">{rms_um:.1f} µm RMS</text>',
+        f'<rect x="{left}" y="{top}" width="{WIDTH}" height="{HEIGHT}" fill="none" stroke="#ccc"/>',
         f'<line x1="{left}" x2="{left + WIDTH}" y1="{middle:g}" y2="{middle:g}" stroke="#888" '
         'stroke-width="0.8"/>',
         *(
@@ -91,8 +92,8 @@ def _panel(
             for share in (1.0, -1.0)
         ),
         f'<text x="{left - 6}" y="{middle + 4:g}" font-size="11" fill="#333" text-anchor="end">0 µm</text>',
-        f'<text x="{left}" y="{TOP + HEIGHT + 16}" font-size="11" fill="#333">{x_mm[0]:.0f} mm</text>',
-        f'<text x="{left + WIDTH}" y="{TOP + HEIGHT + 16}" font-size="11" fill="#333" '
+        f'<text x="{left}" y="{top + HEIGHT + 16}" font-size="11" fill="#333">{x_mm[0]:.0f} mm</text>',
+        f'<text x="{left + WIDTH}" y="{top + HEIGHT + 16}" font-size="11" fill="#333" '
         f'text-anchor="end">{x_mm[-1]:.0f} mm</text>',
     ]
     for (way, colour), values in zip(COLOURS.items(), error, strict=True):
