@@ -30,14 +30,19 @@ def screw_waves(state: State, axis: str) -> Floats:
         screw at too few angles to show an order.
     """
     pitch_mm = state.geometry.get(PITCH)
-    out = np.zeros((state.n, 2 * ORDERS))
     if not moves(state, axis) or not isinstance(pitch_mm, int | float) or pitch_mm <= 0.0:
-        return out
+        return np.zeros((state.n, 2 * ORDERS))
     position_mm = state.position_mm[axis]
     turn = 2.0 * np.pi * position_mm / pitch_mm
-    angles = len(np.unique(np.round(_GRAIN * (position_mm / pitch_mm % 1.0)) % _GRAIN))
-    for order in range(1, ORDERS + 1):
-        if 2 * order < angles:
-            waves = stacked(np.cos(order * turn), np.sin(order * turn))
-            out[:, 2 * order - 2 : 2 * order] = waves * state.sensitivity[axis][:, None]
-    return out
+    angles = _angles(np.unique(position_mm), pitch_mm)
+    waves = [
+        wave(order * turn) * state.sensitivity[axis] if 2 * order < angles else np.zeros(state.n)
+        for order in range(1, ORDERS + 1)
+        for wave in (np.cos, np.sin)
+    ]
+    return stacked(*waves)
+
+
+def _angles(position_mm: Floats, pitch_mm: float) -> int:
+    """Return at how many angles points of a path meet the screw."""
+    return len(np.unique(np.round(_GRAIN * (position_mm / pitch_mm % 1.0)) % _GRAIN))

@@ -32,7 +32,7 @@ from dtwin.serve.export_plc import NOT_RUN, to_structured_text, to_urscript
 from dtwin.serve.pointer import resolve
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.twin_axes import AXES, own_axis_only
-from dtwin.train.twin_bundle import choose
+from dtwin.train.twin_terms import choose
 
 EQUATIONS = ("c", "st", "python", "latex", "urscript")
 TABLES = ("comp", "csv", "gcode")

@@ -24,6 +24,7 @@ from dtwin.report.campaign import (
     training_section,
 )
 from dtwin.report.html import page
+from dtwin.schema import Campaign
 from dtwin.serve.bundle import Bundle
 from dtwin.store import Lake
 from dtwin.train.evidence import Evidence, EvidencePlan, plan_within, virtual_evidence
@@ -98,12 +99,7 @@ def train(
     """
     lake = Lake(home.lake)
     known = lake.campaign(campaign)
-    if known.machine_geometry.get("corrected", False):
-        raise InputError(
-            "a correction was in force during this campaign: it shows what that left, not the machine",
-            code="train.corrected", where=campaign, got="corrected = true",
-            hint="train on a campaign without; dtwin twin fit shows what is left of this one",
-        )  # fmt: skip
+    require_uncorrected(known)
     train_kind = _TRAININGS.get(known.kind, train_campaign)
     training = train_kind(lake, campaign, seed=seed, engine=engine, progress=progress)
     report = training.report
@@ -127,6 +123,27 @@ def train(
     if progress is not None:
         progress("log and register", 1, 1, f"version {version.version}")
     return Registered(training, registry.version(report.machine, version.version), verdicts)
+
+
+def require_uncorrected(campaign: Campaign) -> None:
+    """Refuse a campaign that was measured under a correction.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What an equation would be made of.
+
+    Raises
+    ------
+    InputError
+        When its geometry says so.
+    """
+    if campaign.machine_geometry.get("corrected", False):
+        raise InputError(
+            "a correction was in force during this campaign: it shows what that left, not the machine",
+            code="train.corrected", where=campaign.name, got="corrected = true",
+            hint="use a campaign without; dtwin twin fit shows what is left of this one",
+        )  # fmt: skip
 
 
 def measure_evidence(

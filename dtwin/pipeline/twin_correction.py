@@ -3,35 +3,78 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
-from dtwin.errors import GateRefusal, InputError
+from dtwin.config import Home
+from dtwin.errors import GateRefusal
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
-from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
-from dtwin.pipeline.modelling import CONDITIONS_FILE
-from dtwin.pipeline.twin_data import load, pure_rms_um, require_circle
+from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
+from dtwin.pipeline.correction_of_axis import freeze_axis, judge_axis
+from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles
+from dtwin.pipeline.correction_of_tones import freeze_tones, judge_tones
+from dtwin.pipeline.judged_twin import Judged
+from dtwin.pipeline.modelling import CONDITIONS_FILE, require_uncorrected
+from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twins import Twins
-from dtwin.schema import Floats
-from dtwin.serve.export import to_c, to_latex, to_python, to_text
 from dtwin.train.gates import Verdict
-from dtwin.train.latency import bundle_latency
+from dtwin.train.positioning_judging import rms_um
 from dtwin.train.promotion import TRIAL_ONLY, check_version
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.results import Candidate, Scores, TrainingReport
-from dtwin.train.twin_bundle import OUTPUT, TermChoice, TwinBundle, twin_bundle
+from dtwin.train.results import TrainingReport
+from dtwin.train.twin_terms import TwinBundle
 
-_CONFIRMED = ("law-confirmed", "intervention-confirmed")
-_NAME = "twin-correction"
-_VISIBLE_SHARE = 0.1
+_BY_LAW = ("law-confirmed", "intervention-confirmed")
+# Served inside of what was measured only, nothing is carried on by a law: the shape must hold there.
+_BY_SHAPE = ("shape-consistent", *_BY_LAW)
+_STRUCTURE = ("missing_effect", "ambiguous", "unknown_effect")
+# What is left there is bounded by what it left of the runs.
+_LITTLE = 0.01
+# What differs in its spread only leaves nothing for a correction of the mean.
+_MEAN_IS_TOLD = ("nothing_missing", "variance_effect")
 NOT_NEEDED = "not needed: without it the residual is at the floor"
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How a twin of one kind becomes a correction.
+
+    Attributes
+    ----------
+    freeze : callable
+        Returns the bundle of a twin, or refuses.
+    judge : callable
+        Returns what is known of that bundle from runs that were left out.
+    grades : tuple of str
+        Grades that confirm an effect.
+    quiet : tuple of str
+        Verdicts that miss nothing.
+    little : float
+        Share of the error before that may be left, whatever the verdict says of it.
+    geometry : dict of str to str
+        What a campaign need not say of its machine, because its kind does.
+    """
+
+    freeze: Callable[[Twin, Observations, Home], TwinBundle]
+    judge: Callable[[TwinBundle, Twin, Observations, Home], Judged]
+    grades: tuple[str, ...]
+    quiet: tuple[str, ...]
+    little: float
+    geometry: Mapping[str, str] = field(default_factory=dict)
+
+
+_WAYS = {
+    "circular": _Way(freeze_circles, judge_circles, _BY_LAW, ("nothing_missing",), 0.0),
+    "linear": _Way(freeze_axis, judge_axis, _BY_SHAPE, _MEAN_IS_TOLD, _LITTLE, {"type": "lathe"}),
+    "sinusoidal": _Way(
+        freeze_tones, judge_tones, _BY_SHAPE, _MEAN_IS_TOLD, _LITTLE, {"type": "turning"}
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -75,6 +118,8 @@ class Correction:
         RMS of every condition before, and after as the twin predicts it.
     virtual : bool
         Whether the machine is one on which evidence can be measured here.
+    left : str
+        What is known to be left uncorrected and does not matter; empty when nothing is.
     """
 
     frozen: TwinBundle
@@ -85,6 +130,7 @@ class Correction:
     gates: tuple[Verdict, ...]
     predicted: tuple[Mapping[str, Any], ...]
     virtual: bool
+    left: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -95,6 +141,7 @@ class Correction:
             "version": self.version.version,
             "verdict": self.verdict,
             "virtual": self.virtual,
+            "left": self.left,
             "trial_only": bool(self.objections),
             "objections": list(self.objections),
             "terms": [dict(vars(t)) for t in self.frozen.terms],
@@ -124,37 +171,43 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     GateRefusal
         When the twin lacks something, or an effect is not confirmed, and ``trial`` is not set.
     InputError
-        When no effect can be corrected by offsets of position.
+        When no effect can be corrected by offsets of position, or the runs were measured under a
+        correction.
     """
+    obs = load(twins.home, twins.newest(name).campaign).obs
+    require_uncorrected(obs.campaign)
     twin, found = twins.diagnose(name, seed=seed)
-    obs = load(twins.home, twin.campaign).obs
-    require_circle(obs, "a correction by a twin")
-    geometry = dict(obs.campaign.machine_geometry)
-    frozen = twin_bundle(twin, obs, horizon_s=float(geometry.get("correction_delay_s", 0.0)))
-    gradings = _graded(frozen.twin, twin, obs, twins, seed)
-    objections = tuple(_objections(found, gradings, frozen.twin))
+    way = _WAYS[obs.grid.kind]
+    frozen = way.freeze(twin, obs, twins.home)
+    gradings = _graded(frozen.twin, twin, obs, twins, way, seed)
+    objections = tuple(_objections(found, gradings, frozen.twin, way))
     if objections and not trial:
         raise GateRefusal(
             "the twin is not confirmed well enough to move a machine",
             code="correct.not_confirmed",
             where=f"twin {name} version {twin.version}",
             got="; ".join(objections),
-            allowed="nothing missing, and every corrected effect law-confirmed",
+            allowed=f"nothing missing, and every corrected effect {way.grades[0]}",
             hint=_advice(name, gradings, frozen.twin, obs)
             + "; --trial registers it for a trial only",
         )
-    report, predicted = _report(frozen, twin, obs, seed)
+    left = _left(found, frozen.twin, way)
+    judged = way.judge(frozen, twin, obs, twins.home)
+    report = _report(frozen, judged, twin, obs, seed)
     registry = Registry(twins.home)
     ids = registry.log_training(report, {})
     version = registry.register(
-        report, ids[_NAME], report.candidates[0], _description(frozen, found, objections)
+        report,
+        ids[report.proposed],
+        report.candidates[0],
+        _description(frozen, found, objections, left),
     )
-    conditions = [(c.plane, c.radius_mm, c.feed_mm_min) for c in obs.conditions]
+    geometry = dict(way.geometry) | dict(obs.campaign.machine_geometry)
     registry.attach(
         version,
         {
             "geometry.json": json.dumps(geometry, default=str),
-            CONDITIONS_FILE: json.dumps(sorted(set(conditions))),
+            CONDITIONS_FILE: json.dumps(judged.conditions),
             "terms.json": json.dumps([vars(t) for t in frozen.terms], indent=1),
         },
     )
@@ -165,8 +218,9 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     version = registry.version(version.machine, version.version)
     _, gates = check_version(registry, version)
     virtual = bool(geometry.get("virtual", False))
+    predicted = tuple(_predicted(frozen, obs))
     return Correction(
-        frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual
+        frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual, left
     )
 
 
@@ -185,7 +239,7 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
             for e in fit(obs, rest).estimates
             if not abs(e.value) <= e.uncertainty
         }
-        return len(needed), _rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
+        return len(needed), rms_um(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
 
     weakest = min(unneeded, key=cost).instance
     axis = f" --axis {weakest.axis}" if weakest.axis else ""
@@ -193,19 +247,19 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
 
 
 def _graded(
-    corrected: Twin, twin: Twin, obs: Observations, twins: Twins, seed: int
+    corrected: Twin, twin: Twin, obs: Observations, twins: Twins, way: _Way, seed: int
 ) -> tuple[Grading, ...]:
     """Leave out each corrected effect in turn: would it be found, and its law confirmed?"""
     out = []
     for term in corrected.terms:
         others = [t for t in twin.terms if t.label != term.label]
         found = diagnose(obs, others, twins.library, seed=seed)
-        out.append(_grading(term, found))
+        out.append(_grading(term, found, way))
     return tuple(out)
 
 
-def _grading(term: Term, found: Diagnosis) -> Grading:
-    if found.verdict == "nothing_missing":
+def _grading(term: Term, found: Diagnosis, way: _Way) -> Grading:
+    if found.verdict in way.quiet:
         return Grading(term.label, NOT_NEEDED, False)
     named = next((s for s in found.suspects if s.label == term.label and s.in_group), None)
     if named is None:
@@ -214,12 +268,14 @@ def _grading(term: Term, found: Diagnosis) -> Grading:
         alike = ", ".join(s.label for s in found.group if s.label != term.label)
         return Grading(term.label, f"not told from {alike or 'others'}", False)
     grade = str(named.grade)
-    return Grading(term.label, grade, grade in _CONFIRMED)
+    return Grading(term.label, grade, grade in way.grades)
 
 
-def _objections(found: Diagnosis, gradings: Sequence[Grading], corrected: Twin) -> list[str]:
+def _objections(
+    found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: _Way
+) -> list[str]:
     out = []
-    if found.verdict != "nothing_missing":
+    if found.verdict not in way.quiet and not _left(found, corrected, way):
         out.append(f"{found.verdict}: {found.headline}")
     out += [f"{g.label}: {g.grade}" for g in gradings if not g.confirmed]
     labels = set(corrected.labels)
@@ -231,58 +287,43 @@ def _objections(found: Diagnosis, gradings: Sequence[Grading], corrected: Twin) 
     return out
 
 
-def _report(
-    frozen: TwinBundle, twin: Twin, obs: Observations, seed: int
-) -> tuple[TrainingReport, tuple[Mapping[str, Any], ...]]:
-    left = frozen_residual_um(frozen.twin, obs)
-    before = frozen_residual_um(replace(twin, terms=()), obs)
-    predicted = tuple(_predicted(obs, before, left))
-    bundle = frozen.bundle
-    graph = bundle.tick_graph
-    scores = {
-        group: scored
-        for group in ("feed_mm_min", "radius_mm")
-        if (scored := _held_out(frozen, twin, obs, group)) is not None
-    }
-    candidate = Candidate(
-        name=_NAME,
-        family="symbolic",
-        promotable=True,
-        complexity=len(graph.nodes),
-        scores=scores,
-        train_rms_um=_rms(left[obs.mask]),
-        latency=bundle_latency(bundle),
-        equation=to_text(graph),
-        exports={
-            "equation.txt": to_text(graph),
-            "equation.tex": to_latex(graph),
-            "equation.py": to_python(graph),
-            "equation.c": to_c(graph, bundle.tick_inputs, (), (OUTPUT,)),
-        },
-        bundle=bundle.to_dict(),
-        findings=tuple(f"{t.label} is not corrected: {t.how}" for t in _left_out(frozen.terms)),
-        numbers={"terms": float(len(frozen.twin.terms))},
+def _left(found: Diagnosis, twin: Twin, way: _Way) -> str:
+    """Say what a diagnosis finds that is too little to object to; empty without."""
+    share = found.systematic_rms_um / twin.figures["rms_before_um"]
+    if found.verdict not in _STRUCTURE or not share < way.little:
+        return ""
+    return (
+        f"{found.verdict}, but what repeats agree on is {100 * share:.2g} % of the error (up to "
+        f"{100 * way.little:g} % may be left): {found.headline}"
     )
-    report = TrainingReport(
+
+
+def _report(
+    frozen: TwinBundle, judged: Judged, twin: Twin, obs: Observations, seed: int
+) -> TrainingReport:
+    out = (t for t in frozen.terms if not t.included)
+    findings = (f"{t.label} is not corrected: {t.how}" for t in out)
+    candidate = replace(
+        judged.candidate, findings=(*findings, *judged.candidate.findings),
+        numbers={**judged.candidate.numbers, "terms": float(len(frozen.twin.terms))},
+    )  # fmt: skip
+    return TrainingReport(
         machine=twin.machine,
         campaign=twin.campaign,
         table_versions={k: v for k, v in twin.data.items() if isinstance(v, int)},
-        noise_floor_um=pure_rms_um(obs, left),
-        rms_before_um=_rms(before[obs.mask]),
+        noise_floor_um=judged.noise_floor_um,
+        rms_before_um=judged.rms_before_um,
         n_runs=len(set(obs.run_of.tolist())),
         n_rows=obs.n_rows,
         candidates=(candidate,),
-        proposed=_NAME,
+        proposed=candidate.name,
         seed=seed,
     )
-    return report, predicted
 
 
-def _left_out(terms: Sequence[TermChoice]) -> list[TermChoice]:
-    return [t for t in terms if not t.included]
-
-
-def _predicted(obs: Observations, before: Floats, after: Floats) -> list[dict[str, Any]]:
+def _predicted(frozen: TwinBundle, obs: Observations) -> list[dict[str, Any]]:
+    before = frozen_residual_um(replace(frozen.twin, terms=()), obs)
+    after = frozen_residual_um(frozen.twin, obs)
     out = []
     for number, condition in enumerate(obs.conditions):
         rows = obs.condition_of == number
@@ -290,56 +331,15 @@ def _predicted(obs: Observations, before: Floats, after: Floats) -> list[dict[st
         out.append(
             {
                 **condition.as_dict(),
-                "rms_before_um": _rms(before[rows][mask]),
-                "rms_predicted_um": _rms(after[rows][mask]),
+                "condition": str(condition),
+                "rms_before_um": rms_um(before[rows][mask]),
+                "rms_predicted_um": rms_um(after[rows][mask]),
             }
         )
     return out
 
 
-def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> Scores | None:
-    """Fit the twin without one value of the group at a time, and predict it."""
-    label = np.array([float(getattr(m, group) or 0.0) for m in obs.runs])
-    values = np.unique(label)
-    if len(values) < 2:
-        return None
-    rest, plain = np.zeros(obs.y_um.shape), np.zeros(obs.y_um.shape)
-    for value in values:
-        inside, outside = np.flatnonzero(label != value), np.flatnonzero(label == value)
-        try:
-            made = fit(obs.take(inside), list(twin.terms))
-        except InputError:
-            return None
-        seen = twin_of(made, obs.take(inside), name=twin.name, version=1, action="", data={})
-        kept = [t for t in made.terms if t.label in frozen.twin.labels]
-        there = obs.take(outside)
-        rest[outside] = frozen_residual_um(replace(seen, terms=tuple(kept)), there)
-        plain[outside] = frozen_residual_um(replace(seen, terms=()), there)
-    floor_um = pure_rms_um(obs, rest)
-    ratios: dict[str, float] = {}
-    for number, condition in enumerate(obs.conditions):
-        rows = obs.condition_of == number
-        mask = obs.mask[rows]
-        # Where it changes less than repeats could show, it makes nothing worse or better.
-        if _rms((rest[rows] - plain[rows])[mask]) > _VISIBLE_SHARE * floor_um:
-            ratios[str(condition)] = _rms(rest[rows][mask]) / _rms(plain[rows][mask])
-    if not ratios:
-        return None
-    worst = max(ratios, key=lambda key: ratios[key])
-    found = rest[obs.mask]
-    return Scores(
-        group=group,
-        r2=1.0 - float(np.mean(found**2) / np.mean(plain[obs.mask] ** 2)),
-        rms_um=_rms(found),
-        mae_um=float(np.mean(np.abs(found))),
-        worst_slice_ratio=ratios[worst],
-        worst_slice=worst,
-        n_groups=len(values),
-        n_runs=len(set(obs.run_of.tolist())),
-    )
-
-
-def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str]) -> str:
+def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str], left: str) -> str:
     twin = frozen.twin
     lines = [
         f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{found.verdict}`, "
@@ -350,10 +350,8 @@ def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str]
             for t in frozen.terms
         ),
     ]
+    if left:
+        lines += ["", f"Left: {left}"]
     if objections:
         lines += ["", "**For a trial only:** " + "; ".join(objections)]
     return "\n".join(lines)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

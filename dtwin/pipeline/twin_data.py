@@ -27,8 +27,8 @@ from dtwin.store import Lake
 KINDS = ("circular", "linear", "sinusoidal")
 _READ = ("deviation_um", "error_um", "tool_z_mm", "tool_x_mm", "tool_y_mm")
 _CORRECTED_BY = {
-    "linear": "dtwin lathe fit makes a correction of a positioning test, with memory of the play",
-    "sinusoidal": "dtwin turning fit makes a correction of tones",
+    "linear": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation",
+    "sinusoidal": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation",
 }
 _OTHERWISE = {"volumetric": "dtwin volumetric fit has a model of its own for balls in a volume"}
 

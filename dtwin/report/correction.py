@@ -21,11 +21,12 @@ def correction_text(found: Mapping[str, Any]) -> str:
         (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"])
         for t in found["terms"]
     ]
+    digits = 2 if max(p["rms_before_um"] for p in found["predicted"]) >= 10.0 else 3
     predicted = [
         (
-            f"{p['plane']} R{p['radius_mm']:g} F{p['feed_mm_min']:g} {p['direction']}",
-            f"{p['rms_before_um']:.2f}",
-            f"{p['rms_predicted_um']:.2f}",
+            p["condition"],
+            f"{p['rms_before_um']:.{digits}f}",
+            f"{p['rms_predicted_um']:.{digits}f}",
         )
         for p in found["predicted"]
     ]
@@ -40,6 +41,7 @@ def correction_text(found: Mapping[str, Any]) -> str:
         table(("condition", "before, um RMS", "predicted, um RMS"), predicted),
         "",
         *gates,
+        *([f"left: {found['left']}"] if found["left"] else []),
     ]
     promote = f"dtwin promote {found['version']} --machine {found['machine']}"
     if found["trial_only"]:
@@ -48,7 +50,7 @@ def correction_text(found: Mapping[str, Any]) -> str:
         lines.append(f"next: {promote}")
     else:
         lines.append(
-            f"next: {promote} --trial, then measure circles with and without it; or, for a control "
+            f"next: {promote} --trial, then measure with and without it; or, for a control "
             f"that dtwin does not serve: dtwin export {found['twin']} --as FORM --out FILE"
         )
     return "\n".join(lines)

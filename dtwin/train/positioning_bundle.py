@@ -6,7 +6,7 @@ rests between two flanks, as the play itself does.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -193,12 +193,7 @@ def flanks_of(
 def flanks_bundle(
     flanks: Flanks, name: str, machine: str, travel_in: tuple[float, float]
 ) -> Bundle:
-    """Return an equation with a memory for the play: no flag, no seam, ends held.
-
-    The slide stays where it is until a flank reaches it, so the correction never changes by more than
-    the axis has moved. Beyond the mapped travel the flanks are those of its end, while the play goes on:
-    an overshoot there must turn the slide round. The map was measured with the screw at the target; a
-    corrected screw stands elsewhere, so each flank is taken where the correction puts the screw. Before the first motion the slide is taken to rest as after coming from below.
+    """Return the equation of two fitted flanks, with a memory for the play.
 
     Parameters
     ----------
@@ -210,29 +205,72 @@ def flanks_bundle(
         Travel of the axis, the validity box.
     """
     builder = GraphBuilder()
+    limits = [
+        lambda position, way=way, cyclic=cyclic: _flank(builder, flanks, way, cyclic, position)
+        for way, cyclic in ((0.0, flanks.forward), (1.0, flanks.reverse))
+    ]
+    return remembering_bundle(builder, limits, name, machine, travel_in)
+
+
+Limit = Callable[[Expression], Expression]
+
+
+def remembering_bundle(
+    builder: GraphBuilder, limits: Sequence[Limit], name: str, machine: str,
+    travel_in: tuple[float, float], safety: SafetyLimits = SAFETY,
+    table_versions: Mapping[str, int] | None = None,
+) -> Bundle:  # fmt: skip
+    """Return an equation with a memory for the play: no flag, no seam, ends held.
+
+    The slide stays where it is until a flank reaches it, so the correction never changes by more than
+    the axis has moved. Beyond the mapped travel the flanks are those of its end, while the play goes on:
+    an overshoot there must turn the slide round. The map was measured with the screw at the target; a
+    corrected screw stands elsewhere, so each flank is taken where the correction puts the screw. Before
+    the first motion the slide is taken to rest as after coming from below.
+
+    Parameters
+    ----------
+    builder : GraphBuilder
+        Of the limits.
+    limits : sequence of callable
+        Lower and upper limit of slide minus screw in inches, as a term of the graph, at a position of
+        the screw in inches. They hold their ends.
+    name, machine : str
+        Of the bundle.
+    travel_in : tuple of float
+        Travel of the axis, the validity box.
+    safety : SafetyLimits
+        Of the guard.
+    table_versions : mapping of str to int, optional
+        Versions of the lake's tables.
+    """
     position = builder.input(POSITION)
-    limits = []
-    for way, cyclic in ((0.0, flanks.forward), (1.0, flanks.reverse)):
-        there = _flank(builder, flanks, way, cyclic, position)
-        limits.append(position + _flank(builder, flanks, way, cyclic, position - there))
-    lifted = builder.apply("max", builder.state("slide_in"), limits[0])
-    slide = builder.apply("min", lifted, limits[1])
+    lower, upper = (position + limit(position - limit(position)) for limit in limits)
+    lifted = builder.apply("max", builder.state("slide_in"), lower)
+    slide = builder.apply("min", lifted, upper)
     graph = builder.graph({OUTPUT: (slide - position) * UM_PER_IN}, {"slide_in": slide})
     return create_bundle(
         name=name, machine=machine, model_version=1,
         inputs=(Input(POSITION, "in", "none", RATE_HZ, "controller", *travel_in),),
         outputs=(Output(OUTPUT, "base_z"),), states=(State("slide_in", "in", travel_in[0] - _FAR_IN),),
-        tick_graph=graph, safety=SAFETY,
-        provenance=Provenance(code_version=__version__, evidence="none"),
+        tick_graph=graph, safety=safety,
+        provenance=Provenance(
+            code_version=__version__, evidence="none", table_versions=dict(table_versions or {})
+        ),
     )  # fmt: skip
+
+
+def held(builder: GraphBuilder, position: Expression, reach_in: tuple[float, float]) -> Expression:
+    """Return a position that stays at the end of the mapped travel beyond it."""
+    low, high = reach_in
+    return builder.apply("min", builder.apply("max", position, low), high)
 
 
 def _flank(
     builder: GraphBuilder, flanks: Flanks, way: float, cyclic: Harmonics, position: Expression
 ) -> Expression:
     """Return one flank's limit at a position of the screw."""
-    low, high = flanks.reach_in
-    x = builder.apply("min", builder.apply("max", position, low), high)
+    x = held(builder, position, flanks.reach_in)
     waves = []
     for order in range(1, len(cyclic.sine) + 1):
         angle = x * (2.0 * np.pi * order / flanks.pitch_in)

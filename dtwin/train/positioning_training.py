@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -24,6 +24,15 @@ from dtwin.train.positioning_bundle import (
     flanks_of,
 )
 from dtwin.train.positioning_gates import positioning_gates
+from dtwin.train.positioning_judging import (
+    HELD_OUT,
+    explained_share,
+    noise_floor_um,
+    rms_um,
+    scores_of,
+    stacked,
+    without_run,
+)
 from dtwin.train.positioning_models import (
     MM_PER_IN,
     UM_PER_IN,
@@ -36,19 +45,16 @@ from dtwin.train.positioning_models import (
     averages_of,
     fit_dual,
 )
-from dtwin.train.results import Candidate, Scores, TrainingReport
+from dtwin.train.results import Candidate, TrainingReport
 from dtwin.train.symbolic import Engine
 from dtwin.train.training import Progress, Training
 
-HELD_OUT = "run"
 TABLE = "table and backlash"
 _FEWEST_RUNS = 2
 _FEWEST_PHASES, _FEWEST_TURNS = 5, 8
 _MOST_ORDERS = 5
 # As published, for 157 whole turns; a neuron of the slow network needs five of them.
 _NEURONS, _FEWEST_NEURONS, _TURNS_PER_NEURON = (30, 8), 3, 5
-# Parts of the travel, each in both directions, that no candidate may make worse.
-_PARTS = 10
 _Family = Literal["baseline", "neural", "symbolic"]
 _FAMILIES: dict[str, _Family] = {"pair": "neural", "flanks": "symbolic"}
 
@@ -199,26 +205,15 @@ def train_positioning(
         for name_, model in models.items()
     ]
     found.sort(key=lambda c: c.held_out.rms_um)
-    error = _stacked(test)[2]
+    error = stacked(test)[2]
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions, noise_floor_um=floor,
-        rms_before_um=_rms(error), n_runs=error.shape[1], n_rows=error.size,
+        rms_before_um=rms_um(error), n_runs=error.shape[1], n_rows=error.size,
         candidates=tuple(_with_table_score(found)), proposed=_proposed(found), seed=seed,
         told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(found)]),
     )  # fmt: skip
     geometry = {"type": "lathe"} | dict(campaign.machine_geometry)
     return Training(report, geometry, (("Z", *screw.reach_in),))
-
-
-def noise_floor_um(test: LinearTest) -> float:
-    """Return what runs disagree by at the same target and direction: pooled standard deviation.
-
-    Parameters
-    ----------
-    test : LinearTest
-        Two runs or more; drift between the runs counts.
-    """
-    return _spread(np.vstack([test.forward_um, test.reverse_um]))
 
 
 def _usable_test(lake: Lake, name: str) -> LinearTest:
@@ -250,16 +245,12 @@ def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionMo
 
 def _held_out(test: LinearTest, screw: Screw, seed: int, tell: Progress) -> dict[str, Floats]:
     """Return what each model leaves of runs that it did not see, shape (2 targets, runs)."""
-    direction, position, error = _stacked(test)
+    direction, position, error = stacked(test)
     n = error.shape[1]
     left: dict[str, list[Floats]] = {}
     for run in range(n):
-        others = [k for k in range(n) if k != run]
-        part = LinearTest(
-            test.position_mm, test.forward_um[:, others], test.reverse_um[:, others], 0,
-            test.pitch_mm,
-        )  # fmt: skip
-        for name, model in _fitted(averages_of(part), screw, seed).items():
+        averages = averages_of(without_run(test, run))
+        for name, model in _fitted(averages, screw, seed).items():
             expected = model.error_in(direction, position) * UM_PER_IN
             left.setdefault(name, []).append(error[:, run] - expected)
         tell("runs left out", run + 1, n, f"run {run + 1}")
@@ -270,14 +261,14 @@ def _candidate(
     name: str, model: PositionModel, test: LinearTest, left: Floats, floor: float, machine: str,
     screw: Screw,
 ) -> Candidate:  # fmt: skip
-    direction, position, error = _stacked(test)
+    direction, position, error = stacked(test)
     rest = error - (model.error_in(direction, position) * UM_PER_IN)[:, None]
     bundle = serving_bundle(model, machine, screw)
     refused = () if bundle is None else _refusals(bundle, screw)
     size = len(bundle.tick_graph.nodes) if bundle is not None else _entries(model)
     return Candidate(
         name=name, family=_FAMILIES.get(name, "baseline"), promotable=bundle is not None,
-        complexity=size, scores={HELD_OUT: _scores(test, left)}, train_rms_um=_rms(rest),
+        complexity=size, scores={HELD_OUT: scores_of(test, left)}, train_rms_um=rms_um(rest),
         latency=None if bundle is None else bundle_latency(bundle),
         equation=_SAID.get(name, ""),
         exports={} if bundle is None else {"tick.txt": to_text(bundle.tick_graph)},
@@ -285,7 +276,7 @@ def _candidate(
         numbers={
             "screw_pitch_in": screw.pitch_in, "mapped_from_in": screw.reach_in[0],
             "mapped_to_in": screw.reach_in[1], "refused_gates": float(len(refused)),
-            "explained_share": _explained(error, left, floor),
+            "explained_share": explained_share(error, left, floor),
         },
     )  # fmt: skip
 
@@ -296,37 +287,6 @@ def _with_table_score(found: Sequence[Candidate]) -> list[Candidate]:
     return [
         Candidate(**{**vars(c), "numbers": {**c.numbers, "table_rms_um": table}}) for c in found
     ]
-
-
-def _scores(test: LinearTest, left: Floats) -> Scores:
-    direction, position, error = _stacked(test)
-    share = (position - position.min()) / (position.max() - position.min())
-    part = np.minimum((share * _PARTS).astype(int), _PARTS - 1) + _PARTS * direction.astype(int)
-    ratios = {}
-    for k in np.unique(part):
-        # The laser was zeroed at the first target: near it there is nothing but noise to take away.
-        without = np.hypot(_rms(error[part == k]), _spread(error[part == k]))
-        inside = position[part == k] * MM_PER_IN
-        where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():.0f} to {inside.max():.0f} mm"
-        ratios[where] = _rms(left[part == k]) / without
-    worst = max(ratios, key=lambda name: ratios[name])
-    r2 = 1.0 - float(np.sum(left**2) / np.sum((error - error.mean()) ** 2))
-    runs = error.shape[1]
-    return Scores(
-        HELD_OUT, r2, _rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, runs, runs
-    )
-
-
-def _explained(error: Floats, left: Floats, floor: float) -> float:
-    """Return the share of what the runs have in common that is explained in runs left out.
-
-    Drift from run to run cannot be foretold: the mean of the other runs leaves the noise floor times
-    the root of n / (n - 1), n being the number of runs.
-    """
-    runs = error.shape[1]
-    common = float(np.var(error)) - floor**2
-    missed = max(float(np.mean(left**2)) - floor**2 * runs / (runs - 1), 0.0)
-    return 1.0 - missed / common if common > 0.0 else 0.0
 
 
 def _proposed(found: Sequence[Candidate]) -> str:
@@ -367,21 +327,6 @@ def _entries(model: PositionModel) -> int:
     if isinstance(model, Bidirectional):
         return 2 * len(model.averages.position_in)
     return len(model.averages.position_in) + 1 if isinstance(model, Unidirectional) else 0
-
-
-def _stacked(test: LinearTest) -> tuple[Floats, Floats, Floats]:
-    """Return direction and position in inches, (2 targets,), and errors in um, (2 targets, runs)."""
-    direction, position, _ = averages_of(test).stacked()
-    return direction, position, np.vstack([test.forward_um, test.reverse_um])
-
-
-def _spread(errors: Floats) -> float:
-    """Return the pooled standard deviation over runs of errors, (targets, runs)."""
-    return _rms(errors.std(axis=1, ddof=1))
-
-
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 _SAID = {

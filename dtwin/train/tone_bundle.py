@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
@@ -24,9 +25,9 @@ OUTPUT = "correction_z_um"
 FOLLOW_S = 0.25
 Action = Literal["inverse", "subtract", "printed"]
 ACTIONS: tuple[Action, ...] = ("inverse", "subtract", "printed")
-_ROOM = 1.15
+ROOM = 1.15
 # Of five seconds at 1 kHz: a sine has 1.41, a sine with half its power in noise 3.2, noise alone 3.7.
-_MOST_CREST = 3.2
+MOST_CREST = 3.2
 
 
 def is_tone_bundle(bundle: Bundle) -> bool:
@@ -63,19 +64,62 @@ def tone_bundle(
     boxes = {i.name: (i.low, i.high) for i in inputs}
     largest = float(groups.amplitude_um.max())
     reach = float(np.max(groups.amplitude_error_um + np.radians(groups.phase_error_deg) * largest))
-    clamp = max(1.0, _ROOM * reach)
+    return two_rate_bundle(
+        _window_graph(amplitude, phase, boxes), inputs, groups, reach, name, machine, action,
+        table_versions,
+    )  # fmt: skip
+
+
+def two_rate_bundle(
+    window_graph: Graph, inputs: Sequence[Input], groups: ToneGroups, reach_um: float, name: str,
+    machine: str, action: Action = "inverse", table_versions: Mapping[str, int] | None = None,
+) -> Bundle:  # fmt: skip
+    """Freeze a window that tells gain and lag with the tick that makes the sine of them.
+
+    Parameters
+    ----------
+    window_graph : Graph
+        From features to ``amplitude_error_um``, ``phase_error_rad`` and ``gain_1``.
+    inputs : sequence of Input
+        Of both graphs: the validity box.
+    groups : ToneGroups
+        Give the window and the highest frequency.
+    reach_um : float
+        Largest correction that is expected, um.
+    name, machine, action, table_versions
+        As for :func:`tone_bundle`.
+    """
+    clamp = max(1.0, ROOM * reach_um)
     return create_bundle(
         name=name, machine=machine, model_version=0, inputs=inputs,
         outputs=[Output(OUTPUT, "base_z", "correction")],
         states=[State("sent_re_1", "1", 1.0), State("sent_im_1", "1", 0.0)],
-        window=groups.contract, window_graph=_window_graph(amplitude, phase, boxes),
-        tick_graph=_tick_graph(action),
+        window=groups.contract, window_graph=window_graph, tick_graph=_tick_graph(action),
         safety=SafetyLimits(
             clamp_um=clamp, slew_um_s=clamp * 2.0 * np.pi * 1.5 * float(groups.frequency_hz.max()),
             stale_s=3.0 / SERVO_HZ, window_stale_s=1.5,
         ),
-        provenance=Provenance(code_version=__version__, table_versions=table_versions or {}),
+        provenance=Provenance(
+            code_version=__version__, table_versions=dict(table_versions or {})
+        ),
     )  # fmt: skip
+
+
+def command_inputs(groups: ToneGroups) -> list[Input]:
+    """Return what a tick and a window must know of the command, whatever tells the error.
+
+    Parameters
+    ----------
+    groups : ToneGroups
+        Give the validity box. A sent tone is smaller than the commanded one where the slide overshoots.
+    """
+    rate = groups.contract.rate_hz / groups.contract.hop
+    smallest, largest = float(groups.amplitude_um.min()), float(groups.amplitude_um.max())
+    return [
+        Input(PHASE, "rad", "path", SERVO_HZ, "controller", -7.0, 7.0),
+        Input(AMPLITUDE, "um", "path", SERVO_HZ, "controller", 0.0, ROOM * largest),
+        Input(SENT_RMS, "um", "path", rate, "feature", 0.3 * smallest, ROOM * largest),
+    ]
 
 
 def _inputs(amplitude: Law, phase: Law, groups: ToneGroups) -> list[Input]:
@@ -84,17 +128,14 @@ def _inputs(amplitude: Law, phase: Law, groups: ToneGroups) -> list[Input]:
     crest = tone_columns(channel)[TONE_FEATURES.index("crest_factor")]
     used = sorted({*amplitude.features, *phase.features} - {crest})
     columns = groups.columns
-    smallest, largest = float(groups.amplitude_um.min()), float(groups.amplitude_um.max())
     found = [
-        Input(PHASE, "rad", "path", SERVO_HZ, "controller", -7.0, 7.0),
-        Input(AMPLITUDE, "um", "path", SERVO_HZ, "controller", 0.0, _ROOM * largest),
-        Input(SENT_RMS, "um", "path", rate, "feature", 0.3 * smallest, _ROOM * largest),
+        *command_inputs(groups),
         # Dead in an equation, alive here: it tells a tone from noise.
-        Input(crest, "1", "sensor", rate, "feature", 1.0, _MOST_CREST),
+        Input(crest, "1", "sensor", rate, "feature", 1.0, MOST_CREST),
     ]
     for name in used:
         low, high = float(columns[name].min()), float(columns[name].max())
-        room = (1.0 - 1.0 / _ROOM) * abs(low)
+        room = (1.0 - 1.0 / ROOM) * abs(low)
         found.append(
             Input(name, unit_of(name) or "1", "sensor", rate, "feature", low - room, 1.02 * high)
         )

@@ -13,7 +13,14 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 from dtwin.train.gates import Verdict, vectors_proved
 from dtwin.train.tone_bundle import AMPLITUDE, PHASE, SERVO_HZ
-from dtwin.train.tone_groups import HELD_OUT, SENT_RMS, ToneGroups, dead_features
+from dtwin.train.tone_groups import (
+    HELD_OUT,
+    SENT_CREST,
+    SENT_FREQUENCY,
+    SENT_RMS,
+    ToneGroups,
+    dead_features,
+)
 from dtwin.train.tone_laws import MOST_FEATURES
 
 LEAST_R2 = {"r2": 0.98, "phase_r2": 0.95}
@@ -121,7 +128,8 @@ def _features_at(here: ToneGroups, sent_um: float) -> dict[str, float]:
         return max(low + share * (high - low), 0.1 * low)
 
     found = {name: straight(values) for name, values in here.columns.items()}
-    return found | {SENT_RMS: sent_um / np.sqrt(2.0)}
+    sent = {SENT_RMS: sent_um / np.sqrt(2.0), SENT_CREST: float(np.sqrt(2.0))}
+    return found | sent | {SENT_FREQUENCY: float(here.frequency_hz[0])}
 
 
 def dead_terms(bundle: Bundle, groups: ToneGroups) -> list[str]:
@@ -148,7 +156,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         *_held_out(metrics),
         Verdict(
             "at most three features", max(len(u) for u in used.values()) <= MOST_FEATURES,
-            "; ".join(f"{name}: {', '.join(columns)}" for name, columns in used.items()),
+            "; ".join(f"{name}: {', '.join(columns) or 'none'}" for name, columns in used.items()),
         ),
         Verdict(
             "no dead term", dead == 0.0,

@@ -12,6 +12,7 @@ from scipy.optimize import least_squares
 
 from dtwin.acquire.sinusoidal_runs import HEARD, commanded, followed, heard
 from dtwin.errors import InputError
+from dtwin.features.catalogue import feature_column
 from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import (
     HORIZON_S,
@@ -26,7 +27,9 @@ from dtwin.schema import Floats, Run
 from dtwin.store import Lake
 from dtwin.units import UM_PER_MM
 
-SENT_RMS = f"{SENT[:-3]}_rms_um"
+SENT_RMS, SENT_FREQUENCY, SENT_CREST = (
+    feature_column(SENT, name) for name in ("rms", "dominant_frequency", "crest_factor")
+)
 HELD_OUT = ("frequency_hz", "amplitude_um")
 _FEWEST = 3
 _CLEAN = 0.999

@@ -8,11 +8,12 @@ user's own effect file can be frozen like a built-in one. What the list does not
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.lib.mixins import NDArrayOperatorsMixin
 
+from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 
 _PLAIN = {
@@ -21,6 +22,9 @@ _PLAIN = {
     np.log: "log", np.sin: "sin", np.cos: "cos", np.tan: "tan", np.arctan2: "atan2",
     np.tanh: "tanh", np.minimum: "min", np.maximum: "max", np.sign: "sign",
 }  # fmt: skip
+
+
+_Parts: TypeAlias = tuple[Expression, Expression]
 
 
 class NotTraceable(Exception):
@@ -47,12 +51,14 @@ class Traced(NDArrayOperatorsMixin):
         """Number of points."""
         return 1
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Traced:
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
         """Apply an operator column by column."""
         # ``a *= b`` names a as where the result goes; a new value takes its name instead.
         options.pop("out", None)
         if method != "__call__" or options:
             raise NotTraceable(f"{ufunc.__name__}.{method}")
+        if any(_is_complex(item) for item in inputs):
+            return _complex(ufunc, inputs, self.columns[0].builder)
         listed = [_columns(item, self.columns[0].builder) for item in inputs]
         width = max(len(item) for item in listed)
         table = any(isinstance(item, Traced) and item.table for item in inputs)
@@ -86,6 +92,87 @@ class Traced(NDArrayOperatorsMixin):
     def __array__(self, *_: Any, **__: Any) -> Any:
         """Refuse: there is no array yet."""
         raise NotTraceable("an array that depends on the state")
+
+
+class TracedAlong(Traced):
+    """A point of a path whose measured points are known: what is asked of them all is a number.
+
+    Parameters
+    ----------
+    point : Expression
+        The point.
+    points : ndarray, shape (n,)
+        Where the path was measured.
+    """
+
+    def __init__(self, point: Expression, points: Floats) -> None:
+        super().__init__([point])
+        self.points = points
+
+    def min(self) -> float:
+        """Return the lowest measured point."""
+        return float(self.points.min())
+
+    def max(self) -> float:
+        """Return the highest measured point."""
+        return float(self.points.max())
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        """Answer for all measured points, or as any stand-in."""
+        if func in (np.unique, np.ptp, np.min, np.max) and len(args) == 1 and not kwargs:
+            return func(self.points)
+        return super().__array_function__(func, types, args, kwargs)
+
+
+class TracedComplex(NDArrayOperatorsMixin):
+    """A complex number of two expressions, as the response to a tone is one.
+
+    Parameters
+    ----------
+    real_part, imaginary_part : Expression
+        Its parts.
+    """
+
+    def __init__(self, real_part: Expression, imaginary_part: Expression) -> None:
+        self.parts = real_part, imaginary_part
+
+    @property
+    def real(self) -> Traced:
+        """Real part."""
+        return Traced([self.parts[0]])
+
+    @property
+    def imag(self) -> Traced:
+        """Imaginary part."""
+        return Traced([self.parts[1]])
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        """Apply one of the four operations, or a whole power."""
+        if method != "__call__" or options:
+            raise NotTraceable(f"{ufunc.__name__}.{method}")
+        return _complex(ufunc, inputs, self.parts[0].builder)
+
+
+class NotTold(Traced):
+    """What serving does not know: whatever is done with it is refused.
+
+    Parameters
+    ----------
+    what : str
+        For the message.
+    """
+
+    def __init__(self, what: str) -> None:
+        super().__init__([])
+        self.what = what
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Traced:
+        """Refuse."""
+        raise NotTraceable(f"it needs {self.what}, which is not known while the machine works")
+
+    def __array_function__(self, func: Any, types: Any, args: Any, kwargs: Any) -> Traced:
+        """Refuse."""
+        raise NotTraceable(f"it needs {self.what}, which is not known while the machine works")
 
 
 def expressions_of(found: Any, builder: GraphBuilder, count: int) -> list[Expression]:
@@ -125,6 +212,64 @@ def _apply(ufunc: Any, args: Sequence[Expression]) -> Expression:
     if made is None:
         raise NotTraceable(ufunc.__name__)
     return made(*args)
+
+
+def _is_complex(item: Any) -> bool:
+    return not isinstance(item, Traced) and (
+        isinstance(item, TracedComplex) or np.iscomplexobj(item)
+    )
+
+
+def _complex(ufunc: Any, inputs: Sequence[Any], builder: GraphBuilder) -> TracedComplex:
+    made = _OF_COMPLEX.get(ufunc)
+    if made is None:
+        raise NotTraceable(f"{ufunc.__name__} of complex numbers")
+    return TracedComplex(*made(*(_parts(item, builder) for item in inputs)))
+
+
+def _parts(item: Any, builder: GraphBuilder) -> _Parts:
+    if isinstance(item, TracedComplex):
+        return item.parts
+    if isinstance(item, Traced):
+        if len(item.columns) != 1:
+            raise NotTraceable("complex numbers in columns")
+        return item.columns[0], builder.constant(0.0)
+    value = complex(np.asarray(item).item())
+    return builder.constant(value.real), builder.constant(value.imag)
+
+
+def _sum(a: _Parts, b: _Parts) -> _Parts:
+    return _simple("add", (a[0], b[0])), _simple("add", (a[1], b[1]))
+
+
+def _difference(a: _Parts, b: _Parts) -> _Parts:
+    return _simple("sub", (a[0], b[0])), _simple("sub", (a[1], b[1]))
+
+
+def _product(a: _Parts, b: _Parts) -> _Parts:
+    def times(i: int, j: int) -> Expression:
+        return _simple("mul", (a[i], b[j]))
+
+    return (
+        _simple("sub", (times(0, 0), times(1, 1))),
+        _simple("add", (times(0, 1), times(1, 0))),
+    )
+
+
+def _quotient(a: _Parts, b: _Parts) -> _Parts:
+    real, imaginary = _product(a, (b[0], _simple("neg", (b[1],))))
+    size = _simple("add", (_simple("square", (b[0],)), _simple("square", (b[1],))))
+    return _simple("div", (real, size)), _simple("div", (imaginary, size))
+
+
+def _whole_power(base: _Parts, exponent: _Parts) -> _Parts:
+    n = _constant(exponent[0])
+    if n is None or n != int(n) or not 1 <= n <= 4:
+        raise NotTraceable("a power of a complex number other than 1 to 4")
+    result = base
+    for _ in range(int(n) - 1):
+        result = _product(result, base)
+    return result
 
 
 def _simple(op: str, args: Sequence[Expression]) -> Expression:
@@ -186,6 +331,15 @@ def _at_least(first: Expression, second: Expression) -> Expression:
 def _above(first: Expression, second: Expression) -> Expression:
     return 1.0 - first.builder.apply("step", second - first)
 
+
+_OF_COMPLEX: dict[Any, Callable[..., _Parts]] = {
+    np.add: _sum,
+    np.subtract: _difference,
+    np.multiply: _product,
+    np.true_divide: _quotient,
+    np.power: _whole_power,
+    np.square: lambda a: _product(a, a),
+}
 
 _BUILT: dict[Any, Callable[..., Expression]] = {
     np.power: _power,

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from dtwin import __version__
-from dtwin.errors import InputError
 from dtwin.features.motion import PATH_INPUT_UNITS
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
@@ -22,8 +21,9 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.train.dataset import TICK_HZ
-from dtwin.train.traced import NotTraceable, Traced, expressions_of
+from dtwin.train.traced import NotTraceable, Traced
 from dtwin.train.traced_joints import JOINT_RANGES, traced_joints
+from dtwin.train.twin_terms import TwinBundle, carried, weighted
 
 ANGLE, DIRECTION, SPEED = "path_angle_rad", "direction_sign", "commanded_speed_mm_s"
 RADIUS, PLANE = "radius_mm", "plane_id"
@@ -33,78 +33,6 @@ _MARGIN = 1e-6
 _FARTHEST_RAD = 1e4
 _CLAMP_SHARE = 1.25
 _LOWEST_SLEW_UM_S = 2000.0
-
-# Effects whose ``correctable`` names something else than an offset of position.
-NOT_BY_OFFSETS: Mapping[str, str] = {
-    "reversal_spike": "over before an offset has arrived; friction compensation of the control",
-    "friction": "torque, not position, is missing; friction compensation of the control",
-    "reversal_ringing": "rings faster than an offset acts; input shaping",
-    "structural_resonance": "its ringing is faster than an offset acts; stiffen or damp the mode",
-    "stick_slip": "differs from pass to pass",
-}
-
-
-@dataclass(frozen=True)
-class TermChoice:
-    """What becomes of one effect of a twin.
-
-    Attributes
-    ----------
-    label : str
-        Effect with axis.
-    included : bool
-        Whether the correction answers it.
-    how : str
-        How an offset corrects it, or why it is left out.
-    """
-
-    label: str
-    included: bool
-    how: str
-
-
-def choose(term: Term) -> TermChoice:
-    """Say whether offsets of position can correct an effect at all.
-
-    Parameters
-    ----------
-    term : Term
-        Effect of a twin.
-    """
-    effect = term.instance.effect
-    why = ""
-    if effect.setup:
-        why = "belongs to the mounting of the instrument, not to the machine"
-    elif effect.source == "learned":
-        why = "a description of the residual whose cause is not known"
-    elif effect.name in NOT_BY_OFFSETS:
-        why = NOT_BY_OFFSETS[effect.name]
-    elif effect.on_spread:
-        why = "differs from pass to pass"
-    elif not effect.correctable:
-        why = "offsets of position cannot correct it"
-    if why:
-        return TermChoice(term.label, False, why)
-    return TermChoice(term.label, True, effect.correctable)
-
-
-@dataclass(frozen=True)
-class TwinBundle:
-    """A twin's correction, frozen.
-
-    Attributes
-    ----------
-    bundle : Bundle
-        What would be served: the predicted radial error, to be applied with its sign changed.
-    terms : tuple of TermChoice
-        Every effect of the twin, included or left out with the reason.
-    twin : Twin
-        The twin reduced to what is included.
-    """
-
-    bundle: Bundle
-    terms: tuple[TermChoice, ...]
-    twin: Twin
 
 
 def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> TwinBundle:
@@ -127,28 +55,11 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
     """
     builder = GraphBuilder()
     logged = _Logged(builder, obs)
+    reduced = carried(twin, lambda term: _traced(term, twin, builder, logged, horizon_s))
     parts: dict[str, list[Expression]] = {plane: [] for plane in twin.box.planes}
-    choices, kept = [], []
-    for term in twin.terms:
-        choice = choose(term)
-        if choice.included:
-            try:
-                made = _traced(term, twin, builder, logged, horizon_s)
-                for plane, expression in made.items():
-                    parts[plane].append(expression)
-                kept.append(term)
-            except NotTraceable as error:
-                choice = TermChoice(term.label, False, f"cannot be served: {error}")
-        choices.append(choice)
-    reduced = replace(twin, terms=tuple(kept))
-    if not kept:
-        told = "; ".join(f"{c.label}: {c.how}" for c in choices)
-        raise InputError(
-            "the twin has no effect that offsets of position can correct",
-            code="correct.nothing",
-            where=f"twin {twin.name} version {twin.version}",
-            got=told or "a twin without effects",
-        )
+    for made in reduced.traced:
+        for plane, expression in made.items():
+            parts[plane].append(expression)
     errors = {p: builder.total(e) for p, e in parts.items() if e}
     total = _by_plane(builder, errors, twin.box.planes)
     graph = builder.graph({OUTPUT: total})
@@ -160,13 +71,13 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
         inputs=inputs,
         outputs=[Output(OUTPUT, "path_radial", "error")],
         tick_graph=graph,
-        safety=_safety(reduced, obs),
+        safety=_safety(reduced.twin, obs),
         provenance=Provenance(
             code_version=__version__,
             table_versions={k: v for k, v in twin.data.items() if isinstance(v, int)},
         ),
     )
-    return TwinBundle(bundle, tuple(choices), reduced)
+    return TwinBundle(bundle, reduced.choices, reduced.twin)
 
 
 def wrong_way(bundle: Bundle) -> Bundle:
@@ -220,7 +131,6 @@ def _traced(
     term: Term, twin: Twin, builder: GraphBuilder, logged: _Logged, horizon_s: float
 ) -> dict[str, Expression]:
     """Return the predicted radial error of a term in every plane in which it acts."""
-    effect, axis = term.instance.effect, term.instance.axis
     weights = twin.values(term)
     speed, radius = Traced([builder.input(SPEED)]), Traced([builder.input(RADIUS)])
     sign = builder.input(DIRECTION)
@@ -241,9 +151,7 @@ def _traced(
             )  # fmt: skip
             # What a robot's joints do is an input here, not computed from its geometry.
             state.__dict__["joints"] = joints
-            found = _regressors(effect, state, axis, term.shape)
-            columns = expressions_of(found, builder, len(weights))
-            ways.append(_weighted(builder, columns, weights))
+            ways.append(weighted(term, state, builder, weights))
         ccw, cw = ways
         if any(builder.node(way).op != "const" for way in ways):
             same = ccw.index == cw.index
@@ -251,31 +159,6 @@ def _traced(
     if not out:
         raise NotTraceable("it acts in none of the planes that were measured")
     return out
-
-
-def _regressors(effect: Any, state: Any, axis: str, shape: Mapping[str, float]) -> Any:
-    try:
-        return effect.regressors(state, axis, shape)
-    except (NotTraceable, InputError) as error:
-        raise NotTraceable(_told(error)) from error
-    except Exception as error:
-        raise NotTraceable(f"{type(error).__name__}: {error}") from error
-
-
-def _told(error: Exception) -> str:
-    if isinstance(error, InputError):
-        return f"{error.message} ({error.got})" if error.got else error.message
-    return str(error)
-
-
-def _weighted(builder: GraphBuilder, columns: Sequence[Expression], weights: Floats) -> Expression:
-    """Return the sum of columns times parameters; columns that are zero need no node."""
-    terms = [
-        float(w) * c
-        for c, w in zip(columns, weights, strict=True)
-        if not (builder.node(c).op == "const" and builder.node(c).value == 0.0)
-    ]
-    return builder.total(terms)
 
 
 def _by_plane(

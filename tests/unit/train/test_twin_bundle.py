@@ -21,9 +21,10 @@ from dtwin.physics.twin import Twin, ValidityBox
 from dtwin.schema import PLANES
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.direction import Direction
-from dtwin.train import twin_bundle as module
+from dtwin.train import twin_terms as module
 from dtwin.train.traced import NotTraceable, Traced, expressions_of
-from dtwin.train.twin_bundle import choose, radial_error_um, twin_bundle, wrong_way
+from dtwin.train.twin_bundle import radial_error_um, twin_bundle, wrong_way
+from dtwin.train.twin_terms import choose
 
 SOUND = MillParameters()
 LIBRARY = Library()
