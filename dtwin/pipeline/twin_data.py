@@ -30,7 +30,9 @@ _CORRECTED_BY = {
     "linear": "dtwin lathe fit makes a correction of a positioning test, with memory of the play",
     "sinusoidal": "dtwin turning fit makes a correction of tones",
 }
-_OTHERWISE = {"volumetric": "dtwin volumetric fit has a model of its own for balls in a volume"}
+_OTHERWISE = {
+    "volumetric": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat"
+}
 
 
 @dataclass(frozen=True)
