@@ -51,3 +51,8 @@ def twins_for(
     name = in_lake(home, campaign)
     heat = Lake(home.lake).campaign(name).kind == KIND
     return (HeatTwins(home) if heat else Twins(home, library)), name
+
+
+def every_shelf(home: Home) -> tuple[Twins, HeatTwins]:
+    """Return all twins of a home, kind by kind."""
+    return Twins(home), HeatTwins(home)

@@ -16,7 +16,8 @@ from dtwin.schema import require_name
 
 _VERSIONS = "v[0-9][0-9][0-9].json"
 PATHS = "paths"
-"""What is not said of older twins: they are of tests of a path."""
+"""Kind of a twin that names none: it is of tests of a path."""
+_CAMPAIGNS = {PATHS: "a twin of circular, linear or sinusoidal campaigns"}
 
 
 class TwinShelf:
@@ -161,7 +162,7 @@ class TwinShelf:
         if kind != self.kind:
             raise InputError(
                 "the twin is of another kind of campaign", code="twin.kind", where=f"twin {name}",
-                got=str(kind)[:40], allowed=self.kind,
+                got=str(kind)[:40], allowed=_CAMPAIGNS.get(self.kind, f"a twin of {self.kind} campaigns"),
                 hint="dtwin twin fit, compare, diagnose, add, remove, restore, discover, history and "
                 "show take every kind",
             )  # fmt: skip

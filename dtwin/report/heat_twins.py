@@ -50,7 +50,7 @@ def term_table(twin: HeatTwin) -> Table:
         )
         for term, model in zip(twin.terms, twin.models, strict=True)
     ]
-    return Table(("effect", "what", "family", "temperatures", "of"), rows)
+    return Table(("effect", "what", "family", "inputs", "driven by"), rows)
 
 
 def heat_comparison_text(result: Mapping[str, Any]) -> str:
@@ -96,8 +96,9 @@ def heat_diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
             for c in result["candidates"]
         ]
         lines.append(table(head, rows))
-        if any(c["rms_after_um"] > result["residual_rms_um"] for c in result["candidates"]):
-            lines.append("after more than now: it offsets another at these balls until both are in")
+        now = result["residual_rms_um"]
+        if any(c["add"] and c["rms_after_um"] > now for c in result["candidates"]):
+            lines.append("more after than now: it offsets another at these balls until both are in")
     if result["quiet"]:
         lines.append(
             f"move, but by less than {100 * MATERIAL:.0f} % of the floor: {', '.join(result['quiet'])}"
@@ -241,7 +242,7 @@ def _motion_figure(result: Mapping[str, Any]) -> go.Figure:
         )  # fmt: skip
     figure.update_layout(
         title="Every error motion at the balls",
-        yaxis={"title": "RMS, um", "type": "log"},
+        yaxis={"title": "RMS, um", "type": "log", "dtick": 1},
         xaxis_tickangle=-60,
         barmode="group",
     )
@@ -263,7 +264,7 @@ def _day_figure(result: Mapping[str, Any]) -> go.Figure:
     floor = result["noise_floor_um"]
     figure.add_hline(
         y=floor, line={"color": COLOURS["floor"], "dash": "dash"},
-        annotation_text=f"noise floor {micrometres(floor)} um",
+        annotation_text=f"noise floor {micrometres(floor)} um", annotation_position="top left",
     )  # fmt: skip
     figure.update_layout(
         title="Error at the balls, day by day", yaxis_title="RMS, um", xaxis_title="hours",
