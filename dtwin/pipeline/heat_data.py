@@ -36,15 +36,15 @@ class HeatLoaded:
         Error motions and temperatures.
     balls : tuple of Balls
         Where each cycle measured.
-    strokes_mm : dict of str to tuple of float
-        Ends of the strokes.
+    units : tuple of ndarray, each of shape (balls, 3, motions)
+        What a unit of each motion does there, in um.
     data : dict
         Table versions, number of cycles, and a hash of what was used.
     """
 
     series: HeatSeries
     balls: tuple[Balls, ...]
-    strokes_mm: Mapping[str, tuple[float, float]]
+    units: tuple[Floats, ...]
     data: Mapping[str, Any]
 
     def worst_places(self, left: Floats) -> tuple[dict[str, Any], ...]:
@@ -57,10 +57,10 @@ class HeatLoaded:
         left : ndarray, shape (cycles, motions)
             What is left of the motions.
         """
-        names, hours = self.series.names, self.series.hour
+        hours = self.series.hour
         squares: dict[tuple[int, int, int], list[Floats]] = {}
-        for hour, where, gone in zip(hours, self.balls, left, strict=True):
-            rest = design(where.position_mm, self.strokes_mm, names) @ gone
+        for hour, where, unit, gone in zip(hours, self.balls, self.units, left, strict=True):
+            rest = unit @ gone
             for pose in sorted(set(where.pose.tolist())):
                 rows = where.pose == pose
                 for axis in range(3):
@@ -101,12 +101,12 @@ def load_heat(home: Home, campaign: str, wanted: Sequence[str] = ()) -> HeatLoad
     measured = session_in(lake, name, lambda *_: None)
     names, settled = _identified(measured, wanted)
     strokes = measured.artefact.strokes_mm
+    units = tuple(design(where.position_mm, strokes, names) for where, _ in measured.moved)
     grams, left_ms = [], []
-    for (where, _), found in zip(measured.moved, settled, strict=True):
-        unit = design(where.position_mm, strokes, names).reshape(-1, len(names))
-        rest = found.moved_um.ravel() - unit @ found.values
-        grams.append(unit.T @ unit / len(unit))
-        left_ms.append(float(rest @ rest) / len(rest))
+    for unit, found in zip(units, settled, strict=True):
+        flat = unit.reshape(-1, len(names))
+        grams.append(flat.T @ flat / len(flat))
+        left_ms.append(float(((found.moved_um - unit @ found.values) ** 2).mean()))
     thermocouples = dict(zip(measured.sensors, measured.rise_c.T, strict=True))
     offered = {channel: measured.offered_rise(channel) for channel in measured.offered_c}
     begun = dict(zip(measured.sensors, measured.begun_c.tolist(), strict=True))
@@ -121,7 +121,7 @@ def load_heat(home: Home, campaign: str, wanted: Sequence[str] = ()) -> HeatLoad
         {**thermocouples, **offered}, begun, measured.sensors,
     )  # fmt: skip
     balls = tuple(where for where, _ in measured.moved)
-    return HeatLoaded(series, balls, strokes, _data(lake, name, len(settled)))
+    return HeatLoaded(series, balls, units, _data(lake, name, len(settled)))
 
 
 def _identified(measured: Session, wanted: Sequence[str]) -> tuple[tuple[str, ...], list[Settled]]:

@@ -61,7 +61,8 @@ def heat_comparison_text(result: Mapping[str, Any]) -> str:
             f"twin {result['twin']} version {result['version']} against campaign "
             f"{result['campaign']} ({result['runs']} cycles)",
             table(days.head, days.rows),
-            f"residual at the balls {micrometres(result['residual_rms_um'])} um RMS, of which error "
+            f"error at the balls {micrometres(result['rms_before_um'])} -> "
+            f"{micrometres(result['residual_rms_um'])} um RMS, of which error "
             f"motions are {micrometres(result['systematic_rms_um'])} um; noise floor "
             f"{micrometres(result['noise_floor_um'])} um ({_UNIT})",
             "most left, RMS at the balls:",

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from dtwin.physics.volumetric.heat_series import HeatSeries, driven
+from dtwin.physics.volumetric.heat_series import HeatSeries
 from dtwin.physics.volumetric.heat_twin import KIND, HeatFit, heat_figures
 from dtwin.physics.volumetric.motions import HeatTerm, family_of, motion_words
 from dtwin.physics.volumetric.thermal_model import fit_thermal, inflation
@@ -224,7 +224,7 @@ def _mover(
 ) -> Mover:
     """Return what temperatures tell of a motion."""
     name, motion = series.names[column], left[:, column]
-    model, expected = driven(series, name, motion, series.thermocouples)
+    model, expected = series.driven(name, motion, series.thermocouples)
     rest = motion - expected
     channel = _clearer_channel(series, motion, rest, column, own)
     sensors: tuple[str, ...] = model.sensors
@@ -358,8 +358,8 @@ def _experiment(verdict: Verdict, group: Sequence[Mover]) -> dict[str, Any] | No
     if not unknown:
         return None
     text = (
-        f"put a thermocouple on what has none (foundation, tanks, spindle, scales) and log it: "
-        f"{', '.join(unknown)} follows something that nobody measures"
+        f"put a thermocouple on what has none (foundation, tanks, spindle, scales): what moves "
+        f"{_listed(unknown)} is not measured"
     )
     return {"text": text, "heat_alone": [], "watch": unknown}
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,9 @@ class HeatSeries:
     rise_c: Mapping[str, Floats]
     begun_c: Mapping[str, float]
     thermocouples: tuple[str, ...]
+    _fits: dict[tuple[bytes, tuple[str, ...]], tuple[ThermalModel, Floats]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
     @property
     def offered(self) -> tuple[str, ...]:
@@ -130,34 +133,35 @@ class HeatSeries:
         self.rises(names)
         return tuple(dict.fromkeys(names))
 
+    def driven(
+        self, name: str, motion: Floats, sensors: Sequence[str]
+    ) -> tuple[ThermalModel, Floats]:
+        """Fit a motion to temperatures; return the model and what it says of hours that were left out.
 
-def driven(
-    series: HeatSeries, name: str, motion: Floats, sensors: Sequence[str]
-) -> tuple[ThermalModel, Floats]:
-    """Fit a motion to temperatures; return the model and what it says of hours that were left out.
+        Parameters
+        ----------
+        name : str
+            The motion.
+        motion : ndarray, shape (n,)
+            Its values.
+        sensors : sequence of str
+            Temperatures to choose from.
 
-    Parameters
-    ----------
-    series : HeatSeries
-        Gives the temperatures.
-    name : str
-        The motion.
-    motion : ndarray, shape (n,)
-        Its values.
-    sensors : sequence of str
-        Temperatures to choose from.
-
-    Returns
-    -------
-    ThermalModel
-        Without memory.
-    ndarray, shape (n,)
-        Spans of hours left out in turn; the temperatures were chosen without them, too.
-    """
-    rise = series.rises(sensors)
-    expected = np.zeros(len(motion))
-    for span in series.spans():
-        kept = np.delete(np.arange(len(motion)), span)
-        model = fit_thermal(name, motion[kept], rise[kept], sensors, static=True)
-        expected[span] = model.run(series.rises(model.sensors))[span]
-    return fit_thermal(name, motion, rise, sensors, static=True), expected
+        Returns
+        -------
+        ThermalModel
+            Without memory.
+        ndarray, shape (n,)
+            Spans of hours left out in turn; the temperatures were chosen without them, too.
+        """
+        key = (name.encode() + motion.tobytes(), tuple(sensors))
+        if key not in self._fits:
+            rise = self.rises(sensors)
+            expected = np.zeros(len(motion))
+            for span in self.spans():
+                kept = np.delete(np.arange(len(motion)), span)
+                model = fit_thermal(name, motion[kept], rise[kept], sensors, static=True)
+                expected[span] = model.run(self.rises(model.sensors))[span]
+            whole = fit_thermal(name, motion, rise, sensors, static=True)
+            self._fits[key] = whole, expected
+        return self._fits[key]

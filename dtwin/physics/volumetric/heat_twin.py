@@ -10,7 +10,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.physics.volumetric.chain import coefficient
-from dtwin.physics.volumetric.heat_series import FEWEST_CYCLES, HeatSeries, driven
+from dtwin.physics.volumetric.heat_series import FEWEST_CYCLES, HeatSeries
 from dtwin.physics.volumetric.motions import HeatTerm, motion_words
 from dtwin.physics.volumetric.thermal_model import ThermalModel, independent
 from dtwin.schema import Floats
@@ -184,8 +184,8 @@ def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     for term in terms:
         column = series.names.index(term.motion)
         motion = series.values[:, column]
-        model, left_out[:, column] = driven(
-            series, term.motion, motion, series.allowed(term.sources)
+        model, left_out[:, column] = series.driven(
+            term.motion, motion, series.allowed(term.sources)
         )
         models.append(model)
     return HeatFit(tuple(models), _expected(series, models), left_out)
