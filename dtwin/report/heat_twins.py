@@ -121,7 +121,7 @@ def heat_comparison_sections(result: Mapping[str, Any]) -> list[Section]:
             "Measured against predicted",
             [said],
             [("warning", warning) for warning in result["warnings"]],
-            figures=[_motion_figure(result), _day_figure(result)],
+            figures=[motion_figure(result), day_figure(result)],
         ),
         Section("Where it fails", [_place(place) for place in result["where"]]),
     ]
@@ -228,7 +228,14 @@ def _motion_table(result: Mapping[str, Any], most: int = 6) -> Table:
     return Table(("motion", "in the twin", "before, um", "after, um", "of it noise"), rows)
 
 
-def _motion_figure(result: Mapping[str, Any]) -> go.Figure:
+def motion_figure(result: Mapping[str, Any]) -> go.Figure:
+    """Return every error motion at the balls: measured, left, and its noise.
+
+    Parameters
+    ----------
+    result : dict
+        A comparison, as its ``as_dict`` gives it.
+    """
     rows = sorted(result["motions"], key=lambda m: -m["rms_before_um"])
     figure = go.Figure()
     for label, key, colour in (
@@ -250,7 +257,14 @@ def _motion_figure(result: Mapping[str, Any]) -> go.Figure:
     return styled(figure)
 
 
-def _day_figure(result: Mapping[str, Any]) -> go.Figure:
+def day_figure(result: Mapping[str, Any]) -> go.Figure:
+    """Return the error at the balls day by day, measured and left.
+
+    Parameters
+    ----------
+    result : dict
+        A comparison, as its ``as_dict`` gives it.
+    """
     days = result["conditions"]
     figure = go.Figure()
     for label, key, colour in (
