@@ -266,20 +266,21 @@ def day_figure(result: Mapping[str, Any]) -> go.Figure:
         A comparison, as its ``as_dict`` gives it.
     """
     days = result["conditions"]
+    named = [f"{d['hours'][0]:g} to {d['hours'][1]:g}" for d in days]
     figure = go.Figure()
     for label, key, colour in (
         ("measured", "rms_before_um", "measured"), ("left by the twin", "rms_after_um", "second"),
     ):  # fmt: skip
         figure.add_trace(
             go.Bar(
-                x=[f"{d['hours'][0]:g} to {d['hours'][1]:g}" for d in days],
-                y=[d[key] for d in days], name=label, marker_color=COLOURS[colour],
+                x=named, y=[d[key] for d in days], name=label, marker_color=COLOURS[colour],
             )
         )  # fmt: skip
-    floor = result["noise_floor_um"]
-    figure.add_hline(
-        y=floor, line={"color": COLOURS["floor"], "dash": "dash"},
-        annotation_text=f"noise floor {micrometres(floor)} um", annotation_position="top left",
+    figure.add_trace(
+        go.Scatter(
+            x=named, y=[result["noise_floor_um"]] * len(days), mode="lines", name="noise floor",
+            line={"color": COLOURS["floor"], "dash": "dash"},
+        )
     )  # fmt: skip
     figure.update_layout(
         title="Error at the balls, day by day", yaxis_title="RMS, um", xaxis_title="hours",
