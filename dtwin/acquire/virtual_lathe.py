@@ -129,8 +129,9 @@ def simulate_lathe(
 
 
 def write_lathe_campaign(
-    folder: Path, plan: LinearPlan, recording: LatheRecording, truth: dict[str, Any]
-) -> None:
+    folder: Path, plan: LinearPlan, recording: LatheRecording, truth: dict[str, Any],
+    *, corrected: bool = False,
+) -> None:  # fmt: skip
     """Write what the laser recorded as a campaign folder; the campaign file comes last.
 
     Parameters
@@ -143,6 +144,8 @@ def write_lathe_campaign(
         The readings.
     truth : dict
         What no instrument knows.
+    corrected : bool
+        Whether a correction was in force.
     """
     write_text(folder / "program.nc", laser_program(plan), "the program")
     write_laser_file(folder / "laser.txt", laser_test(plan, recording))
@@ -157,6 +160,7 @@ def write_lathe_campaign(
         "[campaign.machine_geometry]",
         'type = "lathe"',
         "virtual = true",
+        f"corrected = {toml_value(corrected)}",
         f"truth = {toml_value(truth['truth'])}",
         f"screw_pitch_mm = {plan.mm(plan.pitch):.6g}",
         "[campaign.instrument]",

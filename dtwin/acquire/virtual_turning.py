@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -149,7 +149,7 @@ def virtual_runs(
     seen_by = instruments or Instruments()
     for number, (frequency, amplitude) in enumerate(grid.groups, start=1):
         recorded = record_group(slide, seen_by, frequency, amplitude, seed * 10_007 + number)
-        yield _run(number, frequency, amplitude, recorded)
+        yield tone_run(number, frequency, amplitude, recorded)
 
 
 def planned_runs(
@@ -182,27 +182,74 @@ def planned_runs(
             got=f"axis {plan.axis}, sample_hz {plan.sample_hz:g}",
             allowed=f"axis Z, sample_hz {SAMPLE_HZ:g}",
         )  # fmt: skip
-    room, seen_by = drift or RoomDrift(), instruments or Instruments()
-    started_s = np.arange(plan.count, dtype=np.float64) * (plan.seconds + BETWEEN_S)
-    rises = room.rises_c(started_s, seed).tolist()
-    thermometer = np.random.default_rng([seed, 37])
-    for number, (group, rise) in enumerate(zip(plan.groups, rises, strict=True), start=1):
+    room, seen_by = Room(plan, slide, seed, drift), instruments or Instruments()
+    for number, group in enumerate(plan.groups):
         recorded = record_group(
-            room.slide_at(slide, rise), seen_by, group.frequency_hz, group.amplitude_um,
-            seed * 10_007 + number, plan.seconds,
+            room.slide(number), seen_by, group.frequency_hz, group.amplitude_um,
+            seed * 10_007 + number + 1, plan.seconds,
         )  # fmt: skip
-        read_c = ROOM_C + rise + THERMOMETER_C * float(thermometer.normal())
-        yield _run(
-            number, group.frequency_hz, group.amplitude_um, recorded, group.repeat,
-            {"room_c": round(read_c, 2)},
+        yield tone_run(
+            number + 1, group.frequency_hz, group.amplitude_um, recorded, group.repeat,
+            room.covariates(number),
         )  # fmt: skip
 
 
-def _run(
+class Room:
+    """The room of a planned campaign: what the slide is like at each group, and its thermometer.
+
+    Parameters
+    ----------
+    plan : TonePlan
+        Gives the times.
+    slide : Slide
+        The mechanism at the room's mean temperature.
+    seed : int
+        Of the room.
+    drift : RoomDrift, optional
+        Another room than the usual.
+    """
+
+    def __init__(
+        self, plan: TonePlan, slide: Slide, seed: int, drift: RoomDrift | None = None
+    ) -> None:
+        self._slide, self._drift = slide, drift or RoomDrift()
+        started_s = np.arange(plan.count, dtype=np.float64) * (plan.seconds + BETWEEN_S)
+        self._rises = self._drift.rises_c(started_s, seed).tolist()
+        noise = np.random.default_rng([seed, 37]).normal(size=plan.count)
+        self._read_c = [
+            ROOM_C + rise + THERMOMETER_C * float(n)
+            for rise, n in zip(self._rises, noise, strict=True)
+        ]
+
+    def slide(self, number: int) -> Slide:
+        """Return the mechanism at a group, counted from 0."""
+        return self._drift.slide_at(self._slide, self._rises[number])
+
+    def covariates(self, number: int) -> dict[str, float]:
+        """Return what is logged of the room at a group."""
+        return {"room_c": round(self._read_c[number], 2)}
+
+
+def tone_run(
     number: int, frequency_hz: float, amplitude_um: float,
     recorded: tuple[dict[str, Floats], SignalGroup], repeat: int = 1,
     covariates: Mapping[str, float] | None = None,
 ) -> Run:  # fmt: skip
+    """Return a recorded tone as a run.
+
+    Parameters
+    ----------
+    number : int
+        Of the group, from 1.
+    frequency_hz, amplitude_um : float
+        What was commanded.
+    recorded : tuple
+        Samples, and the accelerometer's signals.
+    repeat : int
+        Which repeat it is.
+    covariates : mapping, optional
+        What was logged beside it.
+    """
     condition: dict[str, float | str] = {
         "axis": "Z",
         "frequency_hz": frequency_hz,
@@ -260,29 +307,61 @@ def simulate_turning(
         room = RoomDrift()
         told |= {f"drift_{k}": v for k, v in asdict(room).items()}
         runs, count = planned_runs(plan, slide, seed, seen_by, room), plan.count
-    measured = []
-    for number, run in enumerate(runs, start=1):
-        name = run.meta.run_id
-        write_parquet(folder / f"{name}.parquet", table_of(run.samples))
-        write_signals(folder / f"{name}.accelerometers.parquet", run.signals[0])
-        measured.append(run.meta)
-        if progress is not None:
-            progress(number, count, name)
-    lines = [f"{k} = {toml_value(v)}" for k, v in told.items()]
-    write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")
-    write_text(folder / "campaign.toml", _campaign_text(measured, truth, plan), "the campaign file")
+    name = plan.name if plan else f"slow-tool-servo-{truth}"
+    machine = plan.machine if plan else "virtual-turning"
+    write_tone_campaign(folder, runs, told, truth, name, machine, (progress, count))
     return count
 
 
-def _campaign_text(measured: Sequence[RunMeta], truth: str, plan: TonePlan | None) -> str:
+def write_tone_campaign(
+    folder: Path, runs: Iterable[Run], told: Mapping[str, Any], truth: str, name: str, machine: str,
+    shown: tuple[Progress | None, int] = (None, 0), *, corrected: bool = False,
+) -> None:  # fmt: skip
+    """Write tones as a campaign folder; the campaign file comes last.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write.
+    runs : iterable of Run
+        The tones; each is written when it comes.
+    told : mapping
+        What no instrument knows.
+    truth : str
+        Which mechanism it was.
+    name, machine : str
+        Of the campaign.
+    shown : tuple
+        What to call with (done, total, what), and the total.
+    corrected : bool
+        Whether a correction was in force.
+    """
+    progress, count = shown
+    measured = []
+    for number, run in enumerate(runs, start=1):
+        stem = run.meta.run_id
+        write_parquet(folder / f"{stem}.parquet", table_of(run.samples))
+        write_signals(folder / f"{stem}.accelerometers.parquet", run.signals[0])
+        measured.append(run.meta)
+        if progress is not None:
+            progress(number, count, stem)
+    lines = [f"{k} = {toml_value(v)}" for k, v in told.items()]
+    write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")
+    text = _campaign_text(measured, truth, name, machine, corrected=corrected)
+    write_text(folder / "campaign.toml", text, "the campaign file")
+
+
+def _campaign_text(
+    measured: Sequence[RunMeta], truth: str, name: str, machine: str, *, corrected: bool
+) -> str:
     head: dict[str, Any] = {
-        "type": "turning", "virtual": True, "truth": truth, "z_bandwidth_hz": BANDWIDTH_HZ,
+        "type": "turning", "virtual": True, "corrected": corrected, "truth": truth, "z_bandwidth_hz": BANDWIDTH_HZ,
         "correction_delay_s": AnaloguePath().delay_s,
     }  # fmt: skip
     lines = [
         "[campaign]",
-        f"name = {toml_value(plan.name if plan else f'slow-tool-servo-{truth}')}",
-        f"machine = {toml_value(plan.machine if plan else 'virtual-turning')}",
+        f"name = {toml_value(name)}",
+        f"machine = {toml_value(machine)}",
         'kind = "sinusoidal"',
         "[campaign.machine_geometry]",
         *(f"{k} = {toml_value(v)}" for k, v in head.items()),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -80,19 +80,56 @@ def simulate_volumetric(
             allowed=", ".join(SCHEDULES),
         )  # fmt: skip
     mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
-    cycles = _planned(plan, mill) if plan else range(0, mill.cycles, QUICK_EVERY if quick else 1)
+    cycles = (
+        planned_cycles(plan, mill) if plan else range(0, mill.cycles, QUICK_EVERY if quick else 1)
+    )
     folder.mkdir(parents=True, exist_ok=True)
+    name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
     for done, cycle in enumerate(cycles):
-        _write_cycle(folder, cycle, mill)
+        _write_cycle(folder, cycle, mill.measure(cycle), mill)
         progress(done + 1, len(cycles), f"hour {cycle}")
-    name = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
-    text = _campaign_text(*name, list(cycles), mill)
+    text = _campaign_text(name, machine, list(cycles), mill, corrected=False)
     write_text(folder / "campaign.toml", text, "the campaign file")
     return len(cycles)
 
 
-def _planned(plan: BallPlan, mill: VolumetricMill) -> range:
+def write_ball_campaign(
+    folder: Path, name: str, machine: str, cycles: Sequence[int],
+    readings: Sequence[BallReadings], mill: VolumetricMill, *, corrected: bool,
+) -> None:  # fmt: skip
+    """Write cycles that were measured as a campaign folder; the campaign file comes last.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write.
+    name, machine : str
+        Of the campaign and of its machine.
+    cycles : sequence of int
+        Hours at which they began.
+    readings : sequence of BallReadings
+        What the probe found.
+    mill : VolumetricMill
+        The machine, for its temperatures.
+    corrected : bool
+        Whether a correction was in force.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for cycle, found in zip(cycles, readings, strict=True):
+        _write_cycle(folder, cycle, found, mill)
+    text = _campaign_text(name, machine, list(cycles), mill, corrected=corrected)
+    write_text(folder / "campaign.toml", text, "the campaign file")
+
+
+def planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:
     """Return the hours at which cycles begin.
+
+    Parameters
+    ----------
+    plan : BallPlan
+        What shall be measured.
+    mill : VolumetricMill
+        The machine.
 
     Raises
     ------
@@ -115,8 +152,7 @@ def _planned(plan: BallPlan, mill: VolumetricMill) -> range:
     return range(0, plan.cycles * int(plan.every_h), int(plan.every_h))
 
 
-def _write_cycle(folder: Path, cycle: int, mill: VolumetricMill) -> None:
-    readings = mill.measure(cycle)
+def _write_cycle(folder: Path, cycle: int, readings: BallReadings, mill: VolumetricMill) -> None:
     stem = f"c{cycle:03d}"
     write_parquet(folder / f"{stem}.parquet", table_of(_columns(readings)))
     for name, columns in (
@@ -138,7 +174,9 @@ def _columns(readings: BallReadings) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _campaign_text(name: str, machine: str, cycles: list[int], mill: VolumetricMill) -> str:
+def _campaign_text(
+    name: str, machine: str, cycles: list[int], mill: VolumetricMill, *, corrected: bool
+) -> str:
     lines = [
         "[campaign]",
         f"name = {toml_value(name)}",
@@ -147,6 +185,7 @@ def _campaign_text(name: str, machine: str, cycles: list[int], mill: VolumetricM
         "[campaign.machine_geometry]",
         'type = "volumetric"',
         "virtual = true",
+        f"corrected = {toml_value(corrected)}",
         'chain = "XZY"',
         *(f"stroke_{axis}_mm = {list(reach)}" for axis, reach in STROKES_MM.items()),
         f"poses = {len(AZIMUTHS_DEG)}",

@@ -15,8 +15,9 @@ from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.serve.analogue_link import AnalogueWiring
-    from dtwin.serve.loop import Mode
-    from dtwin.serve.session import OpenSensors, Served
+    from dtwin.serve.loop import Mode, ServeStatus
+    from dtwin.serve.serve_request import Served
+    from dtwin.serve.session import OpenSensors
 
 _BAR_WIDTH = 40
 
@@ -57,13 +58,18 @@ def serve(
         ),
     ] = 0.0,
     link: Annotated[
-        str, typer.Option(help="ur: a robot over RTDE; analogue: a board that gives voltages.")
+        str,
+        typer.Option(
+            help="ur: a robot over RTDE; analogue: a board that gives voltages; axes: a control that "
+            "takes offsets of its axes."
+        ),
     ] = "ur",
     port: Annotated[
         str | None, typer.Option(help="Serial port of the board, like /dev/ttyACM0.")
     ] = None,
     states: Annotated[
-        str | None, typer.Option(help="HOST:PORT of the control's state feed, for the board.")
+        str | None,
+        typer.Option(help="HOST:PORT of the control's state feed, or of its axis link."),
     ] = None,
     states_hz: Annotated[float, typer.Option(help="How often that feed sends a state.")] = 500.0,
     calibration: Annotated[
@@ -76,12 +82,18 @@ def serve(
 ) -> None:
     """Correct a machine live with a promoted model; Ctrl-C releases the correction."""
     from dtwin.config import home
-    from dtwin.serve.session import ServeRequest
+    from dtwin.serve.serve_request import ServeRequest
     from dtwin.serve.session import serve as serve_session
 
+    axes = states if link == "axes" else None
+    wiring = (
+        None
+        if axes and port is None and calibration is None
+        else _wiring(link, port, states, states_hz, calibration, watchdog_ms)
+    )
     request = ServeRequest(
         model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
-        _covariates(covariate or []), patience, _wiring(link, port, states, states_hz, calibration, watchdog_ms),
+        _covariates(covariate or []), patience, wiring, axes,
     )  # fmt: skip
     served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
@@ -106,9 +118,7 @@ def render_served(served: Served) -> str:
         head,
         f"  ended: {status.ended}; the correction is {kept}",
         f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:.1f} um",
-        f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
-        f"states missed ({100 * timing['late_share']:.2f} % together), "
-        f"{timing['timeouts']} waits without a state, {status.reconnects} links came back",
+        _tick_line(status),
         "",
         _percentiles("stage_us", timing["stage_us"]),
         "",
@@ -124,6 +134,17 @@ def render_served(served: Served) -> str:
         f"session log: {served.log}",
     ]
     return "\n".join(lines)
+
+
+def _tick_line(status: ServeStatus) -> str:
+    timing = status.timing
+    if status.clock == "machine":
+        return f"  {timing['ticks']} ticks, each waited for its correction"
+    return (
+        f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
+        f"states missed ({100 * timing['late_share']:.2f} % together), "
+        f"{timing['timeouts']} waits without a state, {status.reconnects} links came back"
+    )
 
 
 def _times(timing: Mapping[str, Any]) -> dict[str, Any]:
@@ -183,7 +204,7 @@ def _wiring(
             "the link is not described",
             code="serve.link",
             got=f"--link {link}, --port {port}, --states {states}",
-            allowed="--link ur, or --link analogue with --port and --states",
+            allowed="--link ur; --link analogue with --port and --states; --link axes with --states",
         )
     from dtwin.serve.analogue_link import AnalogueWiring
 

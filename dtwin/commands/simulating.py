@@ -42,6 +42,16 @@ def simulate(
     schedule: Annotated[
         str, typer.Option(help="Heat of the volumetric mill: training, or validation.")
     ] = "training",
+    listen: Annotated[
+        int | None,
+        typer.Option(
+            help="Port (0: a free one) for dtwin serve --link axes, which corrects lathe, turning or "
+            "volumetric while they are measured."
+        ),
+    ] = None,
+    wall_clock: Annotated[
+        bool, typer.Option("--wall-clock", help="With --listen: in real time, not time-lapsed.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
@@ -52,7 +62,14 @@ def simulate(
             got=machine[:40],
             allowed=", ".join(MACHINES),
         )
-    if machine == "turning":
+    if listen is not None or wall_clock:
+        from dtwin.commands.listening import simulate_served
+
+        simulate_served(
+            out, machine, plan, truth, schedule, seed=seed, quick=quick, port=listen,
+            clock="wall" if wall_clock else "machine", as_json=as_json,
+        )  # fmt: skip
+    elif machine == "turning":
         from dtwin.commands.turning import simulate_tones
 
         simulate_tones(out, plan, truth or "linear", seed=seed, quick=quick, as_json=as_json)

@@ -15,6 +15,8 @@ TONE_FEATURES = (
     "skewness", "crest_factor", "impulse_factor", "shape_factor", "mean_frequency", "total_power",
 )  # fmt: skip
 SENT = "sent_z_um"
+# The same without correction; a watch compares both.
+COMMANDED = "command_z_um"
 # What a tick must know of the commanded sine, at the instant when its correction will arrive.
 COMMAND_PHASE, COMMAND_AMPLITUDE = "command_phase_rad", "command_amplitude_um"
 

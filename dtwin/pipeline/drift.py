@@ -129,9 +129,9 @@ def trained_rows(
     version : RegisteredVersion
         The version.
     """
-    provenance = Bundle.from_dict(registry.bundle(version)).provenance
+    params = registry.client.get_run(version.run_id).data.params
     table = lake.tables["runs"]
-    files = table.files(provenance.table_versions.get("runs", -1))
+    files = table.files(int(params.get("table_version.runs", -1)))
     campaign = campaign_of(registry, version)
     rows = table.read(files).to_pylist() if files else []
     return [row for row in rows if row["campaign"] == campaign and usable(row)]

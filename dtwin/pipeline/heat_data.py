@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from dtwin.config import Home
+from dtwin.errors import InputError
 from dtwin.physics.volumetric.chain import COEFFICIENTS, design
 from dtwin.physics.volumetric.heat_series import HeatSeries
 from dtwin.physics.volumetric.identify import FIXED_POSE, Artefact, Balls, Settled
@@ -23,7 +24,7 @@ _ORDERS = (1, 2)
 _MOST_MORE = 3
 _ALPHA = 1e-3
 _PLACES = 5
-_SPAN_H = 24.0
+_DAY_H = 24.0
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class HeatLoaded:
             for pose in sorted(set(where.pose.tolist())):
                 rows = where.pose == pose
                 for axis in range(3):
-                    key = (int(pose), axis, int((hour - hours[0]) // _SPAN_H))
+                    key = (int(pose), axis, int((hour - hours[0]) // _DAY_H))
                     squares.setdefault(key, []).append(rest[rows, axis] ** 2)
         size = {key: float(np.sqrt(np.concatenate(parts).mean())) for key, parts in squares.items()}
         worst = sorted(size, key=lambda key: -size[key])[:_PLACES]
@@ -72,7 +73,7 @@ class HeatLoaded:
             {
                 "pose": pose, "what": "balls on the table" if pose == FIXED_POSE else "array",
                 "axis": "XYZ"[axis],
-                "hours": [float(hours[0]) + _SPAN_H * day, float(hours[0]) + _SPAN_H * (day + 1)],
+                "hours": [float(hours[0]) + _DAY_H * day, float(hours[0]) + _DAY_H * (day + 1)],
                 "residual_rms_um": size[pose, axis, day],
             }
             for pose, axis, day in worst
@@ -136,7 +137,11 @@ def _identified(measured: Session, wanted: Sequence[str]) -> tuple[tuple[str, ..
         better: list[tuple[float, tuple[str, ...], list[Settled]]] = []
         offered = _tellable(measured, names)
         for more in offered:
-            found = _settled(measured, (*names, more))
+            try:
+                found = _settled(measured, (*names, more))
+            except InputError:
+                # A cycle that lost balls cannot tell it, although the first one can.
+                continue
             p, size = _moves(found)
             if p * len(offered) < _ALPHA:
                 better.append((size, (*names, more), found))

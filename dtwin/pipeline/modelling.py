@@ -90,9 +90,21 @@ def train(
         Free symbolic search.
     progress : callable, optional
         Called with (stage, done, total, what).
+
+    Raises
+    ------
+    InputError
+        When a correction was in force while it was measured, or it cannot be used otherwise.
     """
     lake = Lake(home.lake)
-    train_kind = _TRAININGS.get(lake.campaign(campaign).kind, train_campaign)
+    known = lake.campaign(campaign)
+    if known.machine_geometry.get("corrected", False):
+        raise InputError(
+            "a correction was in force during this campaign: it shows what that left, not the machine",
+            code="train.corrected", where=campaign, got="corrected = true",
+            hint="train on a campaign without; dtwin twin fit shows what is left of this one",
+        )  # fmt: skip
+    train_kind = _TRAININGS.get(known.kind, train_campaign)
     training = train_kind(lake, campaign, seed=seed, engine=engine, progress=progress)
     report = training.report
     if progress is not None:

@@ -27,6 +27,7 @@ from dtwin.pipeline.drift import (
     usable,
 )
 from dtwin.pipeline.modelling import Registered, StageProgress, train
+from dtwin.schema import Campaign
 from dtwin.store import Lake
 from dtwin.train.registry import Registry
 
@@ -176,7 +177,7 @@ def news(home: Home, registry: Registry) -> list[CampaignNews]:
                 rows=rows,
                 new_runs=len(set(contents) - known[machine]),
                 digest=hashlib.sha256("".join(contents).encode()).hexdigest()[:16],
-                obstacle=_obstacle(rows),
+                obstacle=_obstacle(rows, lake.campaign(name)),
             )
         )
     return found
@@ -187,11 +188,15 @@ def _known(registry: Registry, lake: Lake, machine: str) -> set[str]:
     return {row["content_sha256"] for v in versions for row in trained_rows(registry, lake, v)}
 
 
-def _obstacle(rows: list[dict[str, Any]]) -> str:
+def _obstacle(rows: list[dict[str, Any]], campaign: Campaign) -> str:
     if not rows:
         return "no usable runs"
-    if rows[0]["kind"] != "circular":
-        return f"a {rows[0]['kind']} campaign is trained by hand: dtwin train"
+    if campaign.machine_geometry.get("corrected", False):
+        return "a correction was in force while it was measured"
+    if campaign.kind == "placement":
+        return "placements train no equation"
+    if campaign.kind != "circular":
+        return ""
     if not all(_has_controller(row) for row in rows):
         return "no controller signals, so it cannot train a correction"
     feeds = {row["feed_mm_min"] for row in rows}

@@ -22,10 +22,13 @@ from dtwin.report.model_plots import evidence_figure
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.safety import box_factor
 from dtwin.store import Lake
 from dtwin.train.registry import RegisteredVersion, Registry
 
-SPAN_H = 24.0
+DAY_H = 24.0
+# A span has at least so many cycles: fewer say nothing of their scatter.
+FEWEST_CYCLES = 8
 CLOCK = "measured without it, the prediction taken off afterwards"
 Progress = Callable[[int, int, str], None]
 
@@ -36,8 +39,10 @@ def measure_volumetric_evidence(
 ) -> dict[str, Any]:  # fmt: skip
     """Judge a registered version by every other ball-array campaign of its machine in the lake.
 
+    Campaigns during which a correction was in force judge nothing: they have been corrected already.
+
     A correction of micrometres does not change the heat, so that it is taken off what was measured. Where a
-    temperature lies outside of the validity box it is zero, as in serving.
+    temperature lies outside of the validity box it fades, as in serving.
 
     Parameters
     ----------
@@ -76,7 +81,11 @@ def measure_volumetric_evidence(
     }  # fmt: skip
     section = Section(
         "With and without the correction",
-        [f"Changes of the distances between balls in {', '.join(others)}: {CLOCK}."],
+        [
+            f"Changes of the distances between balls in {', '.join(others)}: {CLOCK}. Better and worse "
+            "are said of the share that each cycle keeps of its error, by a 95 % interval that counts "
+            "as many cycles as their correlation leaves."
+        ],
         tables=[Table(*evidence_table(found))],
         figures=[
             evidence_figure(
@@ -91,7 +100,9 @@ def measure_volumetric_evidence(
 
 
 def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
-    """Return what an equation leaves of a campaign, a day at a time, in the form that gates read.
+    """Return what an equation leaves of a campaign, day by day, in the form that gates read.
+
+    Where cycles are far apart, several days are taken together.
 
     Parameters
     ----------
@@ -100,7 +111,7 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
     measured : Session
         Another campaign than that of its fit.
     """
-    correction, inside = _corrections(bundle, measured)
+    correction, trusted = _corrections(bundle, measured)
     was, left, noise = [], [], []
     for (where, moved), values, off in zip(
         measured.moved, measured.values, correction, strict=True
@@ -109,11 +120,18 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
         left.append(_rms(distance_changes_um(where, moved - off)))
         seen = measured.artefact.predicted_um(where, values)
         noise.append(_rms(distance_changes_um(where, moved - seen)))
-    day = np.floor((measured.hour - measured.hour[0]) / SPAN_H).astype(int)
+    apart_h = float(np.median(np.diff(measured.hour)))
+    span_h = DAY_H * math.ceil(FEWEST_CYCLES * apart_h / DAY_H)
+    day = np.floor((measured.hour - measured.hour[0]) / span_h).astype(int)
     # The first cycles are the reference: there is nothing to take away.
     day[:REFERENCE_CYCLES] = -1
     return [
-        _condition(measured, d, *(np.array(v)[day == d] for v in (was, left, noise, inside)))
+        _condition(
+            measured,
+            span_h * d,
+            span_h,
+            *(np.array(v)[day == d] for v in (was, left, noise, trusted)),
+        )
         for d in np.unique(day[day >= 0])
         if np.count_nonzero(day == d) > 1
     ]
@@ -121,49 +139,62 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
 
 def _judges(lake: Lake, name: str, version: RegisteredVersion) -> bool:
     known = lake.campaign(name)
-    return known.machine == version.machine and known.kind == "volumetric"
+    free = not known.machine_geometry.get("corrected", False)
+    return known.machine == version.machine and known.kind == "volumetric" and free
 
 
-def _corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[bool]]:
-    """Return what the equation foretells at the balls since the reference, and where it may."""
+def _corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[float]]:
+    """Return what the guard lets through at the balls since the reference, and how far it trusts."""
     compiled = CompiledBundle(bundle)
     temperatures = [i for i in bundle.inputs if i.source == "covariate"]
     names = [i.name for i in temperatures]
     read = measured.rise_of(names) + measured.begun_of(names)
     low, high = (np.array([getattr(i, end) for i in temperatures]) for end in ("low", "high"))
+    limits = bundle.safety
+    span = limits.shrink_span if limits.outside == "shrink" else 0.0
 
-    def seen(temperature_c: Floats) -> bool:
-        return bool(np.all((temperature_c >= low) & (temperature_c <= high)))
+    def trust(temperature_c: Floats) -> float:
+        return max(float(box_factor(temperature_c, low, high, span)), 0.0)
 
     def sent(place_mm: Floats, temperature_c: Floats) -> Floats:
-        if not seen(temperature_c):
-            return np.zeros((len(place_mm), 3))
         given = {f"{axis}_mm": place_mm[:, k] for k, axis in enumerate("xyz")}
         given |= {n: np.full(len(place_mm), t) for n, t in zip(names, temperature_c, strict=True)}
-        return compiled.run(np.column_stack([given[name] for name in bundle.tick_inputs]))
+        asked = compiled.run(np.column_stack([given[name] for name in bundle.tick_inputs]))
+        trusted = asked * trust(temperature_c)
+        length = np.linalg.norm(trusted, axis=1, keepdims=True)
+        return trusted * np.minimum(1.0, limits.clamp_um / np.maximum(length, 1e-9))
 
     first = read[:REFERENCE_CYCLES].mean(axis=0)
     found = [
         sent(where.position_mm, now) - sent(where.position_mm, first)
         for (where, _), now in zip(measured.moved, read, strict=True)
     ]
-    return found, [seen(now) for now in read]
+    return found, [trust(now) for now in read]
 
 
 def _condition(
-    measured: Session, day: int, was: Floats, left: Floats, noise: Floats, inside: Floats
+    measured: Session,
+    since_h: float,
+    span_h: float,
+    was: Floats,
+    left: Floats,
+    noise: Floats,
+    trusted: Floats,
 ) -> dict[str, Any]:
     ci = [_half_width(values) for values in (was, left)]
-    grown = left - was
-    begin = float(measured.hour[0] + SPAN_H * day)
+    # With and without are of the same cycles, whose heat differs more than the correction does: what
+    # counts is the share that each cycle keeps.
+    kept = np.log(left / was)
+    change, half = float(kept.mean()), _half_width(kept)
+    begin = float(measured.hour[0]) + since_h
     return {
-        "campaign": measured.campaign, "from_h": begin, "to_h": begin + SPAN_H, "trained": False,
+        "campaign": measured.campaign, "from_h": begin, "to_h": begin + span_h, "trained": False,
         "before_um": float(was.mean()), "after_um": float(left.mean()),
         "before_ci_um": ci[0], "after_ci_um": ci[1],
         "floor_um": float(noise.mean()), "oracle_um": None, "n_runs": len(was),
         "reduction": 1.0 - float(left.mean() / was.mean()),
-        "worse": float(grown.mean()) > _half_width(grown),
-        "acted": {"outside_box": 1.0 - float(np.mean(inside))},
+        "better": change < -half, "worse": change > half,
+        "acted": {"outside_box": float(np.mean(trusted < 1.0))},
     }  # fmt: skip
 
 

@@ -18,6 +18,17 @@ _HEADER = struct.Struct(">HB")
 _SETUP_OUTPUTS, _REQUEST_VERSION = 79, 86
 
 
+def is_loopback(host: str) -> bool:
+    """Tell whether an address never leaves this computer.
+
+    Raises
+    ------
+    OSError
+        When the name is not known.
+    """
+    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+
+
 def is_virtual(host: str, timeout_s: float = 2.0) -> bool:
     """Tell whether a controller is certainly the virtual one.
 
@@ -33,10 +44,9 @@ def is_virtual(host: str, timeout_s: float = 2.0) -> bool:
         Longest wait for each answer.
     """
     try:
-        address = socket.gethostbyname(host)
-        if not ipaddress.ip_address(address).is_loopback:
+        if not is_loopback(host):
             return False
-        with socket.create_connection((address, RTDE_PORT), timeout_s) as connection:
+        with socket.create_connection((host, RTDE_PORT), timeout_s) as connection:
             _ask(connection, _REQUEST_VERSION, struct.pack(">H", 2))
             reply = _ask(
                 connection, _SETUP_OUTPUTS, struct.pack(">d", 1.0) + VIRTUAL_VARIABLE.encode()

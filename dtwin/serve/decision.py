@@ -15,11 +15,15 @@ from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID
 from dtwin.features.motion import PATH_INPUTS, PathInputs
 from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
+from dtwin.links.live_values import LiveValues
 from dtwin.schema import Floats
 from dtwin.serve.direction import Direction
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 from dtwin.serve.sensor_trouble import SATURATED, saturated_kernel
+
+STANDARD_INPUTS: tuple[str, ...] = (*PATH_INPUTS, *layout.NAMES)
+"""Inputs that follow from every controller's state."""
 
 _TROUBLE = {VALID: "", CONSTANT: "stuck", NOT_FINITE: "not finite"}
 
@@ -58,6 +62,8 @@ class Decision:
         Values of covariate inputs.
     sensors : SensorSource, optional
         Required when the bundle has feature inputs.
+    live : LiveValues, optional
+        Inputs that the control sends beside its state.
 
     Attributes
     ----------
@@ -75,24 +81,29 @@ class Decision:
     def __init__(
         self, compiled: CompiledBundle, tcp_mm: Floats,
         covariates: Mapping[str, float] | None = None, sensors: SensorSource | None = None,
+        live: LiveValues | None = None,
     ) -> None:  # fmt: skip
         bundle = compiled.bundle
+        sent = live or LiveValues({})
         self.compiled, self.sensors = compiled, sensors
         self._path = PathInputs(dict(layout.INDEX), tcp_mm)
         given = dict(covariates or {})
         n_path = len(PATH_INPUTS)
-        names = [*PATH_INPUTS, *layout.NAMES, *given]
+        names = [*STANDARD_INPUTS, *given, *sent.names]
         self._pool = np.zeros(len(names))
         self._path.values = self._pool[:n_path]
         self._state = self._pool[n_path : n_path + layout.N]
-        self._pool[n_path + layout.N :] = list(given.values())
+        first_live = n_path + layout.N + len(given)
+        self._pool[n_path + layout.N : first_live] = list(given.values())
+        self._sent, self._live = sent, self._pool[first_live:]
         missing = [name for name in bundle.tick_inputs if name not in names]
         if missing:
             raise InputError(
                 "the model wants inputs that this machine does not provide",
                 code="serve.inputs",
                 got=", ".join(missing)[:200],
-                hint="give a covariate its value, or serve another model",
+                hint="a control that sends them: dtwin serve --link axes --states HOST:PORT; "
+                "or --covariate NAME=NUMBER",
             )
         self._take = np.array([names.index(n) for n in bundle.tick_inputs], dtype=np.int64)
         n_tick, n_features = len(bundle.tick_inputs), len(bundle.feature_inputs)
@@ -104,10 +115,15 @@ class Decision:
         self.guard = Guard(bundle.safety, box[:, 0], box[:, 1])
         self.direction = Direction(bundle.outputs)
         self.window_age_s = 0.0
-        self.hold = False
+        self.hold = self._windowed = False
         self.sensor_trouble = ""
         self._prepare_window(sensors)
         self._warm_up()
+
+    @property
+    def trouble(self) -> str:
+        """What is not finite: a channel of the newest window, or values that the control sends no more."""
+        return self.sensor_trouble or ", ".join(self._sent.old())
 
     def _prepare_window(self, sensors: SensorSource | None) -> None:
         bundle = self.compiled.bundle
@@ -148,6 +164,9 @@ class Decision:
         """Start a new run: path angle, equation state and newest window are forgotten."""
         self._path.reset()
         self.compiled.reset()
+        # An equation that remembers must not remember what it made of no window.
+        self._windowed = False
+        self.compiled.outputs[:] = 0.0
 
     def decide(
         self, state: Floats, *, age_s: float, elapsed_s: float, enabled: bool,
@@ -173,11 +192,13 @@ class Decision:
         self._state[:] = state
         # The feed that the program asks for is not the one that the slider leaves of it.
         self._state[layout.FEED] *= state[layout.SPEED_SCALING]
+        self._live[:] = self._sent.values
         self._path.update(self._state)
         np.take(self._pool, self._take, out=self._tick, mode="clip")
         self.compiled.tick_inputs[:] = self._tick
         pathed = perf_counter_ns()
-        self.compiled.evaluate()
+        if self._windowed or not self._uses_window:
+            self.compiled.evaluate()
         evaluated = perf_counter_ns()
         wanted = self.direction.apply(self.compiled.outputs, self._pool[0], state[layout.PLANE_ID])
         device_ok = (
@@ -228,3 +249,4 @@ class Decision:
                 self._features[k] = np.nan
                 self.sensor_trouble = f"{self._names[channel]}: {wrong}"
         self.compiled.window(self._features)
+        self._windowed = True

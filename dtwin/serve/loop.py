@@ -1,4 +1,4 @@
-"""The serving loop: on the wall clock with a link, or in lock-step with a controller."""
+"""The serving loop on the wall clock, with a link; :mod:`dtwin.serve.lockstep` is its other clock."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dtwin.serve.journal import Note, no_journal
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.program_watch import ProgramWatch
 from dtwin.serve.realtime import realtime
-from dtwin.serve.safety import REASONS
+from dtwin.serve.safety import NOT_FINITE
 from dtwin.serve.timing import LoopTiming
 
 Mode = Literal["live", "shadow", "dry-run"]
@@ -40,23 +40,6 @@ class Link(Protocol):
 
     def send(self, offset_um: Floats, sequence: int) -> None:
         """Send a correction (3,) in um with its sequence number."""
-        ...
-
-
-class Controller(Protocol):
-    """What the lock-step loop needs of a virtual controller."""
-
-    @property
-    def done(self) -> bool:
-        """Whether its program has ended."""
-        ...
-
-    def state(self) -> Floats:
-        """Return the newest state (N,)."""
-        ...
-
-    def step(self, registers: Floats) -> None:
-        """Advance by one period with these correction registers (4,) in force."""
         ...
 
 
@@ -242,7 +225,9 @@ class ServingLoop:
             state, age_s=now_s - self.link.received_s, elapsed_s=elapsed_s, enabled=True,
             stages=row,
         )  # fmt: skip
-        self.watch.reason(self.decision.guard.reason, now_s, self.decision.sensor_trouble)
+        reason = self.decision.guard.reason
+        trouble = self.decision.trouble if reason == NOT_FINITE else ""
+        self.watch.reason(reason, now_s, trouble)
         before_ns = time.perf_counter_ns()
         sent_um = self._send(safe)
         done_ns = time.perf_counter_ns()
@@ -323,71 +308,3 @@ class ServingLoop:
             self.decision.guard.out_um[:] = 0.0
             return error
         return None
-
-
-def serve_lockstep(
-    decision: Decision, controller: Controller, *, period_s: float = 0.002, mode: Mode = "live",
-    transport_ticks: int = 1, stop: Callable[[], bool] | None = None,
-) -> ServeStatus:  # fmt: skip
-    """Serve a virtual controller on its own clock, one tick at a time, until it is done.
-
-    Parameters
-    ----------
-    decision : Decision
-        Features, equation, direction and safety: the code of the wall-clock loop.
-    controller : Controller
-        Machine that advances a tick per correction.
-    period_s : float
-        Period of the controller.
-    mode : {"live", "shadow", "dry-run"}
-        As in ``ServingLoop``.
-    transport_ticks : int
-        Ticks between a state and the arrival of its correction, the modelled transport;
-        1 is a correction that arrives within its own tick.
-    stop : callable, optional
-        Asked every tick; true releases and lets the program run to its end.
-
-    Returns
-    -------
-    ServeStatus
-        With machine-clock ages; stage times are of the computation alone.
-    """
-    decision.reset()
-    decision.guard.reset()
-    timing = LoopTiming(period_s)
-    queue = np.zeros((max(1, transport_ticks), layout.REGISTERS_N))
-    sequence, largest, last_stamp_s, stopped = 0, 0.0, np.nan, False
-    while not controller.done:
-        start_ns = time.perf_counter_ns()
-        state = controller.state()
-        stopped = stopped or (stop is not None and stop())
-        row = timing.stages()
-        safe = decision.decide(
-            state, age_s=0.0, elapsed_s=period_s, enabled=not stopped, stages=row
-        )
-        largest = max(largest, float(np.sqrt(safe @ safe)))
-        arriving = queue[sequence % len(queue)]
-        arriving[layout.REGISTER_SEQUENCE] = 0.0 if mode == "shadow" else sequence + 1
-        arriving[layout.REGISTER_OFFSET :] = safe if mode == "live" else 0.0
-        sequence += 1
-        row[5] = time.perf_counter_ns() - start_ns
-        row[4] = 0
-        controller.step(queue[sequence % len(queue)])
-        stamp_s = float(state[layout.TIMESTAMP])
-        step_s = stamp_s - last_stamp_s
-        timing.tick(step_s, step_s, (len(queue) - 1) * period_s, decision.window_age_s)
-        last_stamp_s = stamp_s
-    rested = mode != "live" or decision.guard.at_rest
-    return ServeStatus(
-        clock="machine",
-        mode=mode,
-        ended="stopped" if stopped else "finished",
-        released=rested,
-        reasons=decision.guard.counted(),
-        timing=timing.summary(),
-        largest_um=largest,
-        last_sequence=0 if mode == "shadow" else sequence,
-    )
-
-
-__all__ = ["REASONS", "Controller", "Link", "Mode", "ServeStatus", "ServingLoop", "serve_lockstep"]

@@ -11,6 +11,7 @@ from typing import Protocol
 from dtwin.errors import DeviceError, DtwinError, GateRefusal
 from dtwin.links import state as layout
 from dtwin.serve.decision import Decision
+from dtwin.serve.endings import fault_of
 from dtwin.serve.journal import Note
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.loop import Link, Mode, ServeStatus, ServingLoop
@@ -241,29 +242,9 @@ class _Stops:
 
     def fault(self, where: str) -> DtwinError | None:
         """Return what a stop that nobody asked for means."""
-        if self.why == "safety_stop":
-            return DeviceError(
-                "the machine stopped for safety; the correction was released",
-                code="serve.safety_stop",
-                where=where,
-                got=self._watch.condition.replace("_", " "),
-                hint="clear the stop at the machine, find its cause, then serve again",
-            )
-        if self.why == "withdrawn":
-            return GateRefusal(
-                "the model was withdrawn while it was served; the correction was released",
-                code="serve.withdrawn",
-                where=where,
-                got=self._reason,
-                hint="dtwin models shows the history; serve again for the champion of now",
-            )
         if self.why == "latched":
             broken = self._sensors.fault() if self._sensors is not None else None
-            return DeviceError(
-                "too many faults; the correction was released and stays so",
-                code="serve.latched",
-                where=where,
-                got=f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else ""),
-                hint="the reasons in the status say which; serve again to arm it",
-            )
-        return None
+            got = f"{self._guard.trips} faults" + (f"; the sensors: {broken}" if broken else "")
+        else:
+            got = self._reason or self._watch.condition.replace("_", " ")
+        return fault_of(self.why, where, got)

@@ -41,6 +41,11 @@ class CompiledBundle:
         self.evaluate = self._tape.evaluate
         """Evaluate one tick from ``tick_inputs`` into ``outputs``."""
 
+    @property
+    def told(self) -> dict[str, float]:
+        """What the newest window told, by name of the intermediate."""
+        return dict(zip(self.bundle.intermediates, self._held.tolist(), strict=True))
+
     def reset(self) -> None:
         """Return to the state before the first tick and forget the newest window."""
         self._tape.reset()

@@ -121,7 +121,7 @@ class LoopTiming:
     def summary(self) -> dict[str, Any]:
         """Return counts, percentiles and the jitter histogram, JSON-ready."""
         n = min(self.ticks, len(self._interval_s))
-        interval = self._interval_s[:n][np.isfinite(self._interval_s[:n])]
+        interval = _finite(self._interval_s[:n])
         jitter_us = np.abs(interval - self.period_s) * 1e6
         counts, _ = np.histogram(jitter_us, np.array([*_EDGES_US, np.inf]))
         labels = [f"<{edge}" for edge in _EDGES_US[1:]] + [f">={_EDGES_US[-1]}"]
@@ -136,12 +136,16 @@ class LoopTiming:
                 name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(STAGES)
             },
             "state_age_ms": _percentiles(self._age_s[:n] * 1e3),
-            "answer_ms": _percentiles(self._answer_s[np.isfinite(self._answer_s)] * 1e3),
-            "window_age_ms": _percentiles(self._window_age_s[:n] * 1e3),
+            "answer_ms": _percentiles(_finite(self._answer_s) * 1e3),
+            "window_age_ms": _percentiles(_finite(self._window_age_s[:n]) * 1e3),
             "jitter_us_histogram": {
                 label: int(count) for label, count in zip(labels, counts, strict=True)
             },
         }
+
+
+def _finite(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    return values[np.isfinite(values)]
 
 
 def _percentiles(values: NDArray[np.float64]) -> dict[str, float] | None:

@@ -13,7 +13,7 @@ from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
-from dtwin.serve.loop import serve_lockstep
+from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 

@@ -20,6 +20,8 @@ from dtwin.train.results import condition_name
 
 LATENCY_BUDGET_US = 100.0
 MIN_R2 = 0.2
+# An error of less than so many noise floors need not fall, it must only not grow.
+_ERROR_FLOORS = 3.0
 
 
 @dataclass(frozen=True)
@@ -75,11 +77,9 @@ def evidence_gate(evidence: Mapping[str, Any], bundle: Bundle, *, real: bool) ->
     """
     conditions = evidence["conditions"]
     worse = [c for c in conditions if c["worse"]]
-    better = [
-        c
-        for c in conditions
-        if c["before_um"] - c["after_um"] > np.hypot(c["before_ci_um"], c["after_ci_um"])
-    ]
+    better = [c for c in conditions if _is_better(c)]
+    counted = [c for c in conditions if c in better or _errs(c)]
+    spared = len(conditions) - len(counted)
     same = evidence["bundle_sha256"] == bundle.sha256
     kind_fits = evidence["kind"] == "real" or not real
     return [
@@ -92,10 +92,25 @@ def evidence_gate(evidence: Mapping[str, Any], bundle: Bundle, *, real: bool) ->
         ),
         Verdict(
             "error falls",
-            len(better) > len(conditions) / 2,
-            f"{len(better)} of {len(conditions)} conditions better beyond their 95 % intervals",
+            len(better) > len(counted) / 2,
+            f"{len(better)} of {len(counted)} conditions better beyond their 95 % intervals"
+            + (f", {spared} below three noise floors" if spared else ""),
         ),
     ]
+
+
+def _errs(condition: Mapping[str, Any]) -> bool:
+    """Tell whether there is much to correct; what lies near the noise floor need not fall."""
+    floor_um = condition.get("floor_um")
+    return floor_um is None or condition["before_um"] > _ERROR_FLOORS * floor_um
+
+
+def _is_better(condition: Mapping[str, Any]) -> bool:
+    """Tell whether the error fell beyond its interval; who measured in pairs has said so."""
+    if "better" in condition:
+        return bool(condition["better"])
+    change = condition["before_um"] - condition["after_um"]
+    return bool(change > np.hypot(condition["before_ci_um"], condition["after_ci_um"]))
 
 
 def _held_out(metrics: Mapping[str, float]) -> Verdict:

@@ -16,8 +16,11 @@ from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 
 POSITION_HZ, TEMPERATURE_HZ = 100.0, 1.0 / 30.0
-# Heat moves slowly: a step of the correction is a fault of a sensor, not of the machine.
-SAFETY = SafetyLimits(clamp_um=150.0, slew_um_s=20.0, stale_s=0.1)
+# Heat moves slowly, axes at rapid traverse do not: 100 um over a second's way. Dropped at the edge of the
+# box, the correction of a whole season would jump; it fades instead.
+SAFETY = SafetyLimits(
+    clamp_um=250.0, slew_um_s=100.0, stale_s=0.1, outside="shrink", shrink_span=0.25
+)  # fmt: skip
 BEYOND_C = 2.0
 _LINEAR = {"X": ("y", "z"), "Z": ("y",), "0": ("x", "y", "z"), "Y": ()}
 

@@ -112,7 +112,10 @@ def circle(request: Request, machine: str) -> Response:
     at = COLUMNS.index("actual_x_mm")
     position, centre, radius = np.split(seen.rows[:, at : at + 7], [3, 6], axis=1)
     figure = circle_figure(position, centre, radius[:, 0], seen.rows[:, _CORRECTION])
-    return drawn(figure or waiting_figure("no whole circle was seen yet"))
+    told = (
+        "no whole circle was seen yet" if radius.any() else "this machine goes round no circle now"
+    )
+    return drawn(figure or waiting_figure(told))
 
 
 def _board(request: Request, machine: str) -> Seen:

@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 import math
 import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
@@ -16,8 +19,10 @@ from dtwin.acquire.virtual_lathe import mapping_plan, simulate_lathe, verificati
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
+from dtwin.pipeline.lathe_compensation import campaign_test
 from dtwin.pipeline.lathe_fit import fitted
 from dtwin.pipeline.lathe_paper import Size, lathe_paper
+from dtwin.pipeline.scheduled import scheduled_training
 from dtwin.report.lathe import paper_text
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -25,6 +30,25 @@ from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
 from dtwin.train.positioning_gates import registered_positioning_gates
 from dtwin.train.registry import Registry
+
+CHECK = """[plan]
+kind = "linear"
+name = "check"
+machine = "virtual-lathe"
+axis = "Z"
+unit = "in"
+start = 1
+end = 3.34
+step = 0.26
+runs = 1
+feed_min = 20
+overshoot = 0.1
+axis_low = 0
+axis_high = 41
+pitch = 0.25
+dwell_s = 6
+laser_dwell_s = 4
+"""
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
@@ -118,13 +142,53 @@ def test_positions_are_trained_promoted_and_tried_like_circles(
     assert [c["approached"] for c in conditions] == ["forward", "reverse"]
     assert all(c["reduction"] > 0.7 for c in conditions)
     assert json.loads(invoke("models", "--json"))["versions"][0]["tags"]["evidence"] == "virtual"
-    with pytest.raises(InputError, match="no device is known for a correction of a position"):
+    with pytest.raises(InputError, match="only the machine's control can send"):
         CliRunner().invoke(app, ["serve", "--model", "latest"], catch_exceptions=False)
+    # On a day that no run of the map was measured on, served to a control in a process of its own.
+    check = tmp_path / "check.toml"
+    check.write_text(CHECK)
+    options = ["--machine", "lathe", "--plan", str(check), "--seed", "7"]
+    control = subprocess.Popen(
+        [sys.executable, "-m", "dtwin", "simulate", *options, "--listen", "0", "--out",
+         str(tmp_path / "served")],
+        stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert control.stderr is not None
+    address = re.search(r"127\.0\.0\.1:\d+", control.stderr.readline())
+    assert address is not None
+    status = json.loads(invoke("serve", "--link", "axes", "--states", address.group(), "--json"))
+    said, _ = control.communicate(timeout=60)
+    assert "20 readings of the laser" in said
+    assert (status["device"], status["ended"], status["fault"]) == ("virtual", "finished", None)
+    invoke("simulate", *options, "--out", str(tmp_path / "alone"))
+    left, was = (largest_um(tmp_path / name) for name in ("served", "alone"))
+    assert left < 0.4 * was
+    invoke("ingest", str(tmp_path / "served"))
+    with pytest.raises(InputError, match="a correction was in force"):
+        CliRunner().invoke(app, ["train", "served"], catch_exceptions=False)
+    assert scheduled_training(home()).outcome == "skipped"
+    simulate_lathe(tmp_path / "again", plan=replace(plan, name="again"), seed=5)
+    invoke("ingest", str(tmp_path / "again"))
+    turn = scheduled_training(home())
+    assert turn.reason == "3 new runs in again: version 2 is the candidate"
+    assert scheduled_training(home()).campaigns == {
+        "again": "0 new runs", "served": "older than the newest campaign that was trained on",
+        "map": "older than the newest campaign that was trained on",
+    }  # fmt: skip
+    newest = Registry(home()).version("virtual-lathe", "candidate")
+    assert "cannot be judged on recorded runs" in newest.tags["against_champion"]
     again = Bundle.from_dict(
         Registry(home()).bundle(Registry(home()).version("virtual-lathe", "1"))
     )
     worse = registered_positioning_gates(again, {"screw_pitch_in": 0.25, "explained_share": 0.5})
     assert {v.gate for v in worse if not v.passed} >= {"held-out runs", "the screw is known"}
+
+
+def largest_um(folder: Path) -> float:
+    """Largest error of a test about its mean, as the laser's zero is arbitrary."""
+    _, test = campaign_test(folder)
+    both = np.stack([test.forward_um, test.reverse_um])
+    return float(np.max(np.abs(both - both.mean())))
 
 
 def test_a_position_cannot_be_learned_from_one_run(

@@ -34,7 +34,8 @@ from dtwin.links.ur import UrLink
 from dtwin.serve.barred import bar
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input, SafetyLimits
-from dtwin.serve.session import ServeRequest, serve
+from dtwin.serve.serve_request import ServeRequest
+from dtwin.serve.session import serve
 
 pytestmark = pytest.mark.system
 

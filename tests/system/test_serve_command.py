@@ -36,9 +36,11 @@ from dtwin.features.windows import WindowContract
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.controller_kind import is_virtual
+from dtwin.serve.door import require_evidence
 from dtwin.serve.interface import Input, Provenance, SafetyLimits
 from dtwin.serve.pointer import machine_folder, write_pointer
-from dtwin.serve.session import ServeRequest, require_evidence, serve
+from dtwin.serve.serve_request import ServeRequest
+from dtwin.serve.session import serve
 
 pytestmark = pytest.mark.system
 

@@ -7,18 +7,23 @@ import re
 from pathlib import Path
 
 import pytest
+from axis_control import AxisControl
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
+from dtwin.acquire.ingest import open_source
+from dtwin.acquire.served_slide import ServedSlide
 from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_slide
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.features.sine import fit_tone
 from dtwin.pipeline.turning_paper import calibration_lines, turning_paper
 from dtwin.report.turning import paper_text
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
+from dtwin.tone_plan import TonePlan
 from flows._runtime import run
 from flows.papers import turning_paper_flow
 
@@ -68,8 +73,21 @@ def test_tones_are_trained_promoted_and_tried_like_circles(
     assert "champion" in versions[0]["aliases"]
     tried = json.loads(invoke("turning", "compensate", "latest", "--frequency", "40", "--json"))
     assert tried["rows"][0]["reduction"]["form_um"] > 0.85
-    with pytest.raises(InputError, match="no device is known"):
+    with pytest.raises(InputError, match="only the machine's control can send"):
         CliRunner().invoke(app, ["serve", "--model", "latest"], catch_exceptions=False)
+    home = Home(tmp_path / "home")
+    plan = TonePlan("served", "virtual-turning", (40.0,), (5.0,), seconds=1.0)
+    control = AxisControl(ServedSlide(plan, "linear", 3), home)
+    with control:
+        said = json.loads(invoke("serve", "--link", "axes", "--states", control.address, "--json"))
+    assert (said["device"], said["ended"], said["fault"]) == ("virtual", "finished", None)
+    # Nothing before the first window of five seconds, and every tick after it.
+    assert said["reasons"]["device_stopped"] == 5 * 8000
+    control.machine.write(tmp_path / "served")
+    (run,) = [run for part, _ in open_source(tmp_path / "served")[1] for run in part]
+    command, tool = (run.samples[name] * 1000.0 for name in ("cmd_z_mm", "tool_z_mm"))
+    left = abs(fit_tone(run.samples["t_s"], tool - command, 40.0).phasor)
+    assert left < 0.1, "4.3 um without"
     assert Home(tmp_path / "home").lake.exists()
 
 

@@ -75,9 +75,14 @@ class Mover:
     in_twin: bool
 
     @property
+    def told(self) -> bool:
+        """Whether temperatures tell it on hours left out."""
+        return self.gain >= EXPLAINED and self.p_value < _ALPHA
+
+    @property
     def explained(self) -> bool:
         """Whether thermocouples tell it."""
-        return self.channel is None and self.gain >= EXPLAINED and self.p_value < _ALPHA
+        return self.told and self.channel is None
 
     @property
     def label(self) -> str:
@@ -87,10 +92,10 @@ class Mover:
     @property
     def addition(self) -> str:
         """What to add to the twin; empty when nothing that was logged would help."""
+        if not self.told:
+            return ""
         if self.channel is not None:
             return HeatTerm(self.motion, (self.channel,)).label
-        if not self.explained:
-            return ""
         return HeatTerm(self.motion, self.sensors if self.in_twin else ()).label
 
 
@@ -145,7 +150,7 @@ class HeatDiagnosis:
             "replication": "cycle", "lack_of_fit_p": self.lack_of_fit_p,
             "candidates": [self._candidate(mover) for mover in self.movers],
             "where": [dict(place) for place in self.where],
-            "channels": sorted({m.channel for m in self.group if m.channel}),
+            "channels": sorted({m.channel for m in self.group if m.channel and m.told}),
             "laws": [], "closest": None, "invisible": [], "untestable": {}, "outlier_runs": [],
             "variance": {}, "quiet": list(self.quiet),
             "next_experiment": self.next_experiment,
@@ -162,7 +167,7 @@ class HeatDiagnosis:
             "seen_um": mover.seen_um, "cv_gain": mover.gain, "p_value": mover.p_value,
             "in_group": mover in self.group, "grade": _grade(mover),
             "confounded_with": [HeatTerm(mover.motion, (body,)).label for body in alike],
-            "temperatures": list(mover.sensors), "explained_by": mover.channel,
+            "temperatures": list(mover.sensors), "explained_by": mover.channel if mover.told else None,
             "largest_inflation": mover.largest_inflation, "add": mover.addition or None,
             "remedy": family.remedy,
         }  # fmt: skip
@@ -213,9 +218,7 @@ def _verdict(movers: Sequence[Mover]) -> tuple[Verdict, tuple[Mover, ...]]:
         return "ambiguous", tuple(explained)
     unknown = [m for m in movers if not m.explained]
     if unknown:
-        return "unknown_effect", tuple(
-            sorted(unknown, key=lambda m: (m.channel is None, -m.seen_um))
-        )
+        return "unknown_effect", tuple(sorted(unknown, key=lambda m: (not m.addition, -m.seen_um)))
     return "nothing_missing", ()
 
 
@@ -373,16 +376,18 @@ def _headline(
     best = group[0]
     what = f"{best.motion} ({motion_words(best.motion)}: {family_of(best.motion).title})"
     others = f"; {len(group) - 1} more" if len(group) > 1 else ""
+    lacks = "lacks temperatures" if best.in_twin else "is missing"
     if verdict == "missing_effect":
         unknown = [m.motion for m in movers if not m.explained]
         also = f"; not explained by thermocouples: {', '.join(unknown)}" if unknown else ""
-        lacks = "lacks temperatures" if best.in_twin else "is missing"
         return (
             f"{what} {lacks}, {100 * best.gain:.0f} % of it is told on hours left out{others}{also}"
         )
     if verdict == "ambiguous":
-        return f"{what} is missing, but {_listed(best.bodies)} each tell it alone, equally well{others}"
-    if best.channel:
+        return (
+            f"{what} {lacks}, but {_listed(best.bodies)} each tell it alone, equally well{others}"
+        )
+    if best.addition:
         return f"{what} moves, and no thermocouple tells it; {best.channel} does{others}"
     return f"{what} moves, and nothing that was logged tells it{others}"
 

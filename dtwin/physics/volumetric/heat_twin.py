@@ -19,7 +19,7 @@ FORMAT = "dtwin-heat-twin-1"
 KIND = "volumetric"
 _DAY_H = 24.0
 _COVERAGE = 2.0
-# As in the bundle that is served: so far beyond what the fit saw it is not trusted.
+# Readings that leave what the fit saw by more are told, as a served bundle heeds them.
 BEYOND_C = 2.0
 
 

@@ -26,7 +26,8 @@ from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.interface import Input, Output, SafetyLimits
-from dtwin.serve.loop import ServeStatus, ServingLoop, serve_lockstep
+from dtwin.serve.lockstep import serve_lockstep
+from dtwin.serve.loop import ServeStatus, ServingLoop
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import REASONS
 from dtwin.serve.signals import stop_on_signals

@@ -1,0 +1,271 @@
+"""Live offsets of machine axes: states from a control's bridge, corrections back to it.
+
+Both are lines of JSON over one TCP connection; the reference page "Axis link" describes them. A control
+on the machine clock waits for the correction of each state before it goes on.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dtwin.errors import DeviceError, InputError
+from dtwin.links import state as layout
+from dtwin.links.line_socket import LineSocket
+from dtwin.links.live_values import LiveValues
+from dtwin.links.opened import OpenAndClose
+from dtwin.links.state import Floats
+from dtwin.links.virtual_key import new_nonce
+
+PROTOCOL = 1
+STATE_NAMES = ("timestamp_s", "runtime_running", "safety_ok")
+"""What every state must have."""
+
+LONGEST_LINE = 65_536
+_GREETING_S = 5.0
+# A control on the machine clock may think for long between two states.
+_LAPSED_S = 30.0
+_AXES = ("x", "y", "z")
+Clock = Literal["wall", "machine"]
+Samples = Callable[[Floats], None]
+
+
+@dataclass(frozen=True)
+class Greeting:
+    """What a control says of itself.
+
+    Attributes
+    ----------
+    control : str
+        Its name.
+    period_s : float
+        From state to state.
+    clock : {"wall", "machine"}
+        On the machine clock a state waits for its correction.
+    watchdog_s : float
+        Silence after which the control goes back to zero by itself.
+    axes : tuple of str
+        Axes that take an offset.
+    proof : str
+        Answer to the nonce; see :mod:`dtwin.links.virtual_key`.
+    """
+
+    control: str
+    period_s: float
+    clock: Clock
+    watchdog_s: float
+    axes: tuple[str, ...]
+    proof: str
+
+
+class AxisLink(OpenAndClose):
+    """What the serving loop needs, over one connection to a control's bridge.
+
+    Parameters
+    ----------
+    address : str
+        ``HOST:PORT`` of the bridge.
+    live : LiveValues
+        The inputs that the control must provide.
+    axes : sequence of str
+        Axes that will be corrected.
+    channels : sequence of str
+        Signals that it must sample, at one rate.
+    channels_hz : float
+        That rate.
+    samples : callable, optional
+        Takes each sample of the channels, shape (channels,).
+    writes : bool
+        Whether corrections may be sent; on the machine clock zeros go out without.
+    lost_after_s : float
+        Silence after which the control counts as dead.
+
+    Attributes
+    ----------
+    greeting : Greeting
+        What the control said when the link was opened.
+    bad_lines : int
+        Lines that were no state.
+    finished : bool
+        Whether the control said that its program has ended.
+    received_s : float
+        Monotonic time of the newest state.
+    """
+
+    realtime = False
+    greeting: Greeting
+
+    def __init__(
+        self, address: str, live: LiveValues, axes: Sequence[str], *,
+        channels: Sequence[str] = (), channels_hz: float = 0.0, samples: Samples | None = None,
+        writes: bool = True, lost_after_s: float = 2.0,
+    ) -> None:  # fmt: skip
+        self._line = LineSocket(address, "axis link", LONGEST_LINE)
+        self.host = self._line.host
+        self._live, self._axes, self._writes = live, tuple(axes), writes
+        self._channels, self._channels_hz, self._samples = tuple(channels), channels_hz, samples
+        self._sample = np.zeros(len(self._channels))
+        self._lost_after_s = lost_after_s
+        self._state = layout.empty_state()
+        self._state[layout.SPEED_SCALING] = 1.0
+        self.nonce = new_nonce()
+        self.bad_lines, self.finished = 0, False
+        self.received_s = self._heard_s = math.nan
+        self._waiting: list[bytes] = []
+
+    @property
+    def newest(self) -> layout.RobotState:
+        """State (N,) that was returned last."""
+        return self._state
+
+    def open(self) -> None:
+        """Connect, and agree on what is exchanged.
+
+        Raises
+        ------
+        DeviceError
+            When nobody answers, or what answers is no axis link.
+        InputError
+            When the control does not provide what the model needs.
+        """
+        self._line.open()
+        try:
+            self._agree()
+        except BaseException:
+            self._line.close()
+            raise
+        self._live.forget()
+        self._heard_s = time.monotonic()
+
+    def wait_state(self, timeout_s: float) -> layout.RobotState | None:
+        """Return the newest state that was not returned before, None when none came in time.
+
+        Raises
+        ------
+        DeviceError
+            When the connection ended, or the control was silent for too long.
+        """
+        until_s = time.monotonic() + timeout_s
+        while True:
+            lines, self._waiting = self._waiting or self._line.lines(until_s), []
+            # Every line counts: values and samples of one that is not the last must not be lost.
+            if any([self._read(line) for line in lines]):
+                self.received_s = self._heard_s = time.monotonic()
+                return self._state
+            now_s = time.monotonic()
+            if now_s - self._heard_s > self._lost_after_s:
+                text = f"the control sent no state for {now_s - self._heard_s:.1f} s"
+                raise self._line.fault("states.silent", text)
+            if now_s >= until_s:
+                return None
+
+    def begin(self) -> None:
+        """Nothing to do: the control takes corrections as they come."""
+
+    def send(self, offset_um: Floats, sequence: int) -> None:
+        """Send a correction (3,) with its number; without the right to write, zeros without a number.
+
+        Raises
+        ------
+        DeviceError
+            When the connection ended, or the control does not read.
+        """
+        if not self._writes:
+            offset_um, sequence = np.zeros(3), 0
+        x, y, z = offset_um.tolist()
+        self._line.send(b'{"sequence":%d,"offset_um":[%r,%r,%r]}\n' % (sequence, x, y, z))
+
+    def close(self) -> None:
+        """Close the connection, after which the control goes back to zero by itself."""
+        self._line.close()
+
+    def _agree(self) -> None:
+        asked = {
+            "dtwin": PROTOCOL, "inputs": list(self._live.names), "axes": list(self._axes),
+            "channels": list(self._channels), "channels_hz": self._channels_hz, "nonce": self.nonce,
+        }  # fmt: skip
+        self._line.send(json.dumps(asked).encode() + b"\n")
+        lines = self._line.lines(time.monotonic() + _GREETING_S)
+        if not lines:
+            raise self._line.fault("axes.silent", "what answers does not greet")
+        self._waiting = lines[1:]
+        told = _object(lines[0])
+        if told is None or told.get("dtwin") != PROTOCOL:
+            raise self._line.fault("axes.protocol", "what answers is no axis link of this version")
+        if told.get("refused"):
+            raise DeviceError(
+                "the control refuses", code="axes.refused", where=self._line.address,
+                got=str(told["refused"])[:200],
+            )  # fmt: skip
+        self.greeting = self._greeting(told)
+        if self.greeting.clock == "machine":
+            self._lost_after_s = max(self._lost_after_s, _LAPSED_S)
+        lacking = told.get("missing")
+        missing = list(lacking) if isinstance(lacking, list) else []
+        missing += [axis for axis in self._axes if axis not in self.greeting.axes]
+        if missing:
+            raise InputError(
+                "the control does not provide what the model needs", code="axes.missing",
+                where=f"{self.greeting.control} at {self._line.address}",
+                got=f"without {', '.join(str(name) for name in missing)}"[:200],
+                hint="another machine's control, or another machine's model?",
+            )  # fmt: skip
+
+    def _greeting(self, told: Mapping[str, object]) -> Greeting:
+        period, watchdog, clock = (told.get(n) for n in ("period_s", "watchdog_s", "clock"))
+        axes = told.get("axes")
+        if not (
+            isinstance(period, int | float) and 0.0 < period < 60.0
+            and isinstance(watchdog, int | float) and 0.0 < watchdog <= 60.0
+            and clock in ("wall", "machine")
+            and isinstance(axes, list) and all(axis in _AXES for axis in axes)
+        ):  # fmt: skip
+            raise self._line.fault("axes.greeting", "the control's greeting cannot be used")
+        return Greeting(
+            str(told.get("control"))[:80], float(period),
+            "wall" if clock == "wall" else "machine", float(watchdog), tuple(axes),
+            str(told.get("proof", ""))[:128],
+        )  # fmt: skip
+
+    def _read(self, line: bytes) -> bool:
+        """Take a line; tell whether it was a state."""
+        given = _object(line) or {}
+        finite = {name: number for name, v in given.items() if (number := _number(v)) is not None}
+        if not all(name in finite for name in STATE_NAMES):
+            self.bad_lines += 1
+            return False
+        self.finished = self.finished or finite.get("finished", 0.0) > 0.5
+        for name, value in finite.items():
+            place = layout.INDEX.get(name)
+            if place is not None:
+                self._state[place] = value
+        self._live.take(finite, finite["timestamp_s"])
+        if self._samples is not None and all(name in finite for name in self._channels):
+            self._sample[:] = [finite[name] for name in self._channels]
+            self._samples(self._sample)
+        return True
+
+
+def _object(line: bytes) -> dict[str, object] | None:
+    try:
+        found = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
+def _number(value: object) -> float | None:
+    """Return a finite number as it is, anything else as none."""
+    if not isinstance(value, int | float):
+        return None
+    try:
+        found = float(value)
+    except OverflowError:
+        return None
+    return found if math.isfinite(found) else None

@@ -1,0 +1,188 @@
+"""The way to a machine: a link of the kind that was asked for, once what answers was judged."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+from dtwin.config import Home
+from dtwin.errors import DeviceError, GateRefusal, InputError
+from dtwin.links.axis_link import AxisLink, Clock, Greeting
+from dtwin.links.ur import UrLink
+from dtwin.links.virtual_key import proves
+from dtwin.serve.analogue_link import AnalogueLink
+from dtwin.serve.axis_inputs import AxisInputs
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.controller_kind import is_loopback, is_virtual
+from dtwin.serve.loop import Mode
+from dtwin.serve.machine_serving import RATE_HZ, OpenLink
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.serve_request import ServeRequest
+
+TRIAL_SHARE = 0.25
+"""Share of a bundle's clamp that a trial may use."""
+
+_TRY_S = 0.2
+
+
+class Door:
+    """Opens a link to a robot or a board.
+
+    Parameters
+    ----------
+    request : ServeRequest
+        Which.
+    bundle : Bundle
+        Its evidence decides what may be moved.
+    trial : bool
+        Whether the clamp is tightened.
+
+    Attributes
+    ----------
+    device : {"", "real", "virtual"}
+        What answered.
+    realtime : bool
+        Whether the newest driver was given real-time priority.
+    """
+
+    def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool) -> None:
+        self._request, self._bundle, self._trial = request, bundle, trial
+        self.device, self.realtime = "", False
+
+    @property
+    def finished(self) -> bool:
+        """Whether the machine said that its program has ended; only axis links know."""
+        return False
+
+    def __call__(self) -> OpenLink:
+        """Return an open link to what may be served."""
+        request = self._request
+        writes = request.mode != "shadow"
+        if request.analogue is not None:
+            # Nothing that a serial port answers proves that no machine hangs on it.
+            self.judge("real")
+            return AnalogueLink(request.analogue, writes=writes, moves=request.mode == "live")
+        link = UrLink(request.host, RATE_HZ, realtime=request.priority > 0, writes=writes)
+        try:
+            self.judge("virtual" if is_virtual(link.host) else "real")
+        except BaseException:
+            link.close()
+            raise
+        self.realtime = link.realtime
+        return link
+
+    def judge(self, device: str) -> None:
+        """Take what answered, and refuse what the evidence does not carry."""
+        self.device = device
+        require_evidence(self._bundle, device, mode=self._request.mode, trial=self._trial)
+
+
+class AxisDoor(Door):
+    """Opens a link to a control that takes offsets of its axes.
+
+    Parameters
+    ----------
+    request, bundle, trial
+        As for :class:`Door`.
+    inputs : AxisInputs
+        What the control must send.
+    home : Home
+        Where the key of virtual machines lies.
+    """
+
+    def __init__(
+        self, request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home
+    ) -> None:
+        super().__init__(request, bundle, trial)
+        self._address, self._writes = str(request.axes), request.mode != "shadow"
+        self._inputs, self._home = inputs, home
+        self._axes = tuple(dict.fromkeys(_axis_of(o.frame) for o in bundle.outputs))
+        self._link: AxisLink | None = None
+        self._taken = False
+
+    @property
+    def finished(self) -> bool:
+        """Whether the control said that its program has ended."""
+        return self._link is not None and self._link.finished
+
+    @property
+    def clock(self) -> Clock:
+        """Clock of the control, once it has greeted."""
+        return self.greet().clock
+
+    def greet(self) -> Greeting:
+        """Return what the control says of itself; connects to it when nobody has, with patience."""
+        until_s = time.monotonic() + self._request.patience_s
+        while self._link is None:
+            try:
+                self._link = self._opened()
+            except DeviceError as error:
+                if error.code != "states.absent" or time.monotonic() >= until_s:
+                    raise
+                time.sleep(_TRY_S)
+        return self._link.greeting
+
+    def __call__(self) -> AxisLink:
+        """Return the link that greeted, or another one after it was lost."""
+        if self._link is None or self._taken:
+            self._link = self._opened()
+        self._taken = True
+        return self._link
+
+    def close(self) -> None:
+        """Close the newest link."""
+        if self._link is not None:
+            self._link.close()
+
+    def _opened(self) -> AxisLink:
+        found = self._inputs
+        link = AxisLink(
+            self._address, found.live, self._axes, channels=found.channels,
+            channels_hz=found.channels_hz, samples=found.sample if found.channels else None,
+            writes=self._writes,
+        )  # fmt: skip
+        link.open()
+        try:
+            proven = is_loopback(link.host) and proves(self._home, link.nonce, link.greeting.proof)
+            self.judge("virtual" if proven else "real")
+        except BaseException:
+            link.close()
+            raise
+        return link
+
+
+def _axis_of(frame: str) -> str:
+    kind, _, axis = frame.partition("_")
+    if kind != "base":
+        raise InputError(
+            "the model corrects along a path, not along axes", code="serve.axes", got=frame,
+            allowed="base_x, base_y, base_z", hint="serve it without --link axes",
+        )  # fmt: skip
+    return axis
+
+
+def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
+    """Return the model with a quarter of its clamp."""
+    bundle = compiled.bundle
+    safety = dataclasses.replace(bundle.safety, clamp_um=TRIAL_SHARE * bundle.safety.clamp_um)
+    return CompiledBundle(dataclasses.replace(bundle, safety=safety))
+
+
+def require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) -> None:
+    """Refuse to move a real device on evidence from a virtual one, outside a trial.
+
+    Raises
+    ------
+    GateRefusal
+        When the bundle has no evidence from a real device.
+    """
+    evidence = bundle.provenance.evidence
+    if device == "virtual" or mode != "live" or trial or evidence == "real":
+        return
+    raise GateRefusal(
+        "the model was never shown to help a real machine",
+        code="serve.evidence",
+        got=f"evidence: {evidence}",
+        allowed="evidence: real",
+        hint="try it under a tight clamp with --trial, or look at it with --shadow",
+    )

@@ -1,0 +1,44 @@
+"""What an end of serving that nobody asked for means, and what to do about it."""
+
+from __future__ import annotations
+
+from dtwin.errors import DeviceError, DtwinError, GateRefusal
+
+_DEVICE = {
+    "safety_stop": (
+        "the machine stopped for safety; the correction was released",
+        "clear the stop at the machine, find its cause, then serve again",
+    ),
+    "latched": (
+        "too many faults; the correction was released and stays so",
+        "the reasons in the status say which; serve again to arm it",
+    ),
+    "diverged": (
+        "the correction did not settle; it was released",
+        "dtwin models shows what the gates said of this version",
+    ),
+}
+
+
+def fault_of(why: str, where: str, got: str) -> DtwinError | None:
+    """Return the fault behind an end, None when it is none.
+
+    Parameters
+    ----------
+    why : str
+        ``safety_stop``, ``latched``, ``diverged``, ``withdrawn``, or anything else.
+    where : str
+        The machine's end.
+    got : str
+        What was seen.
+    """
+    if why == "withdrawn":
+        return GateRefusal(
+            "the model was withdrawn while it was served; the correction was released",
+            code="serve.withdrawn", where=where, got=got,
+            hint="dtwin models shows the history; serve again for the champion of now",
+        )  # fmt: skip
+    if why in _DEVICE:
+        message, hint = _DEVICE[why]
+        return DeviceError(message, code=f"serve.{why}", where=where, got=got, hint=hint)
+    return None

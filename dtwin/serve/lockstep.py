@@ -1,0 +1,106 @@
+"""The serving loop in lock-step with a controller: its clock, the same decision."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from dtwin.errors import DeviceError
+from dtwin.links import state as layout
+from dtwin.schema import Floats
+from dtwin.serve.decision import Decision
+from dtwin.serve.loop import Mode, ServeStatus
+from dtwin.serve.timing import LoopTiming
+
+
+class Controller(Protocol):
+    """What the lock-step loop needs of a virtual controller."""
+
+    @property
+    def done(self) -> bool:
+        """Whether its program has ended."""
+        ...
+
+    def state(self) -> Floats:
+        """Return the newest state (N,)."""
+        ...
+
+    def step(self, registers: Floats) -> None:
+        """Advance by one period with these correction registers (4,) in force."""
+        ...
+
+
+def serve_lockstep(
+    decision: Decision, controller: Controller, *, period_s: float = 0.002, mode: Mode = "live",
+    transport_ticks: int = 1, stop: Callable[[], bool] | None = None,
+) -> ServeStatus:  # fmt: skip
+    """Serve a virtual controller on its own clock, one tick at a time, until it is done.
+
+    Parameters
+    ----------
+    decision : Decision
+        Features, equation, direction and safety: the code of the wall-clock loop.
+    controller : Controller
+        Machine that advances a tick per correction.
+    period_s : float
+        Period of the controller.
+    mode : {"live", "shadow", "dry-run"}
+        As in ``ServingLoop``.
+    transport_ticks : int
+        Ticks between a state and the arrival of its correction, the modelled transport;
+        1 is a correction that arrives within its own tick.
+    stop : callable, optional
+        Asked every tick; true releases and lets the program run to its end.
+
+    Returns
+    -------
+    ServeStatus
+        With machine-clock ages; stage times are of the computation alone. A device fault is in it,
+        not raised.
+    """
+    decision.reset()
+    decision.guard.reset()
+    timing = LoopTiming(period_s)
+    queue = np.zeros((max(1, transport_ticks), layout.REGISTERS_N))
+    age_s = (len(queue) - 1) * period_s
+    sequence, largest, last_stamp_s, stopped = 0, 0.0, np.nan, False
+    fault: DeviceError | None = None
+    while not controller.done and fault is None:
+        start_ns = time.perf_counter_ns()
+        state = controller.state()
+        stopped = stopped or (stop is not None and stop())
+        row = timing.stages()
+        safe = decision.decide(
+            state, age_s=0.0, elapsed_s=period_s, enabled=not stopped, stages=row
+        )
+        largest = max(largest, float(np.sqrt(safe @ safe)))
+        arriving = queue[sequence % len(queue)]
+        arriving[layout.REGISTER_SEQUENCE] = 0.0 if mode == "shadow" else sequence + 1
+        arriving[layout.REGISTER_OFFSET :] = safe if mode == "live" else 0.0
+        sequence += 1
+        row[5] = time.perf_counter_ns() - start_ns
+        row[4] = 0
+        try:
+            controller.step(queue[sequence % len(queue)])
+        except DeviceError as error:
+            fault = error
+        stamp_s = float(state[layout.TIMESTAMP])
+        step_s = stamp_s - last_stamp_s
+        # It waits for every correction: whatever time it leaves out, no state is missed.
+        timing.tick(step_s, period_s, age_s, decision.window_age_s)
+        last_stamp_s = stamp_s
+    rested = mode != "live" or decision.guard.at_rest
+    return ServeStatus(
+        clock="machine",
+        mode=mode,
+        ended=fault.code if fault else "stopped" if stopped else "finished",
+        released=rested and fault is None,
+        reasons=decision.guard.counted(),
+        timing=timing.summary(),
+        fault=fault.as_dict() if fault else None,
+        largest_um=largest,
+        last_sequence=0 if mode == "shadow" else sequence,
+    )

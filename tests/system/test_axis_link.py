@@ -1,0 +1,266 @@
+"""States and offsets of machine axes over a real connection: what is agreed, what arrives, what fails."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from axis_control import AxisControl
+
+from dtwin.config import Home
+from dtwin.errors import DeviceError, GateRefusal, InputError
+from dtwin.links.axis_link import AxisLink
+from dtwin.links.live_values import LiveValues
+from dtwin.machines.axis_server import WATCHDOG_S
+from dtwin.schema import Floats
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import create_bundle, save_bundle
+from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
+from dtwin.serve.pointer import machine_folder, write_pointer
+from dtwin.serve.serve_request import Served, ServeRequest
+from dtwin.serve.session import serve
+
+pytestmark = pytest.mark.system
+
+PERIOD_S = 0.01
+PER_MM, PER_C = 2.0, 0.5
+
+
+class Sledge:
+    """An axis that goes to and fro, with a temperature every tenth tick until it breaks off."""
+
+    name, period_s, axes = "sledge", PERIOD_S, ("z",)
+    provides, channels_hz = ("z_mm", "bed_c"), 0.0
+
+    def __init__(self, ticks: int, silent: range = range(0)) -> None:
+        self.ticks, self.silent = ticks, silent
+        self.offset_um = np.zeros((ticks, 3))
+
+    def z_mm(self, tick: int) -> float:
+        return 5.0 * math.sin(0.05 * tick)
+
+    def state(self, tick: int) -> Mapping[str, float]:
+        found = {"z_mm": self.z_mm(tick)}
+        if tick % 10 == 0 and tick not in self.silent:
+            found["bed_c"] = 22.0
+        return found
+
+    def advance(self, tick: int, offset_um: Floats) -> None:
+        self.offset_um[tick] = offset_um
+
+    def wanted_um(self) -> Floats:
+        z = np.array([self.z_mm(tick) for tick in range(self.ticks)])
+        return -(PER_MM * z + PER_C * 2.0)
+
+
+def bundle(evidence: str = "virtual", **inputs: float) -> Bundle:
+    builder = GraphBuilder()
+    graph = builder.graph(
+        {"error_z_um": builder.input("z_mm") * PER_MM + (builder.input("bed_c") - 20.0) * PER_C}
+    )
+    rates = {"z_mm": (1.0 / PERIOD_S, "mm"), "bed_c": (0.1 / PERIOD_S, "degC")}
+    return create_bundle(
+        name="sledge", machine="sledge", model_version=1,
+        inputs=tuple(
+            Input(name, unit, "none", rate, "controller", -100.0, 100.0)
+            for name, (rate, unit) in rates.items()
+        ),
+        outputs=(Output("error_z_um", "base_z"),), tick_graph=graph,
+        safety=SafetyLimits(clamp_um=50.0, slew_um_s=5000.0, stale_s=0.5, trips_to_latch=5),
+        provenance=Provenance(evidence=evidence),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Home:
+    found = Home(tmp_path / "home")
+    folder = machine_folder("sledge", found)
+    folder.mkdir(parents=True)
+    path = save_bundle(bundle(), folder / "v0001.json")
+    write_pointer("sledge", found, path, 1, "champion")
+    return found
+
+
+def served(home: Home, address: str, **changes: object) -> Served:
+    request = ServeRequest(axes=address, priority=0, **changes)  # type: ignore[arg-type]
+    return serve(request, home, lambda line: None)
+
+
+def test_every_state_gets_its_own_correction_on_the_machine_clock(home: Home) -> None:
+    sledge = Sledge(400)
+    with AxisControl(sledge, home) as control:
+        found = served(home, control.address)
+    status = found.status
+    assert (status.ended, status.released, status.fault) == ("finished", True, None)
+    assert (found.device, status.clock, found.exit_code) == ("virtual", "machine", 0)
+    np.testing.assert_allclose(sledge.offset_um[1:, 2], sledge.wanted_um()[1:], atol=1e-9)
+    assert not sledge.offset_um[:, :2].any()
+    assert status.timing["missed_states"] == 0
+
+
+@pytest.mark.parametrize("mode", ["shadow", "dry-run"])
+def test_who_only_looks_moves_nothing(home: Home, mode: str) -> None:
+    sledge = Sledge(100)
+    with AxisControl(sledge, home) as control:
+        found = served(home, control.address, mode=mode)
+    assert not sledge.offset_um.any()
+    assert found.status.largest_um > 5.0
+
+
+def test_a_value_that_is_not_renewed_releases_and_a_new_one_engages(home: Home) -> None:
+    sledge = Sledge(400, silent=range(100, 200))
+    with AxisControl(sledge, home) as control:
+        found = served(home, control.address)
+    # Good for three periods of a tenth of a second after tick 90.
+    assert sledge.offset_um[100:119, 2].all()
+    assert not sledge.offset_um[125:200].any()
+    np.testing.assert_allclose(sledge.offset_um[202:, 2], sledge.wanted_um()[202:], atol=1e-9)
+    assert found.status.reasons["not_finite"] == 79
+
+
+def test_a_control_that_lacks_an_input_is_refused(home: Home) -> None:
+    class Bare(Sledge):
+        provides = ("z_mm",)
+
+    control = AxisControl(Bare(10), home)
+    threading.Thread(target=control._run, daemon=True).start()
+    with pytest.raises(InputError, match="does not provide") as refused:
+        served(home, control.address)
+    assert refused.value.got == "without bed_c"
+    control.server.close()
+
+
+def test_a_control_that_proves_nothing_counts_as_real(home: Home, tmp_path: Path) -> None:
+    control = AxisControl(Sledge(10), Home(tmp_path / "somebody-else"))
+    threading.Thread(target=control._run, daemon=True).start()
+    with pytest.raises(GateRefusal, match="never shown to help a real machine"):
+        served(home, control.address)
+    control.server.close()
+
+
+def test_a_robot_s_link_is_told_what_is_missing(home: Home) -> None:
+    with pytest.raises(InputError, match="only the machine's control can send") as refused:
+        serve(ServeRequest(priority=0), home, lambda line: None)
+    assert "--link axes" in refused.value.hint
+
+
+def link_to(control: AxisControl) -> AxisLink:
+    return AxisLink(control.address, LiveValues({"z_mm": 100.0}), ("z",))
+
+
+def test_one_client_at_a_time(home: Home) -> None:
+    control = AxisControl(Sledge(50), home, "wall")
+    with control, link_to(control):
+        with pytest.raises(DeviceError, match="the control refuses") as refused:
+            link_to(control).open()
+        assert refused.value.got == "another client corrects this control"
+
+
+def test_on_the_wall_clock_the_control_lets_go_by_itself(home: Home) -> None:
+    sledge = Sledge(150)
+    control = AxisControl(sledge, home, "wall")
+    with control:
+        link = link_to(control)
+        link.open()
+        link.wait_state(1.0)
+        link.send(np.array([0.0, 0.0, 7.0]), 1)
+        until_s = time.monotonic() + 0.5
+        while time.monotonic() < until_s:
+            link.wait_state(0.02)
+        assert control.server.watchdog_trips == 1
+        link.send(np.array([3.0, 0.0, 8.0]), 2)
+        while link.newest[46] != 2.0:
+            link.wait_state(0.02)
+        # A client that goes without a word.
+        link.close()
+    held = sledge.offset_um[:, 2]
+    in_force = np.flatnonzero(held == 7.0)
+    assert 1 <= len(in_force) <= round(WATCHDOG_S / PERIOD_S) + 3
+    assert (held == 8.0).any()
+    assert not held[-5:].any()
+    assert not sledge.offset_um[:, 0].any(), "an axis that takes no offset was moved"
+
+
+def test_a_served_control_on_the_wall_clock(home: Home) -> None:
+    sledge = Sledge(200)
+    with AxisControl(sledge, home, "wall") as control:
+        found = served(home, control.address)
+    assert (found.status.ended, found.status.clock) == ("finished", "wall")
+    assert found.status.released
+    late = sledge.offset_um[20:-20, 2] - sledge.wanted_um()[20:-20]
+    # A tick or two behind, never more than the axis moves meanwhile.
+    assert np.percentile(np.abs(late), 90) < 1.5
+
+
+def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def breaks_off() -> None:
+        connection, _ = listener.accept()
+        asked = json.loads(connection.recv(65536))
+        state = {
+            "timestamp_s": 0.0,
+            "runtime_running": 1,
+            "safety_ok": 1,
+            "z_mm": 1.0,
+            "bed_c": 20.0,
+        }
+        greeting = {
+            "dtwin": 1, "control": "x", "period_s": 0.01, "clock": "machine", "watchdog_s": 0.1,
+            "axes": ["z"], "missing": [], "proof": "", "nonce": asked["nonce"],
+        }  # fmt: skip
+        connection.sendall(
+            b"".join(json.dumps(part).encode() + b"\n" for part in (greeting, state))
+            + b"garbage\n[1]\n"
+            + json.dumps({**state, "z_mm": 1e400}).encode()
+            + b"\n"
+        )
+        connection.recv(65536)
+        connection.close()
+
+    threading.Thread(target=breaks_off, daemon=True).start()
+    found = served(home, f"127.0.0.1:{listener.getsockname()[1]}", mode="shadow")
+    assert found.status.ended == "states.lost"
+    assert (found.status.released, found.exit_code) == (False, 4)
+    listener.close()
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        (b"HTTP/1.1 400 Bad Request\r\n\r\n", "no axis link of this version"),
+        (b'{"dtwin": 2}\n', "no axis link of this version"),
+        (b'{"dtwin": 1, "period_s": -1}\n', "greeting cannot be used"),
+        (b'{"dtwin": 1, "refused": "busy"}\n', "the control refuses"),
+    ],
+)
+def test_what_does_not_greet_is_no_control(said: bytes, told: str) -> None:
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def answers() -> None:
+        connection, _ = listener.accept()
+        connection.recv(65536)
+        connection.sendall(said)
+        time.sleep(0.2)
+        connection.close()
+
+    threading.Thread(target=answers, daemon=True).start()
+    link = AxisLink(f"127.0.0.1:{listener.getsockname()[1]}", LiveValues({}), ("z",))
+    with pytest.raises(DeviceError, match=told):
+        link.open()
+    listener.close()
+
+
+def test_nobody_there_and_no_address_are_said() -> None:
+    with pytest.raises(InputError, match="no address"):
+        AxisLink("somewhere", LiveValues({}), ("z",))
+    with pytest.raises(DeviceError, match="no axis link answers"):
+        AxisLink("127.0.0.1:9", LiveValues({}), ("z",)).open()
