@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dtwin.acquire.tone_campaign import SAMPLE_HZ, write_tone_campaign
 from dtwin.acquire.virtual_turning import (
     EVERY,
-    SAMPLE_HZ,
     Room,
+    require_own_axis,
     tone_run,
     virtual_slide,
-    write_tone_campaign,
 )
-from dtwin.errors import InputError
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, COMMANDED, SENT
 from dtwin.machines.turning import (
     MM_PER_UM,
@@ -66,12 +65,7 @@ class ServedSlide:
     channels_hz = SAMPLE_HZ
 
     def __init__(self, plan: TonePlan, truth: str, seed: int) -> None:
-        if plan.axis != "Z" or plan.sample_hz != SAMPLE_HZ:
-            raise InputError(
-                "the virtual slide cannot do this", code="simulate.plan",
-                got=f"axis {plan.axis}, sample_hz {plan.sample_hz:g}",
-                allowed=f"axis Z, sample_hz {SAMPLE_HZ:g}",
-            )  # fmt: skip
+        require_own_axis(plan)
         self._plan, self._truth, self._seed = plan, truth, seed
         self._slide, self._instruments = virtual_slide(truth), Instruments()
         self._room = Room(plan, self._slide, seed)

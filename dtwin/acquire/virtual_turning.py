@@ -2,42 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.runner import toml_value
-from dtwin.acquire.signal_files import write_signals
-from dtwin.atomic import write_text
+from dtwin.acquire.tone_campaign import SAMPLE_HZ, Progress, write_tone_campaign
 from dtwin.errors import InputError
 from dtwin.machines.turning import (
     MM_PER_UM,
     SERVO_HZ,
     AccelerationChannel,
-    AnaloguePath,
     Instruments,
     Slide,
     TurningSlide,
 )
 from dtwin.machines.turning_drift import RoomDrift
-from dtwin.parquet import table_of, write_parquet
 from dtwin.schema import Floats, Run, RunMeta, SignalGroup
 from dtwin.tone_plan import BETWEEN_S, TonePlan
 
 # Servo ticks to one sample of probe, encoder and accelerometer.
-EVERY = 8
-SAMPLE_HZ = SERVO_HZ / EVERY
+EVERY = round(SERVO_HZ / SAMPLE_HZ)
 GROUP_S = 6.0
-BANDWIDTH_HZ = 50.0
 # Mean of the room where the slide stands, and the noise of the thermometer in it.
 ROOM_C, THERMOMETER_C = 20.0, 0.05
 # The slide swings in before a group is recorded.
 _RUN_UP_S = 0.5
 TRUTHS = ("linear", "hardening", "friction")
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -176,12 +168,7 @@ def planned_runs(
     InputError
         When the virtual slide cannot be driven or read as planned.
     """
-    if plan.axis != "Z" or plan.sample_hz != SAMPLE_HZ:
-        raise InputError(
-            "the virtual slide cannot do this", code="simulate.plan",
-            got=f"axis {plan.axis}, sample_hz {plan.sample_hz:g}",
-            allowed=f"axis Z, sample_hz {SAMPLE_HZ:g}",
-        )  # fmt: skip
+    require_own_axis(plan)
     room, seen_by = Room(plan, slide, seed, drift), instruments or Instruments()
     for number, group in enumerate(plan.groups):
         recorded = record_group(
@@ -191,6 +178,22 @@ def planned_runs(
         yield tone_run(
             number + 1, group.frequency_hz, group.amplitude_um, recorded, group.repeat,
             room.covariates(number),
+        )  # fmt: skip
+
+
+def require_own_axis(plan: TonePlan) -> None:
+    """Refuse a plan that the virtual slide cannot follow.
+
+    Raises
+    ------
+    InputError
+        When axis or rate are not those of the slide.
+    """
+    if plan.axis != "Z" or plan.sample_hz != SAMPLE_HZ:
+        raise InputError(
+            "the virtual slide cannot do this", code="simulate.plan",
+            got=f"axis {plan.axis}, sample_hz {plan.sample_hz:g}",
+            allowed=f"axis Z, sample_hz {SAMPLE_HZ:g}",
         )  # fmt: skip
 
 
@@ -311,81 +314,6 @@ def simulate_turning(
     machine = plan.machine if plan else "virtual-turning"
     write_tone_campaign(folder, runs, told, truth, name, machine, (progress, count))
     return count
-
-
-def write_tone_campaign(
-    folder: Path, runs: Iterable[Run], told: Mapping[str, Any], truth: str, name: str, machine: str,
-    shown: tuple[Progress | None, int] = (None, 0), *, corrected: bool = False,
-) -> None:  # fmt: skip
-    """Write tones as a campaign folder; the campaign file comes last.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder to write.
-    runs : iterable of Run
-        The tones; each is written when it comes.
-    told : mapping
-        What no instrument knows.
-    truth : str
-        Which mechanism it was.
-    name, machine : str
-        Of the campaign.
-    shown : tuple
-        What to call with (done, total, what), and the total.
-    corrected : bool
-        Whether a correction was in force.
-    """
-    progress, count = shown
-    measured = []
-    for number, run in enumerate(runs, start=1):
-        stem = run.meta.run_id
-        write_parquet(folder / f"{stem}.parquet", table_of(run.samples))
-        write_signals(folder / f"{stem}.accelerometers.parquet", run.signals[0])
-        measured.append(run.meta)
-        if progress is not None:
-            progress(number, count, stem)
-    lines = [f"{k} = {toml_value(v)}" for k, v in told.items()]
-    write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")
-    text = _campaign_text(measured, truth, name, machine, corrected=corrected)
-    write_text(folder / "campaign.toml", text, "the campaign file")
-
-
-def _campaign_text(
-    measured: Sequence[RunMeta], truth: str, name: str, machine: str, *, corrected: bool
-) -> str:
-    head: dict[str, Any] = {
-        "type": "turning", "virtual": True, "corrected": corrected, "truth": truth, "z_bandwidth_hz": BANDWIDTH_HZ,
-        "correction_delay_s": AnaloguePath().delay_s,
-    }  # fmt: skip
-    lines = [
-        "[campaign]",
-        f"name = {toml_value(name)}",
-        f"machine = {toml_value(machine)}",
-        'kind = "sinusoidal"',
-        "[campaign.machine_geometry]",
-        *(f"{k} = {toml_value(v)}" for k, v in head.items()),
-        "[campaign.instrument]",
-        'model = "virtual capacitance probe"',
-        f"sample_rate_hz = {SAMPLE_HZ:g}",
-    ]
-    for meta in measured:
-        lines += [
-            "",
-            "[[run]]",
-            f'id = "{meta.run_id}"',
-            f'file = "{meta.run_id}.parquet"',
-            f'signals = "{meta.run_id}.accelerometers.parquet"',
-            f"repeat = {meta.repeat}",
-            "[run.condition]",
-            'axis = "Z"',
-            f"frequency_hz = {meta.condition['frequency_hz']:g}",
-            f"amplitude_um = {meta.condition['amplitude_um']:g}",
-        ]
-        if meta.covariates:
-            lines.append("[run.covariates]")
-            lines += [f"{name} = {toml_value(value)}" for name, value in meta.covariates.items()]
-    return "\n".join([*lines, ""])
 
 
 def noiseless(instruments: Instruments | None = None) -> Instruments:

@@ -52,12 +52,12 @@ def _require(machine: str, port: int | None, clock: Clock) -> None:
             "real time is for a machine that is corrected meanwhile", code="simulate.clock",
             got="--wall-clock without --listen", allowed="--listen PORT --wall-clock",
         )  # fmt: skip
-    if machine not in MACHINES or (machine == "turning" and clock == "wall"):
+    if machine not in MACHINES or (machine != "lathe" and clock == "wall"):
         raise InputError(
             "this virtual machine cannot be corrected so", code="simulate.listen",
             got=f"--machine {machine}, {clock} clock",
-            allowed="lathe and volumetric on both clocks, turning (8 kHz) on the machine clock; the "
-            "virtual robot is served by dtwin demo",
+            allowed="lathe on both clocks; turning (8 kHz) and volumetric (days) on the machine clock",
+            hint="dtwin demo serves the virtual robot",
         )  # fmt: skip
     if not 0 <= port < 65536:
         raise InputError(

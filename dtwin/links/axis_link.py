@@ -19,8 +19,8 @@ from dtwin.errors import DeviceError, InputError
 from dtwin.links import state as layout
 from dtwin.links.line_socket import LineSocket
 from dtwin.links.live_values import LiveValues
-from dtwin.links.opened import OpenAndClose
 from dtwin.links.state import Floats
+from dtwin.links.state_lines import StateLines
 from dtwin.links.virtual_key import new_nonce
 
 PROTOCOL = 1
@@ -64,7 +64,7 @@ class Greeting:
     proof: str
 
 
-class AxisLink(OpenAndClose):
+class AxisLink(StateLines):
     """What the serving loop needs, over one connection to a control's bridge.
 
     Parameters
@@ -90,12 +90,8 @@ class AxisLink(OpenAndClose):
     ----------
     greeting : Greeting
         What the control said when the link was opened.
-    bad_lines : int
-        Lines that were no state.
     finished : bool
         Whether the control said that its program has ended.
-    received_s : float
-        Monotonic time of the newest state.
     """
 
     realtime = False
@@ -106,23 +102,14 @@ class AxisLink(OpenAndClose):
         channels: Sequence[str] = (), channels_hz: float = 0.0, samples: Samples | None = None,
         writes: bool = True, lost_after_s: float = 2.0,
     ) -> None:  # fmt: skip
-        self._line = LineSocket(address, "axis link", LONGEST_LINE)
+        super().__init__(LineSocket(address, "axis link", LONGEST_LINE), lost_after_s)
         self.host = self._line.host
         self._live, self._axes, self._writes = live, tuple(axes), writes
         self._channels, self._channels_hz, self._samples = tuple(channels), channels_hz, samples
         self._sample = np.zeros(len(self._channels))
-        self._lost_after_s = lost_after_s
-        self._state = layout.empty_state()
-        self._state[layout.SPEED_SCALING] = 1.0
         self.nonce = new_nonce()
-        self.bad_lines, self.finished = 0, False
-        self.received_s = self._heard_s = math.nan
+        self.finished = False
         self._waiting: list[bytes] = []
-
-    @property
-    def newest(self) -> layout.RobotState:
-        """State (N,) that was returned last."""
-        return self._state
 
     def open(self) -> None:
         """Connect, and agree on what is exchanged.
@@ -143,28 +130,6 @@ class AxisLink(OpenAndClose):
         self._live.forget()
         self._heard_s = time.monotonic()
 
-    def wait_state(self, timeout_s: float) -> layout.RobotState | None:
-        """Return the newest state that was not returned before, None when none came in time.
-
-        Raises
-        ------
-        DeviceError
-            When the connection ended, or the control was silent for too long.
-        """
-        until_s = time.monotonic() + timeout_s
-        while True:
-            lines, self._waiting = self._waiting or self._line.lines(until_s), []
-            # Every line counts: values and samples of one that is not the last must not be lost.
-            if any([self._read(line) for line in lines]):
-                self.received_s = self._heard_s = time.monotonic()
-                return self._state
-            now_s = time.monotonic()
-            if now_s - self._heard_s > self._lost_after_s:
-                text = f"the control sent no state for {now_s - self._heard_s:.1f} s"
-                raise self._line.fault("states.silent", text)
-            if now_s >= until_s:
-                return None
-
     def begin(self) -> None:
         """Nothing to do: the control takes corrections as they come."""
 
@@ -181,9 +146,13 @@ class AxisLink(OpenAndClose):
         x, y, z = offset_um.tolist()
         self._line.send(b'{"sequence":%d,"offset_um":[%r,%r,%r]}\n' % (sequence, x, y, z))
 
-    def close(self) -> None:
-        """Close the connection, after which the control goes back to zero by itself."""
-        self._line.close()
+    def _lines(self, until_s: float) -> list[bytes]:
+        lines, self._waiting = self._waiting, []
+        return lines or super()._lines(until_s)
+
+    def _take(self, lines: list[bytes]) -> bool:
+        # Every line counts: values and samples of one that is not the last must not be lost.
+        return any([self._read(line) for line in lines])
 
     def _agree(self) -> None:
         asked = {
@@ -238,7 +207,7 @@ class AxisLink(OpenAndClose):
         given = _object(line) or {}
         finite = {name: number for name, v in given.items() if (number := _number(v)) is not None}
         if not all(name in finite for name in STATE_NAMES):
-            self.bad_lines += 1
+            self._bad_lines += 1
             return False
         self.finished = self.finished or finite.get("finished", 0.0) > 0.5
         for name, value in finite.items():

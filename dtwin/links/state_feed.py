@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import json
 import math
-import time
 
 from dtwin.links import state as layout
 from dtwin.links.line_socket import LineSocket
-from dtwin.links.opened import OpenAndClose
+from dtwin.links.state_lines import StateLines
 
 REQUIRED: tuple[str, ...] = (
     "timestamp_s",
@@ -32,7 +31,7 @@ REQUIRED: tuple[str, ...] = (
 _LONGEST_LINE = 8192
 
 
-class StateFeed(OpenAndClose):
+class StateFeed(StateLines):
     """The newest state that a bridge sends.
 
     Parameters
@@ -41,64 +40,10 @@ class StateFeed(OpenAndClose):
         ``HOST:PORT`` of the bridge.
     lost_after_s : float
         Silence after which the feed counts as dead, as behind a half-open connection.
-
-    Attributes
-    ----------
-    received_s : float
-        Monotonic time of the newest state.
     """
 
     def __init__(self, address: str, *, lost_after_s: float = 2.0) -> None:
-        self._line = LineSocket(address, "state feed", _LONGEST_LINE)
-        self._lost_after_s = lost_after_s
-        self._state = layout.empty_state()
-        self._bad_lines = 0
-        self.received_s = self._heard_s = math.nan
-
-    @property
-    def bad_lines(self) -> int:
-        """Lines that were no state, since the beginning."""
-        return self._bad_lines + self._line.overlong
-
-    @property
-    def newest(self) -> layout.RobotState:
-        """State (N,) that was returned last."""
-        return self._state
-
-    def open(self) -> None:
-        """Connect.
-
-        Raises
-        ------
-        DeviceError
-            When nobody answers.
-        """
-        if not self._line.connected:
-            self._line.open()
-            self._heard_s = time.monotonic()
-
-    def wait_state(self, timeout_s: float) -> layout.RobotState | None:
-        """Return the newest state that was not returned before, None when none came in time.
-
-        Raises
-        ------
-        DeviceError
-            When the bridge closed the connection, or was silent for too long.
-        """
-        until_s = time.monotonic() + timeout_s
-        while True:
-            if self._take(self._line.lines(until_s)):
-                return self._state
-            now_s = time.monotonic()
-            if now_s - self._heard_s > self._lost_after_s:
-                text = f"the state feed sent no state for {now_s - self._heard_s:.1f} s"
-                raise self._line.fault("states.silent", text)
-            if now_s >= until_s:
-                return None
-
-    def close(self) -> None:
-        """Close the connection; safe to call twice."""
-        self._line.close()
+        super().__init__(LineSocket(address, "state feed", _LONGEST_LINE), lost_after_s)
 
     def _take(self, lines: list[bytes]) -> bool:
         """Keep the last line that is a state; tell whether there was one."""
@@ -106,8 +51,6 @@ class StateFeed(OpenAndClose):
         for line in reversed(lines):
             if not found:
                 found = self._read(line)
-        if found:
-            self.received_s = self._heard_s = time.monotonic()
         return found
 
     def _read(self, line: bytes) -> bool:

@@ -13,12 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from axis_control import AxisControl
+from typer.testing import CliRunner
 
+from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DeviceError, GateRefusal, InputError
 from dtwin.links.axis_link import AxisLink
 from dtwin.links.live_values import LiveValues
-from dtwin.machines.axis_server import WATCHDOG_S
+from dtwin.links.virtual_key import proof
+from dtwin.machines.axis_server import WATCHDOG_S, AxisServer
 from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -195,9 +198,11 @@ def test_a_served_control_on_the_wall_clock(home: Home) -> None:
         found = served(home, control.address)
     assert (found.status.ended, found.status.clock) == ("finished", "wall")
     assert found.status.released
-    late = sledge.offset_um[20:-20, 2] - sledge.wanted_um()[20:-20]
-    # A tick or two behind, never more than the axis moves meanwhile.
-    assert np.percentile(np.abs(late), 90) < 1.5
+    wanted, sent = sledge.wanted_um(), sledge.offset_um[:, 2]
+    # However busy the host is: what is in force was right for a state that had been sent before.
+    exact = [np.isclose(sent[k], wanted[:k]).any() for k in range(20, 200) if sent[k]]
+    assert len(exact) > 20
+    assert np.mean(exact) > 0.9
 
 
 def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
@@ -264,3 +269,48 @@ def test_nobody_there_and_no_address_are_said() -> None:
         AxisLink("somewhere", LiveValues({}), ("z",))
     with pytest.raises(DeviceError, match="no axis link answers"):
         AxisLink("127.0.0.1:9", LiveValues({}), ("z",)).open()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--machine", "turning", "--listen", "0", "--wall-clock"], "cannot be corrected so"),
+        (["--machine", "cobot", "--listen", "0"], "cannot be corrected so"),
+        (["--machine", "lathe", "--wall-clock"], "real time is for a machine"),
+        (["--machine", "lathe", "--listen", "70000"], "no such port"),
+    ],
+)
+def test_what_cannot_listen_is_refused(words: list[str], told: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=told):
+        CliRunner().invoke(
+            app, ["simulate", *words, "--out", str(tmp_path / "out")], catch_exceptions=False
+        )
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_port_that_is_taken_is_said(home: Home) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = int(taken.getsockname()[1])
+        with pytest.raises(DeviceError, match="cannot listen"):
+            AxisServer(Sledge(1), lambda nonce: "", port=port)
+
+
+def test_patience_waits_for_a_control_that_is_not_there_yet(home: Home) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = int(taken.getsockname()[1])
+    sledge = Sledge(50)
+    begun = threading.Event()
+
+    def later() -> None:
+        time.sleep(0.5)
+        server = AxisServer(sledge, lambda nonce: proof(home, nonce), port=port)
+        begun.set()
+        server.run(lambda line: None, lambda done, total, what: None)
+        server.close()
+
+    threading.Thread(target=later, daemon=True).start()
+    assert not begun.is_set()
+    found = served(home, f"127.0.0.1:{port}", patience_s=20.0)
+    assert found.status.ended == "finished"
+    with pytest.raises(DeviceError, match="no axis link answers"):
+        served(home, f"127.0.0.1:{port}")
