@@ -1,4 +1,4 @@
-"""Commands about twins and effects."""
+"""Commands about twins."""
 
 from __future__ import annotations
 
@@ -8,21 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands import single
+from dtwin.commands import effects, single
+from dtwin.commands.effects import Paths, library_with
 from dtwin.commands.output import emit
 from dtwin.commands.tasks import TwinCommands
-from dtwin.errors import InputError
 
 if TYPE_CHECKING:
-    from dtwin.physics.effect import Effect
+    from dtwin.pipeline.heat_twins import HeatTwins
     from dtwin.pipeline.twins import Twins
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
-Paths = Annotated[
-    list[Path] | None,
-    typer.Option("--effects-path", help="Your own effect file or folder; its code is run."),
-]
 Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
 Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
 Seed = Annotated[int, typer.Option(help="Seed of permutations.")]
@@ -32,33 +28,35 @@ twin_app = typer.Typer(
     help="A machine's twin: compare with measurements, find what is missing, add it.",
     no_args_is_help=True,
 )
-effects_app = typer.Typer(
-    help="Physical causes of error: what they look like, and what to do about them.",
-    no_args_is_help=True,
-)
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
     single.register(twin_app)
     app.add_typer(twin_app, name="twin")
-    app.add_typer(effects_app, name="effects")
+    effects.register(app)
 
 
 @twin_app.command("fit")
 def fit_twin(
     campaign: Annotated[str, typer.Argument(help="Campaign in the lake, or a file or folder.")],
-    effects: Annotated[str, typer.Option(help="Names with commas; backlash:X takes one axis.")],
+    wanted: Annotated[
+        str,
+        typer.Option("--effects", help="Names with commas; backlash:X takes one axis."),
+    ],
     name: Annotated[str, typer.Option(help="Name of the twin.")],
     robust: Annotated[bool, typer.Option("--robust", help="Less weight for odd runs.")] = False,
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
     """Fit effects to a campaign."""
-    from dtwin.report.twins import twin_text
+    from dtwin.config import home
+    from dtwin.pipeline.every_twin import twins_for
+    from dtwin.report.every_twin import twin_text
 
-    names = [part.strip() for part in effects.split(",") if part.strip()]
-    twin = _twins(effects_path).fit(campaign, names, name, robust=robust)
+    names = [part.strip() for part in wanted.split(",") if part.strip()]
+    twins, known = twins_for(home(), library_with(effects_path), campaign)
+    twin = twins.fit(known, names, name, robust=robust)
     emit(twin.as_dict(), lambda: twin_text(twin), as_json=as_json)
 
 
@@ -83,17 +81,17 @@ def compare_twin(
     controller saw, quasi-static and dynamic error.
     """
     from dtwin.pipeline.encoder_comparison import cutoff_of, no_controller_columns
-    from dtwin.report.twins import comparison_sections, comparison_text
+    from dtwin.pipeline.heat_twins import HeatComparison
+    from dtwin.report.every_twin import comparison_sections, comparison_text
 
     asked = split_cycles is not None or split_hz is not None
     cutoff = cutoff_of(split_cycles, split_hz)
-    found = _twins(effects_path).compare(name, campaign)
-    result = found.as_dict(cutoff)
+    found = _twins_with(name, effects_path).compare(name, campaign)
+    result = found.as_dict() if isinstance(found, HeatComparison) else found.as_dict(cutoff)
     if asked and result["encoder_split"] is None:
         raise no_controller_columns(f"campaign {result['campaign']}")
     if html is not None:
-        parts = comparison_sections(found.obs, found.before_um, found.residual_um, result)
-        _write_page(html, found.twin.name, parts)
+        _write_page(html, found.twin.name, comparison_sections(found, result))
     emit(result, lambda: comparison_text(result), as_json=as_json)
 
 
@@ -106,9 +104,9 @@ def diagnose_twin(
     as_json: Json = False,
 ) -> None:
     """Name the effect that is missing, or say why it cannot be named."""
-    from dtwin.report.twins import diagnosis_section, diagnosis_text
+    from dtwin.report.every_twin import diagnosis_section, diagnosis_text
 
-    twin, found = _twins(effects_path).diagnose(name, seed=seed)
+    twin, found = _twins_with(name, effects_path).diagnose(name, seed=seed)
     result = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
     if html is not None:
         _write_page(html, name, [diagnosis_section(name, result)])
@@ -124,9 +122,9 @@ def add_effect(
     as_json: Json = False,
 ) -> None:
     """Add an effect and refit: a new version."""
-    twins = _twins(effects_path)
+    twins = _twins_with(name, effects_path)
     before = twins.newest(name)
-    _show_rung(twins, before.figures, twins.add(name, effect, axis), as_json=as_json)
+    _show_rung(before.figures, twins.add(name, effect, axis), as_json=as_json)
 
 
 @twin_app.command("remove")
@@ -138,9 +136,9 @@ def remove_effect(
     as_json: Json = False,
 ) -> None:
     """Take an effect out and refit: a new version."""
-    twins = _twins(effects_path)
+    twins = _twins_with(name, effects_path)
     before = twins.newest(name)
-    _show_rung(twins, before.figures, twins.remove(name, effect, axis), as_json=as_json)
+    _show_rung(before.figures, twins.remove(name, effect, axis), as_json=as_json)
 
 
 @twin_app.command("restore")
@@ -151,9 +149,9 @@ def restore_version(
     as_json: Json = False,
 ) -> None:
     """Refit with the effects of an older version: a new version, nothing is deleted."""
-    twins = _twins(effects_path)
+    twins = _twins_with(name, effects_path)
     before = twins.newest(name)
-    _show_rung(twins, before.figures, twins.restore(name, version), as_json=as_json)
+    _show_rung(before.figures, twins.restore(name, version), as_json=as_json)
 
 
 @twin_app.command("discover")
@@ -161,9 +159,10 @@ def discover_effects(
     name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Diagnose and add until nothing is missing, or nothing known would help."""
-    from dtwin.report.twins import diagnosis_text, history_text
+    from dtwin.report.every_twin import diagnosis_text
+    from dtwin.report.twins import history_text
 
-    twins = _twins(effects_path)
+    twins = _twins_with(name, effects_path)
     made, said = twins.discover(name, seed=seed)
     last = said[-1].as_dict()
     payload = {
@@ -203,7 +202,7 @@ def learn_effect(
         said = ""
     if not as_json:
         print(f"gain on left-out conditions: {100 * gain:.1f} %{said}")
-    _show_rung(twins, before.figures, twin, as_json=as_json)
+    _show_rung(before.figures, twin, as_json=as_json)
 
 
 @twin_app.command("correct")
@@ -250,7 +249,7 @@ def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) 
     """Every rung of a twin, with error before and after."""
     from dtwin.report.twins import history_text
 
-    rungs = _twins(effects_path).history(name)
+    rungs = _twins_with(name, effects_path).history(name)
     emit({"twin": name, "rungs": rungs}, lambda: history_text(rungs), as_json=as_json)
 
 
@@ -264,7 +263,7 @@ def show_twin(
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.pipeline.twin_intervention import interventions
-    from dtwin.report.twins import (
+    from dtwin.report.every_twin import (
         comparison_sections,
         diagnosis_section,
         history_section,
@@ -272,7 +271,7 @@ def show_twin(
         twin_text,
     )
 
-    twins = _twins(effects_path)
+    twins = _twins_with(name, effects_path)
     twin = twins.newest(name, version)
     if html is not None:
         found = twins.compare(name)
@@ -282,11 +281,9 @@ def show_twin(
             name,
             [
                 twin_section(twin),
-                *comparison_sections(
-                    found.obs, found.before_um, found.residual_um, found.as_dict()
-                ),
+                *comparison_sections(found, found.as_dict()),
                 diagnosis_section(name, diagnosis.as_dict()),
-                history_section(twins.history(name)),
+                history_section(twin, twins.history(name)),
             ],
         )
     mended = interventions(twins, name)
@@ -302,66 +299,9 @@ def show_twin(
     )
 
 
-@effects_app.command("list")
-def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
-    """List what dtwin knows."""
-    from dtwin.report.text import table
-
-    library = _library(effects_path)
-    rows = [
-        (e.name, e.title, e.per.replace("_", " "), ", ".join(e.kinds)) for e in _sorted(library)
-    ]
-    emit(
-        {"effects": [_effect_dict(e) for e in _sorted(library)]},
-        lambda: table(("effect", "what", "one for each", "campaigns"), rows),
-        as_json=as_json,
-    )
-
-
-@effects_app.command("show")
-def show_effect(
-    name: Annotated[str, typer.Argument(help="Name of the effect.")],
-    effects_path: Paths = None,
-    as_json: Json = False,
-) -> None:
-    """Show what an effect is, what it is confused with, and what to do about it."""
-    from dtwin.report.twins import effect_text
-
-    effect = _library(effects_path)[name]
-    emit(_effect_dict(effect), lambda: effect_text(effect), as_json=as_json)
-
-
-@effects_app.command("template")
-def effect_template(
-    name: Annotated[str, typer.Argument(help="Name of your effect, in lower case.")],
-    out: Annotated[Path | None, typer.Option(help="File to write; NAME.py without.")] = None,
-) -> None:
-    """Write an effect file to start from."""
-    from dtwin.atomic import write_text
-    from dtwin.physics.template import template
-
-    path = out or Path(f"{name}.py")
-    if path.exists():
-        raise InputError("the file is there already", code="effect.exists", where=str(path))
-    write_text(path, template(name), "the effect")
-    print(f"{path} written\nnext: edit it, then dtwin effects show {name} --effects-path {path}")
-
-
-def _sorted(library: Mapping[str, Effect]) -> list[Effect]:
-    return [library[name] for name in sorted(library)]
-
-
-def _effect_dict(effect: Effect) -> dict[str, Any]:
-    out = {k: v for k, v in vars(effect).items() if k != "regressors"}
-    out["parameters"] = [vars(p) for p in effect.parameters]
-    out["shapes"] = [{**vars(s), "grid": list(s.grid)} for s in effect.shapes]
-    out["law"] = vars(effect.law)
-    return out
-
-
-def _show_rung(twins: Twins, before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:
+def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:
+    from dtwin.report.every_twin import twin_text
     from dtwin.report.text import micrometres
-    from dtwin.report.twins import twin_text
 
     after_um = twin.figures["rms_after_um"]
     payload = {**twin.as_dict(), "before": dict(before)}
@@ -375,17 +315,18 @@ def _show_rung(twins: Twins, before: Mapping[str, float], twin: Any, *, as_json:
     )
 
 
-def _library(paths: list[Path] | None) -> Mapping[str, Effect]:
-    from dtwin.physics.library import Library
-
-    return Library(paths or [])
-
-
 def _twins(paths: list[Path] | None) -> Twins:
     from dtwin.config import home
     from dtwin.pipeline.twins import Twins
 
-    return Twins(home(), _library(paths))
+    return Twins(home(), library_with(paths))
+
+
+def _twins_with(name: str, paths: list[Path] | None) -> Twins | HeatTwins:
+    from dtwin.config import home
+    from dtwin.pipeline.every_twin import twins_with
+
+    return twins_with(home(), library_with(paths), name)
 
 
 def _write_page(path: Path, name: str, sections: list[Any]) -> None:

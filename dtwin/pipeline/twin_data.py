@@ -30,7 +30,9 @@ _CORRECTED_BY = {
     "linear": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation",
     "sinusoidal": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation",
 }
-_OTHERWISE = {"volumetric": "dtwin volumetric fit has a model of its own for balls in a volume"}
+_OTHERWISE = {
+    "volumetric": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat"
+}
 
 
 @dataclass(frozen=True)

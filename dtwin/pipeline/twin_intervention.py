@@ -12,6 +12,7 @@ from dtwin.errors import InputError
 from dtwin.physics.fit import Estimate, fit
 from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twin_files import finite, read_document
+from dtwin.pipeline.twin_shelf import TwinShelf
 from dtwin.pipeline.twins import Twins
 
 GRADE = "intervention-confirmed"
@@ -155,7 +156,7 @@ def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Inte
     return found
 
 
-def interventions(twins: Twins, name: str) -> list[dict[str, Any]]:
+def interventions(twins: TwinShelf, name: str) -> list[dict[str, Any]]:
     """Return the interventions on a twin, oldest first, as :meth:`Intervention.as_dict`."""
     path = twins.root / name / _FILE
     return list(read_document(path)["interventions"]) if path.exists() else []

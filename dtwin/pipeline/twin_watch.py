@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.pipeline.twins import Twins
-from dtwin.report.twins import comparison_text, diagnosis_text
+from dtwin.pipeline.every_twin import every_shelf
+from dtwin.report.every_twin import comparison_text, diagnosis_text
 
 
 @dataclass(frozen=True)
@@ -55,17 +55,18 @@ def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
     machine, campaign : str
         The machine, and a campaign of it in the lake.
     """
-    twins = Twins(home)
     views = []
-    for name in twins.names():
-        twin = twins.newest(name)
-        if twin.machine != machine:
-            continue
-        if twin.campaign == campaign:
-            _, found = twins.diagnose(name)
-            result = found.as_dict()
-            views.append(TwinView(name, twin.version, True, result, diagnosis_text(name, result)))
-        else:
-            result = twins.compare(name, campaign).as_dict()
-            views.append(TwinView(name, twin.version, False, result, comparison_text(result)))
+    for twins in every_shelf(home):
+        for name in twins.names():
+            twin = twins.newest(name)
+            if twin.machine != machine:
+                continue
+            if twin.campaign == campaign:
+                _, found = twins.diagnose(name)
+                result = found.as_dict()
+                text = diagnosis_text(name, result)
+            else:
+                result = twins.compare(name, campaign).as_dict()
+                text = comparison_text(result)
+            views.append(TwinView(name, twin.version, twin.campaign == campaign, result, text))
     return views

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
-from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics import localise
@@ -27,10 +23,10 @@ from dtwin.physics.twin import (
     twin_of,
 )
 from dtwin.pipeline.twin_data import Comparison, Loaded, load
-from dtwin.pipeline.twin_files import finite, read_document, twin_from
+from dtwin.pipeline.twin_files import twin_from
 from dtwin.pipeline.twin_formulas import WithFormulas
 from dtwin.pipeline.twin_learning import learn_formula, learn_law
-from dtwin.pipeline.twin_registration import note, registered
+from dtwin.pipeline.twin_shelf import PATHS, TwinShelf
 from dtwin.schema import require_name
 from dtwin.train.residual_formula import ResidualFormula
 from dtwin.train.symbolic import Engine
@@ -38,8 +34,8 @@ from dtwin.train.symbolic import Engine
 _MOST_RUNGS = 12
 
 
-class Twins:
-    """The twins of a home.
+class Twins(TwinShelf):
+    """The twins of a home that are of tests of a path.
 
     Parameters
     ----------
@@ -50,18 +46,9 @@ class Twins:
     """
 
     def __init__(self, home: Home, library: Mapping[str, Effect] | None = None) -> None:
-        self.home = home
+        super().__init__(home, PATHS)
         others = Library() if library is None else library
         self.library = WithFormulas(others, home.root / "formulas")
-
-    @property
-    def root(self) -> Path:
-        """Folder of all twins."""
-        return self.home.root / "twins"
-
-    def names(self) -> list[str]:
-        """Return the twins that exist."""
-        return sorted(p.name for p in self.root.glob("*") if p.is_dir())
 
     def fit(
         self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False
@@ -136,8 +123,7 @@ class Twins:
         found = replace(found, next_experiment=proposed)
         document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
         document |= found.as_dict()
-        self._write(name, f"v{twin.version:03d}.diagnosis.json", document)
-        note(self.home, self._mlflow(name, twin.version), document)
+        self.store_diagnosis(document)
         return twin, found
 
     def add(self, name: str, effect: str, axis: str = "") -> Twin:
@@ -254,38 +240,6 @@ class Twins:
             made.append(self.add(name, best.effect, best.axis))
         return made, said
 
-    def history(self, name: str) -> list[dict[str, Any]]:
-        """Return every rung of a twin, oldest first.
-
-        Parameters
-        ----------
-        name : str
-            The twin.
-        """
-        folder = self._folder(name)
-        out = []
-        for path in sorted(folder.glob("v[0-9][0-9][0-9].json")):
-            document = read_document(path)
-            diagnosis = path.with_suffix(".diagnosis.json")
-            verdict = read_document(diagnosis) if diagnosis.exists() else {}
-            out.append(
-                {
-                    "version": document["version"],
-                    "action": document["action"],
-                    "campaign": document["campaign"],
-                    **document["figures"],
-                    "verdict": verdict.get("verdict"),
-                    "group": [
-                        f"{c['effect']} {c['axis']}".strip()
-                        for c in verdict.get("candidates", [])
-                        if c["in_group"]
-                    ],
-                    "lack_of_fit_p": verdict.get("lack_of_fit_p"),
-                    "mlflow": document.get("mlflow", {}),
-                }
-            )
-        return out
-
     def newest(self, name: str, version: int | None = None) -> Twin:
         """Return a version of a twin, the newest one without a number.
 
@@ -296,55 +250,16 @@ class Twins:
         StoreError
             When its file is damaged.
         """
-        folder = self._folder(name)
-        paths = sorted(folder.glob("v[0-9][0-9][0-9].json"))
-        if version is not None:
-            paths = [p for p in paths if p.stem == f"v{version:03d}"]
-        if not paths:
-            raise InputError(
-                "no such version of the twin",
-                code="twin.version",
-                where=f"twin {name}",
-                got=str(version),
-            )
-        return twin_from(read_document(paths[-1]), self.library, str(paths[-1]))
-
-    def _folder(self, name: str) -> Path:
-        require_name(name, "the twin")
-        folder = self.root / name
-        if not folder.is_dir():
-            raise InputError(
-                "no such twin",
-                code="twin.unknown",
-                got=name,
-                allowed=", ".join(self.names()) or "none yet",
-                hint="dtwin twin fit CAMPAIGN --effects ... --name NAME makes one",
-            )
-        return folder
+        document, path = self.newest_document(name, version)
+        return twin_from(document, self.library, str(path))
 
     def _store(
         self, name: str, loaded: Loaded, terms: Sequence[Term], action: str, *, robust: bool = False
     ) -> Twin:
+        version = self.next_version(name)
         found = fit(loaded.obs, terms, robust=robust)
-        folder = self.root / name
-        numbers = [int(p.stem[1:]) for p in folder.glob("v[0-9][0-9][0-9].json")]
-        version = max(numbers, default=0) + 1
         twin = twin_of(
             found, loaded.obs, name=name, version=version, action=action, data=loaded.data
         )
-        document = twin.as_dict()
-        document["mlflow"] = registered(self.home, document, self._parent(name, numbers))
-        self._write(name, f"v{version:03d}.json", document)
+        self.store(twin.as_dict())
         return twin
-
-    def _write(self, name: str, file: str, document: Mapping[str, Any]) -> None:
-        content = json.dumps(finite(document), indent=1)
-        write_text(self.root / name / file, content, "the twin")
-
-    def _mlflow(self, name: str, version: int) -> Mapping[str, str]:
-        """Return where a version is in MLflow; empty when it was never logged."""
-        stored = read_document(self.root / name / f"v{version:03d}.json").get("mlflow", {})
-        return dict(stored)
-
-    def _parent(self, name: str, numbers: Sequence[int]) -> str | None:
-        return self._mlflow(name, max(numbers)).get("parent_run_id") if numbers else None

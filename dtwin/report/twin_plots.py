@@ -243,16 +243,18 @@ def residual_map(
     return styled(figure)
 
 
-def waterfall_figure(rungs: Sequence[Mapping[str, Any]]) -> go.Figure:
+def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up only") -> go.Figure:
     """Return how the error fell from version to version, down to the noise floor.
 
     Parameters
     ----------
     rungs : sequence of dict
         ``Twins.history``.
+    begun : str
+        What the error before the first of them is called.
     """
     first = rungs[0]
-    names = ["set-up only", *(f"v{r['version']} {r['action']}" for r in rungs)]
+    names = [begun, *(f"v{r['version']} {r['action']}" for r in rungs)]
     heights = [first["rms_before_um"], *(r["rms_after_um"] for r in rungs)]
     figure = go.Figure(
         go.Bar(
@@ -279,7 +281,7 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
         ``Diagnosis.as_dict``.
     """
     rows = list(reversed(diagnosis["candidates"]))
-    names = [f"{c['effect']} {c['axis']}".strip() for c in rows]
+    names = [c.get("label", f"{c['effect']} {c['axis']}".strip()) for c in rows]
     figure = go.Figure(
         go.Bar(
             x=[c["rms_after_um"] for c in rows], y=names, orientation="h",

@@ -41,7 +41,7 @@ def log_twin(
     run_id = client.create_run(experiment, run_name=label).info.run_id
     figures = {k: v for k, v in document["figures"].items() if isinstance(v, int | float)}
     params = {
-        "effects": ", ".join(f"{e['effect']} {e['axis']}".strip() for e in document["effects"]),
+        "effects": ", ".join(map(_label, document["effects"])),
         "machine": document["machine"],
         "campaign": document["campaign"],
         "action": document["action"],
@@ -83,7 +83,7 @@ def note_diagnosis(
     diagnosis : dict
         As ``Diagnosis.as_dict`` returned it.
     """
-    group = [f"{c['effect']} {c['axis']}".strip() for c in diagnosis["candidates"] if c["in_group"]]
+    group = [_label(c) for c in diagnosis["candidates"] if c["in_group"]]
     tags = {
         "verdict": str(diagnosis["verdict"]),
         "group": ", ".join(group),
@@ -91,3 +91,8 @@ def note_diagnosis(
     }
     for key, value in tags.items():
         registry.client.set_model_version_tag(model, model_version, key, value)
+
+
+def _label(entry: Mapping[str, Any]) -> str:
+    """Return an effect as people write it; that of heat says itself which axis it is of."""
+    return str(entry.get("label", f"{entry['effect']} {entry['axis']}".strip()))

@@ -14,6 +14,8 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
+from dtwin.pipeline.every_twin import every_shelf, twins_with
+from dtwin.pipeline.heat_twins import HeatTwins
 from dtwin.pipeline.twins import Twins
 from dtwin.store import Lake
 from dtwin.workbench.access import Access
@@ -70,6 +72,18 @@ class Bench:
     def twins(self) -> Twins:
         """The verbs."""
         return Twins(self.home, self.library)
+
+    def twins_with(self, name: str) -> Twins | HeatTwins:
+        """Return the verbs for a twin, whatever its kind."""
+        return twins_with(self.home, self.library, name)
+
+    def is_of_heat(self, name: str) -> bool:
+        """Return whether a twin is of ball arrays."""
+        return isinstance(self.twins_with(name), HeatTwins)
+
+    def twin_names(self) -> list[str]:
+        """Return the twins of every kind."""
+        return sorted(name for shelf in every_shelf(self.home) for name in shelf.names())
 
     def own_files(self) -> list[Path]:
         """Return the user's effect files that are switched on."""

@@ -13,6 +13,7 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.physics.tone_grid import TONE, tone_row
+from dtwin.physics.volumetric.motions import FAMILIES
 from dtwin.pipeline.measuring import ingest
 from dtwin.report.plots import error_figure, polar_figure, spectrum_figure
 from dtwin.schema import Floats, Run
@@ -50,13 +51,12 @@ def campaign_page(request: Request, name: str) -> Response:
     findings = bench.cache.get(
         ("findings", name, version), lambda: campaigns.grouped_findings(rows)
     )
-    twins = bench.twins
-    rungs = {twin: twins.history(twin) for twin in twins.names()}
+    rungs = {twin: bench.twins.history(twin) for twin in bench.twin_names()}
     fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
     return rendered(
         request, "campaign.html", title=f"Campaign {name}", campaign=overview, runs=rows,
         findings=findings, effects=campaigns.possible_effects(rows, bench.library),
-        suggested=_free_name(twins.names(), overview.machine), fitted=fitted,
+        families=FAMILIES.values(), suggested=_free_name(list(rungs), overview.machine), fitted=fitted,
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from dtwin.errors import DtwinError, InputError, MissingPart
 from dtwin.workbench import (
     campaign_routes,
     effect_routes,
+    heat_pages,
     job_routes,
     live_routes,
     model_routes,
@@ -48,7 +49,7 @@ def application(bench: Bench) -> Guarded:
     """
     app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
     app.state.bench = bench
-    for part in (campaign_routes, twin_routes, twin_actions, effect_routes, model_routes, live_routes,
+    for part in (campaign_routes, twin_routes, heat_pages, twin_actions, effect_routes, model_routes, live_routes,
                  job_routes):  # fmt: skip
         app.include_router(part.router)
     app.add_api_route("/", lambda: RedirectResponse("/campaigns", 303), include_in_schema=False)
@@ -135,7 +136,9 @@ def _warm(bench: Bench) -> None:
     """Read what the first pages would wait for; a page says what is wrong with it."""
     with contextlib.suppress(DtwinError, ModuleNotFoundError):
         newest = sorted(bench.twins.root.glob("*/v*.json"), key=lambda p: -p.stat().st_mtime)
-        for name in list(dict.fromkeys(path.parent.name for path in newest))[:_WARMED_TWINS]:
+        known = set(bench.twins.names())
+        paths = [path.parent.name for path in newest if path.parent.name in known]
+        for name in list(dict.fromkeys(paths))[:_WARMED_TWINS]:
             reading.view(bench, name)
         models.registry_of(bench.home)
 

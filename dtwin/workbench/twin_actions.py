@@ -9,6 +9,8 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse
 
 from dtwin.physics.twin import Twin
+from dtwin.physics.volumetric.heat_twin import HeatTwin
+from dtwin.pipeline.every_twin import twins_for
 from dtwin.schema import require_name
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of
@@ -52,11 +54,10 @@ def fit(request: Request, wanted: FitRequest) -> JSONResponse:
     bench = bench_of(request)
     require_name(wanted.name, "the twin")
     bench.lake.campaign(wanted.campaign)
+    twins, campaign = twins_for(bench.home, bench.library, wanted.campaign)
     return _start(
         bench, f"Fit {wanted.name}", wanted.name,
-        lambda: bench.twins.fit(
-            wanted.campaign, wanted.effects, wanted.name, robust=wanted.robust
-        ),
+        lambda: twins.fit(campaign, wanted.effects, wanted.name, robust=wanted.robust),
         "/twins/{name}",
     )  # fmt: skip
 
@@ -65,10 +66,11 @@ def fit(request: Request, wanted: FitRequest) -> JSONResponse:
 def add(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
     """Add an effect and refit."""
     bench = bench_of(request)
-    bench.twins.newest(name)
+    twins = bench.twins_with(name)
+    twins.newest(name)
     return _start(
         bench, f"Add {wanted.effect} {wanted.axis}".strip(), name,
-        lambda: bench.twins.add(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
+        lambda: twins.add(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
     )  # fmt: skip
 
 
@@ -76,10 +78,11 @@ def add(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
 def remove(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
     """Take an effect out and refit."""
     bench = bench_of(request)
-    bench.twins.newest(name)
+    twins = bench.twins_with(name)
+    twins.newest(name)
     return _start(
         bench, f"Remove {wanted.effect} {wanted.axis}".strip(), name,
-        lambda: bench.twins.remove(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
+        lambda: twins.remove(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
     )  # fmt: skip
 
 
@@ -98,10 +101,11 @@ def learn(request: Request, name: str) -> JSONResponse:
 def roll_back(request: Request, name: str, wanted: VersionRequest) -> JSONResponse:
     """Make a new version with the effects of an older one; nothing is deleted."""
     bench = bench_of(request)
-    bench.twins.newest(name, wanted.version)
+    twins = bench.twins_with(name)
+    twins.newest(name, wanted.version)
     title = f"Roll {name} back to version {wanted.version}"
     return _start(
-        bench, title, name, lambda: bench.twins.restore(name, wanted.version),
+        bench, title, name, lambda: twins.restore(name, wanted.version),
         "/twins/{name}/versions",
     )  # fmt: skip
 
@@ -110,11 +114,12 @@ def roll_back(request: Request, name: str, wanted: VersionRequest) -> JSONRespon
 def diagnose(request: Request, name: str) -> JSONResponse:
     """Find out what the newest version lacks."""
     bench = bench_of(request)
-    bench.twins.newest(name)
+    twins = bench.twins_with(name)
+    twins.newest(name)
 
     def work(tell: Tell) -> str:
         tell("test every effect of the library, and what repeats say")
-        bench.twins.diagnose(name)
+        twins.diagnose(name)
         return f"/twins/{name}/diagnose"
 
     return accepted(bench.jobs.start(f"Diagnose {name}", work))
@@ -137,13 +142,14 @@ def correct(request: Request, name: str, wanted: CorrectionRequest) -> JSONRespo
 
 
 def _start(
-    bench: Bench, title: str, name: str, change: Callable[[], Twin], address: str
+    bench: Bench, title: str, name: str, change: Callable[[], Twin | HeatTwin], address: str
 ) -> JSONResponse:
     def work(tell: Tell) -> str:
         tell("read the runs, fit, and register the version")
         made = change()
         tell(f"compare version {made.version} with its runs")
-        reading.view(bench, name, made.version)
+        if isinstance(made, Twin):
+            reading.view(bench, name, made.version)
         return address.format(name=name)
 
     return accepted(bench.jobs.start(title, work))

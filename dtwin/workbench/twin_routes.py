@@ -11,7 +11,7 @@ from starlette.responses import Response
 from dtwin.errors import InputError
 from dtwin.physics.gridding import CIRCLE
 from dtwin.report.encoder_split import encoder_section
-from dtwin.report.html import page
+from dtwin.report.html import Section, page
 from dtwin.report.twin_plots import (
     along_figure,
     harmonics_figure,
@@ -28,9 +28,10 @@ from dtwin.report.twins import (
     twin_section,
 )
 from dtwin.workbench import reading
-from dtwin.workbench.bench import bench_of
+from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.campaigns import possible_effects
 from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml
+from dtwin.workbench.heat_pages import heat_page, heat_sections
 from dtwin.workbench.models import mlflow_page
 from dtwin.workbench.numbers import decimal
 from dtwin.workbench.pages import download, drawn, rendered
@@ -45,8 +46,7 @@ Words = Annotated[list[str], Query()]
 def twin_list(request: Request) -> Response:
     """Show all twins."""
     bench = bench_of(request)
-    twins = bench.twins
-    found = [(name, twins.history(name)) for name in twins.names()]
+    found = [(name, bench.twins.history(name)) for name in bench.twin_names()]
     return rendered(
         request, "twins.html", title="Twins", twins=[(n, rungs) for n, rungs in found if rungs],
         any_campaign=bool(bench.run_rows()),
@@ -57,6 +57,8 @@ def twin_list(request: Request) -> Response:
 def compare_page(request: Request, name: str, on: str = "") -> Response:
     """Show measured against twin, on the runs of the fit or on others of the machine."""
     bench = bench_of(request)
+    if bench.is_of_heat(name):
+        return heat_page(request, name, on)
     found = reading.view(bench, name, on=on)
     machine = found.twin.machine
     campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == machine})
@@ -75,6 +77,8 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
 def diagnose_page(request: Request, name: str) -> Response:
     """Show what is missing."""
     bench = bench_of(request)
+    if bench.is_of_heat(name):
+        return heat_page(request, name)
     twin = bench.twins.newest(name)
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
     experiment = diagnosis["next_experiment"] if diagnosis else None
@@ -93,6 +97,8 @@ def versions_page(
 ) -> Response:
     """Show every version, two of them side by side, and what can be added or removed."""
     bench = bench_of(request)
+    if bench.is_of_heat(name):
+        return heat_page(request, name)
     twins = bench.twins
     rungs = twins.history(name)
     newest = twins.newest(name)
@@ -116,16 +122,8 @@ def versions_page(
 def report(request: Request, name: str) -> Response:
     """Return the whole story as one file that needs nothing else."""
     bench = bench_of(request)
-    found = reading.view(bench, name)
-    twin = found.twin
-    sections = [twin_section(twin)]
-    sections += comparison_sections(
-        found.obs, found.comparison.before_um, found.comparison.residual_um, found.result
-    )
-    diagnosis = reading.diagnosis_of(bench, name, twin.version)
-    if diagnosis is not None:
-        sections.append(diagnosis_section(name, _with_nan(diagnosis)))
-    sections.append(history_section(bench.twins.history(name)))
+    twin = bench.twins_with(name).newest(name)
+    sections = heat_sections(bench, name) if bench.is_of_heat(name) else _sections(bench, name)
     made = page(
         f"Machine {twin.machine}: twin {name}",
         f"version {twin.version} of campaign {twin.campaign}, made by dtwin",
@@ -224,7 +222,9 @@ def encoder(request: Request, name: str, on: str = "") -> Response:
 @router.get("/api/twins/{name}/waterfall")
 def waterfall(request: Request, name: str) -> Response:
     """Return how the error fell from version to version."""
-    return drawn(waterfall_figure(bench_of(request).twins.history(name)))
+    bench = bench_of(request)
+    begun = "no effects" if bench.is_of_heat(name) else "set-up only"
+    return drawn(waterfall_figure(bench.twins.history(name), begun))
 
 
 @router.get("/api/twins/{name}/ranked")
@@ -246,6 +246,20 @@ def signature(request: Request, name: str, effect: str, condition: Numbers = [])
     title = f"What {effect} would take away, {found.labels[chosen]}"
     floor_um = reading.floor_of(bench, found).um
     return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=found.obs.grid))
+
+
+def _sections(bench: Bench, name: str) -> list[Section]:
+    """Return the whole story of a twin of tests of a path."""
+    found = reading.view(bench, name)
+    sections = [twin_section(found.twin)]
+    sections += comparison_sections(
+        found.obs, found.comparison.before_um, found.comparison.residual_um, found.result
+    )
+    diagnosis = reading.diagnosis_of(bench, name, found.twin.version)
+    if diagnosis is not None:
+        sections.append(diagnosis_section(name, _with_nan(diagnosis)))
+    sections.append(history_section(bench.twins.history(name)))
+    return sections
 
 
 def _experiment(request: Request, name: str) -> tuple[Any, Any]:

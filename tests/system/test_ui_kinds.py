@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -10,8 +11,11 @@ from workbench_server import Workbench, running_workbench
 
 from dtwin.acquire.virtual_lathe import simulate_lathe
 from dtwin.acquire.virtual_turning import Grid, simulate_turning
+from dtwin.acquire.virtual_volumetric import simulate_volumetric
+from dtwin.ball_plan import BallPlan
 from dtwin.config import Home
 from dtwin.linear_plan import linear_plan
+from dtwin.pipeline.heat_twins import HeatTwins
 from dtwin.pipeline.twins import Twins
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
@@ -33,6 +37,11 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
     simulate_turning(folder / "tones", grid=Grid((10.0, 30.0), (5.0, 10.0)))
     twins.fit(str(folder / "tones"), ["structural_mode"], "slide")
     twins.diagnose("slide")
+    plan = BallPlan("balls", "mill", 234.0, every_h=12.0)
+    simulate_volumetric(folder / "balls", lambda *_: None, plan=plan)
+    heat = HeatTwins(Home(folder / "home"))
+    heat.fit(str(folder / "balls"), ["rigid_shift"], "heat")
+    heat.diagnose("heat")
     with running_workbench(folder / "home") as started:
         yield started
 
@@ -82,3 +91,27 @@ def test_without_repeats_the_page_says_so(bench: Workbench) -> None:
 def test_a_sweep_is_drawn_in_both_directions(bench: Workbench) -> None:
     drawn = json.loads(said(bench, "/api/campaigns/z/runs/z-1/along"))
     assert [trace["name"] for trace in drawn["data"]] == ["forward", "reverse"]
+
+
+def test_a_twin_of_heat_has_one_page_and_is_changed_there(bench: Workbench) -> None:
+    assert "heat" in said(bench, "/twins")
+    assert "axis_expansion" in said(bench, "/campaigns/balls")
+    for tab in ("", "/diagnose", "/versions"):
+        shown = said(bench, f"/twins/heat{tab}")
+        assert "An effect is missing" in shown
+        assert 'name="effect" value="EA0"' in shown
+    names = json.loads(said(bench, "/api/twins/heat/motions"))["data"][0]["x"]
+    assert {"EX0", "EXX1", "EXZ1"} <= set(names)
+    assert json.loads(said(bench, "/api/twins/heat/days"))["data"]
+    assert json.loads(said(bench, "/api/twins/heat/waterfall"))["data"][0]["x"][0] == "no effects"
+    status, text = bench.act("/api/twins/heat/add", json.dumps({"effect": "EA0"}).encode())
+    assert status == 202, text
+    job = json.loads(text)["job"]
+    while (state := json.loads(said(bench, f"/api/jobs/{job}"))["state"]) not in ("done", "failed"):
+        time.sleep(0.1)
+    assert state == "done"
+    assert "add EA0" in said(bench, "/twins/heat")
+    assert said(bench, "/twins/heat/report.html").count("<section") >= 4
+    status, text = bench.ask("/api/twins/heat/map")
+    assert status == 400
+    assert "another kind of campaign" in text

@@ -60,11 +60,30 @@ class Identified:
 
 
 @dataclass(frozen=True)
+class Settled:
+    """Error motions of one cycle with the places of the array taken out.
+
+    Attributes
+    ----------
+    values : ndarray, shape (coefficients,)
+        Since the reference cycle.
+    covariance : ndarray, shape (coefficients, coefficients)
+        Of the values, from the residual.
+    moved_um : ndarray, shape (n, 3)
+        How the tool point moved, less where the array stood otherwise than in the reference.
+    """
+
+    values: Floats
+    covariance: Floats
+    moved_um: Floats
+
+
+@dataclass(frozen=True)
 class _Prepared:
     use: NDArray[np.bool_]
     columns: Floats
     solve: Floats
-    inverse_diagonal: Floats
+    inverse: Floats
 
 
 @dataclass(frozen=True)
@@ -126,6 +145,40 @@ class Artefact:
             When the balls cannot tell the coefficients.
         """
         ready = self._prepared(balls)
+        found, noise_um = self._solved(ready, moved_um)
+        spread = np.sqrt(np.diag(ready.inverse) * noise_um**2)
+        values: Floats = np.asarray(found[-len(self.names) :], dtype=np.float64)
+        return Identified(
+            values, spread, noise_um, self._held_out_um(balls, moved_um, values),
+            3 * int(ready.use.sum()),
+        )  # fmt: skip
+
+    def settle(self, balls: Balls, moved_um: Floats) -> Settled:
+        """Return error motions from all poses, held out or not, and the movement less the places.
+
+        Parameters
+        ----------
+        balls : Balls
+            Where it was measured.
+        moved_um : ndarray, shape (n, 3)
+            How the tool point moved.
+
+        Raises
+        ------
+        InputError
+            When the balls cannot tell the coefficients, or when poses are held out.
+        """
+        if self.held_out:
+            raise InputError("no pose may be held out here", code="volumetric.held_out")
+        ready = self._prepared(balls)
+        found, noise_um = self._solved(ready, moved_um)
+        known = len(found) - len(self.names)
+        taken = ready.columns[: moved_um.size, :known] @ found[:known]
+        values: Floats = np.asarray(found[known:], dtype=np.float64)
+        return Settled(values, ready.inverse * noise_um**2, moved_um - taken.reshape(-1, 3))
+
+    def _solved(self, ready: _Prepared, moved_um: Floats) -> tuple[Floats, float]:
+        """Return places and coefficients, and the RMS that they leave of a free coordinate."""
         y = np.zeros(len(ready.columns))
         measured = 3 * int(ready.use.sum())
         y[:measured] = moved_um[ready.use].ravel()
@@ -134,12 +187,7 @@ class Artefact:
         # The pulled places cost what the rows that pull give.
         pulled = len(y) - measured if np.isfinite(self.pose_repeat_um) else 0
         free = max(measured + pulled - ready.columns.shape[1], 1)
-        spread = np.sqrt(ready.inverse_diagonal * float(left @ left) / free)
-        values: Floats = np.asarray(found[-len(self.names) :], dtype=np.float64)
-        return Identified(
-            values, spread, float(np.sqrt(left @ left / free)),
-            self._held_out_um(balls, moved_um, values), measured,
-        )  # fmt: skip
+        return found, float(np.sqrt(left @ left / free))
 
     def report(self, balls: Balls) -> Identifiability:
         """Return what a cycle's balls can tell of the coefficients."""
@@ -160,8 +208,8 @@ class Artefact:
             columns = self._columns(balls, use)
             self._require(columns, columns.shape[1] - len(self.names))
             inverse = np.linalg.pinv(columns.T @ columns)
-            diagonal = np.diag(inverse)[-len(self.names) :]
-            self._ready[key] = _Prepared(use, columns, inverse @ columns.T, diagonal)
+            block: Floats = np.asarray(inverse[-len(self.names) :, -len(self.names) :], dtype=float)
+            self._ready[key] = _Prepared(use, columns, inverse @ columns.T, block)
         return self._ready[key]
 
     def _columns(self, balls: Balls, use: NDArray[np.bool_]) -> Floats:

@@ -1,0 +1,102 @@
+"""Commands about effects."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import emit
+from dtwin.errors import InputError
+
+if TYPE_CHECKING:
+    from dtwin.physics.effect import Effect
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+Paths = Annotated[
+    list[Path] | None,
+    typer.Option("--effects-path", help="Your own effect file or folder; its code is run."),
+]
+
+effects_app = typer.Typer(
+    help="Physical causes of error: what they look like, and what to do about them.",
+    no_args_is_help=True,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(effects_app, name="effects")
+
+
+def library_with(paths: list[Path] | None) -> Mapping[str, Effect]:
+    """Return the built-in effects and those of files."""
+    from dtwin.physics.library import Library
+
+    return Library(paths or [])
+
+
+@effects_app.command("list")
+def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
+    """List what dtwin knows."""
+    from dtwin.physics.volumetric.motions import FAMILIES
+    from dtwin.report.heat_twins import family_dict
+    from dtwin.report.text import table
+
+    effects = _sorted(library_with(effects_path))
+    rows = [(e.name, e.title, e.per.replace("_", " "), ", ".join(e.kinds)) for e in effects]
+    heat = [family_dict(family) for family in FAMILIES.values()]
+    rows += [(f["name"], f["title"], f["per"], ", ".join(f["kinds"])) for f in heat]
+    emit(
+        {"effects": [_effect_dict(e) for e in effects], "heat": heat},
+        lambda: table(("effect", "what", "one for each", "campaigns"), rows),
+        as_json=as_json,
+    )
+
+
+@effects_app.command("show")
+def show_effect(
+    name: Annotated[str, typer.Argument(help="Name of the effect.")],
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Show what an effect is, what it is confused with, and what to do about it."""
+    from dtwin.report.heat_twins import family_dict, family_named, family_text
+    from dtwin.report.twins import effect_text
+
+    family = family_named(name)
+    if family is not None:
+        emit(family_dict(family), lambda: family_text(family), as_json=as_json)
+        return
+    effect = library_with(effects_path)[name]
+    emit(_effect_dict(effect), lambda: effect_text(effect), as_json=as_json)
+
+
+@effects_app.command("template")
+def effect_template(
+    name: Annotated[str, typer.Argument(help="Name of your effect, in lower case.")],
+    out: Annotated[Path | None, typer.Option(help="File to write; NAME.py without.")] = None,
+) -> None:
+    """Write an effect file to start from."""
+    from dtwin.atomic import write_text
+    from dtwin.physics.template import template
+
+    path = out or Path(f"{name}.py")
+    if path.exists():
+        raise InputError("the file is there already", code="effect.exists", where=str(path))
+    write_text(path, template(name), "the effect")
+    print(f"{path} written\nnext: edit it, then dtwin effects show {name} --effects-path {path}")
+
+
+def _sorted(library: Mapping[str, Effect]) -> list[Effect]:
+    return [library[name] for name in sorted(library)]
+
+
+def _effect_dict(effect: Effect) -> dict[str, Any]:
+    out = {k: v for k, v in vars(effect).items() if k != "regressors"}
+    out["parameters"] = [vars(p) for p in effect.parameters]
+    out["shapes"] = [{**vars(s), "grid": list(s.grid)} for s in effect.shapes]
+    out["law"] = vars(effect.law)
+    return out

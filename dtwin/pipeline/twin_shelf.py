@@ -1,0 +1,187 @@
+"""Versions of twins on disk and in the registry, whatever kind of campaign they are of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from dtwin.atomic import write_text
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.pipeline.twin_files import finite, read_document
+from dtwin.pipeline.twin_registration import note, registered
+from dtwin.schema import require_name
+
+_VERSIONS = "v[0-9][0-9][0-9].json"
+PATHS = "paths"
+"""Kind of a twin that names none: it is of tests of a path."""
+_CAMPAIGNS = {PATHS: "a twin of circular, linear or sinusoidal campaigns"}
+
+
+class TwinShelf:
+    """Where the twins of a home are kept: one folder each, one file for a version.
+
+    Parameters
+    ----------
+    home : Home
+        Of the twins.
+    kind : str
+        Twins of this kind are found, others are refused: ``paths`` or ``volumetric``.
+    """
+
+    def __init__(self, home: Home, kind: str) -> None:
+        self.home, self.kind = home, kind
+
+    @property
+    def root(self) -> Path:
+        """Folder of all twins."""
+        return self.home.root / "twins"
+
+    def names(self) -> list[str]:
+        """Return the twins of this kind."""
+        return sorted(p.name for p in self.root.glob("*") if p.is_dir() and self._is_ours(p))
+
+    def newest_document(self, name: str, version: int | None = None) -> tuple[dict[str, Any], Path]:
+        """Return a version as it was stored, the newest one without a number, and its file.
+
+        Raises
+        ------
+        InputError
+            When there is no such twin or version, or it is of another kind.
+        StoreError
+            When its file is damaged.
+        """
+        folder = self.folder(name)
+        paths = sorted(folder.glob(_VERSIONS))
+        if version is not None:
+            paths = [p for p in paths if p.stem == f"v{version:03d}"]
+        if not paths:
+            raise InputError(
+                "no such version of the twin",
+                code="twin.version",
+                where=f"twin {name}",
+                got=str(version),
+            )
+        document = read_document(paths[-1])
+        self._require_ours(name, document)
+        return document, paths[-1]
+
+    def folder(self, name: str) -> Path:
+        """Return the folder of a twin.
+
+        Raises
+        ------
+        InputError
+            When there is none.
+        """
+        require_name(name, "the twin")
+        folder = self.root / name
+        if not folder.is_dir():
+            raise InputError(
+                "no such twin",
+                code="twin.unknown",
+                got=name,
+                allowed=", ".join(sorted(p.name for p in self.root.glob("*") if p.is_dir()))
+                or "none yet",
+                hint="dtwin twin fit CAMPAIGN --effects ... --name NAME makes one",
+            )
+        return folder
+
+    def next_version(self, name: str) -> int:
+        """Return the number of the version to come.
+
+        Raises
+        ------
+        InputError
+            When the twin is of another kind.
+        """
+        numbers = self._numbers(name)
+        if numbers:
+            self.newest_document(name)
+        return max(numbers, default=0) + 1
+
+    def store(self, document: Mapping[str, Any]) -> None:
+        """Register a version and write its file.
+
+        Parameters
+        ----------
+        document : dict
+            ``as_dict`` of the twin.
+        """
+        name, numbers = document["twin"], self._numbers(document["twin"])
+        parent = self._mlflow(name, max(numbers)).get("parent_run_id") if numbers else None
+        stored = {**document, "mlflow": registered(self.home, document, parent)}
+        self._write(name, f"v{document['version']:03d}.json", stored)
+
+    def store_diagnosis(self, document: Mapping[str, Any]) -> None:
+        """Write a diagnosis beside its version, and note its verdict in the registry."""
+        name, version = document["twin"], document["version"]
+        self._write(name, f"v{version:03d}.diagnosis.json", document)
+        note(self.home, self._mlflow(name, version), document)
+
+    def history(self, name: str) -> list[dict[str, Any]]:
+        """Return every rung of a twin, oldest first.
+
+        Parameters
+        ----------
+        name : str
+            The twin.
+        """
+        folder = self.folder(name)
+        out = []
+        for path in sorted(folder.glob(_VERSIONS)):
+            document = read_document(path)
+            diagnosis = path.with_suffix(".diagnosis.json")
+            verdict = read_document(diagnosis) if diagnosis.exists() else {}
+            out.append(
+                {
+                    "version": document["version"],
+                    "action": document["action"],
+                    "campaign": document["campaign"],
+                    **document["figures"],
+                    "verdict": verdict.get("verdict"),
+                    "group": [
+                        c.get("label", f"{c['effect']} {c['axis']}".strip())
+                        for c in verdict.get("candidates", [])
+                        if c["in_group"]
+                    ],
+                    "lack_of_fit_p": verdict.get("lack_of_fit_p"),
+                    "mlflow": document.get("mlflow", {}),
+                }
+            )
+        return out
+
+    def _is_ours(self, folder: Path) -> bool:
+        paths = sorted(folder.glob(_VERSIONS))
+        return not paths or read_document(paths[-1]).get("kind", PATHS) == self.kind
+
+    def _require_ours(self, name: str, document: Mapping[str, Any]) -> None:
+        kind = document.get("kind", PATHS)
+        if kind != self.kind:
+            raise InputError(
+                "the twin is of another kind of campaign", code="twin.kind", where=f"twin {name}",
+                got=str(kind)[:40], allowed=_CAMPAIGNS.get(self.kind, f"a twin of {self.kind} campaigns"),
+                hint="dtwin twin fit, compare, diagnose, add, remove, restore, discover, history and "
+                "show take every kind",
+            )  # fmt: skip
+
+    def _numbers(self, name: str) -> Sequence[int]:
+        return [int(p.stem[1:]) for p in (self.root / name).glob(_VERSIONS)]
+
+    def _write(self, name: str, file: str, document: Mapping[str, Any]) -> None:
+        content = json.dumps(finite(document), indent=1)
+        write_text(self.root / name / file, content, "the twin")
+
+    def _mlflow(self, name: str, version: int) -> Mapping[str, str]:
+        """Return where a version is in MLflow; empty when it was never logged."""
+        stored = read_document(self.root / name / f"v{version:03d}.json").get("mlflow", {})
+        return dict(stored)
+
+
+def kind_of(home: Home, name: str) -> str:
+    """Return the kind of a twin: ``volumetric``, or ``paths`` for every other and for none."""
+    require_name(name, "the twin")
+    paths = sorted((home.root / "twins" / name).glob(_VERSIONS))
+    return str(read_document(paths[-1]).get("kind", PATHS)) if paths else PATHS

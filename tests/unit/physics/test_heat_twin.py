@@ -1,0 +1,200 @@
+"""Twins of heat on made-up series: what is missing, what cannot be told apart, what nobody knows."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from dtwin.errors import InputError
+from dtwin.physics.volumetric.chain import COEFFICIENTS, design
+from dtwin.physics.volumetric.heat_diagnosis import HeatDiagnosis, diagnose_heat
+from dtwin.physics.volumetric.heat_series import HeatSeries
+from dtwin.physics.volumetric.heat_twin import (
+    fit_heat,
+    heat_figures,
+    heat_twin_from,
+    heat_twin_of,
+)
+from dtwin.physics.volumetric.identify import Artefact, Balls
+from dtwin.physics.volumetric.motions import FAMILIES, family_of, heat_terms
+
+NOISE = 0.5
+MOTIONS = ("EX0", "EXX1", "EZX2", "EXZ1")
+
+
+def lasting(seed: int, n: int = 120, hours: float = 15.0) -> np.ndarray:
+    """Return a temperature that wanders, of unit size, and begins at nought."""
+    rng = np.random.default_rng(seed)
+    keep = np.exp(-1.0 / hours)
+    out = np.zeros(n)
+    for i in range(1, n):
+        out[i] = keep * out[i - 1] + rng.normal(0.0, np.sqrt(1.0 - keep**2))
+    return 3.0 * out
+
+
+def series(
+    driven: dict[str, np.ndarray], *, seed: int = 0, alike: float = 0.0, n: int = 120
+) -> HeatSeries:
+    """Return motions with noise, two thermocouples on bed and ram each, and a logged tank."""
+    rng = np.random.default_rng(1000 + seed)
+    bed, ram, tank = (lasting(k, n) for k in (1, 2, 3))
+    ram = alike * bed + (1.0 - alike) * ram
+    read = {"bed_01_c": bed, "bed_02_c": 0.8 * bed, "ram_01_c": ram, "ram_02_c": 1.1 * ram}
+    rise = {name: t + rng.normal(0, 0.02, n) for name, t in read.items()} | {"tank_c": tank}
+    values = rng.normal(0.0, NOISE, (n, len(MOTIONS)))
+    for name, motion in driven.items():
+        values[:, MOTIONS.index(name)] += motion
+    each = np.tile(np.eye(len(MOTIONS)), (n, 1, 1))
+    return HeatSeries(
+        "made", "mill", np.arange(n, dtype=float), MOTIONS, values, NOISE**2 * each, each,
+        np.full(n, 0.25), rise, dict.fromkeys(rise, 20.0), tuple(read),
+    )  # fmt: skip
+
+
+def found(made: HeatSeries, *effects: str) -> HeatDiagnosis:
+    return diagnose_heat(made, fit_heat(made, heat_terms(effects)), ())
+
+
+BED, RAM, TANK, NOBODY = (lasting(k) for k in (1, 2, 3, 4))
+
+
+def test_a_motion_that_temperatures_tell_is_missing_until_it_is_added() -> None:
+    made = series({"EXX1": 2.0 * BED, "EX0": BED + RAM})
+    before = found(made, "EX0")
+    assert (before.verdict, [m.motion for m in before.group]) == ("missing_effect", ["EXX1"])
+    assert before.group[0].bodies == ("bed",)
+    assert before.as_dict()["candidates"][0]["grade"] == "law-confirmed"
+    after = found(made, "EX0", before.additions[0])
+    assert (after.verdict, after.movers) == ("nothing_missing", ())
+    assert after.figures["rms_after_um"] < 0.5 * before.figures["rms_after_um"]
+    assert after.figures["rms_after_um"] == pytest.approx(after.figures["noise_floor_um"], rel=0.05)
+
+
+def test_two_bodies_that_go_together_are_not_guessed_between() -> None:
+    both = found(series({"EXX1": 2.0 * BED}, alike=0.98))
+    assert (both.verdict, set(both.group[0].bodies)) == ("ambiguous", {"bed", "ram"})
+    assert set(both.next_experiment["heat_alone"]) == {"bed", "ram"}
+    assert both.as_dict()["candidates"][0]["confounded_with"] == ["EXX1@bed", "EXX1@ram"]
+    apart = found(series({"EXX1": 2.0 * BED}))
+    assert (apart.verdict, apart.group[0].bodies) == ("missing_effect", ("bed",))
+
+
+def test_what_no_thermocouple_tells_is_unknown_with_and_without_a_logged_cause() -> None:
+    logged = found(series({"EXZ1": TANK}))
+    assert (logged.verdict, logged.additions) == ("unknown_effect", ("EXZ1@tank_c",))
+    silent = found(series({"EXZ1": NOBODY}))
+    assert (silent.verdict, silent.additions) == ("unknown_effect", ())
+    assert silent.group[0].motion == "EXZ1"
+    assert silent.next_experiment["watch"] == ["EXZ1"]
+    added = found(series({"EXZ1": TANK}), "EXZ1@tank_c")
+    assert added.verdict == "nothing_missing"
+
+
+def test_a_motion_of_the_twin_that_lacks_a_temperature_gets_it() -> None:
+    made = series({"EXX1": BED + RAM})
+    lacking = found(made, "EXX1@bed")
+    assert lacking.verdict == "missing_effect"
+    assert lacking.group[0].in_twin
+    assert "lacks temperatures" in lacking.headline
+    assert set(lacking.group[0].sensors) <= {"ram_01_c", "ram_02_c", "bed_01_c", "bed_02_c"}
+    assert found(made, "EXX1").verdict == "nothing_missing"
+
+
+def test_noise_alone_is_not_taken_for_a_motion() -> None:
+    verdicts = [found(series({}, seed=seed)).verdict for seed in range(40)]
+    assert verdicts.count("nothing_missing") >= 39
+
+
+def test_a_motion_below_a_quarter_of_the_floor_is_told_but_does_not_count() -> None:
+    warm = lasting(1, 900)
+    small = found(series({"EXX1": 0.22 * warm / warm.std()}, n=900))
+    assert (small.verdict, small.quiet) == ("nothing_missing", ("EXX1",))
+    assert 1.0 < small.figures["rms_after_um"] / small.figures["noise_floor_um"] < 1.05
+
+
+def test_a_motion_that_lasts_is_not_given_a_cause_by_chance() -> None:
+    said = [found(series({"EXZ1": lasting(100 + seed)}, seed=seed)) for seed in range(60)]
+    assert {d.verdict for d in said} <= {"unknown_effect", "missing_effect", "ambiguous"}
+    assert sum(bool(d.additions) for d in said) <= 1
+
+
+def test_hours_left_out_cost_more_than_hours_fitted_and_days_add_up() -> None:
+    made = series({"EXX1": BED + 0.5 * NOBODY, "EX0": RAM})
+    terms = heat_terms(["EXX1", "EX0"])
+    fitted = fit_heat(made, terms)
+    twin = heat_twin_of(fitted, made, terms, name="t", version=1, action="fit", data={})
+    figures = twin.figures
+    assert figures["held_out_rms_um"] > figures["rms_after_um"] > figures["noise_floor_um"]
+    total = sum(d["cycles"] * d["rms_after_um"] ** 2 for d in twin.by_condition)
+    assert np.sqrt(total / 120) == pytest.approx(figures["rms_after_um"])
+    again = heat_twin_from(json.loads(json.dumps(twin.as_dict())))
+    assert np.array_equal(again.expected(made), twin.expected(made))
+    assert again.as_dict() == twin.as_dict()
+
+
+def test_the_uncertainty_counts_the_cycles_that_are_independent() -> None:
+    def spread(extra: np.ndarray) -> float:
+        made = series({"EXX1": BED + extra})
+        terms = heat_terms(["EXX1@bed_01_c"])
+        fitted = fit_heat(made, terms)
+        (only,) = heat_twin_of(
+            fitted, made, terms, name="t", version=1, action="fit", data={}
+        ).uncertainties
+        return only[0]
+
+    white = np.random.default_rng(7).normal(0.0, NOBODY.std(), 120)
+    assert spread(NOBODY) > 1.5 * spread(white)
+
+
+def test_what_balls_leave_and_what_motions_leave_add_up() -> None:
+    rng = np.random.default_rng(11)
+    strokes = {"x": (30.0, 1460.0), "y": (50.0, 1200.0), "z": (460.0, 1490.0)}
+    low, high = np.array([strokes[axis] for axis in "xyz"]).T
+    place = rng.uniform(low, high, (60, 3))
+    pose = np.repeat(np.arange(5), 12)
+    balls = Balls(place, np.zeros((60, 3)), pose, np.tile(np.arange(12), 5))
+    artefact = Artefact(strokes, pose_repeat_um=1.5)
+    truth, other = rng.normal(0.0, 5.0, (2, 24))
+    moved = artefact.predicted_um(balls, truth) + rng.normal(0.0, 1.0, (60, 3))
+    settled = artefact.settle(balls, moved)
+    unit = design(place, strokes, COEFFICIENTS).reshape(-1, 24)
+    whole = settled.moved_um.ravel() - unit @ other
+    rest = settled.moved_um.ravel() - unit @ settled.values
+    apart = settled.values - other
+    assert whole @ whole == pytest.approx(rest @ rest + apart @ (unit.T @ unit) @ apart)
+    assert np.abs((settled.values - truth) / np.sqrt(np.diag(settled.covariance))).max() < 5.0
+    with pytest.raises(InputError):
+        Artefact(strokes, held_out=(2,)).settle(balls, moved)
+
+
+def test_figures_without_a_twin_are_the_error_itself() -> None:
+    made = series({"EXX1": BED})
+    figures = heat_figures(made, made.values)
+    assert figures["rms_before_um"] == figures["rms_after_um"]
+    assert figures["noise_floor_um"] == pytest.approx(np.sqrt(0.25 + 4 * NOISE**2))
+
+
+def test_names_of_motions_and_families() -> None:
+    assert [t.motion for t in heat_terms(["axis_expansion"])] == ["EXX1", "EZZ1", "EYY1"]
+    assert [t.motion for t in heat_terms(["axis_expansion:x"])] == ["EXX1"]
+    assert [t.motion for t in heat_terms(["guideway_bending"], "Y")] == ["EZY2", "EXY2"]
+    (term,) = heat_terms(["EXZ1@tank_c + bed"])
+    assert (term.label, term.axis) == ("EXZ1@bed+tank_c", "Z")
+    assert {family_of(m).name for m in COEFFICIENTS} == set(FAMILIES)
+    assert family_of("ECX1").name == "carriage_turning"
+    for wrong, code in (
+        (["EXX1", "EXX1@bed"], "twin.effect_twice"),
+        (["backlash"], "twin.effect"),
+        (["rigid_turn:X"], "twin.effect_axis"),
+    ):
+        with pytest.raises(InputError) as caught:
+            heat_terms(wrong)
+        assert caught.value.code == code
+
+
+def test_too_few_cycles_are_refused() -> None:
+    with pytest.raises(InputError) as caught:
+        fit_heat(series({}, n=12), ())
+    assert caught.value.code == "volumetric.cycles"
