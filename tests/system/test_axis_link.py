@@ -77,7 +77,7 @@ def bundle(evidence: str = "virtual", **inputs: float) -> Bundle:
             for name, (rate, unit) in rates.items()
         ),
         outputs=(Output("error_z_um", "base_z"),), tick_graph=graph,
-        safety=SafetyLimits(clamp_um=50.0, slew_um_s=5000.0, stale_s=0.5, trips_to_latch=5),
+        safety=SafetyLimits(clamp_um=50.0, slew_um_s=1e8, stale_s=0.5, trips_to_latch=5),
         provenance=Provenance(evidence=evidence),
     )  # fmt: skip
 
