@@ -19,6 +19,7 @@ from dtwin.commands import exporting as exporting_command
 from dtwin.commands import lathe as lathe_commands
 from dtwin.commands import linuxcnc as linuxcnc_commands
 from dtwin.commands import modelling as modelling_commands
+from dtwin.commands import papers as papers_command
 from dtwin.commands import rechecking as rechecking_command
 from dtwin.commands import record as record_command
 from dtwin.commands import servers as server_commands
@@ -63,6 +64,7 @@ cell_commands.register(app)
 lathe_commands.register(app)
 turning_commands.register(app)
 volumetric_commands.register(app)
+papers_command.register(app)
 dynamics_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)

@@ -9,7 +9,7 @@ from typer.core import TyperGroup
 TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
-    "Understand": ("twin", "effects", "dynamics", "report"),
+    "Understand": ("twin", "effects", "dynamics", "report", "papers"),
     "Correct": (
         "features",
         "train",

@@ -27,3 +27,23 @@ def paper_table(lines: Sequence[Mapping[str, Any]], source: str = "the paper") -
         for line in lines
     ]
     return table(([""] * numbered) + ["figure", source, "ours", "follows"], rows)
+
+
+def summary_text(found: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return for each source how many figures follow, and which do not.
+
+    Parameters
+    ----------
+    found : mapping
+        ``source`` and ``lines`` by name; lines as for :func:`paper_table`.
+    """
+    rows, absent = [], []
+    for name, paper in found.items():
+        judged = [line["follows"] for line in paper["lines"]]
+        counts = [judged.count(value) for value in (True, False, None)]
+        rows.append([name, paper["source"], *counts])
+        for line in paper["lines"]:
+            if line["follows"] is False:
+                absent.append(f"  {name}: {line['what']}: {line['paper']}; here {line['ours']}")
+    head = ("", "source", "figures follow", "do not", "not judged")
+    return "\n".join([table(head, rows), "", "what does not follow:", *absent])

@@ -54,6 +54,14 @@ class Door:
         """Whether the machine said that its program has ended; only axis links know."""
         return False
 
+    @property
+    def rate_hz(self) -> float:
+        """Of the machine's states."""
+        return self._request.serving().rate_hz
+
+    def close(self) -> None:
+        """Close what nobody has taken over."""
+
     def __call__(self) -> OpenLink:
         """Return an open link to what may be served."""
         request = self._request
@@ -109,6 +117,11 @@ class AxisDoor(Door):
     def clock(self) -> Clock:
         """Clock of the control, once it has greeted."""
         return self.greet().clock
+
+    @property
+    def rate_hz(self) -> float:
+        """Of the control's states, as it says itself."""
+        return 1.0 / self.greet().period_s
 
     def greet(self) -> Greeting:
         """Return what the control says of itself; connects to it when nobody has, with patience."""

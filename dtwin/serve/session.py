@@ -108,18 +108,14 @@ def _serve_resolved(
             held.enter_context(lease(request.place, resolved.machine, home))
         window = bundle.window
         sensors = held.enter_context(open_sensors(window)) if open_sensors and window else None
-        inputs = AxisInputs(bundle, request.covariates, sensors=sensors is not None)
-        door: Door
-        if request.axes is None:
-            door, rate_hz = Door(request, bundle, trial), request.serving().rate_hz
-            decision = Decision(compiled, tcp_mm, request.covariates, sensors)
-        else:
-            door = AxisDoor(request, bundle, trial, inputs, home)
-            held.callback(door.close)
-            rate_hz = 1.0 / door.greet().period_s
-            decision = Decision(
-                compiled, tcp_mm, request.covariates, sensors or inputs.windows, inputs.live
-            )
+        sampled_elsewhere = sensors is not None or request.axes is None
+        inputs = AxisInputs(bundle, request.covariates, sensors=sampled_elsewhere)
+        door = _door(request, bundle, trial, inputs, home)
+        held.callback(door.close)
+        rate_hz = door.rate_hz
+        decision = Decision(
+            compiled, tcp_mm, request.covariates, sensors or inputs.windows, inputs.live
+        )
         board = None
         # A shadow holds no lease: the board belongs to who holds it.
         if request.mode != "shadow":
@@ -154,6 +150,23 @@ def _serve_resolved(
         return Served(
             request, resolved, door.device, trial, bundle.safety.clamp_um, status, door.realtime
         )
+
+
+def _door(
+    request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home
+) -> Door:
+    """Return the way to the machine; an axis control has greeted then."""
+    if request.axes is None:
+        return Door(request, bundle, trial)
+    door = AxisDoor(request, bundle, trial, inputs, home)
+    if inputs.watch is not None and door.clock == "wall":
+        door.close()
+        raise InputError(
+            "a sine cannot be corrected over a network in real time", code="serve.tones",
+            where=request.place, got="a control on the wall clock",
+            hint="export the bundle to the control: dtwin export --as c",
+        )  # fmt: skip
+    return door
 
 
 def _require_control(request: ServeRequest, bundle: Bundle) -> None:

@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DeviceError, GateRefusal, InputError
+from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, COMMANDED, tone_contract
 from dtwin.links.axis_link import AxisLink
 from dtwin.links.live_values import LiveValues
 from dtwin.links.virtual_key import proof
@@ -314,3 +315,32 @@ def test_patience_waits_for_a_control_that_is_not_there_yet(home: Home) -> None:
     assert found.status.ended == "finished"
     with pytest.raises(DeviceError, match="no axis link answers"):
         served(home, f"127.0.0.1:{port}")
+
+
+def test_tones_are_not_corrected_over_a_network_in_real_time(home: Home, tmp_path: Path) -> None:
+    contract = tone_contract(100.0, "tool_z_g")
+    builder, window = GraphBuilder(), GraphBuilder()
+    size, angle = (builder.input(name) for name in (COMMAND_AMPLITUDE, COMMAND_PHASE))
+    wave = size * builder.apply("sin", angle) * builder.input("gain_1")
+    tones = create_bundle(
+        name="tones", machine="sledge", model_version=2,
+        inputs=(
+            Input(COMMAND_PHASE, "rad", "path", 100.0, "controller", -7.0, 7.0),
+            Input(COMMAND_AMPLITUDE, "um", "path", 100.0, "controller", 0.0, 10.0),
+            Input("tool_z_rms_g", "g", "sensor", 1.0, "feature", 0.0, 1.0),
+        ),
+        outputs=(Output("correction_z_um", "base_z", "correction"),),
+        window=contract, window_graph=window.graph({"gain_1": window.input("tool_z_rms_g") * 1.0}),
+        tick_graph=builder.graph({"correction_z_um": wave}),
+        safety=SafetyLimits(), provenance=Provenance(evidence="virtual"),
+    )  # fmt: skip
+    path = save_bundle(tones, machine_folder("sledge", home) / "v0002.json")
+    write_pointer("sledge", home, path, 2, "champion")
+
+    class Tones(Sledge):
+        provides = (COMMAND_PHASE, COMMAND_AMPLITUDE, COMMANDED, *contract.channels)
+        channels_hz = 100.0
+
+    control = AxisControl(Tones(10), home, "wall")
+    with control, pytest.raises(InputError, match="in real time"):
+        served(home, control.address)

@@ -22,7 +22,7 @@ def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     for command in ("demo", "plan", "simulate", "ingest", "runs", "check", "features", "train",
                     "models", "promote", "rollback", "serve", "report", "twin", "effects",
                     "record", "up", "ui", "examples", "analogue", "linuxcnc", "cell",
-                    "lathe", "turning", "dynamics", "volumetric"):  # fmt: skip
+                    "lathe", "turning", "dynamics", "volumetric", "papers"):  # fmt: skip
         assert f"\n  {command} " in shown.stdout
     heavy = [
         "numpy",

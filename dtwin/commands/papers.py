@@ -1,0 +1,35 @@
+"""The command that computes the figures of all published systems again."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import typer
+
+from dtwin.commands.output import ProgressLine, emit
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module to the application."""
+    app.command()(papers)
+
+
+def papers(
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Less of everything, for a first look.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
+    as_json: Json = False,
+) -> None:
+    """Compute the figures of the published systems again: how many follow, and which do not."""
+    from dtwin.pipeline.papers import PAPERS, computed
+    from dtwin.report.papers import summary_text
+
+    found: dict[str, dict[str, Any]] = {}
+    for name, paper in PAPERS.items():
+        progress = ProgressLine(name, quiet=as_json)
+        lines = computed(name, quick=quick, seed=seed, progress=progress)["lines"]
+        found[name] = {"source": paper.source, "lines": lines}
+    emit(found, lambda: summary_text(found), as_json=as_json)
