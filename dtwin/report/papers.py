@@ -39,11 +39,10 @@ def summary_text(found: Mapping[str, Mapping[str, Any]]) -> str:
     """
     rows, absent = [], []
     for name, paper in found.items():
-        judged = [line["follows"] for line in paper["lines"]]
-        counts = [judged.count(value) for value in (True, False, None)]
-        rows.append([name, paper["source"], *counts])
-        for line in paper["lines"]:
-            if line["follows"] is False:
+        judged = [_JUDGED[line["follows"]] for line in paper["lines"]]
+        rows.append([name, paper["source"], *(judged.count(value) for value in _JUDGED.values())])
+        for line, follows in zip(paper["lines"], judged, strict=True):
+            if follows == _JUDGED[False]:
                 absent.append(f"  {name}: {line['what']}: {line['paper']}; here {line['ours']}")
     head = ("", "source", "figures follow", "do not", "not judged")
     return "\n".join([table(head, rows), "", "what does not follow:", *absent])

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from dtwin.report.papers import summary_text
 
 
-def line(what: str, follows: bool | None) -> dict[str, object]:
+def line(what: str, follows: object) -> dict[str, object]:
     return {"what": what, "paper": "12 um", "ours": "30 um", "follows": follows}
 
 
 def test_what_does_not_follow_is_named_with_both_figures() -> None:
     found = {
-        "lathe": {"source": "a thesis", "lines": [line("table", True), line("networks", False)]},
+        "lathe": {
+            "source": "a thesis",
+            "lines": [line("table", True), line("networks", np.False_)],
+        },
         "mill": {"source": "a paper", "lines": [line("heat", None), line("balls", True)]},
     }
     said = summary_text(found).splitlines()
