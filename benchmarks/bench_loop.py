@@ -166,19 +166,23 @@ def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
     arrived_s = dict(zip(log["sequence"].tolist(), log["arrived_s"].tolist(), strict=True))
     acts_s = dict(zip(log["sequence"].tolist(), log["latched_s"].tolist(), strict=True))
     answered: dict[int, float] = {}
-    used_in_time: set[int] = set()
+    acted: dict[int, float] = {}
     for sequence, stamp_s in notes.tolist():
         tick = round(stamp_s / PERIOD_S)
         if sequence in arrived_s and tick not in answered:
             answered[tick] = arrived_s[sequence] - stamp_s
-            if acts_s[sequence] - stamp_s < 2.5 * PERIOD_S:
-                used_in_time.add(tick)
+            acted[tick] = acts_s[sequence]
     # The first half second holds connecting and first-time costs of every client.
     first, last = min(answered) + 250, max(answered) - 5
     ticks = range(first, last)
     delays_s = np.array([answered[t] for t in ticks if t in answered])
     late = {t for t in ticks if answered.get(t, 0.0) > 2 * PERIOD_S}
     never = set(ticks) - set(answered)
+    # A correction that the next one overtook on its way needs not arrive: the newer one was in force.
+    used_in_time = {
+        t for t in ticks
+        if min(acted.get(t, np.inf), acted.get(t + 1, np.inf)) - t * PERIOD_S < 2.5 * PERIOD_S
+    }  # fmt: skip
     # A stalled controller hands over two states at once and reads the correction too late.
     stalled = {t - back for t in log["late_ticks"].tolist() for back in range(3)}
     sound = set(ticks) - stalled
@@ -194,7 +198,7 @@ def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
         "sound_ticks": len(sound),
         "late_share_sound": len((late | never) & sound) / len(sound),
         "not_noticed_by_the_loop": len((late | never) - marked),
-        "not_noticed_but_used_in_time": len((late - marked) & used_in_time),
+        "not_noticed_but_used_in_time": len(((late | never) - marked) & used_in_time),
         "only_in_the_loop": len((marked & set(ticks)) - late - never),
         "stamp_to_controller_ms": {
             "p50": round(float(p50), 3), "p99": round(float(p99), 3),
@@ -267,8 +271,8 @@ def show(result: dict[str, Any]) -> None:
                   f"real-time: {own['realtime']['priority']}, memory lock: "
                   f"{own['realtime']['memory_lock']}")  # fmt: skip
             print(f"           late or unanswered by the controller's notes and not by the loop's: "
-                  f"{one['not_noticed_by_the_loop']}, of these used in time by a controller that "
-                  f"was late itself: {one['not_noticed_but_used_in_time']}; the other way round: "
+                  f"{one['not_noticed_by_the_loop']}, of these used in time all the same, or overtaken "
+                  f"in time by the next one: {one['not_noticed_but_used_in_time']}; the other way round: "
                   f"{one['only_in_the_loop']}")  # fmt: skip
             print(f"           sensor age (made windows, modelled): filter {filter_ms:.2f} ms, "
                   f"block p50 {age['p50'] - filter_ms:.1f} p99 {age['p99'] - filter_ms:.1f} ms, "
