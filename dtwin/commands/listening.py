@@ -39,6 +39,9 @@ def simulate_served(
     server = AxisServer(served, lambda nonce: proof(state, nonce), clock=clock, port=port or 0)
     try:
         server.run(_announce, ProgressLine("run", quiet=as_json))
+    except KeyboardInterrupt:
+        _announce("interrupted before its program had ended: nothing was written; run it again")
+        raise
     finally:
         server.close()
     what = served.write(out)

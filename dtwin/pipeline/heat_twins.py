@@ -25,7 +25,7 @@ from dtwin.physics.volumetric.heat_twin import (
 )
 from dtwin.physics.volumetric.motions import HeatTerm, heat_terms
 from dtwin.pipeline.heat_data import HeatLoaded, load_heat
-from dtwin.pipeline.twin_shelf import TwinShelf
+from dtwin.pipeline.twin_shelf import TwinShelf, require_same_machine
 from dtwin.schema import Floats, require_name
 
 _MOST_RUNGS = 30
@@ -144,13 +144,7 @@ class HeatTwins(TwinShelf):
         twin = self.newest(name)
         loaded = self._loaded(twin, campaign)
         series = loaded.series
-        if series.machine != twin.machine:
-            raise InputError(
-                "the twin is of another machine", code="twin.machine",
-                where=f"twin {name}, machine {twin.machine}",
-                got=f"campaign {series.campaign}, machine {series.machine}",
-                hint="fit a twin to that campaign",
-            )  # fmt: skip
+        require_same_machine(name, twin.machine, series.campaign, series.machine)
         left = series.values - twin.expected(series)
         outside = twin.outside(series)
         shown = ", ".join(outside[:4]) + (f" and {len(outside) - 4} more" if outside[4:] else "")

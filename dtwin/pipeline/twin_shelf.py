@@ -20,6 +20,29 @@ PATHS = "paths"
 _CAMPAIGNS = {PATHS: "a twin of circular, linear or sinusoidal campaigns"}
 
 
+def require_same_machine(name: str, machine: str, campaign: str, its_machine: str) -> None:
+    """Refuse to compare a twin with measurements of another machine.
+
+    Parameters
+    ----------
+    name, machine : str
+        The twin, and what it is of.
+    campaign, its_machine : str
+        The measurements, and what they are of.
+
+    Raises
+    ------
+    InputError
+        When the machines differ.
+    """
+    if its_machine != machine:
+        raise InputError(
+            "the twin is of another machine", code="twin.machine",
+            where=f"twin {name}, machine {machine}",
+            got=f"campaign {campaign}, machine {its_machine}", hint="fit a twin to that campaign",
+        )  # fmt: skip
+
+
 class TwinShelf:
     """Where the twins of a home are kept: one folder each, one file for a version.
 

@@ -26,7 +26,7 @@ from dtwin.pipeline.twin_data import Comparison, Loaded, load
 from dtwin.pipeline.twin_files import twin_from
 from dtwin.pipeline.twin_formulas import WithFormulas
 from dtwin.pipeline.twin_learning import learn_formula, learn_law
-from dtwin.pipeline.twin_shelf import PATHS, TwinShelf
+from dtwin.pipeline.twin_shelf import PATHS, TwinShelf, require_same_machine
 from dtwin.schema import require_name
 from dtwin.train.residual_formula import ResidualFormula
 from dtwin.train.symbolic import Engine
@@ -89,14 +89,7 @@ class Twins(TwinShelf):
         twin = self.newest(name)
         loaded = load(self.home, campaign or twin.campaign)
         obs = loaded.obs
-        if obs.campaign.machine != twin.machine:
-            raise InputError(
-                "the twin is of another machine",
-                code="twin.machine",
-                where=f"twin {name}, machine {twin.machine}",
-                got=f"campaign {obs.campaign.name}, machine {obs.campaign.machine}",
-                hint="fit a twin to that campaign",
-            )
+        require_same_machine(name, twin.machine, obs.campaign.name, obs.campaign.machine)
         outside = twin.box.outside(obs)
         warnings = left_out_lines(loaded.data)
         if outside:

@@ -149,6 +149,8 @@ class AxisDoor(Door):
 
     def _opened(self) -> AxisLink:
         found = self._inputs
+        # No window spans the time in which nothing came.
+        found.forget()
         link = AxisLink(
             self._address, found.live, self._axes, channels=found.channels,
             channels_hz=found.channels_hz, samples=found.sample if found.channels else None,
