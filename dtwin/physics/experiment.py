@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import optimize
 
+from dtwin.distributions import f_quantile, f_tail
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
@@ -222,10 +223,10 @@ def detectable(
 
 def _needed(dof: float, n_tests: int) -> float:
     """Return the noncentrality that a test of one column detects with a power of 80 %."""
-    limit = float(stats.f.isf(_ALPHA / n_tests, 1, dof))
+    limit = f_quantile(_ALPHA / n_tests, (1, dof))
 
     def missing(noncentrality: float) -> float:
-        return float(stats.ncf.sf(limit, 1, dof, noncentrality)) - POWER
+        return f_tail(limit, (1, dof), noncentrality) - POWER
 
     return float(optimize.brentq(missing, 0.01, 500.0 + 5.0 * limit))
 
@@ -309,8 +310,8 @@ def _power(
     variance = float(np.nanmean(problem.noise.variance))
     noncentrality = float((profile**2).sum() * share[0]) / variance
     dof = float(grown.n_rows - len(grown.conditions))
-    limit = float(stats.f.isf(0.05, 1, dof))
-    return float(stats.ncf.sf(limit, 1, dof, min(noncentrality, 1e4)))
+    limit = f_quantile(0.05, (1, dof))
+    return f_tail(limit, (1, dof), min(noncentrality, 1e4))
 
 
 def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:

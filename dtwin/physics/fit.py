@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
 
+from dtwin.distributions import t_quantile
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches, probes
@@ -274,7 +274,7 @@ def _expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Float
     )
     dof = float(problem.noise.dof)
     blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)
-    factor = float(stats.t.ppf(0.5 + _COVERAGE / 2.0, dof + level.prior_dof))
+    factor = t_quantile(0.5 + _COVERAGE / 2.0, dof + level.prior_dof)
     return factor * np.sqrt(blended) / np.where(size > 0.0, size, np.nan)
 
 

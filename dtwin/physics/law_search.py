@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from dtwin.distributions import f_tail
 from dtwin.physics.problem import INVISIBLE, Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
@@ -145,7 +145,7 @@ class _Tester:
         amplitude = float(np.linalg.norm(fitted)) * np.sqrt(
             (2.0 if harmonic else 1.0) / self.n_bins
         )
-        return float(stats.f.sf(f, k, left)), max(0.0, explained - expected), expected, amplitude
+        return f_tail(f, (k, left)), max(0.0, explained - expected), expected, amplitude
 
     def _dof(self, scores: Floats) -> float:
         """Return Satterthwaite's degrees of freedom: steep laws live on few conditions."""

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from dtwin.config import Home
+from dtwin.distributions import chi2_tail
 from dtwin.errors import InputError
 from dtwin.physics.volumetric.chain import COEFFICIENTS, design
 from dtwin.physics.volumetric.heat_series import HeatSeries
@@ -179,7 +179,7 @@ def _moves(settled: Sequence[Settled]) -> tuple[float, float]:
     noise = np.sqrt([found.covariance[-1, -1] for found in settled])
     ratio = (values - values.mean()) / noise
     power = float(ratio @ ratio)
-    return float(chi2.sf(power, len(values) - 1)), power
+    return chi2_tail(power, len(values) - 1), power
 
 
 def _data(lake: Lake, name: str, cycles: int) -> dict[str, Any]:

@@ -9,21 +9,20 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from dtwin.acquire.linear_matrix import LinearTest
 from dtwin.acquire.virtual_lathe import verification_plan, virtual_lathe
 from dtwin.config import Home
+from dtwin.distributions import t_quantile
 from dtwin.errors import InputError
 from dtwin.linear_plan import LinearPlan, better_step
 from dtwin.pipeline.lathe_compensation import PERIOD_S, exact_correction, looped, measured
-from dtwin.pipeline.turning_evidence import EVIDENCE_FILE
 from dtwin.report.campaign import evidence_table
 from dtwin.report.html import Section, Table, page
 from dtwin.report.model_plots import evidence_figure
 from dtwin.serve.bundle import Bundle
 from dtwin.train.positioning_bundle import is_positioning_bundle
-from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
 
 DAYS = 3
 _TARGETS = 60
@@ -164,7 +163,7 @@ def _condition(
     way: str, days: Mapping[str, list[dict[str, float]]], acted: list[dict[str, int]], axis: str
 ) -> dict[str, Any]:
     values = {name: np.array([day[way] for day in found]) for name, found in days.items()}
-    half = float(student.ppf(0.975, DAYS - 1)) / math.sqrt(DAYS)
+    half = t_quantile(0.975, DAYS - 1) / math.sqrt(DAYS)
     ci = {name: half * float(v.std(ddof=1)) for name, v in values.items()}
     mean = {name: float(v.mean()) for name, v in values.items()}
     ticks = sum(sum(guard.values()) for guard in acted)

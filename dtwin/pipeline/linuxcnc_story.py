@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from dtwin.acquire.linuxcnc import (
     DIRECTIONS,
@@ -17,6 +16,7 @@ from dtwin.acquire.linuxcnc import (
     write_circles,
 )
 from dtwin.config import Home
+from dtwin.distributions import t_quantile
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
 from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
@@ -250,7 +250,7 @@ def _half_width_um(groups: Sequence[Floats]) -> float:
     if freedom < 1:
         return float("inf")
     spread = sum((len(g) - 1) * float(np.var(g, ddof=1)) for g in groups if len(g) > 1)
-    return float(student.ppf(0.975, freedom) * np.sqrt(spread / freedom / n))
+    return t_quantile(0.975, freedom) * float(np.sqrt(spread / freedom / n))
 
 
 def _evidence(

@@ -7,16 +7,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
-from dtwin.pipeline.lathe_evidence import measure_lathe_evidence
-from dtwin.pipeline.turning_evidence import EVIDENCE_FILE, measure_tone_evidence
-from dtwin.pipeline.volumetric_evidence import measure_volumetric_evidence
-from dtwin.pipeline.volumetric_training import train_volumetric
 from dtwin.report.campaign import (
     comparison_table,
     evidence_section,
@@ -27,26 +23,16 @@ from dtwin.report.html import page
 from dtwin.schema import Campaign
 from dtwin.serve.bundle import Bundle
 from dtwin.store import Lake
-from dtwin.train.evidence import Evidence, EvidencePlan, plan_within, virtual_evidence
 from dtwin.train.gates import Verdict
-from dtwin.train.positioning_training import train_positioning
 from dtwin.train.promotion import check_version, promote, trial, verdict_lines
-from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.symbolic import Engine
-from dtwin.train.tone_training import train_tones
-from dtwin.train.training import Training, train_campaign
+from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
+
+if TYPE_CHECKING:
+    from dtwin.train.evidence import Evidence, EvidencePlan
+    from dtwin.train.symbolic import Engine
+    from dtwin.train.training import Training
 
 CONDITIONS_FILE = "conditions.json"
-_EVIDENCE = {
-    "turning": measure_tone_evidence,
-    "lathe": measure_lathe_evidence,
-    "volumetric": measure_volumetric_evidence,
-}
-_TRAININGS = {
-    "sinusoidal": train_tones,
-    "linear": train_positioning,
-    "volumetric": train_volumetric,
-}
 StageProgress = Callable[[str, int, int, str], None]
 
 
@@ -100,8 +86,7 @@ def train(
     lake = Lake(home.lake)
     known = lake.campaign(campaign)
     require_uncorrected(known)
-    train_kind = _TRAININGS.get(known.kind, train_campaign)
-    training = train_kind(lake, campaign, seed=seed, engine=engine, progress=progress)
+    training = _training_of(known.kind)(lake, campaign, seed=seed, engine=engine, progress=progress)
     report = training.report
     if progress is not None:
         progress("log and register", 0, 1, "")
@@ -186,6 +171,8 @@ def measure_evidence(
             hint="serve the trial, measure with and without it, and give the file to "
             "dtwin promote --evidence",
         )
+    from dtwin.train.evidence import plan_within, virtual_evidence
+
     registry = Registry(home)
     bundle = Bundle.from_dict(registry.bundle(version))
     if plan is None:
@@ -238,10 +225,46 @@ def evidence_for(
         When the machine is real: it has to be measured on it.
     """
     geometry = geometry_of(Registry(home), version)
-    own_way = _EVIDENCE.get(str(geometry.get("type"))) if geometry.get("virtual") else None
+    own_way = _evidence_of(str(geometry.get("type"))) if geometry.get("virtual") else None
     if own_way is not None:
         return own_way(home, version, geometry, seed=seed, progress=progress)
     return measure_evidence(home, version, geometry, seed=seed, progress=progress).as_dict()
+
+
+def _training_of(kind: str) -> Callable[..., Training]:
+    """Return what trains a kind of campaign; each brings libraries that the others do without."""
+    if kind == "sinusoidal":
+        from dtwin.train.tone_training import train_tones
+
+        return train_tones
+    if kind == "linear":
+        from dtwin.train.positioning_training import train_positioning
+
+        return train_positioning
+    if kind == "volumetric":
+        from dtwin.pipeline.volumetric_training import train_volumetric
+
+        return train_volumetric
+    from dtwin.train.training import train_campaign
+
+    return train_campaign
+
+
+def _evidence_of(machine_type: str) -> Callable[..., dict[str, Any]] | None:
+    """Return what moves a type of virtual machine, None for those that run circles."""
+    if machine_type == "turning":
+        from dtwin.pipeline.turning_evidence import measure_tone_evidence
+
+        return measure_tone_evidence
+    if machine_type == "lathe":
+        from dtwin.pipeline.lathe_evidence import measure_lathe_evidence
+
+        return measure_lathe_evidence
+    if machine_type == "volumetric":
+        from dtwin.pipeline.volumetric_evidence import measure_volumetric_evidence
+
+        return measure_volumetric_evidence
+    return None
 
 
 def _on_the_mill(

@@ -303,20 +303,38 @@ def gains_um(
     pool : sequence of pair of ndarray, shape (n, any)
         Candidates.
     """
-    total = np.zeros(len(pool))
+    mean_square = np.zeros(len(pool))
     for one, other in ((0, 1), (1, 0)):
         inverse = np.linalg.pinv(model[one], rcond=_RANK)
         x = inverse @ y[one]
         left, left_out = y[one] - model[one] @ x, y[other] - model[other] @ x
-        for number, columns in enumerate(pool):
-            part = inverse @ columns[one]
-            new = columns[one] - model[one] @ part
+        for few in _alike(pool):
+            # A row for each column of each candidate.
+            inside, outside = (np.vstack([pool[i][way].T for i in few]) for way in (one, other))
+            part = inside @ inverse.T
+            new, new_out = inside - part @ model[one].T, outside - part @ model[other].T
             # What the model already says must not come back as a difference of large numbers.
-            keep = (new**2).sum(axis=0) > 1e-3 * (columns[one] ** 2).sum(axis=0)
-            gain = np.linalg.lstsq(new[:, keep], left, rcond=1e-3)[0]
-            change = (columns[other] - model[other] @ part)[:, keep] @ gain
-            total[number] += float(((left_out - change) ** 2).mean()) / 2.0
-    return np.asarray(np.sqrt(total))
+            keep = _squares(new) > 1e-3 * _squares(inside)
+            each = (len(few), -1, left.size)
+            new = (new * keep[:, None]).reshape(each)
+            inverse_gram = np.linalg.pinv(new @ new.swapaxes(1, 2), rcond=1e-6, hermitian=True)
+            gain = (inverse_gram @ (new @ left)[..., None]).ravel() * keep
+            change = gain.reshape(len(few), 1, -1) @ new_out.reshape(each)
+            mean_square[few] += _squares(left_out - change[:, 0]) / (2.0 * left_out.size)
+    return np.asarray(np.sqrt(mean_square))
+
+
+def _alike(pool: Sequence[tuple[Floats, Floats]], few: int = 32) -> Iterator[list[int]]:
+    """Yield numbers of candidates with equally many columns, few enough for a processor's cache."""
+    widths = np.array([columns[0].shape[1] for columns in pool])
+    for width in np.unique(widths):
+        numbers = np.flatnonzero(widths == width).tolist()
+        yield from (numbers[n : n + few] for n in range(0, len(numbers), few))
+
+
+def _squares(values: Floats) -> Floats:
+    """Return the sum of squares along the last axis."""
+    return np.asarray(np.einsum("...i,...i->...", values, values))
 
 
 def _grid(effect: Effect, number: int) -> tuple[float, ...]:

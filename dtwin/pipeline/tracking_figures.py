@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
+from dtwin.distributions import t_quantile
 from dtwin.features.integration import displacement_mm, swarm_minimum
 from dtwin.machines.cobot import TOOL_DOWN
 from dtwin.schema import Floats
@@ -304,7 +304,7 @@ def _half_width(values: Floats) -> float:
     if n < 2:
         return math.nan
     spread = float(np.std(values, ddof=1)) / math.sqrt(n)
-    return float(student.ppf(0.975, n - 1)) * spread
+    return t_quantile(0.975, n - 1) * spread
 
 
 def _rms(values: Floats) -> float:

@@ -15,10 +15,9 @@ from dtwin.pipeline.turning_trial import RIM_MM, SLOPE_UM_PER_MM, TRIAL_HZ, tria
 from dtwin.report.html import page
 from dtwin.report.turning import trial_section
 from dtwin.serve.bundle import Bundle
-from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
 
 REPEATS = 3
-EVIDENCE_FILE = "evidence.json"
 Progress = Callable[[int, int, str], None]
 
 

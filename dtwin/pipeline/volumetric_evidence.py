@@ -8,12 +8,11 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from dtwin.config import Home
+from dtwin.distributions import t_quantile
 from dtwin.errors import GateRefusal
 from dtwin.physics.volumetric.thermal_model import independent
-from dtwin.pipeline.turning_evidence import EVIDENCE_FILE
 from dtwin.pipeline.volumetric import distance_changes_um
 from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
 from dtwin.report.campaign import evidence_table
@@ -24,7 +23,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import box_factor
 from dtwin.store import Lake
-from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
 
 DAY_H = 24.0
 # A span has at least so many cycles: fewer say nothing of their scatter.
@@ -201,7 +200,7 @@ def _condition(
 def _half_width(values: Floats) -> float:
     """Return half the 95 % interval of a mean of cycles that are not independent."""
     n = min(max(independent(values), 2.0), float(len(values)))
-    return float(student.ppf(0.975, n - 1.0) * values.std(ddof=1) / math.sqrt(n))
+    return t_quantile(0.975, n - 1.0) * float(values.std(ddof=1)) / math.sqrt(n)
 
 
 def _rms(values: Floats) -> float:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
+from dtwin.distributions import t_quantile
 from dtwin.machines.mill import Correction, SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S, Command
 from dtwin.machines.mill_noise import NoiseParameters
@@ -182,7 +182,7 @@ def by_direction(
         spread = sum((len(s) - 1) * float(np.var(s, ddof=1)) for s in sizes if len(s) > 1)
         known = freedom > 0
         widths[way] = (
-            float(student.ppf(0.975, freedom)) * np.sqrt(spread / freedom / n) if known else np.inf
+            t_quantile(0.975, freedom) * np.sqrt(spread / freedom / n) if known else np.inf
         )
     return replace(
         found,

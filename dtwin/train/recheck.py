@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import t as student
 
+from dtwin.distributions import t_quantile
 from dtwin.errors import InputError
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.schema import Floats
@@ -265,7 +265,7 @@ def _pairs(runs: Sequence[CheckedRun]) -> dict[tuple[str, float, float], list[tu
 def _check(name: str, pairs: Floats, level: float) -> ConditionCheck:
     growth = pairs[:, 1] - pairs[:, 0]
     n = len(growth)
-    wide = float(student.ppf(1.0 - level / 2.0, n - 1)) * float(np.std(growth, ddof=1))
+    wide = t_quantile(1.0 - level / 2.0, n - 1) * float(np.std(growth, ddof=1))
     before, after = pairs.mean(axis=0).tolist()
     return ConditionCheck(name, before, after, float(growth.mean()), wide / math.sqrt(n), n)
 
@@ -276,7 +276,7 @@ def _together(groups: Sequence[Floats], level: float) -> ConditionCheck:
     growths = [g[:, 1] - g[:, 0] for g in groups]
     n, freedom = len(every), len(every) - len(groups)
     spread = math.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in growths) / freedom)
-    wide = float(student.ppf(1.0 - level / 2.0, freedom)) * spread / math.sqrt(n)
+    wide = t_quantile(1.0 - level / 2.0, freedom) * spread / math.sqrt(n)
     before, after = every.mean(axis=0).tolist()
     return ConditionCheck("all", before, after, after - before, wide, n)
 

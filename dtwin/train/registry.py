@@ -25,6 +25,7 @@ from dtwin.train.results import Candidate, TrainingReport
 
 EXPERIMENT = "dtwin"
 BUNDLE_FOLDER = "bundle"
+EVIDENCE_FILE = "evidence.json"
 ALIASES = ("candidate", "champion", "previous")
 _PACKAGES = ("numpy", "scipy", "scikit-learn", "pyoperon", "numba", "mlflow", "deltalake")
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
+from dtwin.distributions import t_quantile
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
 from dtwin.machines.cobot import VirtualCobot
@@ -140,7 +140,7 @@ def half_width(values: Floats) -> float:
     n = len(values)
     if n < 2:
         return math.inf
-    return float(student.ppf(0.975, n - 1) * np.std(values, ddof=1) / math.sqrt(n))
+    return t_quantile(0.975, n - 1) * float(np.std(values, ddof=1)) / math.sqrt(n)
 
 
 def difference(before: Floats, after: Floats) -> tuple[float, float]:
@@ -152,7 +152,7 @@ def difference(before: Floats, after: Floats) -> tuple[float, float]:
     freedom = spread**2 / sum(
         p**2 / (len(v) - 1) for p, v in zip(parts, (before, after), strict=True)
     )
-    wide = float(student.ppf(0.975, freedom)) * math.sqrt(spread)
+    wide = t_quantile(0.975, freedom) * math.sqrt(spread)
     return float(after.mean() - before.mean()), wide
 
 

@@ -246,8 +246,13 @@ def test_an_exported_compensation_file_acts_and_nothing_is_left_behind(
 def test_what_the_program_gets_wrong_is_said(session: LinuxcncSession) -> None:
     beyond = Circle("XY", 100.0, 6000.0, "CCW")
     object.__setattr__(beyond, "radius_mm", 400.0)
-    with pytest.raises(DeviceError, match="LinuxCNC"):
-        run_circles(session, [beyond])
+    with Bridge(session.socket_path) as bridge:
+        # Whether the program fails before it begins or when it has begun, it has ended.
+        for before in ([], circles()[:1]):
+            with pytest.raises(DeviceError, match="LinuxCNC"):
+                run_circles(session, [*before, beyond])
+            status = bridge.ask(do="status")
+            assert (status["running"], bool(status["messages"])) == (False, True)
     # It still works afterwards.
     assert len(run_circles(session, circles()[:1])) == 1
 

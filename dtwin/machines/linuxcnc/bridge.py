@@ -102,7 +102,9 @@ class Control:
             stat = self.poll()
             idle = stat.interp_state == self.api.INTERP_IDLE and stat.inpos and stat.queue == 0
             # After a dwell all of this looks idle for a moment; the command itself is not done.
-            done = stat.exec_state == self.api.EXEC_DONE and stat.state == self.api.RCS_DONE
+            # A command that failed says error until the next one is given.
+            over = stat.state in (self.api.RCS_DONE, self.api.RCS_ERROR)
+            done = stat.exec_state == self.api.EXEC_DONE and over
             return {
                 "running": not (idle and done),
                 "enabled": bool(stat.enabled),

@@ -13,9 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import t as student
 
+from dtwin.distributions import chi2_tail, t_tail
 from dtwin.physics.volumetric.heat_series import HeatSeries
 from dtwin.physics.volumetric.heat_twin import KIND, HeatFit, heat_figures
 from dtwin.physics.volumetric.motions import HeatTerm, family_of, motion_words
@@ -290,14 +289,14 @@ def _bodies(series: HeatSeries, motion: Floats, column: int) -> tuple[str, ...]:
 def _still_p(series: HeatSeries, left: Floats, column: int) -> float:
     """Return the p-value of a motion that stands still; where it stands is the reference's noise."""
     ratio = (left - left.mean()) / series.uncertainty_of(column)
-    return float(chi2.sf(float(ratio @ ratio), len(left) - 1))
+    return chi2_tail(float(ratio @ ratio), len(left) - 1)
 
 
 def _fit_p(series: HeatSeries, left: Floats) -> float:
     """Return the p-value of motions that all stand still, correlations of their noise counted."""
     centred = left - left.mean(axis=0)
     solved = np.linalg.solve(series.covariance, centred[:, :, None])[:, :, 0]
-    return float(chi2.sf(float((centred * solved).sum()), (len(left) - 1) * left.shape[1]))
+    return chi2_tail(float((centred * solved).sum()), (len(left) - 1) * left.shape[1])
 
 
 def _seen_um(series: HeatSeries, left: Floats, column: int) -> float:
@@ -322,7 +321,7 @@ def _tells_p(motion: Floats, expected: Floats) -> float:
     lasts = np.clip(_lag(one) * _lag(other), 0.0, 0.98)
     n = max(len(one) * (1.0 - lasts) / (1.0 + lasts), 4.0)
     r = float(np.clip(one @ other / power, -1.0 + 1e-12, 1.0 - 1e-12))
-    return float(student.sf(r * np.sqrt((n - 2.0) / (1.0 - r**2)), n - 2.0))
+    return t_tail(r * np.sqrt((n - 2.0) / (1.0 - r**2)), n - 2.0)
 
 
 def _lag(centred: Floats) -> float:

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import time
 import tracemalloc
 from dataclasses import replace
 from pathlib import Path
@@ -156,20 +155,19 @@ OUTSIDE = b"""<?xml version="1.0"?><!DOCTYPE z [<!ENTITY x SYSTEM "file:///etc/p
         (b"<html><body>404</body></html>", "b5r.root"),
     ],
 )
+@pytest.mark.timeout(60)
 def test_hostile_and_foreign_files_are_refused_cheaply(
     tmp_path: Path, data: bytes, code: str
 ) -> None:
     path = tmp_path / "hostile.b5r"
     path.write_bytes(data)
     tracemalloc.start()
-    begun = time.perf_counter()
     with pytest.raises(InputError) as caught:
         read_b5r(path)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert caught.value.code == code
     assert peak < 200e6
-    assert time.perf_counter() - begun < 60
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:

@@ -1,0 +1,74 @@
+"""Quantiles and tails of test statistics; importing ``scipy.stats`` would take a second of every command."""
+
+from __future__ import annotations
+
+from scipy import special
+
+
+def t_quantile(probability: float, dof: float) -> float:
+    """Return where Student's t has this probability below it.
+
+    Parameters
+    ----------
+    probability : float
+        Between 0 and 1.
+    dof : float
+        Degrees of freedom.
+    """
+    return float(special.stdtrit(dof, probability))
+
+
+def t_tail(t: float, dof: float) -> float:
+    """Return the probability that Student's t lies above a value.
+
+    Parameters
+    ----------
+    t : float
+        The value.
+    dof : float
+        Degrees of freedom.
+    """
+    return float(special.stdtr(dof, -t))
+
+
+def f_quantile(tail: float, dof: tuple[float, float]) -> float:
+    """Return the value of F above which this probability lies.
+
+    Parameters
+    ----------
+    tail : float
+        Between 0 and 1.
+    dof : tuple of float
+        Degrees of freedom of numerator and denominator.
+    """
+    return float(special.fdtri(*dof, 1.0 - tail))
+
+
+def f_tail(f: float, dof: tuple[float, float], noncentrality: float = 0.0) -> float:
+    """Return the probability that F lies above a value.
+
+    Parameters
+    ----------
+    f : float
+        The value; below zero everything lies above it.
+    dof : tuple of float
+        Degrees of freedom of numerator and denominator.
+    noncentrality : float
+        Of an effect that is there; 0 under the null hypothesis.
+    """
+    if noncentrality > 0.0:
+        return float(1.0 - special.ncfdtr(*dof, noncentrality, max(f, 0.0)))
+    return float(special.fdtrc(*dof, max(f, 0.0)))
+
+
+def chi2_tail(chi2: float, dof: float) -> float:
+    """Return the probability that chi-squared lies above a value.
+
+    Parameters
+    ----------
+    chi2 : float
+        The value, at least 0.
+    dof : float
+        Degrees of freedom.
+    """
+    return float(special.chdtrc(dof, chi2))
