@@ -24,6 +24,8 @@ from dtwin.schema import PLANES, Campaign, Direction, Plane, Run, RunMeta
 MACHINE = "linuxcnc-mill"
 DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 _POLL_S = 0.05
+# So often the programmed time, and so much more: a busy computer slows the control down.
+_SLOWEST, _SPARE_S = 5.0, 60.0
 # Between a state and the motion that its correction causes: an estimate, four servo periods.
 _LINK_DELAY_S = 0.004
 While = Callable[[Callable[[], None], Callable[[], bool]], None]
@@ -103,22 +105,33 @@ def run_circles(
     Raises
     ------
     DeviceError
-        When the control reports something, a circle is missing, or a sample is.
+        When the control reports something, does not end, or a circle or a sample is missing.
     """
+    limit_s = _SLOWEST * sum(2.0 * _turn_s(c) for c in circles) + _SPARE_S
     (session.folder / "circles.ngc").write_text(program(circles), encoding="ascii")
     with Bridge(session.socket_path) as bridge:
+        until_s = time.monotonic() + limit_s
 
         def begin() -> None:
             bridge.ask(do="run", program="circles.ngc")
+
+        def ended() -> bool:
+            if time.monotonic() > until_s:
+                raise DeviceError(
+                    "LinuxCNC does not end its program", code="linuxcnc.endless",
+                    got=f"{len(circles)} circles still run after {limit_s:.0f} s",
+                    hint="run it again on a computer that is less busy",
+                )  # fmt: skip
+            return not bridge.ask(do="status")["running"]
 
         bridge.ask(do="record", file="samples.txt")
         try:
             if during is None:
                 begin()
-                while not _ended(bridge):
+                while not ended():
                     time.sleep(_POLL_S)
             else:
-                during(begin, lambda: _ended(bridge))
+                during(begin, ended)
         finally:
             bridge.ask(do="stop_record")
         if messages := bridge.ask(do="status")["messages"]:
@@ -128,8 +141,8 @@ def run_circles(
     return traces(read_samples(session.folder / "samples.txt"), circles)
 
 
-def _ended(bridge: Bridge) -> bool:
-    return not bridge.ask(do="status")["running"]
+def _turn_s(circle: Circle) -> float:
+    return 2.0 * np.pi * circle.radius_mm * 60.0 / circle.feed_mm_min
 
 
 def run_of(trace: Trace, run_id: str, repeat: int, setup: str, started: str) -> Run:

@@ -257,6 +257,20 @@ def test_what_the_program_gets_wrong_is_said(session: LinuxcncSession) -> None:
     assert len(run_circles(session, circles()[:1])) == 1
 
 
+def test_a_program_that_does_not_end_is_not_waited_for(
+    session: LinuxcncSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dtwin.acquire.linuxcnc._SLOWEST", 0.0)
+    monkeypatch.setattr("dtwin.acquire.linuxcnc._SPARE_S", 0.3)
+    with pytest.raises(DeviceError, match="does not end"):
+        run_circles(session, circles()[:1])
+    with Bridge(session.socket_path) as bridge:
+        until_s = time.monotonic() + 60.0
+        while bridge.ask(do="status")["running"]:
+            assert time.monotonic() < until_s
+            time.sleep(0.05)
+
+
 def state(bridge: Bridge) -> dict:  # type: ignore[type-arg]
     found = bridge.ask(do="wait", cycles=1, timeout_s=5.0)["state"]
     assert found is not None
