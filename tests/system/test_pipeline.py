@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from running_servers import running_up
 
+from dtwin.cli import main
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.pipeline.modelling import make_champion, measure_evidence, put_on_trial, train
@@ -213,9 +214,7 @@ def test_a_real_machine_needs_evidence_of_its_own(demo: tuple[Home, dict[str, An
         measure_evidence(home, version, {"virtual": False}, seed=0, plan=CIRCLES)
 
 
-def test_commands_speak_json_and_nothing_else(
-    demo: tuple[Home, dict[str, Any]], tmp_path: Path
-) -> None:
+def test_commands_speak_json_and_nothing_else(demo: tuple[Home, dict[str, Any]]) -> None:
     root = demo[0].root
     for arguments in (["models"], ["runs"], ["plan"], ["features", "training-quick"]):
         done = dtwin(root, *arguments, "--json")
@@ -224,6 +223,11 @@ def test_commands_speak_json_and_nothing_else(
     refused = dtwin(root, "promote", "2", "--json")
     assert refused.returncode == 3
     assert json.loads(refused.stdout)["champion"] is False
+
+
+def test_a_mistake_ends_in_a_message_and_its_exit_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     for arguments, code in (
         (["check", str(tmp_path / "nothing.b5r")], 1),
         (["train", "no-such-campaign"], 1),
@@ -231,9 +235,13 @@ def test_commands_speak_json_and_nothing_else(
         (["promote", "99"], 1),
         (["no-such-command"], 2),
     ):
-        done = dtwin(root, *arguments)
-        assert done.returncode == code, (arguments, done.stderr)
-        assert "Traceback" not in done.stderr
+        monkeypatch.setattr(sys, "argv", ["dtwin", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capsys.readouterr().err
+        assert ended.value.code == code, (arguments, said)
+        assert said
+        assert "Traceback" not in said
 
 
 def test_the_prefect_page_shows_the_five_steps(demo: tuple[Home, dict[str, Any]]) -> None:
