@@ -252,7 +252,8 @@ class _Turn:
     def look_at(self, item: CampaignNews) -> None:
         """Judge the champion on a campaign, and train on it when it is new."""
         if item.machine in self.settled:
-            self.told[item.campaign] = "older than the newest campaign that was trained on"
+            older = "older than the newest campaign that was trained on"
+            self.told[item.campaign] = item.obstacle or older
             return
         check = _drift_once(self.home, self.registry, item)
         if check is not None:

@@ -172,7 +172,7 @@ def test_positions_are_trained_promoted_and_tried_like_circles(
     turn = scheduled_training(home())
     assert turn.reason == "3 new runs in again: version 2 is the candidate"
     assert scheduled_training(home()).campaigns == {
-        "again": "0 new runs", "served": "older than the newest campaign that was trained on",
+        "again": "0 new runs", "served": "a correction was in force while it was measured",
         "map": "older than the newest campaign that was trained on",
     }  # fmt: skip
     newest = Registry(home()).version("virtual-lathe", "candidate")
