@@ -24,8 +24,8 @@ from dtwin.schema import PLANES, Campaign, Direction, Plane, Run, RunMeta
 MACHINE = "linuxcnc-mill"
 DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 _POLL_S = 0.05
-# So often the programmed time, and so much more: a busy computer slows the control down.
-_SLOWEST, _SPARE_S = 5.0, 60.0
+# So often the time of the turns, and so much more: a busy computer slows the control down.
+_SLOWEST, _SPARE_S = 10.0, 60.0
 # Between a state and the motion that its correction causes: an estimate, four servo periods.
 _LINK_DELAY_S = 0.004
 While = Callable[[Callable[[], None], Callable[[], bool]], None]
@@ -107,7 +107,7 @@ def run_circles(
     DeviceError
         When the control reports something, does not end, or a circle or a sample is missing.
     """
-    limit_s = _SLOWEST * sum(2.0 * _turn_s(c) for c in circles) + _SPARE_S
+    limit_s = _SLOWEST * sum(_turn_s(c) for c in circles) + _SPARE_S
     (session.folder / "circles.ngc").write_text(program(circles), encoding="ascii")
     with Bridge(session.socket_path) as bridge:
         until_s = time.monotonic() + limit_s

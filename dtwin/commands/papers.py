@@ -23,7 +23,7 @@ def papers(
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
     as_json: Json = False,
 ) -> None:
-    """Compute the figures of the published systems again: how many follow, and which do not."""
+    """Compute what four published systems report again: how many figures follow, and which do not."""
     from dtwin.pipeline.papers import PAPERS, computed
     from dtwin.report.papers import summary_text
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from dtwin.distributions import f_quantile, f_tail
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
@@ -20,6 +19,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term, least_visible, set_up, unweighted, weighted_like
 from dtwin.plan import Plan
 from dtwin.schema import PLANES, Campaign, Direction, Floats, RunMeta
+from dtwin.statistics import f_quantile, f_tail
 
 REPEATS = 3
 POWER = 0.8

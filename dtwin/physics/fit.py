@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.distributions import t_quantile
 from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches, probes
@@ -28,6 +27,7 @@ from dtwin.physics.shapes import refined
 from dtwin.physics.solve import in_blocks, solve_blocks
 from dtwin.physics.whitening import from_harmonics, within_condition
 from dtwin.schema import Floats
+from dtwin.statistics import t_quantile
 
 _ALIAS = 0.95
 _HIDDEN = 1e-6

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.distributions import f_tail
 from dtwin.physics.problem import INVISIBLE, Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
+from dtwin.statistics import f_tail, holm
 
 FEED_EXPONENTS = (-1.0, 0.0, 0.5, 1.0, 2.0)
 RADIUS_EXPONENTS = (-1.0, 0.0, 1.0, 2.0, 3.0)
@@ -87,11 +87,7 @@ def search_laws(problem: Problem) -> list[ScalingLaw]:
     scale = {key: feeds ** key[2] * radii ** key[3] * (sign if key[1] else 1.0) for key in keys}
     tester = _Tester(problem)
     tested = [tester.test(key[0], scale[key]) for key in keys]
-    p_values = np.array([t[0] for t in tested])
-    order = np.argsort(p_values)
-    rank = np.empty(len(order), dtype=int)
-    rank[order] = np.arange(len(order))
-    adjusted = np.minimum(1.0, p_values * (len(keys) - rank))
+    adjusted = holm([t[0] for t in tested])
     gains = np.array([t[1] for t in tested])
     best = int(np.argmax(gains))
     if adjusted[best] > _ALPHA:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
-from dtwin.distributions import f_tail
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers, within_condition
 from dtwin.schema import Floats
+from dtwin.statistics import f_tail
 
 HIGHEST_HARMONIC = 60
 # All together, in ranges, and one by one where most effects live.

@@ -13,6 +13,7 @@ from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.problem import Problem
 from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
 from dtwin.physics.shapes import refined
+from dtwin.statistics import holm
 
 ALPHA = 0.03
 _MOST_STEPS = 4
@@ -128,10 +129,10 @@ def search(
     while True:
         level = noise_level(problem, probes(problem))
         tested, invisible = candidates.tested(problem, level)
-        p_values = holm(tested)
+        p_values = adjusted(tested)
         if shown_by_channel:
             within = [c for c in tested if c.term.instance.effect.within_condition]
-            p_values |= holm(within)
+            p_values |= adjusted(within)
         significant = [
             c
             for c in tested
@@ -157,22 +158,15 @@ def search(
     )
 
 
-def holm(tested: list[Candidate]) -> dict[str, float]:
+def adjusted(tested: list[Candidate]) -> dict[str, float]:
     """Return Holm's adjusted p-values by label.
 
     Effects that these runs cannot tell apart are one test, not several: the number of tests is
-    scaled by how many of them are independent.
+    that of the independent ones.
     """
     ordered = sorted(tested, key=lambda c: c.score.p_value)
-    share = independent([c.visible for c in ordered]) / max(len(ordered), 1)
-    out: dict[str, float] = {}
-    worst = 0.0
-    for rank, candidate in enumerate(ordered):
-        worst = max(
-            worst, min(1.0, candidate.score.p_value * max(1.0, share * (len(ordered) - rank)))
-        )
-        out[candidate.term.label] = worst
-    return out
+    p_values = holm([c.score.p_value for c in ordered], independent([c.visible for c in ordered]))
+    return dict(zip((c.term.label for c in ordered), p_values.tolist(), strict=True))
 
 
 def _step(

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dtwin.distributions import t_tail
 from dtwin.physics.diagnosis import Spread
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.gridding import Indices
@@ -15,6 +14,7 @@ from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
 from dtwin.physics.whitening import within_condition
 from dtwin.schema import Floats
+from dtwin.statistics import holm, t_tail
 
 _ALPHA = 0.01
 _MATERIAL_EXPONENT = 0.25
@@ -54,13 +54,9 @@ def spread_of(
             found[instance.label] = _local(obs, deviation, rows, instance)
     if not found:
         return None
-    ranked = sorted(found, key=found.__getitem__)
-    named = [
-        label for rank, label in enumerate(ranked) if found[label] * (len(ranked) - rank) < _ALPHA
-    ]
-    if not named:
-        return None
-    return Spread(tuple(named), min(1.0, found[named[0]] * len(ranked)))
+    adjusted = dict(zip(found, holm(list(found.values())).tolist(), strict=True))
+    named = sorted((n for n, p in adjusted.items() if p < _ALPHA), key=found.__getitem__)
+    return Spread(tuple(named), adjusted[named[0]]) if named else None
 
 
 def _local(obs: Observations, deviation: Floats, rows: Indices, instance: Instance) -> float:

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from dtwin.config import Home
-from dtwin.distributions import chi2_tail
 from dtwin.errors import InputError
 from dtwin.physics.volumetric.chain import COEFFICIENTS, design
 from dtwin.physics.volumetric.heat_series import HeatSeries
@@ -18,6 +17,7 @@ from dtwin.physics.volumetric.identify import FIXED_POSE, Artefact, Balls, Settl
 from dtwin.pipeline.measuring import in_lake
 from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
 from dtwin.schema import Floats
+from dtwin.statistics import chi2_tail
 from dtwin.store import Lake
 
 _ORDERS = (1, 2)

@@ -25,7 +25,7 @@ from dtwin.physics.volumetric.heat_twin import (
 )
 from dtwin.physics.volumetric.motions import HeatTerm, heat_terms
 from dtwin.pipeline.heat_data import HeatLoaded, load_heat
-from dtwin.pipeline.twin_shelf import TwinShelf, require_same_machine
+from dtwin.pipeline.twin_shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 from dtwin.schema import Floats, require_name
 
 _MOST_RUNGS = 30
@@ -202,11 +202,7 @@ class HeatTwins(TwinShelf):
         gone = {term.motion for term in heat_terms([effect], axis)}
         kept = tuple(term for term in twin.terms if term.motion not in gone)
         if len(kept) == len(twin.terms):
-            raise InputError(
-                "the twin does not have this effect", code="twin.no_effect",
-                where=f"twin {name} version {twin.version}", got=effect,
-                allowed=", ".join(twin.labels) or "it has none",
-            )  # fmt: skip
+            raise effect_absent(twin, effect)
         return self._store(name, self._loaded(twin), kept, f"remove {effect}")
 
     def restore(self, name: str, version: int) -> HeatTwin:
@@ -313,12 +309,8 @@ def _joined(twin: HeatTwin, more: Sequence[HeatTerm]) -> tuple[HeatTerm, ...]:
     for term in more:
         terms[term.motion] = _widened(terms.get(term.motion), twin, term)
     if tuple(terms.values()) == twin.terms:
-        raise InputError(
-            "the twin has this effect already", code="twin.has_effect",
-            where=f"twin {twin.name} version {twin.version}",
-            got=", ".join(term.label for term in more),
-            hint="another temperature for it: " + f"{more[0].motion}@NAME",
-        )  # fmt: skip
+        hint = f"another temperature for it: {more[0].motion}@NAME"
+        raise effect_there(twin, ", ".join(term.label for term in more), hint)
     return tuple(terms.values())
 
 

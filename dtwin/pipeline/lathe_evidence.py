@@ -13,7 +13,6 @@ import numpy as np
 from dtwin.acquire.linear_matrix import LinearTest
 from dtwin.acquire.virtual_lathe import verification_plan, virtual_lathe
 from dtwin.config import Home
-from dtwin.distributions import t_quantile
 from dtwin.errors import InputError
 from dtwin.linear_plan import LinearPlan, better_step
 from dtwin.pipeline.lathe_compensation import PERIOD_S, exact_correction, looped, measured
@@ -21,6 +20,7 @@ from dtwin.report.campaign import evidence_table
 from dtwin.report.html import Section, Table, page
 from dtwin.report.model_plots import evidence_figure
 from dtwin.serve.bundle import Bundle
+from dtwin.statistics import t_quantile
 from dtwin.train.positioning_bundle import is_positioning_bundle
 from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
 

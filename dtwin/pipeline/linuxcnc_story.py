@@ -16,7 +16,6 @@ from dtwin.acquire.linuxcnc import (
     write_circles,
 )
 from dtwin.config import Home
-from dtwin.distributions import t_quantile
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
 from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
@@ -27,6 +26,7 @@ from dtwin.pipeline.twin_correction import Correction, correct
 from dtwin.pipeline.twins import Twins
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
+from dtwin.statistics import t_quantile
 from dtwin.train.evidence import ConditionResult, Evidence
 
 KNOWN = ("scale_mismatch", "squareness", "servo_mismatch")

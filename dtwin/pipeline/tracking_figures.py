@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.distributions import t_quantile
 from dtwin.features.integration import displacement_mm, swarm_minimum
 from dtwin.machines.cobot import TOOL_DOWN
 from dtwin.schema import Floats
+from dtwin.statistics import t_quantile
 from dtwin.units import UM_PER_MM
 
 BLOCK_SAMPLES, BLOCK_RATE_HZ = 800, 10240.0

@@ -10,6 +10,8 @@ from typing import Any
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.physics.twin import Twin
+from dtwin.physics.volumetric.heat_twin import HeatTwin
 from dtwin.pipeline.twin_files import finite, read_document
 from dtwin.pipeline.twin_registration import note, registered
 from dtwin.schema import require_name
@@ -41,6 +43,23 @@ def require_same_machine(name: str, machine: str, campaign: str, its_machine: st
             where=f"twin {name}, machine {machine}",
             got=f"campaign {campaign}, machine {its_machine}", hint="fit a twin to that campaign",
         )  # fmt: skip
+
+
+def effect_there(twin: Twin | HeatTwin, effect: str, hint: str | None = None) -> InputError:
+    """Return the refusal to add what a twin has."""
+    return InputError(
+        "the twin has this effect already", code="twin.has_effect",
+        where=f"twin {twin.name} version {twin.version}", got=effect, hint=hint,
+    )  # fmt: skip
+
+
+def effect_absent(twin: Twin | HeatTwin, effect: str) -> InputError:
+    """Return the refusal to take out what a twin does not have."""
+    return InputError(
+        "the twin does not have this effect", code="twin.no_effect",
+        where=f"twin {twin.name} version {twin.version}", got=effect,
+        allowed=", ".join(twin.labels) or "it has none",
+    )  # fmt: skip
 
 
 class TwinShelf:

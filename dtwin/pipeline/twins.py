@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from dtwin.config import Home
-from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
@@ -26,7 +25,13 @@ from dtwin.pipeline.twin_data import Comparison, Loaded, load
 from dtwin.pipeline.twin_files import twin_from
 from dtwin.pipeline.twin_formulas import WithFormulas
 from dtwin.pipeline.twin_learning import learn_formula, learn_law
-from dtwin.pipeline.twin_shelf import PATHS, TwinShelf, require_same_machine
+from dtwin.pipeline.twin_shelf import (
+    PATHS,
+    TwinShelf,
+    effect_absent,
+    effect_there,
+    require_same_machine,
+)
 from dtwin.schema import require_name
 from dtwin.train.residual_formula import ResidualFormula
 from dtwin.train.symbolic import Engine
@@ -141,12 +146,7 @@ class Twins(TwinShelf):
         new = chosen_terms([effect], self.library, loaded.obs, axis)
         fresh = [term for term in new if term.label not in twin.labels]
         if not fresh:
-            raise InputError(
-                "the twin has this effect already",
-                code="twin.has_effect",
-                where=f"twin {name} version {twin.version}",
-                got=effect,
-            )
+            raise effect_there(twin, effect)
         added = ", ".join(term.label for term in fresh)
         return self._store(name, loaded, [*twin.terms, *fresh], f"add {added}")
 
@@ -172,13 +172,7 @@ class Twins(TwinShelf):
             if t.instance.effect.name != wanted or (where and t.instance.axis != where)
         ]
         if len(kept) == len(twin.terms):
-            raise InputError(
-                "the twin does not have this effect",
-                code="twin.no_effect",
-                where=f"twin {name} version {twin.version}",
-                got=effect,
-                allowed=", ".join(twin.labels) or "it has none",
-            )
+            raise effect_absent(twin, effect)
         loaded = load(self.home, twin.campaign)
         return self._store(name, loaded, kept, f"remove {effect}")
 

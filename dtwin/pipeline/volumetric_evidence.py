@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from dtwin.config import Home
-from dtwin.distributions import t_quantile
 from dtwin.errors import GateRefusal
 from dtwin.physics.volumetric.thermal_model import independent
 from dtwin.pipeline.volumetric import distance_changes_um
@@ -22,6 +21,7 @@ from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import box_factor
+from dtwin.statistics import t_quantile
 from dtwin.store import Lake
 from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.physics.volumetric.heat_series import require_temperatures
 from dtwin.physics.volumetric.identify import Artefact, Balls, Identified, averaged_balls
 from dtwin.pipeline.measuring import in_lake
 from dtwin.schema import Floats, Run
@@ -75,12 +76,7 @@ class Session:
         InputError
             When one was not measured here, or has gaps.
         """
-        absent = [name for name in names if name not in self.sensors]
-        if absent:
-            raise InputError(
-                "the model needs temperatures that this campaign does not have without gaps",
-                code="volumetric.sensors", where=self.campaign, got=", ".join(absent)[:160],
-            )  # fmt: skip
+        require_temperatures(names, self.sensors, self.campaign, self.sensors)
         return self.rise_c[:, [self.sensors.index(name) for name in names]]
 
     def begun_of(self, names: Sequence[str]) -> Floats:

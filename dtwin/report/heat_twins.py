@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,6 +9,7 @@ import plotly.graph_objects as go
 
 from dtwin.physics.volumetric.chain import COEFFICIENTS
 from dtwin.physics.volumetric.heat_diagnosis import MATERIAL
+from dtwin.physics.volumetric.heat_series import body_of
 from dtwin.physics.volumetric.heat_twin import HeatTwin
 from dtwin.physics.volumetric.motions import FAMILIES, Family, family_of, motion_words
 from dtwin.report.html import Section, Table
@@ -18,7 +18,6 @@ from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import ranked_figure, waterfall_figure
 from dtwin.report.twins import history_text
 
-_NUMBER = re.compile(r"_?\d*_c$")
 _SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}
 _UNIT = "unit of replication: the cycle, fewer where heat lasts"
 
@@ -188,7 +187,7 @@ def _told_by(candidate: Mapping[str, Any]) -> str:
 
 def _bodies(sensors: Sequence[str]) -> str:
     """Return the bodies of thermocouples, each once; any other temperature as it is called."""
-    return ", ".join(dict.fromkeys(_NUMBER.sub("", s) if _NUMBER.search(s) else s for s in sensors))
+    return ", ".join(dict.fromkeys(map(body_of, sensors)))
 
 
 def _place(place: Mapping[str, Any]) -> str:

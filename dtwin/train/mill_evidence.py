@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.distributions import t_quantile
 from dtwin.machines.mill import Correction, SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S, Command
 from dtwin.machines.mill_noise import NoiseParameters
@@ -18,6 +17,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.direction import Direction as Frame
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
+from dtwin.statistics import t_quantile
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.evidence import (
     WAYS,

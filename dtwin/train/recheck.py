@@ -10,11 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.distributions import t_quantile
 from dtwin.errors import InputError
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
+from dtwin.statistics import t_quantile
 from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
 
 Verdict = Literal["helps", "unclear", "worse"]

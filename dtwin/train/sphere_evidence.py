@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.distributions import t_quantile
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
 from dtwin.machines.cobot import VirtualCobot
@@ -27,6 +26,7 @@ from dtwin.serve.decision import Decision
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
+from dtwin.statistics import t_quantile
 from dtwin.train.circles import TICK_S
 from dtwin.train.sphere_model import mounting_terms
 from dtwin.units import UM_PER_MM

@@ -14,12 +14,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.distributions import chi2_tail, t_tail
 from dtwin.physics.volumetric.heat_series import HeatSeries
 from dtwin.physics.volumetric.heat_twin import KIND, HeatFit, heat_figures
 from dtwin.physics.volumetric.motions import HeatTerm, family_of, motion_words
 from dtwin.physics.volumetric.thermal_model import fit_thermal, inflation
 from dtwin.schema import Floats
+from dtwin.statistics import chi2_tail, holm, t_tail
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing"]
 # A motion counts when it adds a quarter of the floor at the balls: 3 % of the residual.
@@ -187,14 +187,14 @@ def diagnose_heat(
         Where the residual is largest.
     """
     left = series.values - fitted.expected
-    still = _holm(np.array([_still_p(series, left[:, i], i) for i in range(len(series.names))]))
+    still = holm([_still_p(series, left[:, i], i) for i in range(len(series.names))])
     moving = [i for i in range(len(series.names)) if still[i] < _ALPHA]
     counts = [i for i in moving if _seen_um(series, left[:, i], i) >= MATERIAL * series.floor_um]
     models = {model.name: model.sensors for model in fitted.models}
     movers = [
         _mover(series, left, i, float(still[i]), models.get(series.names[i], ())) for i in counts
     ]
-    explained_p = _holm(np.array([m.p_value for m in movers]))
+    explained_p = holm([m.p_value for m in movers])
     movers = [replace(m, p_value=float(p)) for m, p in zip(movers, explained_p, strict=True)]
     movers.sort(key=lambda m: m.rms_after_um)
     verdict, group = _verdict(movers)
@@ -326,15 +326,6 @@ def _tells_p(motion: Floats, expected: Floats) -> float:
 
 def _lag(centred: Floats) -> float:
     return float(centred[1:] @ centred[:-1] / (centred @ centred))
-
-
-def _holm(p: Floats) -> Floats:
-    """Return p-values after Holm's correction."""
-    order = np.argsort(p)
-    raised = np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1))
-    out = np.empty(len(p))
-    out[order] = np.minimum(raised, 1.0)
-    return out
 
 
 def _rms(values: Floats) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -15,7 +15,39 @@ from dtwin.schema import Floats
 
 SPANS = 5
 FEWEST_CYCLES = 15
-_NUMBERED = re.compile(r"_?\d+_c$|_c$")
+_NUMBERED = re.compile(r"_?\d*_c$")
+
+
+def body_of(sensor: str) -> str:
+    """Return what a thermocouple sits on: ``bed_07_c`` on ``bed``."""
+    return _NUMBERED.sub("", sensor)
+
+
+def require_temperatures(
+    wanted: Sequence[str], measured: Collection[str], campaign: str, offered: Sequence[str]
+) -> None:
+    """Refuse a campaign without the temperatures that are wanted.
+
+    Parameters
+    ----------
+    wanted, measured : collection of str
+        Names; measured are those without gaps.
+    campaign : str
+        Which.
+    offered : sequence of str
+        What to name instead.
+
+    Raises
+    ------
+    InputError
+        When one is missing.
+    """
+    absent = [name for name in wanted if name not in measured]
+    if absent:
+        raise InputError(
+            "the campaign lacks temperatures, or has gaps in them", code="volumetric.sensors",
+            where=campaign, got=", ".join(absent)[:160], allowed=", ".join(offered)[:300],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -71,10 +103,10 @@ class HeatSeries:
 
     @property
     def bodies(self) -> dict[str, tuple[str, ...]]:
-        """Thermocouples by body: ``bed_07_c`` sits on ``bed``."""
+        """Thermocouples by body."""
         found: dict[str, list[str]] = {}
         for name in self.thermocouples:
-            found.setdefault(_NUMBERED.sub("", name), []).append(name)
+            found.setdefault(body_of(name), []).append(name)
         return {body: tuple(names) for body, names in found.items()}
 
     @property
@@ -116,13 +148,7 @@ class HeatSeries:
         InputError
             When one was not measured here, or has gaps.
         """
-        absent = [name for name in names if name not in self.rise_c]
-        if absent:
-            raise InputError(
-                "the campaign lacks temperatures, or has gaps in them", code="volumetric.sensors",
-                where=self.campaign, got=", ".join(absent)[:160],
-                allowed=", ".join([*self.bodies, *self.offered])[:300],
-            )  # fmt: skip
+        require_temperatures(names, self.rise_c, self.campaign, [*self.bodies, *self.offered])
         return np.column_stack([np.zeros((len(self.hour), 0)), *(self.rise_c[n] for n in names)])
 
     def allowed(self, sources: Sequence[str]) -> tuple[str, ...]:

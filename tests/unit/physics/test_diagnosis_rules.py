@@ -18,7 +18,7 @@ from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
 from dtwin.physics.problem import Term
 from dtwin.physics.score import Score
-from dtwin.physics.search import holm
+from dtwin.physics.search import adjusted
 from dtwin.physics.twin import chosen_terms
 from dtwin.physics.whitening import harmonic_numbers, pure_error
 from dtwin.schema import Floats
@@ -41,8 +41,8 @@ def candidates(*columns: Floats) -> list[Candidate]:
 
 def test_effects_that_cannot_be_told_apart_count_as_one_test() -> None:
     one, two, three = np.eye(3)
-    apart = holm(candidates(one, two, three))
-    alike = holm(candidates(one, one, one))
+    apart = adjusted(candidates(one, two, three))
+    alike = adjusted(candidates(one, one, one))
     assert max(apart.values()) == pytest.approx(0.03)
     assert max(alike.values()) == pytest.approx(0.01)
 

@@ -1,8 +1,12 @@
-"""Quantiles and tails of test statistics; importing ``scipy.stats`` would take a second of every command."""
+"""Quantiles, tails and many tests at once; importing ``scipy.stats`` would take a second of every command."""
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
+
+from dtwin.schema import Floats
 
 
 def t_quantile(probability: float, dof: float) -> float:
@@ -72,3 +76,27 @@ def chi2_tail(chi2: float, dof: float) -> float:
         Degrees of freedom.
     """
     return float(special.chdtrc(dof, chi2))
+
+
+def holm(p_values: ArrayLike, tests: float | None = None) -> Floats:
+    """Return p-values after Holm's correction for many tests, in the same order.
+
+    Parameters
+    ----------
+    p_values : array_like, shape (n,)
+        Of the single tests.
+    tests : float, optional
+        How many of them are independent; all without.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        No smaller than before, none above 1, and in the same order of size.
+    """
+    p = np.asarray(p_values, dtype=np.float64)
+    order = np.argsort(p, kind="stable")
+    share = 1.0 if tests is None else tests / max(len(p), 1)
+    counted = np.maximum(1.0, share * np.arange(len(p), 0, -1))
+    adjusted = np.empty(len(p))
+    adjusted[order] = np.maximum.accumulate(np.minimum(p[order] * counted, 1.0))
+    return adjusted

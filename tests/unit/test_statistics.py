@@ -1,4 +1,4 @@
-"""Tails and quantiles are those of scipy.stats, at the edges too."""
+"""Tails and quantiles are those of scipy.stats, at the edges too; Holm by hand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import pytest
 from scipy import stats
 
-from dtwin.distributions import chi2_tail, f_quantile, f_tail, t_quantile, t_tail
+from dtwin.statistics import chi2_tail, f_quantile, f_tail, holm, t_quantile, t_tail
 
 DOF = (1.0, 2.5, 9.0, 400.0)
 VALUES = (0.0, 0.3, 4.0, 60.0, math.inf)
@@ -35,3 +35,12 @@ def test_the_power_of_a_test_agrees_with_scipy_stats(noncentrality: float) -> No
 def test_what_lies_below_zero_leaves_everything_above() -> None:
     assert f_tail(-0.2, (2.0, 8.0)) == 1.0
     assert math.isnan(f_tail(math.nan, (2.0, 8.0)))
+
+
+def test_holm_counts_the_tests_that_are_left_and_never_falls_behind() -> None:
+    # 0.01 * 3, 0.02 * 2, then 0.03 * 1 would be smaller than the one before it.
+    assert holm([0.03, 0.01, 0.02]).tolist() == pytest.approx([0.04, 0.03, 0.04])
+    assert holm([0.5, 0.6]).tolist() == [1.0, 1.0]
+    # Three tests that are one are not corrected; no test at all is none.
+    assert holm([0.02, 0.02, 0.02], tests=1.0).tolist() == pytest.approx([0.02] * 3)
+    assert holm([]).size == 0
