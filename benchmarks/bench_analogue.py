@@ -57,8 +57,10 @@ def measured(mode: Output, in_flight: int, corrections: int) -> dict[str, float 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--short", action="store_true", help="the same code with little data")
     parser.add_argument("--corrections", type=int, default=3000)
     arguments = parser.parse_args()
+    arguments.corrections = 100 if arguments.short else arguments.corrections
     load = os.getloadavg()[0]
     modes: tuple[Output, ...] = ("dac", "pwm")
     found = [measured(m, n, arguments.corrections) for m in modes for n in (1, 4)]

@@ -1,5 +1,8 @@
 """Time of one decision: features of a 6 x 1500 window plus equation, and the equation alone.
 
+Beside them, in the same run, the features alone as the usual script of numpy and scipy computes them: times are
+of the processor, their ratio hardly is.
+
 Run: OMP_NUM_THREADS=1 python benchmarks/bench_decision.py [--json]
 """
 
@@ -13,6 +16,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from bench_features import usual_script
 
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.features.windows import WindowContract
@@ -90,7 +94,9 @@ def microseconds(work: Callable[[], object], repeats: int) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--short", action="store_true", help="the same code with little data")
     arguments = parser.parse_args()
+    fewer = 100 if arguments.short else 1
     model, sensors = compiled(), OneWindow()
     bundle = model.bundle
     kernel, flat = CONTRACT.kernel(), sensors.block.reshape(-1)
@@ -111,21 +117,27 @@ def main() -> None:
     def whole_decision() -> None:
         decision.decide(state, age_s=0.0, elapsed_s=0.002, enabled=True, stages=stages)
 
-    def all_three() -> dict[str, dict[str, float]]:
+    def all_four() -> dict[str, Any]:
         return {
-            "equation": microseconds(model.evaluate, 50_000),
-            "features_and_equation": microseconds(features_and_equation, 5_000),
-            "whole_decision_with_path_and_guard": microseconds(whole_decision, 5_000),
+            "equation": microseconds(model.evaluate, 50_000 // fewer),
+            "features_and_equation": microseconds(features_and_equation, 5_000 // fewer),
+            "whole_decision_with_path_and_guard": microseconds(whole_decision, 5_000 // fewer),
+            "usual_script": microseconds(lambda: usual_script(sensors.block), 500 // fewer),
         }
 
     result: dict[str, Any] = {
         "load_before": os.getloadavg()[0],
         "nodes": len(bundle.tick_graph.nodes),
     }
-    result["as any process"] = all_three()
+    result["as any process"] = all_four()
     with realtime() as allowed:
-        result["as the loop, by default"] = all_three()
+        result["as the loop, by default"] = all_four()
     result["allowed"] = allowed
+    for how in ("as any process", "as the loop, by default"):
+        times = result[how]
+        result[how]["usual_script_over_features_and_equation"] = round(
+            times["usual_script"]["p50_us"] / times["features_and_equation"]["p50_us"], 1
+        )
     if arguments.json:
         print(json.dumps(result))
         return

@@ -24,10 +24,10 @@ from dtwin.physics.solve import in_blocks, solve_blocks
 ROWS, COLUMNS, CONDITION = 1_000_000, 30, 1e6
 
 
-def problem() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def problem(rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return columns of a known condition number, the measurements, and the true parameters."""
     rng = np.random.default_rng(0)
-    columns = rng.standard_normal((ROWS, COLUMNS)) / np.sqrt(ROWS)
+    columns = rng.standard_normal((rows, COLUMNS)) / np.sqrt(rows)
     turn, _ = np.linalg.qr(rng.standard_normal((COLUMNS, COLUMNS)))
     columns = columns @ (np.geomspace(1.0, 1.0 / CONDITION, COLUMNS)[:, None] * turn)
     truth = rng.standard_normal(COLUMNS)
@@ -48,9 +48,9 @@ def solved(name: str, columns: np.ndarray, right: np.ndarray) -> np.ndarray:
     return solve_blocks(in_blocks(columns, right)).x
 
 
-def step(name: str) -> dict[str, float]:
+def step(name: str, rows: int) -> dict[str, float]:
     """Solve once in this process and say what it took."""
-    columns, right, truth = problem()
+    columns, right, truth = problem(rows)
     solved(name, columns[:5000], right[:5000])
     before = status_bytes("VmRSS")
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
@@ -67,18 +67,20 @@ def step(name: str) -> dict[str, float]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--short", action="store_true", help="the same code with little data")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--step", choices=("lstsq", "blocks"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
+    rows, repeats = (20_000, 1) if arguments.short else (ROWS, arguments.repeats)
     if arguments.step:
-        print(json.dumps(step(arguments.step)))
+        print(json.dumps(step(arguments.step, rows)))
         return
     load = os.getloadavg()[0]
     best: dict[str, dict[str, float]] = {}
-    for _ in range(arguments.repeats):
+    for _ in range(repeats):
         for name in ("lstsq", "blocks"):
             out = subprocess.run(
-                [sys.executable, __file__, "--step", name],
+                [sys.executable, __file__, "--step", name, *["--short"][: int(arguments.short)]],
                 capture_output=True, text=True, check=True,
             )  # fmt: skip
             got = json.loads(out.stdout)
@@ -88,7 +90,7 @@ def main() -> None:
     if arguments.json:
         print(json.dumps({"load_before": load, "solvers": best, "times_faster": ratio}))
         return
-    print(f"{ROWS:g} rows x {COLUMNS} columns, condition {CONDITION:g}; load before {load:.2f}")
+    print(f"{rows:g} rows x {COLUMNS} columns, condition {CONDITION:g}; load before {load:.2f}")
     for name, got in best.items():
         print(
             f"  {name:7s} {got['seconds']:7.3f} s  {got['extra_mb']:7.1f} MB extra  "

@@ -37,9 +37,10 @@ RATE_HZ, SECONDS, BLOCK_S = 25_600.0, 60, 0.1
 CHANNELS = tuple(f"{place}_{axis}_g" for place in ("wrist", "base") for axis in "xyz")
 STEP_G = 10.0 / 2**24
 FLIPS = 150
+SHORT_SECONDS, SHORT_FLIPS = 2, 20
 
 
-def signals(seconds: float = SECONDS) -> dict[str, np.ndarray]:
+def signals(seconds: float) -> dict[str, np.ndarray]:
     """Tones and noise in 24-bit steps, as a converter delivers them."""
     rng, t = np.random.default_rng(0), np.arange(int(seconds * RATE_HZ)) / RATE_HZ
     columns = {}
@@ -106,12 +107,12 @@ def status_bytes(field: str) -> int:
     raise SystemExit(f"/proc/self/status has no {field}")
 
 
-def step(name: str, folder: Path) -> dict[str, float]:
+def step(name: str, folder: Path, seconds: float) -> dict[str, float]:
     """Do one step in this process and say what it took."""
     warm_up(name)
     writes = name in ("plain", "signal_file", "recording", "commit")
     columns = dict(np.load(folder / "columns.npz")) if writes else {}
-    raw = len(CHANNELS) * SECONDS * RATE_HZ * 4
+    raw = len(CHANNELS) * seconds * RATE_HZ * 4
     # The columns that a writing step is given count as well: somebody holds them.
     before = status_bytes("VmRSS") - (raw if writes else 0)
     Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
@@ -141,16 +142,17 @@ def warm_up(name: str) -> None:
             lake(folder)
 
 
-def measured(folder: Path, repeats: int) -> dict[str, dict[str, float]]:
+def measured(folder: Path, seconds: float, repeats: int) -> dict[str, dict[str, float]]:
     """Run every step in processes of their own, the best of several, in turn."""
     best: dict[str, dict[str, float]] = {}
-    np.savez(folder / "columns.npz", **signals())
+    np.savez(folder / "columns.npz", **signals(seconds))
     for _ in range(repeats):
         for root in ("lake", "from-memory"):
             shutil.rmtree(folder / root, ignore_errors=True)
         for name in STEPS:
             out = subprocess.run(
-                [sys.executable, __file__, "--step", name, "--folder", str(folder)],
+                [sys.executable, __file__, "--step", name, "--folder", str(folder),
+                 "--seconds", str(seconds)],
                 capture_output=True, text=True, check=True,
             )  # fmt: skip
             got = json.loads(out.stdout)
@@ -159,13 +161,13 @@ def measured(folder: Path, repeats: int) -> dict[str, dict[str, float]]:
     return best
 
 
-def flipped_bits(folder: Path) -> dict[str, int]:
+def flipped_bits(folder: Path, flips: int) -> dict[str, int]:
     """Flip single bits of a signal file; a flip counts as silent when other values are read."""
     path, rng = folder / "flips.parquet", random.Random(0)
     write_signals(path, SignalGroup("accelerometers", RATE_HZ, signals(1.0)))
     whole, true = path.read_bytes(), read_parquet(path)
     counts = {"detected": 0, "harmless": 0, "silent": 0}
-    for _ in range(FLIPS):
+    for _ in range(flips):
         data = bytearray(whole)
         data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
         path.write_bytes(data)
@@ -181,18 +183,23 @@ def flipped_bits(folder: Path) -> dict[str, int]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--short", action="store_true", help="the same code with little data")
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
     parser.add_argument("--folder", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="length of the recording")
     arguments = parser.parse_args()
+    seconds, flips_n = arguments.seconds, FLIPS
+    if arguments.short:
+        seconds, flips_n, arguments.repeats = SHORT_SECONDS, SHORT_FLIPS, 1
     if arguments.step:
-        print(json.dumps(step(arguments.step, arguments.folder)))
+        print(json.dumps(step(arguments.step, arguments.folder, seconds)))
         return
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        steps = measured(folder, arguments.repeats)
-        flips = flipped_bits(folder)
+        steps = measured(folder, seconds, arguments.repeats)
+        flips = flipped_bits(folder, flips_n)
         size_mb = (folder / "r1.parquet").stat().st_size / 1e6
     for got in steps.values():
         got["x_plain"] = got["seconds"] / steps["plain"]["seconds"]
@@ -203,7 +210,7 @@ def main() -> None:
             )
         )
         return
-    print(f"{SECONDS} s x {len(CHANNELS)} channels x {RATE_HZ / 1e3:g} kS/s, file {size_mb:.1f} MB; "
+    print(f"{seconds:g} s x {len(CHANNELS)} channels x {RATE_HZ / 1e3:g} kS/s, file {size_mb:.1f} MB; "
           f"load before {load:.2f}")  # fmt: skip
     print(f"  {'step':12s} {'seconds':>8s} {'x plain':>8s} {'peak / raw':>11s}")
     for name, got in steps.items():
@@ -212,7 +219,7 @@ def main() -> None:
     p50, p99 = steps["recording"]["append_p50_ms"], steps["recording"]["append_p99_ms"]
     share = p99 / (1e3 * BLOCK_S)
     print(f"  append of {BLOCK_S:g} s, on disk: p50 {p50:.2f} ms, p99 {p99:.2f} ms ({share:.1%})")
-    print(f"  {FLIPS} flipped bits: {flips}")
+    print(f"  {flips_n} flipped bits: {flips}")
 
 
 if __name__ == "__main__":

@@ -39,7 +39,6 @@ from dtwin.serve.timing import LoopTiming
 
 PERIOD_S = 0.002
 CLIENTS = ("naive", "loop", "loop with priority")
-FIRST = {"naive": 1, "loop": 10_000_000, "loop with priority": 20_000_000}
 CHANNELS = tuple(f"{place}_{axis}_g" for place in ("wrist", "base") for axis in "xyz")
 BLOCK_S, FILTER_SAMPLES = 0.01, 40
 CONTRACT = WindowContract(25_600.0, 1500, 256, CHANNELS, ("rms", "kurtosis", "mean_frequency"))
@@ -109,20 +108,18 @@ class NotedLink:
         self._link.send(offset_um, sequence)
 
 
-def run_loop(
-    host: str, seconds: float, first: int, priority: int
-) -> tuple[np.ndarray, np.ndarray, Any]:
+def run_loop(host: str, seconds: float, priority: int) -> tuple[np.ndarray, np.ndarray, Any]:
     decision = Decision(model(), np.array([0.0, 0.0, 158.3]), sensors=PacedSensors())
     with UrLink(host, realtime=priority > 0) as link:
         noted = NotedLink(link, int(seconds * 800) + 5000)
-        loop = ServingLoop(decision, noted, first_sequence=first)
+        loop = ServingLoop(decision, noted)
         # A server remembers its newest two minutes; every tick is to be compared here.
         loop.timing = LoopTiming(PERIOD_S, int(seconds * 800) + 5000)
         status = loop.run(seconds, priority=priority)
     return noted.notes[: noted.n], loop.timing.late_stamps_s(), status.as_dict()
 
 
-def run_naive(host: str, seconds: float, first: int) -> tuple[np.ndarray, np.ndarray, Any]:
+def run_naive(host: str, seconds: float) -> tuple[np.ndarray, np.ndarray, Any]:
     """What is usually written: everything in one script, sleeping for a period at the end."""
     from rtde_io import RTDEIOInterface
     from rtde_receive import RTDEReceiveInterface
@@ -132,7 +129,7 @@ def run_naive(host: str, seconds: float, first: int) -> tuple[np.ndarray, np.nda
     rows = rng.standard_normal((2000, 15))
     fitted = GradientBoostingRegressor(random_state=0).fit(rows, np.sin(rows[:, 0]) + rows[:, 1])
     receive, io = RTDEReceiveInterface(host, 500.0), RTDEIOInterface(host)
-    notes, sequence, until_s = [], first, time.monotonic() + seconds
+    notes, sequence, until_s = [], 1, time.monotonic() + seconds
     while time.monotonic() < until_s:
         stamp_s = receive.getTimestamp()
         pose = receive.getTargetTCPPose()
@@ -154,10 +151,10 @@ def run_naive(host: str, seconds: float, first: int) -> tuple[np.ndarray, np.nda
 
 def client(name: str, host: str, seconds: float, out: Path) -> None:
     if name == "naive":
-        notes, late_s, status = run_naive(host, seconds, FIRST[name])
+        notes, late_s, status = run_naive(host, seconds)
     else:
         priority = 60 if name.endswith("priority") else 0
-        notes, late_s, status = run_loop(host, seconds, FIRST[name], priority)
+        notes, late_s, status = run_loop(host, seconds, priority)
     np.savez(out, notes=notes, late_s=late_s, status=np.array(json.dumps(status)))
 
 
@@ -216,29 +213,34 @@ def start_controller(host: str) -> subprocess.Popen[str]:
 
 
 def measure(seconds: float, host: str, folder: Path, clients: Sequence[str]) -> dict[str, Any]:
+    found = {name: measure_one(name, seconds, host, folder) for name in clients}
+    realtime = all(one.pop("controller_realtime") for one in found.values())
+    return {"controller_realtime": realtime, "seconds": seconds, "clients": found}
+
+
+def measure_one(name: str, seconds: float, host: str, folder: Path) -> dict[str, Any]:
+    """Let one client serve a controller of its own: numbers and notes begin anew."""
     controller = start_controller(host)
     assert controller.stdin is not None
     assert controller.stdout is not None
-    found: dict[str, Any] = {}
     try:
         ready = json.loads(controller.stdout.readline())
-        for name in clients:
-            out, log = folder / "client.npz", folder / "log.npz"
-            before = _ask(controller, "status")
-            subprocess.run(
-                [sys.executable, __file__, "--client", name, "--host", host, "--out", str(out),
-                 "--seconds", str(seconds)], check=True,
-            )  # fmt: skip
-            after = _ask(controller, "status")
-            _ask(controller, "latency_log", path=str(log))
-            with np.load(out) as client_file, np.load(log) as log_file:
-                found[name] = judge(client_file["notes"], client_file["late_s"], log_file)
-                found[name]["own_status"] = json.loads(str(client_file["status"]))
-            found[name]["controller_late_ticks"] = after["late_ticks"] - before["late_ticks"]
+        out, log = folder / "client.npz", folder / "log.npz"
+        before = _ask(controller, "status")
+        subprocess.run(
+            [sys.executable, __file__, "--client", name, "--host", host, "--out", str(out),
+             "--seconds", str(seconds)], check=True,
+        )  # fmt: skip
+        after = _ask(controller, "status")
+        _ask(controller, "latency_log", path=str(log))
+        with np.load(out) as client_file, np.load(log) as log_file:
+            found = judge(client_file["notes"], client_file["late_s"], log_file)
+            found["own_status"] = json.loads(str(client_file["status"]))
     finally:
         controller.stdin.close()
         controller.wait(10)
-    return {"controller_realtime": ready["realtime"], "seconds": seconds, "clients": found}
+    found["controller_late_ticks"] = after["late_ticks"] - before["late_ticks"]
+    return found | {"controller_realtime": ready["realtime"]}
 
 
 def _ask(controller: subprocess.Popen[str], action: str, **more: Any) -> dict[str, Any]:
@@ -289,6 +291,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--short", action="store_true", help="the same code with little data")
     parser.add_argument("--host", default="127.0.0.77", help="loopback address with a free 30004")
     parser.add_argument("--only", action="append", choices=CLIENTS, help="one of the clients")
     parser.add_argument("--client", choices=CLIENTS, help=argparse.SUPPRESS)
@@ -297,10 +300,10 @@ def main() -> None:
     if chosen.client:
         client(chosen.client, chosen.host, chosen.seconds, chosen.out)
         return
-    load = os.getloadavg()[0]
+    load, seconds = os.getloadavg()[0], 3.0 if chosen.short else chosen.seconds
     with tempfile.TemporaryDirectory() as folder:
         result = {"load_before": load} | measure(
-            chosen.seconds, chosen.host, Path(folder), chosen.only or CLIENTS
+            seconds, chosen.host, Path(folder), chosen.only or CLIENTS
         )
     if chosen.json:
         print(json.dumps(result))

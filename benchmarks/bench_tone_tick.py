@@ -65,15 +65,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--calls", type=int, default=1_000_000)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--short", action="store_true", help="the same code with little data")
     options = parser.parse_args()
     groups = groups_of(list(virtual_runs(QUICK, virtual_slide("linear"), 0)), "the virtual slide")
     bundle = fitted_tones("virtual-turning", groups, "two-modes", "inverse", 0).bundle
-    took = timed_ticks(bundle, options.calls)
-    windows = timed_windows(bundle)
+    calls = 2_000 if options.short else options.calls
+    took = timed_ticks(bundle, calls)
+    windows = timed_windows(bundle, 3 if options.short else 50)
     median = float(np.median(took))
     preempted = took > median + PREEMPTED_US
     found = {
-        "calls": options.calls,
+        "calls": calls,
         "p50_us": median,
         "p99_us": float(np.percentile(took, 99)),
         "p99_9_us": float(np.percentile(took, 99.9)),

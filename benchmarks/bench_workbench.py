@@ -88,7 +88,10 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=9)
     parser.add_argument("--diagnose", action="store_true", help="takes minutes")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--short", action="store_true", help="the same code with little data")
     chosen = parser.parse_args()
+    if chosen.short:
+        chosen.runs, chosen.repeats = 48, 1
     with tempfile.TemporaryDirectory() as folder:
         home = Home(Path(folder))
         lake = Lake(home.lake)

@@ -28,11 +28,11 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
     """
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
         yield partial
-        with partial.open("rb") as written:
-            os.fsync(written.fileno())
+        sync(partial)
         partial.replace(path)
+        sync(path.parent)
     except OSError as error:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
@@ -45,8 +45,34 @@ def whole_file(path: Path, what: str) -> Iterator[Path]:
         ) from error
 
 
-def write_text(path: Path, content: str, what: str) -> Path:
-    """Write a text file in one step and return its path; arguments as :func:`whole_file`."""
+def make_folder(folder: Path, *, private: bool = False) -> None:
+    """Make a folder and those above it, each entered on disk in the one that holds it.
+
+    What is made ``private`` can be entered by its owner alone.
+    """
+    missing = [f for f in (folder, *folder.parents) if not f.exists()]
+    for absent in reversed(missing):
+        absent.mkdir(mode=0o700 if private else 0o777, exist_ok=True)
+        sync(absent.parent)
+    folder.mkdir(exist_ok=True)
+
+
+def sync(path: Path) -> None:
+    """Wait until a file, or the names in a folder, are on disk: a power cut cannot undo them."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def write_text(path: Path, content: str, what: str, *, private: bool = False) -> Path:
+    """Write a text file in one step and return its path; arguments as :func:`whole_file`.
+
+    A ``private`` file can be read by its owner alone.
+    """
     with whole_file(path, what) as partial:
+        if private:
+            partial.touch(mode=0o600)
         partial.write_text(content, encoding="utf-8")
     return path

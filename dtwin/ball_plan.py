@@ -111,7 +111,7 @@ def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
         ("ball_s", 1.0 <= plan.ball_s <= 3600.0, plan.ball_s, "1 to 3600 s"),
         ("drift_um_h", 0.0 <= plan.drift_um_h <= 1e4, plan.drift_um_h, "above 0, or 0 when unknown"),
         ("every_h", plan.cycle_h <= plan.every_h + 1e-9, plan.every_h,
-         f"{plan.cycle_h:.2f} h or more: {plan.touches} balls at {plan.ball_s:g} s"),
+         f"{plan.cycle_h:z.2f} h or more: {plan.touches} balls at {plan.ball_s:g} s"),
     )  # fmt: skip
     for name, kept, got, allowed in rules:
         if not kept:
@@ -135,7 +135,7 @@ def _drift_advice(plan: BallPlan) -> list[Finding]:
         return [
             Finding(
                 "plan.drift_unknown", "info",
-                f"a cycle takes {60.0 * plan.cycle_h:.0f} min; how fast the machine drifts is not stated "
+                f"a cycle takes {60.0 * plan.cycle_h:z.0f} min; how fast the machine drifts is not stated "
                 "(drift_um_h): nothing can be said about whether that is short enough",
             )
         ]  # fmt: skip
@@ -148,8 +148,8 @@ def _drift_advice(plan: BallPlan) -> list[Finding]:
     return [
         Finding(
             "plan.cycle_too_long", "warning",
-            f"in a cycle of {60.0 * plan.cycle_h:.0f} min the machine moves by up to {moved:.1f} um, which "
-            f"looks like an error of place; at most {60.0 * longest:.0f} min{advised}",
+            f"in a cycle of {60.0 * plan.cycle_h:z.0f} min the machine moves by up to {moved:z.1f} um, which "
+            f"looks like an error of place; at most {60.0 * longest:z.0f} min{advised}",
             {"moved_um": moved, "longest_h": longest},
         )
     ]  # fmt: skip

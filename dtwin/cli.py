@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import os
 import sys
@@ -10,11 +12,14 @@ from typing import Annotated
 import typer
 
 from dtwin import __version__
+from dtwin.commands import amending as amending_commands
 from dtwin.commands import analogue as analogue_commands
+from dtwin.commands import campaign as campaign_command
 from dtwin.commands import cell as cell_commands
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import dynamics as dynamics_commands
+from dtwin.commands import evidence as evidence_command
 from dtwin.commands import exporting as exporting_command
 from dtwin.commands import lathe as lathe_commands
 from dtwin.commands import linuxcnc as linuxcnc_commands
@@ -29,9 +34,10 @@ from dtwin.commands import turning as turning_commands
 from dtwin.commands import twins as twin_commands
 from dtwin.commands import ui as ui_command
 from dtwin.commands import volumetric as volumetric_commands
+from dtwin.commands import watch as watch_command
 from dtwin.commands.tasks import MainCommands
-from dtwin.config import quiet_environment
-from dtwin.errors import EXIT_INTERRUPTED, DtwinError, MissingPart
+from dtwin.config import home, quiet_environment
+from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, MissingPart, StoreError
 
 _BEGIN = """\b
 New here?
@@ -52,9 +58,13 @@ app = typer.Typer(
 )
 demo_command.register(app)
 data_commands.register(app)
+amending_commands.register(app)
 record_command.register(app)
+campaign_command.register(app)
+watch_command.register(app)
 simulating_command.register(app)
 modelling_commands.register(app)
+evidence_command.register(app)
 rechecking_command.register(app)
 serving_commands.register(app)
 twin_commands.register(app)
@@ -69,6 +79,19 @@ dynamics_commands.register(app)
 exporting_command.register(app)
 server_commands.register(app)
 ui_command.register(app)
+
+
+# Of a disk or folder; any other error of the system is a mistake of ours.
+_UNUSABLE = (
+    errno.EACCES,
+    errno.EPERM,
+    errno.EROFS,
+    errno.ENOSPC,
+    errno.EDQUOT,
+    errno.ENOTDIR,
+    errno.EISDIR,
+    errno.EEXIST,
+)
 
 
 def _show_version(wanted: bool) -> None:
@@ -92,6 +115,14 @@ def _options(
 def main() -> None:
     """Run the command line; a user's mistake ends in a message, never a traceback."""
     quiet_environment()
+    # Also at the end: what a first command made is for its owner alone.
+    with contextlib.ExitStack() as ending:
+        ending.callback(home().tightened)
+        _run()
+
+
+def _run() -> None:
+    home().tightened()
     try:
         app()
     except DtwinError as error:
@@ -104,13 +135,29 @@ def main() -> None:
         absent = _missing_part(missing)
         _report(absent)
         sys.exit(absent.exit_code)
-    except KeyboardInterrupt:
-        print("interrupted; run the same command again to continue", file=sys.stderr)
-        sys.exit(EXIT_INTERRUPTED)
     except BrokenPipeError:
         # The reader of our output went away, as `head` does.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(0)
+    except OSError as error:
+        if error.errno not in _UNUSABLE:
+            raise
+        _report(_not_usable(error))
+        sys.exit(EXIT_USER)
+    except KeyboardInterrupt:
+        print("interrupted; run the same command again to continue", file=sys.stderr)
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def _not_usable(error: OSError) -> StoreError:
+    """Say which file or folder of ours cannot be read or written, and why."""
+    return StoreError(
+        "a file or folder cannot be used",
+        code="store.permission",
+        where=str(error.filename or "an unnamed file"),
+        got=error.strerror or str(error),
+        hint="check permissions and free space, or set DTWIN_HOME to another folder",
+    )
 
 
 def _missing_part(package: str) -> MissingPart:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,11 @@ _THREADS = {"OMP_WAIT_POLICY": "passive"}
 
 SETTINGS: dict[str, tuple[str, str]] = {
     "DTWIN_HOME": ("`./.dtwin`", "folder of all state: lake, models, bundles, logs, servers"),
+    "DTWIN_FOLDERS": (
+        "none",
+        "folders besides `DTWIN_HOME`, parted by `:`, that flows started on the Prefect page may "
+        "read and write",
+    ),
     "MLFLOW_TRACKING_URI": (
         "a SQLite file in `DTWIN_HOME`",
         "where models are logged and registered",
@@ -25,6 +31,10 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "PREFECT_API_URL": (
         "the server of `dtwin up`, else one for the command",
         "Prefect server whose page shows the flows",
+    ),
+    "PREFECT_API_AUTH_STRING": (
+        "made by `dtwin up`, in `DTWIN_HOME/prefect-auth`",
+        "what flows and pages say to the Prefect server",
     ),
     "PREFECT_HOME": ("`DTWIN_HOME/prefect`", "Prefect's own state"),
     "PYTHON_JULIAPKG_EXE": ("`julia` on the path", "Julia for the PySR engine"),
@@ -47,6 +57,24 @@ class Home:
     """
 
     root: Path
+
+    def made(self) -> Home:
+        """Make the folder, readable by its owner alone, and return the home.
+
+        Raises
+        ------
+        OSError
+            When it can neither be made nor is there.
+        """
+        self.root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        return self.tightened()
+
+    def tightened(self) -> Home:
+        """Take the folder from other users when it is there, and return the home."""
+        with contextlib.suppress(OSError):
+            if self.root.stat().st_mode & 0o077:
+                self.root.chmod(0o700)
+        return self
 
     @property
     def lake(self) -> Path:

@@ -3,31 +3,42 @@
 from __future__ import annotations
 
 import json
+import re
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import pyarrow as pa
 from deltalake import DeltaTable
 from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundError
-from deltalake.schema import Field, PrimitiveType
-from deltalake.transaction import AddAction, RemoveAction
+from deltalake.schema import Schema as DeltaSchema
+from deltalake.transaction import (
+    AddAction,
+    CommitProperties,
+    PostCommitHookProperties,
+    RemoveAction,
+)
 
+from dtwin.atomic import make_folder, sync
+from dtwin.delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
 from dtwin.errors import StoreError
-from dtwin.parquet import read_parquet, write_encoded, write_parquet
-from dtwin.schema import Encoded
-from dtwin.units import unit_of
+from dtwin.parquet import encoded, read_encoded, write_bytes
 
-_TYPES = {
-    pa.string(): "string",
-    pa.float64(): "double",
-    pa.float32(): "float",
-    pa.int64(): "long",
-    pa.int32(): "integer",
-    pa.bool_(): "boolean",
-}
 _COMMIT_TRIES = 20
+# Log entries stay: repair reads in them which files were ever committed.
+_KEEP_LOG = PostCommitHookProperties(cleanup_expired_logs=False)
+# Hexadecimal digits of its own hash that the name of a data file ends with.
+_DIGITS = 24
+_NAME = re.compile(rf"[^\x00]+\.([0-9a-f]{{{_DIGITS}}})\.parquet")
+
+
+class Written(NamedTuple):
+    """A data file that is on disk and not yet committed: name inside the table, bytes, rows."""
+
+    name: str
+    size: int
+    rows: int
 
 
 class DeltaFiles:
@@ -60,40 +71,62 @@ class DeltaFiles:
         """
         if not self.exists() or version == -1:
             return []
-        return _live_files(self._open(version))
+        return sorted(self._verified(self._open(version)))
 
-    def write(self, name: str, table: pa.Table) -> tuple[str, int, int]:
+    def accepted(self, schemas: Iterable[pa.Schema]) -> pa.Schema:
+        """Return the columns of several files that are to be written.
+
+        Raises
+        ------
+        StoreError
+            When a column that holds numbers would hold text, or the other way round.
+        """
+        fields = self._open().schema().fields if self.exists() else []
+        present = {field.name: str(field.type.type) for field in fields}
+        union: dict[str, pa.Field] = {}
+        for field in (field for schema in schemas for field in schema):
+            sort = sort_of(field, self.folder)
+            if present.setdefault(field.name, sort) != sort:
+                raise StoreError(
+                    "a column changed its type",
+                    code="store.schema",
+                    where=f"{self.folder} {field.name}",
+                    got=str(field.type),
+                    allowed="numbers" if present[field.name] == "double" else present[field.name],
+                    hint="rename the column in the file, or mend what it holds",
+                )
+            union.setdefault(field.name, field)
+        return pa.schema(list(union.values()))
+
+    def write(self, stem: str, table: pa.Table) -> Written:
         """Write a data file without committing it.
 
         Parameters
         ----------
-        name : str
-            Relative path of the file, ending in ``.parquet``.
+        stem : str
+            Path of the file inside the table without ending; the hash of what is written is
+            appended, which every read compares.
         table : pyarrow.Table
             Its rows.
-
-        Returns
-        -------
-        name, bytes, rows : tuple
-            What :meth:`commit` needs.
         """
-        return name, write_parquet(self.folder / name, table), table.num_rows
+        return self.write_encoded(stem, encoded(table), table.num_rows)
 
-    def write_encoded(self, name: str, encoded: Encoded, rows: int) -> tuple[str, int, int]:
-        """Write a data file as it was read, without committing it; otherwise as :meth:`write`."""
-        return name, write_encoded(self.folder / name, encoded), rows
+    def write_encoded(self, stem: str, data: bytes | memoryview, rows: int) -> Written:
+        """Write the bytes of a Parquet file, without committing it; otherwise as :meth:`write`."""
+        name = f"{stem}.{content_hash(data)[:_DIGITS]}.parquet"
+        return Written(name, write_bytes(self._path(name)[0], data), rows)
 
-    def commit(self, written: Sequence[tuple[str, int, int]], schema: pa.Schema) -> int:
-        """Add files to the table in one atomic step.
+    def commit(self, written: Sequence[Written], schema: pa.Schema) -> int:
+        """Add files to the table in one atomic step that a power cut cannot undo.
 
         Files that are live already are left alone, so a repeated commit changes nothing.
 
         Parameters
         ----------
-        written : sequence of (name, bytes, rows)
+        written : sequence of Written
             Files from :meth:`write`.
         schema : pyarrow.Schema
-            Union of their columns; new columns extend the table, a changed type is refused.
+            Their columns as :meth:`accepted` returned them; new ones extend the table.
 
         Returns
         -------
@@ -102,24 +135,20 @@ class DeltaFiles:
         """
         table = self._with_columns(schema)
         for attempt in range(_COMMIT_TRIES):
-            live = set(_live_files(table))
+            live = self._verified(table)
             now_ms = int(time.time() * 1000)
+            new = {file.name: file for file in written if file.name not in live}
             actions: list[AddAction | RemoveAction] = [
-                AddAction(name, size, {}, now_ms, True, json.dumps({"numRecords": rows}))
-                for name, size, rows in written
-                if name not in live
+                AddAction(f.name, f.size, {}, now_ms, True, json.dumps({"numRecords": f.rows}))
+                for f in new.values()
             ]
             if not actions:
                 return table.version()
             try:
-                table.create_write_transaction(actions, "append", table.schema(), [])
+                return self._written(table, actions, {*live, *new})
             except CommitFailedError:
                 time.sleep(0.02 * (attempt + 1))
                 table = self._open()
-                continue
-            except (DeltaError, OSError) as error:
-                raise self._refused(error) from error
-            return self.version()
         raise StoreError(
             "another writer kept the table busy",
             code="store.busy",
@@ -127,9 +156,37 @@ class DeltaFiles:
             hint="wait for the other ingest to finish and run this again",
         )
 
+    def _written(
+        self, table: DeltaTable, actions: list[AddAction | RemoveAction], live: Iterable[str]
+    ) -> int:
+        """Commit actions after which these files are live; sync, and return the version."""
+        try:
+            table.create_write_transaction(
+                actions,
+                "append",
+                table.schema(),
+                [],
+                # A commit that met another one is tried again from the start: its hash is of
+                # the files that were live before.
+                commit_properties=CommitProperties(live_hash(live), max_commit_retries=0),
+                post_commithook_properties=_KEEP_LOG,
+            )
+        except CommitFailedError:
+            raise
+        except (DeltaError, OSError) as error:
+            raise self._refused(error) from error
+        return self._synced()
+
+    def _synced(self) -> int:
+        version = self._open().version()
+        sync(self._entry(version))
+        sync(self.folder / "_delta_log")
+        return version
+
     def remove(self, names: Sequence[str]) -> int:
         """Take files out of the table; the files themselves stay for time travel."""
         table = self._open()
+        live = self._verified(table)
         actions: list[AddAction | RemoveAction] = [
             RemoveAction(
                 path=row["path"],
@@ -141,73 +198,160 @@ class DeltaFiles:
             for row in pa.table(table.get_add_actions()).to_pylist()
             if row["path"] in set(names)
         ]
-        if actions:
-            table.create_write_transaction(actions, "append", table.schema(), [])
-        return self.version()
+        return self._written(table, actions, live - set(names)) if actions else table.version()
 
-    def read(
-        self, names: Sequence[str] | None = None, columns: Sequence[str] | None = None
-    ) -> pa.Table:
-        """Read live files with their checksums verified.
+    def read_file(self, name: str) -> pa.Table:
+        """Read one data file; its content is compared with the hash in its name.
+
+        Raises
+        ------
+        StoreError
+            When the file is missing or not the one that was written.
+        """
+        path, digest = self._path(name)
+
+        def verify(data: bytes) -> None:
+            if not content_hash(data).startswith(digest):
+                raise OSError("its content is not the one that was written")
+
+        return read_encoded(path, verify)[0]
+
+    def intact(self, name: str) -> bool:
+        """Return whether a data file is there as it was written."""
+        path, digest = self._path(name)
+        return path.is_file() and content_hash(path.read_bytes()).startswith(digest)
+
+    def read(self, version: int | None = None) -> pa.Table:
+        """Read every live file, verified; files that lack a column give nulls.
 
         Parameters
         ----------
-        names : sequence of str, optional
-            Files to read; all live ones by default.
-        columns : sequence of str, optional
-            Columns to read; files that lack one give nulls.
+        version : int, optional
+            Table version to read; the newest by default.
         """
-        chosen = self.files() if names is None else list(names)
-        parts = []
-        for name in chosen:
-            part = read_parquet(self.folder / name)
-            parts.append(
-                part
-                if columns is None
-                else part.select([c for c in columns if c in part.column_names])
+        parts = [self.read_file(name) for name in self.files(version)]
+        return pa.concat_tables(parts, promote_options="permissive") if parts else pa.table({})
+
+    def sweep(self) -> int:
+        """Delete files that no commit ever named, and return how many."""
+        if not self.folder.is_dir():
+            return 0
+        try:
+            kept = {path for entry in self._entries() for path in added(entry)}
+        except (OSError, ValueError, TypeError, KeyError) as error:
+            raise self._damaged(str(error)) from error
+        stray = [
+            path
+            for pattern in ("*.parquet", ".*.partial")
+            for path in self.folder.rglob(pattern)
+            if "_delta_log" not in path.parts and str(path.relative_to(self.folder)) not in kept
+        ]
+        for path in stray:
+            path.unlink(missing_ok=True)
+        return len(stray)
+
+    def set_aside_cut_entry(self) -> str | None:
+        """Rename the newest log entry when it is empty, as a power cut leaves it; return its name.
+
+        What it would have added is invisible already; its sources can be ingested again.
+        """
+        entries = self._entries()
+        if not entries or entries[-1].stat().st_size:
+            return None
+        entries[-1].rename(entries[-1].with_suffix(".cut"))
+        sync(self.folder / "_delta_log")
+        return entries[-1].name
+
+    def _entry(self, version: int) -> Path:
+        return self.folder / "_delta_log" / f"{version:020d}.json"
+
+    def _entries(self) -> list[Path]:
+        return sorted((self.folder / "_delta_log").glob("*.json"))
+
+    def _path(self, name: str) -> tuple[Path, str]:
+        """Return the place of a data file, which must lie inside the table, and its hash."""
+        path, named = self.folder / name, _NAME.fullmatch(name)
+        if named and path.resolve().is_relative_to(self.folder.resolve()):
+            return path, named[1]
+        raise StoreError(
+            "this is no name of a data file of the table",
+            code="store.name",
+            where=str(self.folder),
+            got=repr(name)[:120],
+            hint="restore the lake from a backup",
+        )
+
+    def _verified(self, table: DeltaTable) -> set[str]:
+        """Return the live files as the newest commit left them.
+
+        Raises
+        ------
+        StoreError
+            When the log says otherwise than its newest entry: an entry is empty or damaged.
+        """
+        try:
+            live = set(pa.table(table.get_add_actions()).column("path").to_pylist())
+            # Not table.history: of an older version it returns the newest entries.
+            entry = self._entry(table.version()).read_text(encoding="utf-8")
+            actions = [json.loads(line) for line in entry.splitlines()]
+            hashes = [
+                action["commitInfo"].get(LIVE) for action in actions if "commitInfo" in action
+            ]
+        except (DeltaError, OSError, ValueError, TypeError, AttributeError) as error:
+            raise self._damaged(str(error)) from error
+        if hashes != [live_hash(live)[LIVE]]:
+            raise self._damaged(
+                "the newest entry does not agree with the files that are live, or an earlier "
+                "version of dtwin wrote it"
             )
-        if not parts:
-            return pa.table({})
-        return pa.concat_tables(parts, promote_options="default")
+        return live
 
     def _open(self, version: int | None = None) -> DeltaTable:
         try:
             return DeltaTable(self.folder, version=version)
-        except (TableNotFoundError, DeltaError, OSError) as error:
-            raise StoreError(
-                "the table cannot be opened",
-                code="store.open",
-                where=str(self.folder),
-                got=str(error)[:200],
-            ) from error
+        except (TableNotFoundError, DeltaError, OSError, ValueError) as error:
+            raise self._damaged(str(error)) from error
+
+    def _damaged(self, got: str) -> StoreError:
+        return StoreError(
+            "the log of a table is damaged",
+            code="store.open",
+            where=str(self.folder / "_delta_log"),
+            got=got[:200],
+            hint="restore _delta_log from a backup; after a power cut: dtwin repair, then ingest "
+            "the newest measurements again",
+        )
 
     def _with_columns(self, schema: pa.Schema) -> DeltaTable:
         """Return the newest table, made or extended so that it has these columns."""
-        wanted = {field.name: field for field in schema}
         table = self._open() if self.exists() else self._create(schema)
-        present = {field.name: field.type for field in table.schema().fields}
-        for name, field in wanted.items():
-            kind = PrimitiveType(_delta_type(field.type, name, self.folder))
-            if name in present and present[name] != kind:
-                raise StoreError(
-                    "a column changed its type",
-                    code="store.schema",
-                    where=f"{self.folder} {name}",
-                    got=str(field.type),
-                    allowed=str(present[name]),
-                )
-        fresh = [name for name in wanted if name not in present]
-        if fresh:
+        present = {field.name for field in table.schema().fields}
+        fresh = [declared(field, self.folder) for field in schema if field.name not in present]
+        if not fresh:
+            return table
+        properties = CommitProperties(live_hash(self._verified(table)), max_commit_retries=0)
+        try:
             table.alter.add_columns(
-                [_delta_field(name, wanted[name], self.folder) for name in fresh]
+                fresh, commit_properties=properties, post_commithook_properties=_KEEP_LOG
             )
-            return self._open()
-        return table
+        except CommitFailedError:
+            return self._with_columns(schema)
+        except (DeltaError, OSError) as error:
+            raise self._refused(error) from error
+        return self._open()
 
     def _create(self, schema: pa.Schema) -> DeltaTable:
+        fields = [declared(field, self.folder) for field in schema]
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            return DeltaTable.create(self.folder, schema=schema, mode="ignore")
+            make_folder(self.folder)
+            made = DeltaTable.create(
+                self.folder,
+                schema=DeltaSchema(fields),
+                mode="ignore",
+                commit_properties=CommitProperties(live_hash(())),
+            )
+            sync(self.folder)
+            return made
         except (DeltaError, OSError) as error:
             raise self._refused(error) from error
 
@@ -219,31 +363,3 @@ class DeltaFiles:
             got=str(error)[:200],
             hint="check free space and permissions; nothing was committed",
         )
-
-
-def _live_files(table: DeltaTable) -> list[str]:
-    actions = pa.table(table.get_add_actions())
-    return sorted(actions.column("path").to_pylist())
-
-
-def metadata_of(name: str) -> Mapping[str, Any]:
-    """Return the Delta field metadata of a column."""
-    unit = unit_of(name)
-    return {} if unit is None else {"unit": unit}
-
-
-def _delta_type(kind: pa.DataType, name: str, folder: Path) -> str:
-    if kind not in _TYPES:
-        raise StoreError(
-            "a column has a type that the lake does not keep",
-            code="store.schema",
-            where=f"{folder} {name}",
-            got=str(kind),
-            allowed=", ".join(map(str, _TYPES)),
-        )
-    return _TYPES[kind]
-
-
-def _delta_field(name: str, field: pa.Field, folder: Path) -> Field:
-    kind = PrimitiveType(_delta_type(field.type, name, folder))
-    return Field(name, kind, nullable=True, metadata=dict(metadata_of(name)))

@@ -65,7 +65,7 @@ class _Words:
 
     def dwell(self) -> str:
         seconds = self.plan.dwell_s
-        return f"G04 P{seconds * 1000:.0f}" if self.iso else f"G04F{seconds:g}"
+        return f"G04 P{seconds * 1000:z.0f}" if self.iso else f"G04F{seconds:g}"
 
 
 def _one_run(plan: LinearPlan, words: _Words, run: int) -> list[str]:
@@ -85,7 +85,7 @@ def _one_run(plan: LinearPlan, words: _Words, run: int) -> list[str]:
 
 def _number(value: float, *, whole_point: bool = False) -> str:
     """Return a number as controls read it: always with its point, no needless zeros."""
-    text = f"{value:.6f}".rstrip("0")
+    text = f"{value:z.6f}".rstrip("0")
     if text.endswith(".") and not whole_point:
         text += "0"
     return text

@@ -319,7 +319,7 @@ def _size_advice(plan: LinearPlan) -> list[Finding]:
         found.append(
             Finding(
                 "plan.long", "warning",
-                f"{plan.readings} readings take about {hours:.0f} h: the machine's temperature will "
+                f"{plan.readings} readings take about {hours:z.0f} h: the machine's temperature will "
                 "drift more than readings repeat; take fewer targets or fewer runs, or log temperatures",
                 {"duration_s": hours * 3600.0},
             )

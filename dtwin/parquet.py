@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from dtwin.atomic import whole_file
 from dtwin.errors import StoreError
-from dtwin.schema import Encoded
 from dtwin.units import unit_of
 
 # A column that lies in one group is read without being copied together.
@@ -56,53 +55,60 @@ def write_parquet(path: Path, table: pa.Table) -> int:
     StoreError
         When the folder is read-only or full; nothing is left behind.
     """
+    return write_bytes(path, encoded(table))
+
+
+def encoded(table: pa.Table) -> memoryview:
+    """Return a table as the bytes of a Parquet file with page checksums."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        table.replace_schema_metadata((table.schema.metadata or {}) | _CHECKSUMS),
+        sink,
+        compression="zstd",
+        compression_level=1,
+        use_dictionary=[f.name for f in table.schema if _is_text(f.type)],
+        column_encoding=_encodings(table.schema) or None,
+        write_page_checksum=True,
+        write_statistics=True,
+        row_group_size=_ROW_GROUP_ROWS,
+    )
+    return memoryview(sink.getvalue())
+
+
+def write_bytes(path: Path, data: bytes | memoryview) -> int:
+    """Write the bytes of a Parquet file, and return their number; raises as above."""
     with whole_file(path, "the file") as partial:
-        pq.write_table(
-            table.replace_schema_metadata((table.schema.metadata or {}) | _CHECKSUMS),
-            partial,
-            compression="zstd",
-            compression_level=1,
-            use_dictionary=[f.name for f in table.schema if _is_text(f.type)],
-            column_encoding=_encodings(table.schema) or None,
-            write_page_checksum=True,
-            write_statistics=True,
-            row_group_size=_ROW_GROUP_ROWS,
-        )
-    return path.stat().st_size
+        partial.write_bytes(data)
+    return len(data)
 
 
-def write_encoded(path: Path, encoded: Encoded) -> int:
-    """Write a Parquet file as it was read, and return its size in bytes; raises as above."""
-    with whole_file(path, "the file") as partial:
-        partial.write_bytes(encoded.data)
-    return path.stat().st_size
-
-
-def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+def read_parquet(path: Path) -> pa.Table:
     """Read a table, verifying every page's checksum.
 
     Parameters
     ----------
     path : Path
-        File written by :func:`write_parquet`.
-    columns : sequence of str, optional
-        Columns to read; all by default.
+        Any Parquet file; pages without checksums are read as they are.
 
     Raises
     ------
     StoreError
         When the file is missing or damaged.
     """
-    return _verified(path, path, columns)
+    return read_encoded(path)[0]
 
 
-def read_encoded(path: Path) -> tuple[pa.Table, bytes | None]:
+def read_encoded(
+    path: Path, verify: Callable[[bytes], None] | None = None
+) -> tuple[pa.Table, bytes | None]:
     """Read a table as :func:`read_parquet` does, and the bytes that it was verified from.
 
     Parameters
     ----------
     path : Path
         Any Parquet file.
+    verify : callable, optional
+        Raises OSError for a file that is damaged; its pages are then not checked one by one.
 
     Returns
     -------
@@ -114,29 +120,21 @@ def read_encoded(path: Path) -> tuple[pa.Table, bytes | None]:
     """
     try:
         data = path.read_bytes()
-    except OSError as error:
-        raise _damaged(path, error) from error
-    table = _verified(pa.BufferReader(data), path, None)
+        if verify is not None:
+            verify(data)
+        table = pq.ParquetFile(
+            pa.BufferReader(data), page_checksum_verification=verify is None
+        ).read()
+    # Damaged names of columns end in UnicodeDecodeError.
+    except (OSError, pa.ArrowException, ValueError) as error:
+        raise StoreError(
+            "a data file is missing or damaged",
+            code="store.damaged",
+            where=str(path),
+            got=str(error)[:200],
+            hint="restore the file from a backup, or ingest its source again",
+        ) from error
     return table, data if _CHECKSUMS.items() <= (table.schema.metadata or {}).items() else None
-
-
-def _verified(source: Any, path: Path, columns: Sequence[str] | None) -> pa.Table:
-    try:
-        return pq.ParquetFile(source, page_checksum_verification=True).read(
-            columns=None if columns is None else list(columns)
-        )
-    except (OSError, pa.ArrowException) as error:
-        raise _damaged(path, error) from error
-
-
-def _damaged(path: Path, error: Exception) -> StoreError:
-    return StoreError(
-        "a data file is missing or damaged",
-        code="store.damaged",
-        where=str(path),
-        got=str(error)[:200],
-        hint="restore the file from a backup, or ingest its source again",
-    )
 
 
 def columns_of(table: pa.Table) -> dict[str, NDArray[Any]]:

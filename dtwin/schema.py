@@ -19,9 +19,13 @@ Direction = Literal["CCW", "CW"]
 Plane = Literal["XY", "YZ", "ZX"]
 
 KINDS: tuple[Kind, ...] = ("circular", "linear", "sinusoidal", "volumetric", "placement")
+MIXED_CORRECTION = "mixed"
+"""Correction of a run that was corrected during a part of it only, or by several models."""
 PLANES: tuple[Plane, ...] = ("XY", "YZ", "ZX")
 _FLIPPED: dict[str, Plane] = {"YX": "XY", "ZY": "YZ", "XZ": "ZX"}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,99}")
+# What Windows takes for a device, whatever the ending: such a file cannot be copied there.
+_DEVICE = re.compile(r"(?i)(con|prn|aux|nul|com[0-9]|lpt[0-9])(\..*)?")
 
 
 def require_name(name: object, what: str) -> str:
@@ -39,13 +43,18 @@ def require_name(name: object, what: str) -> str:
     InputError
         When the name could leave its folder or be misread.
     """
-    if isinstance(name, str) and _NAME.fullmatch(name) and ".." not in name:
+    if (
+        isinstance(name, str)
+        and _NAME.fullmatch(name)
+        and ".." not in name
+        and not _DEVICE.fullmatch(name)
+    ):
         return name
     raise InputError(
         f"{what} is not a usable name",
         code="name.invalid",
         got=repr(name)[:120],
-        allowed="1 to 100 letters, digits and . _ + -, starting with a letter or digit, without '..'",
+        allowed="1 to 100 letters, digits and . _ + -, starting with a letter or digit, without '..', no device such as CON",
     )
 
 
@@ -180,6 +189,9 @@ class RunMeta:
         Numbers logged once per run.
     vendor : dict of str to float
         Figures that the vendor's file itself states for this run, names with units.
+    correction : str
+        Checksum of the model (``Bundle.model_sha256``) whose correction was in force, empty when
+        none was.
     """
 
     run_id: str
@@ -195,6 +207,7 @@ class RunMeta:
     sample_rate_hz: float = math.nan
     covariates: Mapping[str, float] = field(default_factory=dict)
     vendor: Mapping[str, float] = field(default_factory=dict)
+    correction: str = ""
 
 
 @dataclass(frozen=True)

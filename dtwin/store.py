@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from dtwin.admission import accepted, fresh
+from dtwin.atomic import make_folder
 from dtwin.delta import DeltaFiles
+from dtwin.delta_columns import content_hash
 from dtwin.errors import InputError, StoreError
+from dtwin.file_batch import Batch
 from dtwin.parquet import columns_of, table_of
-from dtwin.run_rows import RUN_SCHEMA, content_sha256, meta_of, run_row
-from dtwin.schema import Campaign, Encoded, Finding, Run, SignalGroup, require_name
+from dtwin.run_rows import (
+    AMENDMENT_SCHEMA,
+    RUN_SCHEMA,
+    amended,
+    meta_of,
+    sealed,
+    unsealed,
+)
+from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
-TABLES = ("runs", "samples", "signals", "features", "rejects")
+TABLES = ("runs", "samples", "signals", "features", "rejects", "amendments")
 
 
 @dataclass(frozen=True)
@@ -58,7 +67,7 @@ class CommitReport:
 
 
 class Lake:
-    """Delta tables ``runs``, ``samples``, ``signals``, ``features`` and ``rejects``.
+    """Delta tables ``runs``, ``samples``, ``signals``, ``features``, ``rejects``, ``amendments``.
 
     Parameters
     ----------
@@ -102,48 +111,98 @@ class Lake:
         StoreError
             When the lake cannot be written.
         """
-        require_name(campaign.name, "the campaign name")
-        for run in runs:
-            require_name(run.meta.run_id, "the run id")
-        hashes = {run.meta.run_id: content_sha256(run) for run in runs}
-        if len(hashes) != len(runs):
-            raise InputError(
-                "a run id occurs twice",
-                code="ingest.duplicate_run",
-                where=campaign.name,
-                hint="give every run of the campaign its own id",
-            )
-        fresh = self._fresh(campaign, runs, hashes)
-        if not fresh:
-            return CommitReport((), tuple(hashes), self.versions())
-        rows, batches = self._write_data(campaign, fresh, hashes)
-        with self._lock():
-            for batch in batches:
-                batch.commit()
-            self._commit_rejects(campaign, rejected)
-            still = {r.meta.run_id for r in self._fresh(campaign, fresh, hashes)}
-            rows = [row for row in rows if row["run_id"] in still]
-            if rows:
-                table = pa.Table.from_pylist(rows, schema=RUN_SCHEMA)
-                digest = hashlib.sha256("".join(hashes.values()).encode()).hexdigest()[:16]
-                name = f"{campaign.name}-{digest}.parquet"
-                self.tables["runs"].commit([self.tables["runs"].write(name, table)], RUN_SCHEMA)
+        rows = accepted(campaign, runs)
+        with self._writing():
+            known = self._known(campaign)
+            new = fresh(campaign.name, known, rows)
+            for run in runs:
+                if run.meta.run_id in known:
+                    self._heal(campaign, run, known[run.meta.run_id])
+            if not new:
+                return CommitReport((), tuple(rows), self.versions())
+            batches = self._write_data([run for run in runs if run.meta.run_id in new], rows)
+            with self._lock():
+                for batch in batches:
+                    batch.commit()
+                self._commit_rejects(campaign, rejected)
+                # Another writer may have been faster.
+                new = fresh(campaign.name, self._known(campaign), new)
+                if new:
+                    self._add_rows("runs", campaign.name, list(new.values()), RUN_SCHEMA)
         return CommitReport(
-            added=tuple(row["run_id"] for row in rows),
-            unchanged=tuple(sorted(set(hashes) - {row["run_id"] for row in rows})),
+            added=tuple(new),
+            unchanged=tuple(sorted(set(rows) - set(new))),
             versions=self.versions(),
         )
 
-    def runs(self, campaign: str | None = None) -> list[dict[str, Any]]:
-        """Return the visible runs in the order they were planned or read.
+    def _known(self, campaign: Campaign) -> dict[str, dict[str, Any]]:
+        return {row["run_id"]: row for row in self.runs(campaign.name, left_out=True)}
+
+    def amend(self, campaign: str, records: Sequence[Mapping[str, Any]]) -> int:
+        """Keep records of what is stated anew of runs; the runs themselves are not touched.
+
+        Parameters
+        ----------
+        campaign : str
+            Campaign in the lake.
+        records : sequence of mapping
+            ``run_id``, ``who``, ``when``, ``because`` and ``changes``: fields of the run's row,
+            or ``left_out``.
+
+        Returns
+        -------
+        int
+            Version of the campaign's metadata.
+        """
+        with self._lock():
+            version = 1 + max((r["metadata_version"] for r in self.runs(campaign, True)), default=0)
+            rows = [
+                {
+                    **{name: str(record[name]) for name in ("run_id", "who", "when", "because")},
+                    "campaign": campaign,
+                    "version": version,
+                    "changes_json": json.dumps(dict(record["changes"]), sort_keys=True),
+                }
+                for record in records
+            ]
+            self._add_rows("amendments", campaign, rows, AMENDMENT_SCHEMA)
+        return version
+
+    def runs(
+        self,
+        campaign: str | None = None,
+        left_out: bool = False,
+        at: Mapping[str, int] | None = None,
+    ) -> list[dict[str, Any]]:
+        """Return the runs as they are stated now, in the order they were planned or read.
+
+        Every row was compared with its hash, and carries its amendments.
 
         Parameters
         ----------
         campaign : str, optional
             Only this campaign.
+        left_out : bool
+            Whether runs that a user left out are returned too.
+        at : mapping of str to int, optional
+            Table versions to read, as :meth:`versions` returned them; the newest by default.
+
+        Raises
+        ------
+        StoreError
+            When the log, a file or a row is not what was written.
         """
-        rows: list[dict[str, Any]] = self.tables["runs"].read().to_pylist()
-        chosen = rows if campaign is None else [r for r in rows if r["campaign"] == campaign]
+
+        def rows_of(name: str, schema: pa.Schema) -> list[dict[str, Any]]:
+            table = self.tables[name].read(None if at is None else at.get(name, -1))
+            return unsealed(table, schema, str(self.root / name))
+
+        rows = amended(rows_of("runs", RUN_SCHEMA), rows_of("amendments", AMENDMENT_SCHEMA))
+        chosen = [
+            row
+            for row in rows
+            if campaign in (None, row["campaign"]) and (left_out or row["left_out"] is None)
+        ]
         return sorted(chosen, key=lambda r: (r["campaign"], r["started"] or "", r["run_id"]))
 
     def load(self, row: Mapping[str, Any], *, signals: bool = True) -> Run:
@@ -156,7 +215,7 @@ class Lake:
         signals : bool
             Whether to read the high-rate signals as well.
         """
-        samples = self.tables["samples"].read([row["samples_file"]])
+        samples = self.tables["samples"].read_file(row["samples_file"])
         groups = json.loads(row["signals_json"]) if signals else []
         window = None if row["window_start"] is None else (row["window_start"], row["window_end"])
         return Run(
@@ -175,7 +234,7 @@ class Lake:
 
     def campaigns(self) -> list[str]:
         """Return the names of all campaigns that have visible runs."""
-        return sorted({row["campaign"] for row in self.runs()})
+        return sorted({row["campaign"] for row in self.runs(left_out=True)})
 
     def campaign(self, name: str) -> Campaign:
         """Return what is known of a campaign.
@@ -185,7 +244,7 @@ class Lake:
         InputError
             When no visible run belongs to it.
         """
-        rows = self.runs(name)
+        rows = self.runs(name, left_out=True)
         if not rows:
             raise InputError(
                 "no such campaign in the lake",
@@ -195,12 +254,15 @@ class Lake:
                 hint="dtwin ingest PATH; without measurements: dtwin examples",
             )
         first = rows[0]
+        geometry = json.loads(first["geometry_json"])
+        if any(row["correction"] for row in rows):
+            geometry["corrected"] = True
         return Campaign(
             name=name,
             machine=first["machine"],
             kind=first["kind"],
             started=first["started"],
-            machine_geometry=json.loads(first["geometry_json"]),
+            machine_geometry=geometry,
             instrument=json.loads(first["instrument_json"]),
         )
 
@@ -222,74 +284,81 @@ class Lake:
             Version of the table.
         """
         with self._lock():
-            return self._add(table_name, key, table)
+            return self._add(table_name, content_hash(key.encode())[:24], table)
 
-    def _add(self, table_name: str, key: str, table: pa.Table) -> int:
+    def _add(self, table_name: str, stem: str, table: pa.Table) -> int:
         files = self.tables[table_name]
-        digest = hashlib.sha256(key.encode()).hexdigest()[:24]
-        return files.commit([files.write(f"{digest}.parquet", table)], table.schema)
+        schema = files.accepted([table.schema])
+        return files.commit([files.write(stem, table)], schema)
 
-    def repair(self) -> dict[str, int]:
-        """Drop what a killed ingest left behind, and return how many files per table."""
-        with self._lock():
-            rows = self.runs()
+    def _add_rows(
+        self, table_name: str, campaign: str, rows: Sequence[Mapping[str, Any]], schema: pa.Schema
+    ) -> None:
+        self._add(table_name, require_name(campaign, "the campaign name"), sealed(rows, schema))
+
+    def repair(self) -> dict[str, Any]:
+        """Drop what a killed ingest or a power cut left behind.
+
+        Returns
+        -------
+        dict
+            Files dropped per table, and ``log``: empty log entries that were set aside.
+        """
+        with self._writing(alone=True), self._lock():
+            cut = [
+                f"{name}/_delta_log/{entry}"
+                for name, table in self.tables.items()
+                if (entry := table.set_aside_cut_entry()) is not None
+            ]
+            rows = self.runs(left_out=True)
             wanted = {
                 "samples": {row["samples_file"] for row in rows},
                 "signals": {g["file"] for row in rows for g in json.loads(row["signals_json"])},
             }
-            dropped = {}
-            for name, keep in wanted.items():
-                table = self.tables[name]
-                orphans = [file for file in table.files() if file not in keep]
+            dropped: dict[str, Any] = {}
+            for name, table in self.tables.items():
+                orphans = (
+                    [f for f in table.files() if f not in wanted[name]] if name in wanted else []
+                )
                 if orphans:
                     table.remove(orphans)
-                partial = [p for p in table.folder.rglob("*.partial")] if table.exists() else []
-                for path in partial:
-                    path.unlink(missing_ok=True)
-                dropped[name] = len(orphans) + len(partial)
-            return dropped
+                dropped[name] = len(orphans) + table.sweep()
+            return {**dropped, "log": cut}
 
-    def _fresh(
-        self, campaign: Campaign, runs: Sequence[Run], hashes: Mapping[str, str]
-    ) -> list[Run]:
-        known = {r["run_id"]: r["content_sha256"] for r in self.runs(campaign.name)}
-        clash = [i for i, sha in hashes.items() if i in known and known[i] != sha]
-        if clash:
-            raise InputError(
-                f"{len(clash)} run(s) are in the lake with other content",
-                code="ingest.duplicate_run",
-                where=f"campaign {campaign.name}",
-                got=", ".join(clash[:10]),
-                allowed="new run ids; raw values are never changed",
-                hint="use another campaign name or other run ids",
-            )
-        return [run for run in runs if run.meta.run_id not in known]
+    def _heal(self, campaign: Campaign, run: Run, row: Mapping[str, Any]) -> None:
+        """Write those files of a run again that are missing or damaged: its source has the content."""
+        stem = f"{campaign.name}/{run.meta.run_id}"
+        kept = {g["group"]: g["file"] for g in json.loads(row["signals_json"])}
+        if not self.tables["samples"].intact(row["samples_file"]):
+            Batch(self.tables["samples"], ()).write(stem, run.samples)
+        for g in run.signals:
+            if g.name in kept and not self.tables["signals"].intact(kept[g.name]):
+                signals = Batch(self.tables["signals"], ())
+                signals.write(f"{stem}-{g.name}", g.columns, g.encoded)
 
     def _write_data(
-        self,
-        campaign: Campaign,
-        runs: Sequence[Run],
-        hashes: Mapping[str, str],
-    ) -> tuple[list[dict[str, Any]], tuple[_Batch, _Batch]]:
-        samples, signals = _Batch(self.tables["samples"]), _Batch(self.tables["signals"])
-        rows = []
+        self, runs: Sequence[Run], rows: Mapping[str, dict[str, Any]]
+    ) -> tuple[Batch, Batch]:
+        """Write the files of runs and enter their names into the rows."""
+        groups = [group for run in runs for group in run.signals]
+        samples = Batch(self.tables["samples"], [run.samples for run in runs])
+        signals = Batch(self.tables["signals"], [group.columns for group in groups])
         for run in runs:
-            sha = hashes[run.meta.run_id]
-            stem = f"{campaign.name}/{run.meta.run_id}-{sha[:16]}"
-            sample_file = samples.write(f"{stem}.parquet", run.samples)
-            groups = [
-                {
-                    "group": group.name,
-                    "file": signals.write(
-                        f"{stem}-{group.name}.parquet", group.columns, group.encoded
-                    ),
-                    "rate_hz": group.rate_hz,
-                    "start_s": group.start_s,
-                }
-                for group in run.signals
-            ]
-            rows.append(run_row(campaign, run, sha, sample_file, groups))
-        return rows, (samples, signals)
+            row = rows[run.meta.run_id]
+            stem = f"{row['campaign']}/{run.meta.run_id}"
+            row["samples_file"] = samples.write(stem, run.samples)
+            row["signals_json"] = json.dumps(
+                [
+                    {
+                        "group": group.name,
+                        "file": signals.write(f"{stem}-{group.name}", group.columns, group.encoded),
+                        "rate_hz": group.rate_hz,
+                        "start_s": group.start_s,
+                    }
+                    for group in run.signals
+                ]
+            )
+        return samples, signals
 
     def _commit_rejects(self, campaign: Campaign, rejected: Sequence[RejectedRows]) -> None:
         flat = [
@@ -306,17 +375,25 @@ class Lake:
         ]
         if flat:
             table = table_of({name: [row[name] for row in flat] for name in flat[0]})
-            self._add("rejects", json.dumps(flat), table)
+            self._add("rejects", campaign.name, table)
 
     def _load_group(self, group: Mapping[str, Any]) -> SignalGroup:
-        table = self.tables["signals"].read([group["file"]])
+        table = self.tables["signals"].read_file(group["file"])
         return SignalGroup(group["group"], group["rate_hz"], columns_of(table), group["start_s"])
 
+    def _lock(self) -> AbstractContextManager[None]:
+        """Return the lock that one writer holds while it commits."""
+        return self._locked(".lock", fcntl.LOCK_EX)
+
+    def _writing(self, *, alone: bool = False) -> AbstractContextManager[None]:
+        """Return the lock that writers of data files share, and a sweep holds alone."""
+        return self._locked(".writing", fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+
     @contextmanager
-    def _lock(self) -> Iterator[None]:
+    def _locked(self, name: str, how: int) -> Iterator[None]:
         try:
-            self.root.mkdir(parents=True, exist_ok=True)
-            handle = (self.root / ".lock").open("w")
+            make_folder(self.root, private=True)
+            handle = (self.root / name).open("w")
         except OSError as error:
             raise StoreError(
                 "the lake cannot be written",
@@ -326,31 +403,5 @@ class Lake:
                 hint="check free space and permissions; nothing was committed",
             ) from error
         with handle:
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            fcntl.flock(handle, how)
             yield
-
-
-class _Batch:
-    """Files of one table that are written one by one and committed together."""
-
-    def __init__(self, table: DeltaFiles) -> None:
-        self.table = table
-        self.written: list[tuple[str, int, int]] = []
-        self.schemas: list[pa.Schema] = []
-
-    def write(
-        self, name: str, columns: Mapping[str, NDArray[Any]], encoded: Encoded | None = None
-    ) -> str:
-        # A file is one run, named after campaign, run and content; repeating these in every
-        # row would double the time of an ingest.
-        table = table_of(columns)
-        if encoded is not None and encoded.columns is columns:
-            self.written.append(self.table.write_encoded(name, encoded, table.num_rows))
-        else:
-            self.written.append(self.table.write(name, table))
-        self.schemas.append(table.schema)
-        return name
-
-    def commit(self) -> None:
-        if self.written:
-            self.table.commit(self.written, pa.unify_schemas(self.schemas))

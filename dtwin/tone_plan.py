@@ -190,7 +190,7 @@ def _sampling_advice(plan: TonePlan) -> list[Finding]:
             Finding(
                 "plan.too_few_samples", "warning",
                 f"{_list(few)} Hz at {plan.sample_hz:g} samples a second have "
-                f"{plan.sample_hz / max(few):.1f} samples to a period: peaks are missed, and below 2 "
+                f"{plan.sample_hz / max(few):z.1f} samples to a period: peaks are missed, and below 2 "
                 f"the tone is another one; {FEWEST_PER_PERIOD * max(few):g} Hz would do",
             )
         )  # fmt: skip
@@ -243,7 +243,7 @@ def _size_advice(plan: TonePlan) -> list[Finding]:
         found.append(
             Finding(
                 "plan.long", "warning",
-                f"{plan.count} groups take about {hours:.1f} h: the slide will not stay as it was",
+                f"{plan.count} groups take about {hours:z.1f} h: the slide will not stay as it was",
                 {"duration_s": hours * 3600.0},
             )
         )  # fmt: skip

@@ -72,7 +72,7 @@ def bars(
     if floor is not None and math.isfinite(floor):
         x = _LEFT + scale * floor
         parts.append(
-            f'<line x1="{x:.1f}" y1="{first - 4}" x2="{x:.1f}" y2="{y}" stroke="{_FLOOR}" '
+            f'<line x1="{x:z.1f}" y1="{first - 4}" x2="{x:z.1f}" y2="{y}" stroke="{_FLOOR}" '
             f'stroke-dasharray="4 3"/>'
         )
         parts.append(_text(x, y + 14, f"noise floor {_short(floor)}", anchor="middle"))
@@ -96,14 +96,14 @@ def polar(title: str, curves: Mapping[str, tuple[Floats, Floats]]) -> str:
     parts = [_text(10, 20, title, size=15)]
     for share, dash in ((-1.0, "2 4"), (0.0, "none"), (1.0, "2 4")):
         parts.append(
-            f'<circle cx="{centre}" cy="{centre + 20}" r="{radius + share * reach:.1f}" '
+            f'<circle cx="{centre}" cy="{centre + 20}" r="{radius + share * reach:z.1f}" '
             f'fill="none" stroke="#bbbbbb" stroke-dasharray="{dash}"/>'
         )
     for i, (angle, error) in enumerate(curves.values()):
         keep = slice(None, None, max(1, len(angle) // _POINTS))
         theta, r = np.radians(angle[keep]), radius + reach * error[keep] / step
         x, y = centre + r * np.cos(theta), centre + 20 - r * np.sin(theta)
-        points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+        points = " ".join(f"{a:z.1f},{b:z.1f}" for a, b in zip(x, y, strict=True))
         colour = COLOURS[i % len(COLOURS)]
         parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}"/>')
     parts += _legend(list(curves), 400)
@@ -115,7 +115,7 @@ def _bar(y: float, width: float, value: float, colour: str) -> list[str]:
     if not math.isfinite(value):
         return [_text(_LEFT + 6, y + 12, "no number")]
     return [
-        f'<rect x="{_LEFT}" y="{y:.1f}" width="{width:.1f}" height="{_BAR - 2}" fill="{colour}"/>',
+        f'<rect x="{_LEFT}" y="{y:z.1f}" width="{width:z.1f}" height="{_BAR - 2}" fill="{colour}"/>',
         _text(_LEFT + width + 6, y + 12, _short(value)),
     ]
 
@@ -132,21 +132,21 @@ def _legend(names: Sequence[str], y: float) -> list[str]:
 
 def _text(x: float, y: float, text: str, *, size: int = 12, anchor: str = "start") -> str:
     return (
-        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" text-anchor="{anchor}">'
+        f'<text x="{x:z.1f}" y="{y:z.1f}" font-size="{size}" text-anchor="{anchor}">'
         f"{escape(text)}</text>"
     )
 
 
 def _svg(width: int, height: float, parts: Sequence[str]) -> str:
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height:.0f}" '
-        f'viewBox="0 0 {width} {height:.0f}" font-family="sans-serif" fill="#1a1a1a">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height:z.0f}" '
+        f'viewBox="0 0 {width} {height:z.0f}" font-family="sans-serif" fill="#1a1a1a">'
         f'<rect width="100%" height="100%" fill="#ffffff"/>{"".join(parts)}</svg>'
     )
 
 
 def _short(value: float) -> str:
-    return f"{value:.1f}" if abs(value) < 1e4 else f"{value:.1e}"
+    return f"{value:z.1f}" if abs(value) < 1e4 else f"{value:.1e}"
 
 
 def _round_up(value: float) -> float:

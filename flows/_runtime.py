@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,7 +13,7 @@ from prefect.logging.handlers import APILogWorker
 from prefect.settings import temporary_settings
 
 from dtwin.config import Home, home
-from flows.reach import running_server
+from flows.reach import auth_string, running_server
 
 _DELIVER_S = 15.0
 
@@ -52,6 +53,8 @@ def runtime(state: Home) -> Iterator[str | None]:
     updates: dict[str, Any] = {"flows.heartbeat_frequency": None}
     if url is not None:
         updates["api.url"] = url
+        if not os.environ.get("PREFECT_API_URL"):
+            updates["api.auth_string"] = auth_string(state)
     with temporary_settings(updates=updates):
         yield url
 

@@ -5,7 +5,7 @@ One task is one file, one campaign, one training: what would be worth repeating 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -21,13 +21,17 @@ from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
 from dtwin.pipeline import cell, drift, measuring, modelling, papers, rechecking
+from dtwin.pipeline import evidence as closed_loop
 from dtwin.pipeline import scheduled as schedule
+from dtwin.pipeline.campaign_job import CampaignRequest, run_request
+from dtwin.pipeline.desk import Desk
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.pipeline.work import ProgressOf
 from dtwin.plan import Plan
 from dtwin.report.checking import check_source
-from dtwin.train.evidence import Evidence, EvidencePlan
+from dtwin.train.circle_evidence import EvidencePlan
+from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 
 _LOGGED_SHARE = 0.2
@@ -62,6 +66,12 @@ def check(source: Path) -> dict[str, Any]:
 def measure(plan: Plan, folder: Path, seed: int) -> CampaignRun:
     """Measure a plan on the virtual cobot; tests that are in the folder already are kept."""
     return measuring.simulate(plan, folder, seed=seed, progress=logged("measure"))
+
+
+@task(name="campaign", task_run_name="measure {request.plan.name}", **_ONCE)
+def measure_on_machine(request: CampaignRequest, desk_of: Callable[[Path], Desk]) -> dict[str, Any]:
+    """Measure a campaign on a machine; what the folder holds already is kept."""
+    return run_request(home(), request, desk_of, lambda: False)
 
 
 @task(name="ingest", task_run_name="ingest {source}", **_REPEATABLE)
@@ -102,23 +112,15 @@ def put_on_trial(version: RegisteredVersion, comment: str) -> Path:
 
 
 @task(name="evidence", task_run_name="evidence for version {version.version}", **_ONCE)
-def evidence(version: RegisteredVersion, seed: int) -> dict[str, Any]:
+def evidence(version: RegisteredVersion, seed: int) -> Evidence:
     """Return the evidence that is kept with a version, or measure it on its virtual machine."""
-    registry = Registry(home())
-    kept = modelling.evidence_of(registry, version)
-    if kept is not None:
-        return kept
-    return modelling.evidence_for(home(), version, seed=seed, progress=logged("evidence"))
+    return closed_loop.proven_or_measured(home(), version, seed=seed, progress=logged("evidence"))
 
 
 @task(name="circles", task_run_name="circles with version {version.version}", **_ONCE)
-def measure_evidence(
-    version: RegisteredVersion, geometry: Mapping[str, Any], plan: EvidencePlan, seed: int
-) -> Evidence:
+def measure_evidence(version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
     """Measure circles with and without a version on the virtual cobot."""
-    return modelling.measure_evidence(
-        home(), version, geometry, seed=seed, plan=plan, progress=logged("circles")
-    )
+    return closed_loop.measure(home(), version, seed=seed, plan=plan, progress=logged("circles"))
 
 
 @task(name="paper", task_run_name="paper: {name}", **_ONCE)
@@ -135,10 +137,10 @@ def serve(machine: str, circle: Circle, duration_s: float, seed: int) -> dict[st
 
 @task(name="promote", task_run_name="promote version {version.version}", **_ONCE)
 def make_champion(
-    version: RegisteredVersion, found: Mapping[str, Any], comment: str
+    version: RegisteredVersion, comment: str, despite: Sequence[str] = ()
 ) -> tuple[Path | None, str]:
-    """Make a version champion, or return why not."""
-    return modelling.make_champion(home(), version, found, comment)
+    """Make a version champion by its evidence, or return why not."""
+    return closed_loop.make_champion(home(), version, comment, despite)
 
 
 @task(name="recheck", task_run_name="recheck of {machine}", **_ONCE)

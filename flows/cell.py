@@ -53,7 +53,7 @@ def cell_flow(
 def _publish(cell: str, seen: dict[str, Any], stopped: str) -> None:
     rows = [
         [s["part"], s["step"], s["twin"], s["state"],
-         *(f"{s['result'][k]:.1f}" if k in s["result"] else "" for k in
+         *(f"{s['result'][k]:z.1f}" if k in s["result"] else "" for k in
            ("duration_s", "error_without_um", "error_um"))]
         for s in seen["steps"]
     ]  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ from dtwin.pipeline.modelling import Registered
 from dtwin.pipeline.wall_clock import Circle, serving_numbers
 from dtwin.pipeline.work import PlainSteps, ProgressOf, Result, Work
 from dtwin.plan import Plan
-from dtwin.train.evidence import Evidence, EvidencePlan
+from dtwin.train.circle_evidence import EvidencePlan
+from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion
 from flows import _artifacts, _tasks
 from flows.diagnose import publish_figures
@@ -98,7 +99,7 @@ class TaskWork:
             f"measured-{plan.name}",
             ("tests", "runs", "measured now", "kept", "MB", "folder"),
             [[len(plan.tests), plan.n_runs, done.measured, done.kept,
-              f"{done.raw_bytes / 1e6:.1f}", done.folder]],
+              f"{done.raw_bytes / 1e6:z.1f}", done.folder]],
             "Measured on the virtual cobot, machine clock",
         )  # fmt: skip
         return done
@@ -128,19 +129,15 @@ class TaskWork:
         )
         return serving
 
-    def evidence(
-        self, version: RegisteredVersion, geometry: Mapping[str, Any], plan: EvidencePlan, seed: int
-    ) -> Evidence:
+    def evidence(self, version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
         """Measure circles with and without a version."""
-        evidence = _tasks.measure_evidence(version, geometry, plan, seed)
+        evidence = _tasks.measure_evidence(version, plan, seed)
         publish_circles(version, evidence.as_dict())
         return evidence
 
-    def make_champion(
-        self, version: RegisteredVersion, found: Mapping[str, Any], comment: str
-    ) -> tuple[Path | None, str]:
+    def make_champion(self, version: RegisteredVersion, comment: str) -> tuple[Path | None, str]:
         """Make a version champion, or return why not."""
-        bundle, reason = _tasks.make_champion(version, found, comment)
+        bundle, reason = _tasks.make_champion(version, comment)
         if bundle is None:
             publish_refusal(version.machine, reason)
         else:

@@ -119,7 +119,7 @@ def publish_drift(check: DriftCheck | None) -> None:
     lines = [f"## {title}", "", f"{check.reason[:1].upper()}{check.reason[1:]}."]
     if check.error is not None:
         outside = 100 * check.error.outside_box_share
-        lines += ["", f"Outside its validity box at {outside:.1f} % of the rows."]
+        lines += ["", f"Outside its validity box at {outside:z.1f} % of the rows."]
     if check.drifted:
         lines += [
             "",
@@ -137,4 +137,4 @@ def _row(run: Mapping[str, Any]) -> list[str]:
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{float(value):.1f}"
+    return "-" if value is None else f"{float(value):z.1f}"

@@ -10,6 +10,7 @@ from prefect import flow
 
 from dtwin.acquire.ingest import IngestReport, worst
 from flows import _artifacts, _tasks
+from flows._paths import confined
 
 
 @flow(name="ingest")
@@ -21,7 +22,7 @@ def ingest_flow(sources: list[Path]) -> dict[str, Any]:
     sources : list of Path
         Campaign folders, their ``campaign.toml``, or ``.b5r`` files.
     """
-    reports = [_tasks.ingest(source) for source in sources]
+    reports = [_tasks.ingest(source) for source in map(confined, sources)]
     publish_ingest(reports)
     return {
         "campaigns": [report.campaign for report in reports],

@@ -24,6 +24,7 @@ def promote_flow(
     only_trial: bool = False,
     seed: int = 0,
     comment: str = "",
+    despite: list[str] | None = None,
 ) -> dict[str, Any] | State[dict[str, Any]]:
     """Put a version on trial, measure evidence, make it champion.
 
@@ -41,6 +42,8 @@ def promote_flow(
         Seed of the virtual machine.
     comment : str
         Why; kept in the history.
+    despite : list of str, optional
+        Names of all evidence on record that speaks against the version.
     """
     registry = Registry(home())
     found = registry.version(machine or _only_machine(registry), version)
@@ -51,9 +54,8 @@ def promote_flow(
         return _refused(result, refusal.render())
     if only_trial:
         return result
-    evidence = _tasks.evidence(found, seed)
-    publish_circles(found, evidence)
-    bundle, reason = _tasks.make_champion(found, evidence, comment)
+    publish_circles(found, _tasks.evidence(found, seed).as_dict())
+    bundle, reason = _tasks.make_champion(found, comment, despite or ())
     if bundle is None:
         return _refused(result, reason)
     publish_champion(found, bundle)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import urllib.error
 import urllib.request
 from collections.abc import Mapping
 from pathlib import Path
 
+from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError
 
 SERVERS_FILE = "servers.json"
+AUTH_FILE = "prefect-auth"
+_SHORTEST = 24
 
 
 def running(state: Home) -> Mapping[str, str]:
@@ -30,6 +34,26 @@ def running(state: Home) -> Mapping[str, str]:
     # The file of a killed `dtwin up` stays behind.
     alive = isinstance(found, dict) and Path(f"/proc/{found.get('pid')}").is_dir()
     return found if alive else {}
+
+
+def auth_string(state: Home) -> str:
+    """Return what clients and pages say to this home's Prefect server; made at the first start.
+
+    Parameters
+    ----------
+    state : Home
+        Gives the file, which its owner alone can read.
+    """
+    path = state.root / AUTH_FILE
+    try:
+        kept = path.read_text(encoding="ascii").strip()
+        if len(kept) > _SHORTEST:
+            return kept
+    except (OSError, ValueError):
+        pass
+    made = f"dtwin:{secrets.token_urlsafe(32)}"
+    write_text(path, made, "the auth string of the Prefect server", private=True)
+    return made
 
 
 def answers(url: str, timeout_s: float = 2.0) -> bool:

@@ -68,7 +68,7 @@ def publish_recheck(done: Rechecked) -> None:
         f"recheck-{name}",
         ("condition", "without um", "with um", "growth um", "± um", "pairs"),
         [
-            [c.name, *(f"{v:.1f}" for v in (c.before_um, c.after_um, c.growth_um, c.half_width_um)),
+            [c.name, *(f"{v:z.1f}" for v in (c.before_um, c.after_um, c.growth_um, c.half_width_um)),
              str(c.pairs)]
             for c in done.found.conditions
         ],

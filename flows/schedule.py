@@ -18,6 +18,7 @@ from flows.ingest import ingest_flow
 from flows.papers import paper_flows
 from flows.promote import promote_flow
 from flows.recheck import recheck_flow
+from flows.simulate import simulate_flow
 from flows.train import publish_training, train_flow
 
 DEPLOYMENT = "local"
@@ -76,7 +77,7 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     others = (
-        campaign_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow,
+        campaign_flow, simulate_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow,
         *paper_flows,
     )  # fmt: skip
     return [

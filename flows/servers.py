@@ -5,6 +5,7 @@ Nothing of Prefect or MLflow is imported here: they run as processes of their ow
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import ctypes
 import fcntl
@@ -23,7 +24,7 @@ from pathlib import Path
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError, MissingPart, StoreError
-from flows.reach import SERVERS_FILE, answers, running
+from flows.reach import SERVERS_FILE, answers, auth_string, running
 
 HOST = "127.0.0.1"
 _HEALTHY_S, _STOP_S, _POLL_S = 120.0, 20.0, 0.25
@@ -41,11 +42,14 @@ class UpRequest:
         Ports on loopback; None for any free one.
     cron : str or None
         When to train; None for only on request.
+    folders : tuple of Path
+        Folders besides the home that flows started on the page may use.
     """
 
     prefect_port: int | None = None
     mlflow_port: int | None = None
     cron: str | None = None
+    folders: tuple[Path, ...] = ()
 
 
 class Child:
@@ -132,7 +136,8 @@ class Servers:
     Attributes
     ----------
     addresses : dict of str to str
-        ``prefect``, ``prefect_api`` and ``mlflow``.
+        ``prefect``, ``prefect_api`` and ``mlflow``; ``prefect_enter``, an address that also tells
+        the page the auth string, where the server was started here.
     children : list of Child
         In the order in which they were started.
     """
@@ -185,7 +190,7 @@ def servers(home: Home, request: UpRequest) -> Iterator[Servers]:
             _start_prefect(home, request.prefect_port, found)
             _start_mlflow(home, request.mlflow_port, found)
             await_healthy(home, found)
-            _start_flows(home, request.cron, found)
+            _start_flows(home, request, found)
             yield found
         finally:
             (home.root / SERVERS_FILE).unlink(missing_ok=True)
@@ -245,17 +250,23 @@ def _start_prefect(home: Home, wanted: int | None, found: Servers) -> None:
         found.addresses |= {"prefect": named.removesuffix("/api"), "prefect_api": named}
         return
     port = _port(wanted, "--prefect-port")
+    page = f"http://{HOST}:{port}"
+    secret = auth_string(home)
     env = _environment(home) | {
         "PREFECT_SERVER_API_HOST": HOST,
         # Without it the page would look for its server on port 4200.
         "PREFECT_SERVER_API_PORT": str(port),
+        "PREFECT_SERVER_API_AUTH_STRING": secret,
+        "PREFECT_SERVER_CORS_ALLOWED_ORIGINS": page,
     }
-    command = [sys.executable, "-m", "prefect", "server", "start", "--host", HOST]
-    found.children.append(
-        Child("Prefect", [*command, "--port", str(port)], env, home.logs / "prefect-server.log")
-    )
-    page = f"http://{HOST}:{port}"
-    found.addresses |= {"prefect": page, "prefect_api": f"{page}/api"}
+    command = [sys.executable, "-m", "flows.prefect_server", "--port", str(port)]
+    found.children.append(Child("Prefect", command, env, home.logs / "prefect-server.log"))
+    entering = base64.b64encode(secret.encode()).decode()
+    found.addresses |= {
+        "prefect": page,
+        "prefect_api": f"{page}/api",
+        "prefect_enter": f"{page}/enter#{entering}",
+    }
 
 
 def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
@@ -275,9 +286,15 @@ def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
     found.addresses["mlflow"] = f"http://{HOST}:{port}"
 
 
-def _start_flows(home: Home, cron: str | None, found: Servers) -> None:
-    env = _environment(home) | {"PREFECT_API_URL": found.addresses["prefect_api"]}
-    command = [sys.executable, "-m", "flows", *(["--cron", cron] if cron else [])]
+def _start_flows(home: Home, request: UpRequest, found: Servers) -> None:
+    env = _environment(home) | {
+        "PREFECT_API_URL": found.addresses["prefect_api"],
+        "DTWIN_FOLDERS": os.pathsep.join(str(f.absolute()) for f in request.folders)
+        or os.environ.get("DTWIN_FOLDERS", ""),
+    }
+    if "prefect_enter" in found.addresses:
+        env["PREFECT_API_AUTH_STRING"] = auth_string(home)
+    command = [sys.executable, "-m", "flows", *(["--cron", request.cron] if request.cron else [])]
     found.children.append(
         Child("the flows", command, env, home.logs / "flows.log", stops_its_own=True)
     )
@@ -314,7 +331,8 @@ def _environment(home: Home) -> dict[str, str]:
 
 def _write_addresses(home: Home, found: Servers) -> None:
     content = found.addresses | {"pid": str(os.getpid())}
-    write_text(home.root / SERVERS_FILE, json.dumps(content, indent=1), "the servers' file")
+    text = json.dumps(content, indent=1)
+    write_text(home.root / SERVERS_FILE, text, "the servers' file", private=True)
 
 
 def _port(wanted: int | None, option: str) -> int:
@@ -345,6 +363,8 @@ def _require_installed() -> None:
 
 def _end_with_parent() -> None:
     """Run in the child: nothing stays behind when this process is killed."""
+    # What the servers make, databases first, is for its owner alone.
+    os.umask(0o077)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
 
 
@@ -352,6 +372,7 @@ def _end_with_parent() -> None:
 def _only_one(home: Home) -> Iterator[None]:
     path = home.root / "locks" / "up.lock"
     try:
+        home.made()
         path.parent.mkdir(parents=True, exist_ok=True)
         handle = path.open("w")
     except OSError as error:

@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from dtwin.config import quiet_environment, sample_recording
 
 quiet_environment()
+# How long an example takes depends on what else the computer does.
+settings.register_profile("any computer", deadline=None)
+settings.load_profile("any computer")
 
 # These look at servers that take half a minute to start: one worker, one start.
 _SHARE_SERVERS = ("test_flows", "test_pages", "test_cell_flow", "test_dynamics_flow")
@@ -25,6 +29,9 @@ _SLOWEST_FIRST = (
     "test_scheduled",
     "test_serve_command",
     "test_linuxcnc",
+    "test_machine_campaign",
+    "test_benchmarks",
+    "test_freezes",
     "test_ui",
     "test_twin_correction",
     "test_readme",

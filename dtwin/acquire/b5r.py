@@ -96,7 +96,7 @@ def read_b5r(path: Path) -> BallbarTest:
         operator=_text(root, "OPERATOR"),
         started=started,
         runs=_named_by_direction(runs),
-        instrument=_instrument(root, bar),
+        instrument=_instrument(root, bar, str(path)),
         diagnostics=_features(root.find("ANALYSIS")),
     )
 
@@ -226,7 +226,7 @@ def write_b5r(
         f"<NOMINAL_LENGTH>{first.radius_mm}</NOMINAL_LENGTH>",
         f"<PROGRAMMED_FEEDRATE>{first.feed_mm_min}</PROGRAMMED_FEEDRATE>",
         "<START_ANGLE>0</START_ANGLE>",
-        f"<END_ANGLE>{_arc_length_deg(runs[0]):.6f}</END_ANGLE>",
+        f"<END_ANGLE>{_arc_length_deg(runs[0]):z.6f}</END_ANGLE>",
         f"<TEST_RADIUS>{first.radius_mm}</TEST_RADIUS>",
         f'<PLANE VIEW="+A+B" TEST_PLANE="{first.plane}"></PLANE>',
         f"<SAMPLE_RATE>{first.sample_rate_hz}</SAMPLE_RATE>",
@@ -255,7 +255,7 @@ def _run_lines(run: Run) -> list[str]:
         f"<START_INDEX>{run.window[0] + 1}</START_INDEX>",
         f"<END_INDEX>{run.window[1]}</END_INDEX>",
         f"<SAMPLE_RATE>{run.meta.sample_rate_hz}</SAMPLE_RATE>",
-        "<READINGS>" + " ".join(f"{value:+.5f}" for value in readings) + "</READINGS>",
+        "<READINGS>" + " ".join(f"{value:+z.5f}" for value in readings) + "</READINGS>",
         "</BALLBAR_RUN>",
     ]
 
@@ -280,7 +280,7 @@ def _named_by_direction(runs: list[Run]) -> tuple[Run, ...]:
     return tuple(named)
 
 
-def _instrument(root: Element, bar: Element) -> dict[str, str | float]:
+def _instrument(root: Element, bar: Element, where: str) -> dict[str, str | float]:
     ballbar = root.find("EQUIPMENT/BALLBAR")
     calibrator = root.find("EQUIPMENT/CALIBRATOR")
     found: dict[str, str | float] = {}
@@ -292,9 +292,8 @@ def _instrument(root: Element, bar: Element) -> dict[str, str | float]:
         ("calibrated_mm", calibrator, "CALIBRATED_LENGTH"),
         ("sample_rate_hz", bar, "SAMPLE_RATE"),
     ):
-        value = _maybe_float(_text(element, tag)) if element is not None else None
-        if value is not None:
-            found[key] = value
+        if element is not None and _text(element, tag):
+            found[key] = _number(element, tag, where, low=0.1, high=1e6)
     return found
 
 

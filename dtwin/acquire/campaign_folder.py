@@ -5,12 +5,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from datetime import date, datetime
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
+from dtwin.acquire import stated
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.linear_runs import LASER_SUFFIXES, read_laser_runs, with_pitch
 from dtwin.acquire.recovery import signal_findings
@@ -22,6 +22,7 @@ from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.schema import (
     KINDS,
+    MIXED_CORRECTION,
     Campaign,
     Direction,
     Finding,
@@ -33,7 +34,7 @@ from dtwin.schema import (
 from dtwin.store import RejectedRows
 
 MAX_TOML_BYTES = 16 * 1024 * 1024
-_RUN_KEYS = frozenset(
+RUN_KEYS = frozenset(
     {
         "id",
         "file",
@@ -48,6 +49,7 @@ _RUN_KEYS = frozenset(
         "covariates",
         "sample_rate_hz",
         "condition",
+        "correction",
     }
 )
 
@@ -158,8 +160,8 @@ def open_campaign(folder: Path) -> CampaignFolder:
             code="campaign.toml",
             where=str(path),
         )
-    campaign = _campaign(head, path)
-    entries = [_entry(e, n, path) for n, e in enumerate(stated_runs, start=1)]
+    campaign = campaign_from(head, path)
+    entries = [entry_from(e, n, path) for n, e in enumerate(stated_runs, start=1)]
     ids = [entry.run_id for entry in entries]
     twice = sorted({i for i in ids if ids.count(i) > 1}) if len(set(ids)) < len(ids) else []
     if twice:
@@ -172,7 +174,8 @@ def open_campaign(folder: Path) -> CampaignFolder:
     return CampaignFolder(campaign, tuple(entries))
 
 
-def _campaign(head: Mapping[str, Any], path: Path) -> Campaign:
+def campaign_from(head: Mapping[str, Any], path: Path) -> Campaign:
+    """Return the campaign that a table ``[campaign]`` states."""
     kind = head.get("kind", "circular")
     if kind not in KINDS:
         raise InputError(
@@ -186,34 +189,37 @@ def _campaign(head: Mapping[str, Any], path: Path) -> Campaign:
         name=require_name(head.get("name"), "campaign.name"),
         machine=require_name(head.get("machine"), "campaign.machine"),
         kind=kind,
-        started=_iso(head.get("started", "")),
-        machine_geometry=_table(head, "machine_geometry", path),
-        instrument=_table(head, "instrument", path),
+        started=stated.iso_time(head.get("started", ""), "campaign.started", str(path)),
+        machine_geometry=stated.table(
+            head.get("machine_geometry", {}), "campaign.machine_geometry", str(path)
+        ),
+        instrument=stated.table(head.get("instrument", {}), "campaign.instrument", str(path)),
     )
 
 
-def _entry(stated: Any, number: int, path: Path) -> FolderEntry:
+def entry_from(told: Any, number: int, path: Path) -> FolderEntry:
+    """Return one ``[[run]]``, the ``number``-th of the file ``path``, checked."""
     where = f"{path} run {number}"
-    if not isinstance(stated, dict):
+    if not isinstance(told, dict):
         raise InputError("a run must be a table", code="campaign.run", where=where)
-    unknown = sorted(set(stated) - _RUN_KEYS)
+    unknown = sorted(set(told) - RUN_KEYS)
     if unknown:
         raise InputError(
             "unknown setting of a run",
             code="campaign.run",
             where=where,
             got=", ".join(unknown[:5]),
-            allowed=", ".join(sorted(_RUN_KEYS)),
+            allowed=", ".join(sorted(RUN_KEYS)),
         )
-    signals = stated.get("signals", [])
+    signals = told.get("signals", [])
     names = [signals] if isinstance(signals, str) else signals
     if not isinstance(names, list):
         raise InputError("signals must be a file or a list", code="campaign.run", where=where)
     return FolderEntry(
-        run_id=require_name(stated.get("id"), f"id of run {number}"),
-        file=_inside(path.parent, stated.get("file"), where),
+        run_id=require_name(told.get("id"), f"id of run {number}"),
+        file=_inside(path.parent, told.get("file"), where),
         signals=tuple(_inside(path.parent, name, where) for name in names),
-        stated=stated,
+        stated=told,
     )
 
 
@@ -226,7 +232,9 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
         ]
         return runs, []
     if suffix == ".json":
-        rate = entry.stated.get("sample_rate_hz") or campaign.instrument.get("sample_rate_hz")
+        rate = entry.stated.get("sample_rate_hz", campaign.instrument.get("sample_rate_hz"))
+        if rate is not None:
+            rate = stated.positive(rate, "sample_rate_hz", str(entry.file))
         traces = read_trace_json(entry.file, sample_rate_hz=rate)
         alone = len(traces) == 1
         runs = [
@@ -263,36 +271,46 @@ def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
 
 def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False) -> Run:
     """Return the run with what the campaign file states; a contradiction is a finding."""
-    stated, meta = entry.stated, run.meta
+    told, meta, where = entry.stated, run.meta, str(entry.file)
     findings = list(run.findings)
     changes: dict[str, Any] = {"run_id": run_id}
-    direction = _direction(stated, meta, entry)
+    direction = _direction(told, meta, entry)
     if meta.kind == "circular" and direction is not None:
-        plane, direction = _plane(stated, meta, direction, entry)
+        plane, direction = _plane(told, meta, direction, entry)
         changes |= {"plane": plane, "direction": direction}
     for name in ("radius_mm", "feed_mm_min"):
-        told, read = _positive(stated, name, entry), getattr(meta, name)
-        if told is not None and read is not None and abs(told - read) > 1e-6 * read:
+        read = getattr(meta, name)
+        value = stated.positive(told[name], name, where) if name in told else None
+        if value is not None and read is not None and abs(value - read) > 1e-6 * read:
             findings.append(
                 Finding(
                     "campaign.contradiction",
                     "warning",
-                    f"campaign.toml states {name} {told:g}, the file {read:g}; the file is used",
-                    {f"told_{name}": told, f"read_{name}": read},
+                    f"campaign.toml states {name} {value:g}, the file {read:g}; the file is used",
+                    {f"told_{name}": value, f"read_{name}": read},
                 )
             )
         elif read is None:
-            changes[name] = told
-    changes["repeat"] = meta.repeat if count else int(stated.get("repeat", meta.repeat))
-    changes["setup"] = require_name(stated.get("setup", meta.setup), "setup")
-    changes["started"] = _iso(stated.get("started", meta.started))
-    changes["condition"] = dict(meta.condition) | dict(stated.get("condition", {}))
-    changes["covariates"] = dict(meta.covariates) | _numbers(stated.get("covariates", {}), entry)
+            changes[name] = value
+    if "repeat" in told and not count:
+        changes["repeat"] = stated.count(told["repeat"], "repeat", where)
+    if "correction" in told:
+        changes["correction"] = stated.correction(told["correction"], "correction", where)
+    if changes.get("correction") == MIXED_CORRECTION:
+        text = "a correction was in force during a part of the run only: it shows neither way"
+        findings.append(Finding("correction.mixed", "error", text))
+    changes["setup"] = require_name(told.get("setup", meta.setup), "setup")
+    if "started" in told:
+        changes["started"] = stated.iso_time(told["started"], "started", where)
+    changes["condition"] = dict(meta.condition) | stated.condition(told.get("condition", {}), where)
+    changes["covariates"] = dict(meta.covariates) | stated.covariates(
+        told.get("covariates", {}), where
+    )
     return replace(run, meta=replace(meta, **changes), findings=tuple(findings))
 
 
-def _direction(stated: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> Direction | None:
-    told = stated.get("direction", meta.direction)
+def _direction(of_run: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> Direction | None:
+    told = of_run.get("direction", meta.direction)
     if told is None and meta.kind != "circular":
         return None
     if told not in ("CCW", "CW"):
@@ -310,13 +328,13 @@ def _direction(stated: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> 
 
 
 def _plane(
-    stated: Mapping[str, Any], meta: RunMeta, direction: Direction, entry: FolderEntry
+    told: Mapping[str, Any], meta: RunMeta, direction: Direction, entry: FolderEntry
 ) -> tuple[Any, Direction]:
     if meta.plane is not None:
         return meta.plane, direction
-    if "plane" not in stated:
+    if "plane" not in told:
         raise InputError("the run does not say its plane", code="run.plane", where=str(entry.file))
-    return standard_plane(str(stated["plane"]), direction)
+    return standard_plane(str(told["plane"]), direction)
 
 
 def _with_programmed_angles(run: Run) -> Run:
@@ -352,41 +370,3 @@ def _inside(folder: Path, name: object, where: str) -> Path:
             allowed="paths inside the folder",
         )
     return path
-
-
-def _positive(stated: Mapping[str, Any], name: str, entry: FolderEntry) -> float | None:
-    value = stated.get(name)
-    if value is None:
-        return None
-    if not isinstance(value, int | float) or not 0 < value < 1e7:
-        raise InputError(
-            f"{name} must be a positive number",
-            code="campaign.run",
-            where=str(entry.file),
-            got=repr(value)[:40],
-        )
-    return float(value)
-
-
-def _numbers(covariates: Any, entry: FolderEntry) -> dict[str, float]:
-    good = isinstance(covariates, dict) and all(
-        isinstance(v, int | float) and np.isfinite(v) for v in covariates.values()
-    )
-    if not good:
-        raise InputError(
-            "covariates must be finite numbers", code="campaign.covariates", where=str(entry.file)
-        )
-    return {name: float(value) for name, value in covariates.items()}
-
-
-def _table(head: Mapping[str, Any], name: str, path: Path) -> dict[str, Any]:
-    value = head.get(name, {})
-    if not isinstance(value, dict):
-        raise InputError(
-            f"[campaign.{name}] must be a table", code="campaign.toml", where=str(path)
-        )
-    return value
-
-
-def _iso(value: object) -> str:
-    return value.isoformat() if isinstance(value, datetime | date) else str(value)

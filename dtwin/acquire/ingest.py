@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.quality import judge_campaign, judge_run, without_samples
+from dtwin.acquire.lone_table import open_table, safe_name
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.errors import InputError
+from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.store import Lake, RejectedRows
 
@@ -44,8 +46,13 @@ class IngestReport:
     versions: dict[str, int]
 
 
-def ingest(path: Path, lake: Lake, progress: Progress | None = None) -> IngestReport:
-    """Bring a campaign folder or a bare ``.b5r`` into the lake.
+def ingest(
+    path: Path,
+    lake: Lake,
+    progress: Progress | None = None,
+    told: Mapping[str, Any] | None = None,
+) -> IngestReport:
+    """Bring a campaign folder, a bare ``.b5r`` or a table that lies alone into the lake.
 
     Safe to repeat: runs that are there with the same content are left alone, so an
     interrupted ingest continues where it stopped.
@@ -58,21 +65,25 @@ def ingest(path: Path, lake: Lake, progress: Progress | None = None) -> IngestRe
         Where to.
     progress : callable, optional
         Called with (done, total, what) after every source file.
+    told : mapping, optional
+        What is told of a table that lies alone; see :func:`open_table`.
 
     Raises
     ------
     InputError
         When a file cannot be used; batches committed before stay.
     """
-    campaign, sources, total = open_source(path)
+    campaign, sources, total = open_source(path, told)
     added: list[str] = []
     unchanged: list[str] = []
     findings: list[tuple[str, Finding]] = []
     judged: list[Run] = []
     n_rejected = 0
     versions = lake.versions()
+    samples = {r["run_id"]: r["samples_sha256"] for r in lake.runs(campaign.name, left_out=True)}
     for batch, rejected, done in _batches(sources):
-        runs = [_judged(run) for run in batch]
+        samples |= {run.meta.run_id: columns_sha256(run.samples) for run in batch}
+        runs = [_judged(run, judge_copies(samples)) for run in batch]
         report = lake.commit(campaign, runs, rejected)
         versions = dict(report.versions)
         added += report.added
@@ -89,23 +100,38 @@ def ingest(path: Path, lake: Lake, progress: Progress | None = None) -> IngestRe
 
 
 def open_source(
-    path: Path,
+    path: Path, told: Mapping[str, Any] | None = None
 ) -> tuple[Campaign, Iterable[tuple[list[Run], list[RejectedRows]]], int]:
     """Return the campaign of a path, its runs file by file, and the number of files.
 
     Parameters
     ----------
     path : Path
-        A campaign folder, its ``campaign.toml``, or a ``.b5r`` file.
+        A campaign folder, its ``campaign.toml``, a ``.b5r`` file, or a table.
+    told : mapping, optional
+        What is told of a table that lies alone.
     """
-    if path.is_dir() or path.suffix.lower() == ".toml":
+    suffix = path.suffix.lower()
+    if suffix in (".csv", ".parquet") and path.is_file():
+        table = open_table(path, told or {})
+        return table.campaign, table, 1
+    if any(value is not None for value in (told or {}).values()):
+        raise InputError(
+            "conditions are told of a table that lies alone only",
+            code="ingest.told",
+            where=str(path),
+            got=", ".join(name for name, value in (told or {}).items() if value is not None),
+            allowed="a .csv or .parquet file",
+            hint="leave the options away: the file itself, or campaign.toml, says it",
+        )
+    if path.is_dir() or suffix == ".toml":
         folder = open_campaign(path)
         return folder.campaign, folder, len(folder.entries)
-    if path.suffix.lower() == ".b5r":
+    if suffix == ".b5r":
         test = read_b5r(path)
         campaign = Campaign(
-            name=_safe(path.stem),
-            machine=_safe(test.machine or "unknown"),
+            name=safe_name(path.stem),
+            machine=safe_name(test.machine or "unknown"),
             started=test.started,
             instrument=test.instrument,
         )
@@ -120,7 +146,7 @@ def open_source(
         code="ingest.type",
         where=str(path),
         got=path.suffix or "no ending",
-        allowed="a campaign folder, campaign.toml or .b5r",
+        allowed="a campaign folder, campaign.toml, .b5r, .csv or .parquet",
         hint="name the file in a campaign.toml: it says plane, radius, feed and direction",
     )
 
@@ -141,12 +167,9 @@ def _batches(
         yield runs, rejected, done
 
 
-def _judged(run: Run) -> Run:
-    return replace(run, findings=(*run.findings, *judge_run(run)))
-
-
-def _safe(name: str) -> str:
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-._")[:80].lower() or "unnamed"
+def _judged(run: Run, copies: Mapping[str, Finding]) -> Run:
+    copied = [copies[run.meta.run_id]] if run.meta.run_id in copies else []
+    return replace(run, findings=(*run.findings, *judge_run(run), *copied))
 
 
 def worst(findings: Sequence[tuple[str, Finding]]) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from dtwin.errors import InputError
@@ -137,3 +138,25 @@ _ALL = (
 
 ENTRIES: dict[str, Entry] = {entry.name: entry for entry in _ALL}
 """All instruments and machines by name."""
+
+
+def recorders(sensors: Path | None, robot: str | None) -> list[Instrument]:
+    """Return what records a machine while its reference instrument measures, closed.
+
+    Parameters
+    ----------
+    sensors : Path or None
+        Channel file of the accelerometers.
+    robot : str or None
+        Address of a UR controller.
+    """
+    found: list[Instrument] = []
+    if sensors is not None:
+        from dtwin.acquire.sensor_file import read_sensors
+
+        found.append(read_sensors(sensors).task())
+    if robot is not None:
+        from dtwin.acquire.robot import RobotRecorder
+
+        found.append(RobotRecorder(robot))
+    return found

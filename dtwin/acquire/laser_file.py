@@ -108,12 +108,12 @@ def write_laser_file(path: Path, test: LaserTest) -> Path:
     """
     lines = ["\t".join(COLUMNS)]
     lines += [
-        f"{p:.5f}\t{reading:.6f}\t{error:.6f}\t{status:.0f}\t{air:.2f}\t{press:.2f}\t{mat:.2f}"
+        f"{p:z.5f}\t{reading:z.6f}\t{error:z.6f}\t{status:z.0f}\t{air:z.2f}\t{press:z.2f}\t{mat:z.2f}"
         for p, reading, error, status, air, press, mat in test.raw.tolist()
     ]
     if test.averages.size:
         lines += ["", "\t".join(AVERAGE_COLUMNS)]
-        lines += [f"{p:.5f}\t{error:.6f}" for p, error in test.averages.tolist()]
+        lines += [f"{p:z.5f}\t{error:z.6f}" for p, error in test.averages.tolist()]
     return write_text(path, "\n".join([*lines, ""]), "the laser file")
 
 

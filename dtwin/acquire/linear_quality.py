@@ -54,7 +54,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
         findings.append(
             Finding(
                 "reading.out_of_range", "error",
-                f"an error of {largest:.0f} um is beyond any slide: wrong unit, a lost beam, or the "
+                f"an error of {largest:z.0f} um is beyond any slide: wrong unit, a lost beam, or the "
                 "laser was not zeroed at the first target",
                 {"largest_um": largest},
             )
@@ -118,7 +118,7 @@ def _missed(run: Run) -> list[Finding]:
             Finding(
                 "linear.missed_targets", "error",
                 f"{len(absent)} readings of {2 * len(wanted)} are missing, the first at "
-                f"{absent[0]:.3f} mm: window too small, or the dwell too short",
+                f"{absent[0]:z.3f} mm: window too small, or the dwell too short",
                 {"missed_1": float(len(absent)), "first_mm": float(absent[0])},
             )
         )  # fmt: skip
@@ -142,7 +142,7 @@ def _aliased(wanted: Floats, pitch_mm: float) -> list[Finding]:
     return [
         Finding(
             "linear.step_divides_pitch", "warning",
-            f"the step of {step:.3f} mm meets the screw (pitch {pitch_mm:g} mm) at {seen} only: its "
+            f"the step of {step:z.3f} mm meets the screw (pitch {pitch_mm:g} mm) at {seen} only: its "
             "cyclic error is folded into the slow error, and a table made of this does not see it",
             {"step_mm": step, "phases_1": float(phases)},
         )
@@ -173,8 +173,8 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
     return [
         Finding(
             "linear.drift", "warning",
-            f"the runs disagree by drift, not by noise: {drift_um:.2f} um RMS wander from run to "
-            f"run, {noise_um:.2f} um RMS from one reading to the next; more runs do not average "
+            f"the runs disagree by drift, not by noise: {drift_um:z.2f} um RMS wander from run to "
+            f"run, {noise_um:z.2f} um RMS from one reading to the next; more runs do not average "
             "it away, log temperatures and shorten the test",
             {"drift_um": drift_um, "noise_um": noise_um},
         )

@@ -119,7 +119,7 @@ def run_circles(
             if time.monotonic() > until_s:
                 raise DeviceError(
                     "LinuxCNC does not end its program", code="linuxcnc.endless",
-                    got=f"{len(circles)} circles still run after {limit_s:.0f} s",
+                    got=f"{len(circles)} circles still run after {limit_s:z.0f} s",
                     hint="run it again on a computer that is less busy",
                 )  # fmt: skip
             return not bridge.ask(do="status")["running"]

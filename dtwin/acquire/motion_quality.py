@@ -14,6 +14,9 @@ from dtwin.schema import Finding, Floats, Run
 
 _WINDOW_TOLERANCE = 0.03
 _FEED_TOLERANCE = 0.02
+_TURN_TOLERANCE = 0.05
+# A control that cannot reach a feed runs slower, but hardly by this factor.
+_OTHER_FEED = 4.0
 _STOP_S = 0.15
 _LEAD_IN = 3.0
 Indices = NDArray[np.int64]
@@ -104,10 +107,12 @@ def judge_motion(run: Run) -> list[Finding]:
     Parameters
     ----------
     run : Run
-        A run with a marked window; without one there is nothing to hold against the motion.
+        Without a marked window only the feed can be held against the motion.
     """
-    if run.window is None or not run.meta.radius_mm or not run.meta.feed_mm_min:
+    if not run.meta.radius_mm or not run.meta.feed_mm_min:
         return []
+    if run.window is None:
+        return _feed_by_angle(run)
     if run.n_samples < 1.3 * _programmed_revolution(run):
         return []
     motion = motion_of(run)
@@ -229,8 +234,8 @@ def _window(run: Run, motion: Motion) -> list[Finding]:
         Finding(
             "arc.window_short" if short else "arc.window_long",
             "error" if short else "warning",
-            f"the window marked as a full circle is about {true_deg:.0f} deg: {marked} samples are "
-            f"marked, the true period is {period:.0f}",
+            f"the window marked as a full circle is about {true_deg:z.0f} deg: {marked} samples are "
+            f"marked, the true period is {period:z.0f}",
             {
                 "marked_samples_1": float(marked),
                 "period_samples_1": float(period),
@@ -246,14 +251,32 @@ def _feed(run: Run, motion: Motion) -> list[Finding]:
     if not np.isfinite(revolution) or radius is None or told is None:
         return []
     real = 2.0 * np.pi * radius / (revolution / run.meta.sample_rate_hz) * 60.0
-    if abs(real - told) <= _FEED_TOLERANCE * told:
+    return _feed_differs(real, told, "mean", _FEED_TOLERANCE)
+
+
+def _feed_by_angle(run: Run) -> list[Finding]:
+    """Hold the feed that angles and times show against the programmed one."""
+    angle, t_s = run.samples["angle_deg"], run.samples["t_s"]
+    if len(angle) < 3 or run.meta.radius_mm is None or run.meta.feed_mm_min is None:
         return []
+    # The median: starts, stops and dwells do not count.
+    speed_rad_s = float(np.median(np.radians(np.abs(np.gradient(angle, t_s)))))
+    return _feed_differs(
+        speed_rad_s * run.meta.radius_mm * 60.0, run.meta.feed_mm_min, "median", _TURN_TOLERANCE
+    )
+
+
+def _feed_differs(real: float, told: float, which: str, tolerance: float) -> list[Finding]:
+    if abs(real - told) <= tolerance * told:
+        return []
+    wrong = not 1.0 / _OTHER_FEED < real / told < _OTHER_FEED
+    why = ": a wrong feed, or a radius in another unit" if wrong else ""
     return [
         Finding(
             "feed.differs",
-            "warning",
-            f"the mean feed is {real:.0f} mm/min, {100 * (real / told - 1):+.1f} % of the programmed "
-            f"{told:.0f}",
+            "error" if wrong else "warning",
+            f"the {which} feed is {real:z.0f} mm/min, {100 * (real / told - 1):+z.1f} % of the programmed "
+            f"{told:z.0f}{why}",
             {"real_mm_min": real, "programmed_mm_min": told},
         )
     ]
@@ -272,7 +295,7 @@ def _misregistered(run: Run, motion: Motion) -> list[Finding]:
         Finding(
             "angle.misregistered",
             "error" if worst > 20.0 else "warning",
-            f"the file's angles are misregistered by up to {worst:.0f} deg against the stops",
+            f"the file's angles are misregistered by up to {worst:z.0f} deg against the stops",
             {"worst_deg": worst},
         )
     ]
@@ -287,8 +310,8 @@ def _repeats(run: Run, motion: Motion) -> list[Finding]:
         Finding(
             "repeat.revolutions",
             "info",
-            f"consecutive revolutions, lead-in of {motion.lead_in_samples} samples left out: {repeatable:.1f} um RMS repeats "
-            f"(correlation {correlation:.2f}), {rest:.1f} um does not",
+            f"consecutive revolutions, lead-in of {motion.lead_in_samples} samples left out: {repeatable:z.1f} um RMS repeats "
+            f"(correlation {correlation:z.2f}), {rest:z.1f} um does not",
             {"correlation_1": correlation, "repeatable_um": repeatable, "non_repeatable_um": rest},
         )
     ]

@@ -37,9 +37,9 @@ def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) 
         code = "G3" if direction == "CCW" else "G2"
         if test.plane == "XY":
             turns = round(arc_deg(test.plane) / 360.0)
-            lines += [f"G1 {a}{outside:.4f} {b}0", "M0 (load the bar)", f"G1 {a}{r:.4f} {b}0"]
-            lines += [f"{code} {a}{r:.4f} {b}0 {i}{-r:.4f} {j}0"] * turns
-            lines += [f"G1 {a}{outside:.4f} {b}0"]
+            lines += [f"G1 {a}{outside:z.4f} {b}0", "M0 (load the bar)", f"G1 {a}{r:z.4f} {b}0"]
+            lines += [f"{code} {a}{r:z.4f} {b}0 {i}{-r:z.4f} {j}0"] * turns
+            lines += [f"G1 {a}{outside:z.4f} {b}0"]
         else:
             lines += _half_turn(test, direction, code)
     return "\n".join([*lines, "M30", "%", ""])
@@ -56,11 +56,11 @@ def _half_turn(test: PlannedTest, direction: Direction, code: str) -> list[str]:
     outside, first = point(begin, test.radius_mm + FEED_IN_MM), point(begin, test.radius_mm)
     last, away = point(end, test.radius_mm), point(end, test.radius_mm + FEED_IN_MM)
     return [
-        f"G1 {a}{outside[0]:.4f} {b}{outside[1]:.4f}",
+        f"G1 {a}{outside[0]:z.4f} {b}{outside[1]:z.4f}",
         "M0 (load the bar)",
-        f"G1 {a}{first[0]:.4f} {b}{first[1]:.4f}",
-        f"{code} {a}{last[0]:.4f} {b}{last[1]:.4f} {i}{-first[0]:.4f} {j}{-first[1]:.4f}",
-        f"G1 {a}{away[0]:.4f} {b}{away[1]:.4f}",
+        f"G1 {a}{first[0]:z.4f} {b}{first[1]:z.4f}",
+        f"{code} {a}{last[0]:z.4f} {b}{last[1]:z.4f} {i}{-first[0]:z.4f} {j}{-first[1]:z.4f}",
+        f"G1 {a}{away[0]:z.4f} {b}{away[1]:z.4f}",
     ]
 
 
@@ -94,9 +94,9 @@ def urscript(
         point = [c / 1000.0 for c in centre_mm]
         point[axes[0]] += radius_mm / 1000.0 * math.cos(math.radians(angle_deg))
         point[axes[1]] += radius_mm / 1000.0 * math.sin(math.radians(angle_deg))
-        return f"p[{point[0]:.6f},{point[1]:.6f},{point[2]:.6f},3.141593,0,0]"
+        return f"p[{point[0]:z.6f},{point[1]:z.6f},{point[2]:z.6f},3.141593,0,0]"
 
-    lines = [f"def {test.test_id}():", f"  set_tcp(p[0,0,{tcp_mm / 1000.0:.4f},0,0,0])"]
+    lines = [f"def {test.test_id}():", f"  set_tcp(p[0,0,{tcp_mm / 1000.0:z.4f},0,0,0])"]
     for direction in directions:
         sign = 1 if direction == "CCW" else -1
         begin = 0.0 if test.plane == "XY" else (-5.0 if sign > 0 else 185.0)
@@ -104,13 +104,13 @@ def urscript(
         lines += [
             f"  movel({pose(begin, test.radius_mm + FEED_IN_MM)},1.2,0.25)",
             "  sleep(2.5)",
-            f"  movel({pose(begin, test.radius_mm)},1.2,{speed:.6f})",
+            f"  movel({pose(begin, test.radius_mm)},1.2,{speed:z.6f})",
         ]
         for number, arc in enumerate(arcs, start=1):
             via, end = begin + sign * arc / 2.0, begin + sign * arc
             lines += [
                 f"  write_output_integer_register(12,{number})",
-                f"  movec({pose(via, test.radius_mm)},{pose(end, test.radius_mm)},1.2,{speed:.6f},0)",
+                f"  movec({pose(via, test.radius_mm)},{pose(end, test.radius_mm)},1.2,{speed:z.6f},0)",
             ]
             begin = end
         lines += [f"  movel({pose(begin, test.radius_mm + FEED_IN_MM)},1.2,0.25)"]

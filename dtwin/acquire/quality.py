@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,9 @@ from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
 MAX_DEVIATION_UM = 2_500.0
+# No ball bar, laser or probe resolves less: such readings are in another unit.
+MIN_SPREAD_UM = 0.02
+_BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
 
 
@@ -27,6 +30,10 @@ def judge_run(run: Run) -> list[Finding]:
     run : Run
         A run with its samples.
     """
+    return [*_too_small(run), *_of_kind(run)]
+
+
+def _of_kind(run: Run) -> list[Finding]:
     if run.meta.kind == "placement":
         # Placements are events: minutes between them are no lost samples.
         return [f for f in _clock(run.samples["t_s"]) if f.code != "clock.dropout"] + _flagged(run)
@@ -38,7 +45,7 @@ def judge_run(run: Run) -> list[Finding]:
         judge = {"linear": judge_linear_run, "sinusoidal": judge_sinusoidal_run}.get(run.meta.kind)
         return clock if judge is None else [*clock, *judge(run)]
     clock = _clock(run.samples["t_s"])
-    findings = [*clock, *_reading(run), *_angles(run)]
+    findings = [*clock, *_reading(run), *_angles(run), *_radius(run)]
     for group in run.signals:
         findings += _signals(group)
     if not any(finding.severity == "error" for finding in findings):
@@ -89,6 +96,60 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
     return findings
 
 
+def _too_small(run: Run) -> list[Finding]:
+    """Return a finding for errors that hardly spread: millimetres in a column of micrometres."""
+    found = []
+    for name in ("deviation_um", "error_um"):
+        spread = float(np.std(run.samples[name])) if name in run.samples else np.inf
+        if 0.0 < spread < MIN_SPREAD_UM:
+            found.append(
+                Finding(
+                    "reading.too_small",
+                    "error",
+                    f"{name} spreads by {spread:.2g} um RMS, less than any instrument resolves: are "
+                    "these millimetres?",
+                    {"spread_um": spread},
+                )
+            )
+    return found
+
+
+def _radius(run: Run) -> list[Finding]:
+    radius, (low, high) = run.meta.radius_mm, _BALL_BAR_MM
+    if radius is None or low <= radius <= high:
+        return []
+    return [
+        Finding(
+            "radius.implausible",
+            "error",
+            f"a radius of {radius:g} mm is none of a ball bar ({low:g} to {high:g} mm): another unit?",
+            {"radius_mm": radius},
+        )
+    ]
+
+
+def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:
+    """Return a finding for every run that holds the samples of another one.
+
+    Parameters
+    ----------
+    samples_sha256 : mapping of str to str
+        Hash of the samples by run id, in the order in which the runs came.
+    """
+    first: dict[str, str] = {}
+    found = {}
+    for name, digest in samples_sha256.items():
+        other = first.setdefault(digest, name)
+        if other != name:
+            found[name] = Finding(
+                "run.copy",
+                "error",
+                f"the samples are those of run {other} to the last digit: a copy is no repeat, and "
+                "would say that there is no noise",
+            )
+    return found
+
+
 def _flagged(run: Run) -> list[Finding]:
     """Say how many placements a rule has flagged; the rows stay, figures leave them out."""
     flags = run.samples.get("flag_1")
@@ -133,8 +194,8 @@ def _clock(t_s: Floats) -> list[Finding]:
             Finding(
                 "clock.dropout",
                 "warning",
-                f"{holes.size} gap(s) in the clock, about {lost:.0f} samples lost, "
-                f"the first at {t_s[holes[0]]:.3f} s",
+                f"{holes.size} gap(s) in the clock, about {lost:z.0f} samples lost, "
+                f"the first at {t_s[holes[0]]:z.3f} s",
                 {"gaps_1": float(holes.size), "lost_1": lost},
             )
         ]
@@ -150,7 +211,7 @@ def _reading(run: Run) -> list[Finding]:
             Finding(
                 "reading.out_of_range",
                 "error",
-                f"a deviation of {largest:.0f} um is beyond any ball bar: wrong unit, or the ball was lost",
+                f"a deviation of {largest:z.0f} um is beyond any ball bar: wrong unit, or the ball was lost",
                 {"largest_um": largest},
             )
         )
@@ -168,7 +229,7 @@ def _reading(run: Run) -> list[Finding]:
             Finding(
                 code,
                 "error",
-                f"{length} equal readings in a row at {value:.1f} um look like {what}",
+                f"{length} equal readings in a row at {value:z.1f} um look like {what}",
                 {"samples_1": float(length), "value_um": float(value)},
             )
         )
@@ -196,7 +257,7 @@ def _angles(run: Run) -> list[Finding]:
             Finding(
                 "angle.jump",
                 "error",
-                f"the angle jumps by {steps[jumps[0]]:.1f} deg at sample {jumps[0] + 1}",
+                f"the angle jumps by {steps[jumps[0]]:z.1f} deg at sample {jumps[0] + 1}",
                 {"jump_deg": float(steps[jumps[0]]), "jumps_1": float(jumps.size)},
             )
         )

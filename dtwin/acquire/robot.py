@@ -82,7 +82,7 @@ class RobotRecorder(OpenAndClose):
             findings.append(Finding("robot.idle", "info", text))
         scaling = float(state[layout.SPEED_SCALING])
         if scaling < 1.0:
-            text = f"the speed slider is at {100 * scaling:.0f} %"
+            text = f"the speed slider is at {100 * scaling:z.0f} %"
             findings.append(Finding("robot.slow", "warning", text, {"scaling_1": scaling}))
         return tuple(findings)
 

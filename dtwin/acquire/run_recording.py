@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -27,6 +29,9 @@ from dtwin.schema import Finding, require_name
 
 INTENT = ".intent.json"
 LOCK = ".recording.lock"
+_ASIDE = "set-aside"
+_RUN = "\n[[run]]\n"
+InForce = Callable[[datetime, datetime], str]
 _JOIN_S = 30.0
 _WATCH_S = 0.1
 
@@ -49,6 +54,11 @@ class RunRequest:
         Name, inside the folder, of the reference instrument's file of this run.
     stated : mapping
         Further settings of the ``[[run]]``, such as plane and radius.
+    head : mapping
+        Tables ``machine_geometry`` and ``instrument`` for ``campaign.toml``, when the folder has
+        none yet.
+    in_force : callable
+        Returns which correction was in force between two times, as the run shall say it.
     """
 
     folder: Path
@@ -58,6 +68,8 @@ class RunRequest:
     duration_s: float | None
     reference: str
     stated: Mapping[str, Any] = field(default_factory=dict)
+    head: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    in_force: InForce = lambda begin, end: ""
 
 
 @dataclass(frozen=True)
@@ -90,7 +102,7 @@ def record_run(
     Parameters
     ----------
     instruments : sequence of Instrument
-        Closed; opened and closed here.
+        Closed; opened and closed here. Without any, only the reference instrument measures.
     request : RunRequest
         What and where.
     asked_to_stop : callable
@@ -114,17 +126,19 @@ def record_run(
         try:
             _record_all(instruments, request, asked_to_stop)
         finally:
-            sealed = _finish(request.folder, request.run_id)
+            sealed = _finish(request.folder, request.run_id, request.in_force)
     return RecordedRun(request.run_id, sealed, findings, request.folder / request.reference)
 
 
-def recover_runs(folder: Path) -> list[RecordedRun]:
+def recover_runs(folder: Path, in_force: InForce = lambda begin, end: "") -> list[RecordedRun]:
     """Seal what dead processes left in a folder, and enter their runs in ``campaign.toml``.
 
     Parameters
     ----------
     folder : Path
         Campaign folder; one that does not exist holds nothing.
+    in_force : callable
+        As for :class:`RunRequest`.
 
     Raises
     ------
@@ -138,7 +152,7 @@ def recover_runs(folder: Path) -> list[RecordedRun]:
         for path in sorted(folder.glob(f"*{INTENT}")):
             run_id = path.name.removesuffix(INTENT)
             intent = _read_intent(path)
-            sealed = _finish(folder, run_id)
+            sealed = _finish(folder, run_id, in_force)
             found.append(RecordedRun(run_id, sealed, (), folder / intent["reference"]))
         # Streams of other programs, which have no run of ours.
         recover_folder(folder)
@@ -158,10 +172,13 @@ def _record_all(
     ]
     for thread in threads:
         thread.start()
+    until_s = math.inf if request.duration_s is None else time.monotonic() + request.duration_s
     try:
-        while any(thread.is_alive() for thread in threads):
+        while any(thread.is_alive() for thread in threads) or not threads:
             if asked_to_stop():
                 ending.set()
+            if not threads and (ending.is_set() or time.monotonic() >= until_s):
+                break
             time.sleep(_WATCH_S)
     finally:
         ending.set()
@@ -191,10 +208,11 @@ def _record_one(
         ending.set()
 
 
-def _finish(folder: Path, run_id: str) -> tuple[Sealed, ...]:
+def _finish(folder: Path, run_id: str, in_force: InForce) -> tuple[Sealed, ...]:
     """Seal the streams of a run, enter it in ``campaign.toml``, and forget the intent."""
     intent_path = folder / f"{run_id}{INTENT}"
     intent = _read_intent(intent_path)
+    begun, ended = datetime.fromisoformat(intent["started"]), _last_written(folder, run_id)
     sealed = []
     for path in sorted(folder.glob(f"{run_id}.*{SUFFIX}")):
         try:
@@ -211,13 +229,54 @@ def _finish(folder: Path, run_id: str) -> tuple[Sealed, ...]:
             done.path.unlink()
     # Sealed by a process that died before it came here.
     names = sorted(path.name for path in folder.glob(f"{run_id}.*.parquet"))
-    if names and run_id not in _known_runs(folder):
-        _enter(folder, intent, names)
+    there = names or (folder / intent["reference"]).exists()
+    if there and run_id not in _known_runs(folder):
+        _enter(folder, intent, names, in_force(begun, max(begun, ended)))
     intent_path.unlink()
     return tuple(sealed)
 
 
-def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str]) -> None:
+def withdraw_run(folder: Path, run_id: str) -> Path:
+    """Take a run out of ``campaign.toml`` again and put its files aside; nothing is deleted.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder that :func:`record_run` wrote.
+    run_id : str
+        The run; it need not have been entered.
+
+    Returns
+    -------
+    Path
+        Folder with its files, below ``set-aside``.
+    """
+    with _alone(folder):
+        toml = folder / "campaign.toml"
+        if toml.exists():
+            head, *runs = toml.read_text(encoding="utf-8").split(_RUN)
+            kept = [run for run in runs if tomllib.loads(run).get("id") != run_id]
+            if kept:
+                write_text(toml, _RUN.join([head, *kept]), "the campaign file")
+            else:
+                toml.unlink()
+        places = (folder / _ASIDE / f"{run_id}-{n}" for n in range(1, 10_000))
+        aside = next(place for place in places if not place.exists())
+        aside.mkdir(parents=True)
+        for file in [*folder.glob(f"{run_id}.*"), *folder.glob(f"{run_id}-reference.*")]:
+            file.rename(aside / file.name)
+    return aside
+
+
+def _last_written(folder: Path, run_id: str) -> datetime:
+    """Return when a recording wrote last: it may have died long ago."""
+    times = [path.stat().st_mtime for path in folder.glob(f"{run_id}.*")]
+    return datetime.fromtimestamp(max(times), UTC)
+
+
+def _enter(
+    folder: Path, intent: Mapping[str, Any], signals: Sequence[str], correction: str
+) -> None:
     path = folder / "campaign.toml"
     head = (
         path.read_text(encoding="utf-8").rstrip()
@@ -229,6 +288,7 @@ def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str]) -> N
                 f"machine = {_toml(intent['machine'])}",
                 'kind = "circular"',
                 f"started = {_toml(intent['started'])}",
+                *_tables(intent["head"]),
             ]
         )
     )
@@ -236,10 +296,16 @@ def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str]) -> N
         "id": intent["run"],
         "file": intent["reference"],
         "started": intent["started"],
-        "signals": list(signals),
+        **({"signals": list(signals)} if signals else {}),
+        **({"correction": correction} if correction else {}),
         **intent["stated"],
     }
-    lines = [head, "", "[[run]]", *(f"{key} = {_toml(value)}" for key, value in run.items()), ""]
+    lines = [
+        head,
+        _RUN.rstrip("\n"),
+        *(f"{key} = {_toml(value)}" for key, value in run.items()),
+        "",
+    ]
     write_text(path, "\n".join(lines), "the campaign file")
 
 
@@ -272,6 +338,7 @@ def _write_intent(request: RunRequest) -> None:
         "reference": request.reference,
         "started": datetime.now(UTC).isoformat(timespec="milliseconds"),
         "stated": dict(request.stated),
+        "head": {name: dict(content) for name, content in request.head.items()},
     }
     path = request.folder / f"{request.run_id}{INTENT}"
     write_text(path, json.dumps(intent, indent=1), "the run's intent")
@@ -279,9 +346,9 @@ def _write_intent(request: RunRequest) -> None:
 
 def _read_intent(path: Path) -> dict[str, Any]:
     try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found: dict[str, Any] = {"head": {}} | json.loads(path.read_text(encoding="utf-8"))
         return {key: found[key] for key in
-                ("run", "campaign", "machine", "reference", "started", "stated")}  # fmt: skip
+                ("run", "campaign", "machine", "reference", "started", "stated", "head")}  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise StoreError(
             "what a recording was meant for cannot be read",
@@ -314,6 +381,14 @@ def _alone(folder: Path) -> Iterator[None]:
                 hint="wait for it, or use another folder",
             ) from error
         yield
+
+
+def _tables(head: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    return [
+        line
+        for name, content in head.items()
+        for line in ("", f"[campaign.{name}]", *(f"{k} = {_toml(v)}" for k, v in content.items()))
+    ]
 
 
 def _toml(value: Any) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError, StoreError
 from dtwin.parquet import columns_of, read_encoded, table_of, write_parquet
-from dtwin.schema import Encoded, SignalGroup
+from dtwin.schema import Encoded, SignalGroup, require_name
 from dtwin.units import require_units
 
 _KEY = b"dtwin.signals"
@@ -74,11 +75,12 @@ def read_signals(path: Path) -> list[SignalGroup]:
         )
     t_s = columns.pop("t_s")
     span = float(t_s[-1] - t_s[0])
-    if not span > 0:
+    if not 0 < span < math.inf:
         raise InputError(
             "the clock of the signals stands or runs back", code="clock", where=str(path)
         )
-    return [SignalGroup(path.stem.split(".")[-1], (len(t_s) - 1) / span, columns, float(t_s[0]))]
+    name = require_name(path.stem.split(".")[-1], f"the signal group of {path.name}")
+    return [SignalGroup(name, (len(t_s) - 1) / span, columns, float(t_s[0]))]
 
 
 def _from_header(
@@ -86,17 +88,26 @@ def _from_header(
 ) -> SignalGroup:
     try:
         head = json.loads(header)
-        return SignalGroup(
-            name=str(head["group"]),
-            rate_hz=float(head["rate_hz"]),
-            columns=columns,
-            start_s=float(head["start_s"]),
-            encoded=None if data is None else Encoded(data, columns),
-        )
-    except (ValueError, KeyError, TypeError) as error:
+        name, rate_hz, start_s = str(head["group"]), float(head["rate_hz"]), float(head["start_s"])
+        if not (0.0 < rate_hz < math.inf and math.isfinite(start_s)):
+            raise ValueError(f"rate_hz {rate_hz}, start_s {start_s}")
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise InputError(
-            "the signal header is damaged", code="signals.header", where=str(path)
+            "the signal header is damaged",
+            code="signals.header",
+            where=str(path),
+            got=str(error)[:120],
+            allowed="group, a rate_hz above 0, a finite start_s",
         ) from error
+    # After an @ stands the direction of the run that the signals belong to.
+    require_name(name.rsplit("@", 1)[0], f"the signal group of {path.name}")
+    return SignalGroup(
+        name=name,
+        rate_hz=rate_hz,
+        columns=columns,
+        start_s=start_s,
+        encoded=None if data is None else Encoded(data, columns),
+    )
 
 
 def _is_float(table: pa.Table, name: str) -> bool:

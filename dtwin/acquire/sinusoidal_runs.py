@@ -175,7 +175,7 @@ def _sampling(run: Run, told: Commanded) -> list[Finding]:
         found.append(
             Finding(
                 "sinusoidal.short", "warning",
-                f"{t[-1] - t[0]:.2f} s are recorded; {WINDOW_S:g} s for the features and "
+                f"{t[-1] - t[0]:z.2f} s are recorded; {WINDOW_S:g} s for the features and "
                 f"{HORIZON_S:g} s for what they foretell are needed",
                 {"duration_s": float(t[-1] - t[0])},
             )
@@ -191,7 +191,7 @@ def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Findin
     why = (
         f"the tone of {frequency_hz:g} Hz appears at {alias:g} Hz"
         if folded
-        else f"{rate_hz / frequency_hz:.1f} samples to a period: peaks are missed"
+        else f"{rate_hz / frequency_hz:z.1f} samples to a period: peaks are missed"
     )
     return [
         Finding(
@@ -210,8 +210,8 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
             Finding(
                 "sinusoidal.not_the_tone", "error",
                 f"the command is not the stated tone of {told.amplitude_um:g} um at "
-                f"{told.frequency_hz:g} Hz: that explains {100 * tone.share:.0f} % of its power with "
-                f"{tone.amplitude:.2f} um",
+                f"{told.frequency_hz:g} Hz: that explains {100 * tone.share:z.0f} % of its power with "
+                f"{tone.amplitude:z.2f} um",
                 {"share_1": tone.share, "amplitude_um": tone.amplitude},
             )
         )  # fmt: skip
@@ -237,7 +237,7 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
             Finding(
                 "sensor.below_noise", "warning",
                 f"the accelerometer does not hear {told.amplitude_um:g} um at {told.frequency_hz:g} Hz: "
-                f"{100 * tone.share:.0f} % of its power is the tone, its features are noise",
+                f"{100 * tone.share:z.0f} % of its power is the tone, its features are noise",
                 {"share_1": tone.share},
             )
         )  # fmt: skip
@@ -249,5 +249,5 @@ def _clipped(values: Floats, name: str, code: str) -> list[Finding]:
     ends = [float(np.mean(values == end)) for end in (values.max(), values.min())]
     if spread > 0.0 and max(ends) < _CLIPPED_SHARE:
         return []
-    what = f"{100 * max(ends):.0f} % of {name} lie at its limit" if spread else f"{name} is stuck"
+    what = f"{100 * max(ends):z.0f} % of {name} lie at its limit" if spread else f"{name} is stuck"
     return [Finding(code, "error", f"{what}: amplitudes are wrong", {"share_1": max(ends)})]

@@ -11,12 +11,13 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
 from dtwin.schema import Kind
 from dtwin.units import require_units
 
-MAX_TABLE_BYTES = 2 * 1024**3
+MAX_TABLE_BYTES = 512 * 1024**2
+_LONGEST_HEAD = 65_536
 REQUIRED: dict[Kind, tuple[str, ...]] = {
     "circular": ("t_s", "angle_deg", "deviation_um"),
     "linear": ("t_s", "position_mm", "direction", "error_um"),
@@ -66,29 +67,81 @@ def read_columns(path: Path, kind: Kind) -> tuple[dict[str, NDArray[Any]], list[
     return _drop_bad_rows(columns, floats, path)
 
 
+def kind_of_table(path: Path) -> Kind:
+    """Return the kind of campaign whose columns a table has.
+
+    Raises
+    ------
+    InputError
+        When it has the columns of none; the message names them all.
+    """
+    names = set(_names(path))
+    for kind, needed in REQUIRED.items():
+        if names.issuperset(needed):
+            return kind
+    raise InputError(
+        "the columns are those of no kind of test",
+        code="columns.missing",
+        where=str(path),
+        got=", ".join(sorted(names))[:200],
+        allowed="; ".join(f"{kind}: {', '.join(needed)}" for kind, needed in REQUIRED.items()),
+        hint="rename the columns",
+    )
+
+
 def _read_table(path: Path) -> pa.Table:
     suffix = path.suffix.lower()
-    try:
-        if suffix == ".csv":
-            return pa_csv.read_csv(pa.BufferReader(read_bounded(path, MAX_TABLE_BYTES)))
-        if suffix == ".parquet":
-            if not path.is_file():
-                raise InputError("no such file", code="file.missing", where=str(path))
-            return pq.read_table(path, page_checksum_verification=True)
-    except (pa.ArrowException, OSError) as error:
+    if suffix not in (".csv", ".parquet"):
         raise InputError(
-            "the table cannot be read",
-            code="table.malformed",
+            "unknown kind of table",
+            code="table.type",
             where=str(path),
-            got=str(error)[:200],
-            hint="the file may be cut short or damaged",
-        ) from error
-    raise InputError(
-        "unknown kind of table",
-        code="table.type",
+            got=suffix or "no ending",
+            allowed=".csv, .parquet",
+        )
+    require_bounded(path, MAX_TABLE_BYTES)
+    try:
+        if suffix == ".parquet":
+            return pq.read_table(path, page_checksum_verification=True)
+        return pa_csv.read_csv(path, **_dialect(path))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _malformed(path, error) from error
+
+
+def _names(path: Path) -> list[str]:
+    if path.suffix.lower() != ".csv":
+        return list(_read_table(path).column_names)
+    require_bounded(path, MAX_TABLE_BYTES)
+    try:
+        with pa_csv.open_csv(path, **_dialect(path)) as opened:
+            return list(opened.schema.names)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _malformed(path, error) from error
+
+
+def _dialect(path: Path) -> dict[str, Any]:
+    """Return how a file parts its columns and writes decimals, by its first line.
+
+    Spreadsheets of many countries part columns by semicolons and write decimal commas.
+    """
+    with path.open("rb") as file:
+        head = file.readline(_LONGEST_HEAD)
+    european = b";" in head and b"," not in head
+    return {
+        "parse_options": pa_csv.ParseOptions(delimiter=";" if european else ","),
+        "convert_options": pa_csv.ConvertOptions(decimal_point="," if european else "."),
+    }
+
+
+def _malformed(path: Path, error: Exception) -> InputError:
+    return InputError(
+        "the table cannot be read",
+        code="table.malformed",
         where=str(path),
-        got=suffix or "no ending",
-        allowed=".csv, .parquet",
+        got=str(error)[:200],
+        allowed="columns parted by commas with decimal points, or by semicolons with decimal "
+        "commas or points",
+        hint="the file may be cut short or damaged",
     )
 
 
@@ -110,9 +163,13 @@ def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
 def _drop_bad_rows(
     columns: dict[str, NDArray[Any]], floats: list[str], path: Path
 ) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
-    finite = np.all([np.isfinite(columns[name]) for name in floats], axis=0)
+    finite = np.ones(len(columns[floats[0]]), dtype=bool)
+    for name in floats:
+        finite &= np.isfinite(columns[name])
     if not finite.any():
         raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
+    if finite.all():
+        return columns, []
     rejects = [
         {
             "row": int(row),

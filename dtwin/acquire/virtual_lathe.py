@@ -166,7 +166,7 @@ def write_lathe_campaign(
         "[campaign.instrument]",
         'model = "virtual laser interferometer"',
         f"length_unit = {toml_value(plan.unit)}",
-        f"reading_period_s = {period:.3f}",
+        f"reading_period_s = {period:z.3f}",
         "",
         "[[run]]",
         f"id = {toml_value(plan.axis.lower())}",

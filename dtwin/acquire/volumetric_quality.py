@@ -40,7 +40,7 @@ def _range(error: Floats) -> list[Finding]:
     largest = float(np.abs(error).max())
     if largest <= MAX_ERROR_UM:
         return []
-    text = f"a ball was found {largest:.0f} um beside its place: wrong ball, wrong unit, or a missed touch"
+    text = f"a ball was found {largest:z.0f} um beside its place: wrong ball, wrong unit, or a missed touch"
     return [Finding("balls.out_of_range", "error", text, {"largest_um": largest})]
 
 
@@ -62,7 +62,7 @@ def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
     if moved <= MOST_DRIFT_UM:
         return []
     text = (
-        f"a ball on the table moved by {moved:.1f} um within the cycle: it takes longer than the heat "
+        f"a ball on the table moved by {moved:z.1f} um within the cycle: it takes longer than the heat "
         "allows"
     )
     return [Finding("cycle.drift", "warning", text, {"moved_um": moved})]
@@ -79,7 +79,7 @@ def _temperatures(group: SignalGroup) -> list[Finding]:
             found.append(Finding("sensor.gap", "warning", text, {"share_1": gaps}))
             continue
         if values.min() < _PLAUSIBLE_C[0] or values.max() > _PLAUSIBLE_C[1]:
-            text = f"{name} reads {values.min():.1f} to {values.max():.1f} degC: a broken wire"
+            text = f"{name} reads {values.min():z.1f} to {values.max():z.1f} degC: a broken wire"
             found.append(Finding("sensor.implausible", "warning", text))
         elif len(values) > 10 and np.ptp(values) < _STUCK_C:
             found.append(Finding("sensor.stuck", "warning", f"{name} does not change at all"))

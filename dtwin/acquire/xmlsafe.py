@@ -37,28 +37,42 @@ def read_bounded(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
     InputError
         When the file cannot be read, is empty, or exceeds ``max_bytes``.
     """
+    require_bounded(path, max_bytes)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+    if not data.strip():
+        raise InputError("the file is empty", code="file.empty", where=str(path))
+    return data
+
+
+def require_bounded(path: Path, max_bytes: int) -> None:
+    """Refuse what is no plain file, empty or absurdly large; raises as :func:`read_bounded`."""
     try:
         if not path.is_file():
             raise InputError(
                 "no such file", code="file.missing", where=str(path), hint="check the path"
             )
         size = path.stat().st_size
-        if size > max_bytes:
-            raise InputError(
-                "the file is too large for its type",
-                code="file.too_large",
-                where=str(path),
-                got=f"{size / 1e6:.1f} MB",
-                allowed=f"up to {max_bytes / 1e6:.0f} MB",
-            )
-        data = path.read_bytes()
     except OSError as error:
+        raise _unreadable(path, error) from error
+    if size > max_bytes:
         raise InputError(
-            "the file cannot be read", code="file.unreadable", where=str(path), got=str(error)
-        ) from error
-    if not data.strip():
+            "the file is too large for its type",
+            code="file.too_large",
+            where=str(path),
+            got=f"{size / 1e6:z.1f} MB",
+            allowed=f"up to {max_bytes / 1e6:z.0f} MB",
+        )
+    if not size:
         raise InputError("the file is empty", code="file.empty", where=str(path))
-    return data
+
+
+def _unreadable(path: Path, error: OSError) -> InputError:
+    return InputError(
+        "the file cannot be read", code="file.unreadable", where=str(path), got=str(error)
+    )
 
 
 def parse_vendor_xml(data: bytes, where: str) -> Element:

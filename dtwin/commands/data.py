@@ -21,6 +21,16 @@ if TYPE_CHECKING:
     from dtwin.schema import Finding
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+Plane = Annotated[str | None, typer.Option(help="Of a table that lies alone: XY, YZ or ZX.")]
+Radius = Annotated[float | None, typer.Option(help="Of such a table: programmed radius, mm.")]
+Feed = Annotated[float | None, typer.Option(help="Of such a table: programmed feed, mm/min.")]
+Direction = Annotated[
+    str | None, typer.Option(help="Of such a table: CCW or CW; else as the angle runs.")
+]
+Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X.")]
+Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
+Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
+Machine = Annotated[str | None, typer.Option(help="Of such a table: name of the machine.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -62,18 +72,48 @@ def examples(
 
 
 def check(
-    source: Annotated[Path, typer.Argument(help="A .b5r file or a campaign folder.")],
+    source: Annotated[
+        Path,
+        typer.Argument(help="A .b5r file, a campaign folder, a table, or a campaign in the lake."),
+    ],
+    plane: Plane = None,
+    radius: Radius = None,
+    feed: Feed = None,
+    direction: Direction = None,
+    axis: Axis = None,
+    setup: Setup = None,
+    repeat: Repeat = None,
+    machine: Machine = None,
     as_json: Json = False,
 ) -> None:
     """Say what the data are, and what is wrong with them. Changes nothing."""
-    from dtwin.report.checking import check_source, render_check
+    from dtwin.config import home
+    from dtwin.report.checking import check_campaign, check_source, render_check
+    from dtwin.store import Lake
 
-    result = check_source(source, ProgressLine("check", quiet=as_json))
+    lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
+    told = _told(plane, radius, feed, direction, axis, setup, repeat, machine)
+    alone = any(value is not None for value in told.values())
+    if not alone and not source.exists() and str(source) in lake.campaigns():
+        result = check_campaign(lake, str(source), line)
+    else:
+        result = check_source(source, line, told)
     emit(result, lambda: render_check(result), as_json=as_json)
 
 
 def ingest(
-    sources: Annotated[list[Path], typer.Argument(help="Campaign folders or .b5r files.")],
+    sources: Annotated[list[Path], typer.Argument(help="Campaign folders, .b5r files or a table.")],
+    plane: Plane = None,
+    radius: Radius = None,
+    feed: Feed = None,
+    direction: Direction = None,
+    axis: Axis = None,
+    setup: Setup = None,
+    repeat: Repeat = None,
+    machine: Machine = None,
+    campaign: Annotated[
+        str | None, typer.Option(help="Of such a table: name of the campaign; else the file's.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Bring measurements into the lake. Safe to repeat."""
@@ -82,8 +122,9 @@ def ingest(
     from dtwin.store import Lake
 
     lake = Lake(home().lake)
+    told = _told(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
     reports = [
-        ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json))
+        ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told)
         for path in sources
     ]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
@@ -98,7 +139,7 @@ def runs(
     from dtwin.config import home
     from dtwin.store import Lake
 
-    rows = Lake(home().lake).runs(campaign)
+    rows = Lake(home().lake).runs(campaign, left_out=True)
     shown = (
         "campaign",
         "run_id",
@@ -112,6 +153,8 @@ def runs(
         "n_samples",
         "n_errors",
         "status",
+        "metadata_version",
+        "left_out",
     )
     payload = {"runs": [{name: row[name] for name in shown} for row in rows]}
 
@@ -178,20 +221,57 @@ def repair(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Drop what a killed ingest left behind in the lake; recover a folder's killed recordings."""
+    """Drop what killed ingests and trainings left behind; recover a folder's killed recordings."""
     from dtwin.config import home
     from dtwin.store import Lake
 
     found = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()
-    payload = {"dropped": dropped, "recovered": [run.run_id for run in found]}
+    set_aside = dropped.pop("log")
+    closed = 0
+    # Importing MLflow takes seconds.
+    if (home().root / "mlflow").is_dir():
+        from dtwin.train.registry import Registry
+
+        closed = Registry(home()).close_abandoned()
+    payload = {
+        "trainings_closed": closed,
+        "dropped": dropped,
+        "log_entries_set_aside": set_aside,
+        "recovered": [run.run_id for run in found],
+    }
 
     def text() -> str:
-        return "\n".join(
-            [f"dropped orphans: {dropped}", *(f"recovered {run_text(r)}" for r in found)]
-        )
+        cut = [f"empty log entry set aside: {e}; ingest the newest files again" for e in set_aside]
+        lines = [f"dropped orphans: {dropped}", f"killed trainings closed: {closed}", *cut]
+        return "\n".join([*lines, *(f"recovered {run_text(r)}" for r in found)])
 
     emit(payload, text, as_json=as_json)
+
+
+def _told(
+    plane: str | None,
+    radius: float | None,
+    feed: float | None,
+    direction: str | None,
+    axis: str | None,
+    setup: str | None,
+    repeat: int | None,
+    machine: str | None,
+    campaign: str | None = None,
+) -> dict[str, Any]:
+    """Return what the options tell of a table, named as in campaign.toml."""
+    return {
+        "plane": plane,
+        "radius_mm": radius,
+        "feed_mm_min": feed,
+        "direction": direction,
+        "axis": axis,
+        "setup": setup,
+        "repeat": repeat,
+        "machine": machine,
+        "campaign": campaign,
+    }
 
 
 def _recovered(folder: Path) -> list[RecordedRun]:
@@ -244,7 +324,7 @@ def _plan_text(
 ) -> str:
     head = (
         f"{planned.name} on {planned.machine}: {len(planned.tests)} tests, {planned.n_runs} runs, "
-        f"{payload['motion_s'] / 60:.0f} min of motion, about {payload['total_s'] / 60:.0f} min in all"
+        f"{payload['motion_s'] / 60:z.0f} min of motion, about {payload['total_s'] / 60:z.0f} min in all"
     )
     lines = [head, *(f"  {f.severity}: {f.message}" for f in findings)]
     if "programs" in payload:
@@ -278,7 +358,7 @@ def _detectable_text(payload: Mapping[str, Any]) -> str:
             d["label"],
             f"{d['amplitude']:.3g} {d['unit']}" if math.isfinite(d["amplitude"]) else "invisible",
             f"{d['typical']:g} {d['unit']}",
-            "" if not math.isfinite(d["amplitude"]) else f"{d['rms_um']:.3f}",
+            "" if not math.isfinite(d["amplitude"]) else f"{d['rms_um']:z.3f}",
         ]
         for d in payload["detectable"]
     ]

@@ -56,7 +56,7 @@ def plan_positioning(file: Path, out: Path | None, control: str, *, as_json: boo
         lines = [
             f"{plan.name} on {plan.machine}: axis {plan.axis}, {plan.count} targets from {plan.start:g} "
             f"to {plan.end:g} {plan.unit}, {plan.runs} runs, {plan.readings} readings, about "
-            f"{payload['total_s'] / 3600:.1f} h",
+            f"{payload['total_s'] / 3600:z.1f} h",
             *(f"  {f.severity}: {f.message}" for f in findings),
             *(f"  {name} written; never run on a control" for name in payload.get("programs", ())),
         ]

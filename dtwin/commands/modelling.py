@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -95,7 +94,7 @@ def train(
 
     def text() -> str:
         head = (
-            f"{campaign}: {result.rms_before_um:.1f} um RMS without a model, noise floor "
+            f"{campaign}: {result.rms_before_um:z.1f} um RMS without a model, noise floor "
             f"{result.noise_floor_text}"
         )
         gates = "\n".join(verdict_lines(found.verdicts))
@@ -137,12 +136,25 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
                 v.tags.get("state", "-"),
                 v.tags.get("gates", "-"),
                 v.tags.get("evidence", "none"),
+                v.tags.get("proved", "-")[:10],
                 v.created,
             ]
             for v in found
         ]
         lines = [
-            table(("machine", "version", "alias", "state", "gates", "evidence", "created"), rows)
+            table(
+                (
+                    "machine",
+                    "version",
+                    "alias",
+                    "state",
+                    "gates",
+                    "evidence",
+                    "last proved",
+                    "created",
+                ),
+                rows,
+            )
         ]
         for name, entries in past.items():
             lines += [
@@ -159,25 +171,27 @@ def promote(
     version: Annotated[str, typer.Argument(help="Version number, or candidate.")] = "candidate",
     machine: Machine = None,
     trial: Annotated[bool, typer.Option("--trial", help="Only put it on trial.")] = False,
-    evidence: Annotated[
-        Path | None, typer.Option(help="Closed-loop evidence measured elsewhere (JSON).")
+    despite: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Evidence on record that speaks against it, by name; kept in the history."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
+    valid_days: Annotated[
+        float, typer.Option(min=0.0, max=36_500.0, help="How long the evidence holds; 0: for ever.")
+    ] = 0.0,
     as_json: Json = False,
 ) -> None:
     """Check a version and make it champion, or say why not (exit 3).
 
-    Without evidence, motion with and without correction is measured first on the virtual machine
-    that the campaign came from.
+    Its evidence (dtwin evidence) is computed again from the runs in the lake. Without any, the
+    virtual machine that the campaign came from is measured first.
     """
     from dtwin.config import home
-    from dtwin.pipeline.modelling import (
-        evidence_for,
-        evidence_of,
-        make_champion,
-        put_on_trial,
-    )
+    from dtwin.pipeline.evidence import make_champion, proven_or_measured
+    from dtwin.pipeline.modelling import put_on_trial
     from dtwin.report.campaign import evidence_table
     from dtwin.train.registry import Registry
 
@@ -191,11 +205,9 @@ def promote(
             as_json=as_json,
         )
         return
-    given = _evidence_file(evidence) if evidence is not None else evidence_of(registry, found)
-    if given is None:
-        progress = ProgressLine("measure", quiet=as_json)
-        given = evidence_for(home(), found, seed=seed, progress=progress)
-    bundle, reason = make_champion(home(), found, given, comment)
+    progress = ProgressLine("measure", quiet=as_json)
+    given = proven_or_measured(home(), found, seed=seed, progress=progress).as_dict()
+    bundle, reason = make_champion(home(), found, comment, despite or [], valid_days)
     payload = {
         "version": found.version,
         "champion": bundle is not None,
@@ -312,33 +324,3 @@ def _engine(name: str) -> Engine | None:
             )
         return PySREngine()
     raise InputError("no such engine", code="train.engine", got=name[:40], allowed="operon, pysr")
-
-
-def _evidence_file(path: Path) -> dict[str, Any]:
-    wanted: dict[str, type | tuple[type, ...]] = {
-        "kind": str,
-        "clock": str,
-        "bundle_sha256": str,
-        "conditions": list,
-        "delays": dict,
-    }
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            "the evidence cannot be read",
-            code="evidence.file",
-            where=str(path),
-            got=str(error)[:160],
-        ) from error
-    good = isinstance(found, dict) and all(
-        isinstance(found.get(name), kind) for name, kind in wanted.items()
-    )
-    if not good or not found["conditions"]:
-        raise InputError(
-            "not closed-loop evidence",
-            code="evidence.file",
-            where=str(path),
-            allowed=", ".join(wanted),
-        )
-    return dict(found)

@@ -67,7 +67,7 @@ class ProgressLine:
         left = (now - self.begun) / max(done, 1) * (total - done)
         end = "\n" if done >= total else ""
         print(
-            f"\r{self.title}: {done}/{total} {what:<24.24} {left:4.0f} s left\x1b[K",
+            f"\r{self.title}: {done}/{total} {what:<24.24} {left:z4.0f} s left\x1b[K",
             end=end,
             file=sys.stderr,
             flush=True,

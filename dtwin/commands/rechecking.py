@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,8 +19,11 @@ def register(app: typer.Typer) -> None:
 
 def recheck(
     machine: Machine = None,
-    runs: Annotated[
-        Path | None, typer.Option(help="Circles measured on a real machine (JSON).")
+    without: Annotated[
+        list[str] | None, typer.Option(help="Campaign in the lake measured without it.")
+    ] = None,
+    with_: Annotated[
+        list[str] | None, typer.Option("--with", help="Campaign measured with it.")
     ] = None,
     blocks: Annotated[int, typer.Option(help="Passes over all conditions.", min=2, max=1000)] = 3,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
@@ -30,12 +32,11 @@ def recheck(
     """Measure with and without the champion again; when it harms, release and roll back (exit 3)."""
     from dtwin.config import home
     from dtwin.pipeline.rechecking import recheck as check_again
-    from dtwin.pipeline.rechecking import runs_file
     from dtwin.train.registry import Registry
 
     done = check_again(
         home(), machine_named(Registry(home()), machine),
-        runs=runs_file(runs) if runs is not None else None,
+        without=without or (), with_=with_ or (),
         blocks=blocks, seed=seed, progress=ProgressLine("circles", quiet=as_json),
     )  # fmt: skip
     head = ("condition", "without um", "with um", "growth um", "± um", "pairs")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +14,6 @@ from dtwin.commands.output import emit
 from dtwin.errors import EXIT_INTERRUPTED, InputError
 
 if TYPE_CHECKING:
-    from dtwin.acquire.instrument import Instrument
     from dtwin.acquire.run_recording import RecordedRun, RunRequest
 
 _TEXT_SETTINGS = ("plane", "direction", "setup")
@@ -50,14 +50,28 @@ def record(
 
     What a killed recording left in the folder is recovered first.
     """
+    from dtwin.acquire.instruments import recorders
     from dtwin.acquire.run_recording import record_run, recover_runs
+    from dtwin.config import home
+    from dtwin.serve.served_time import correction_in_force
     from dtwin.serve.signals import stop_on_signals
 
     stated = _stated(setting or [])
-    instruments = _instruments(sensors, robot)
-    for found in recover_runs(out):
+    instruments = recorders(sensors, robot)
+    if not instruments:
+        raise InputError(
+            "there is nothing to record",
+            code="record.nothing",
+            hint="name a channel file with --sensors, a controller with --robot, or both",
+        )
+    in_force = correction_in_force(home(), machine)
+    for found in recover_runs(out, in_force):
         print(f"recovered what a killed recording left: {run_text(found)}", file=sys.stderr)
-    request = _request(out, run, machine, duration, reference, stated)
+    request = replace(
+        _request(out, run, machine, duration, reference, stated),
+        head=_head(out, robot),
+        in_force=in_force,
+    )
     with stop_on_signals() as asked:
         print(f"recording {request.run_id}; Ctrl-C ends it", file=sys.stderr, flush=True)
         done = record_run(instruments, request, asked)
@@ -82,28 +96,25 @@ def _request(
     return RunRequest(out, out.resolve().name, machine, run_id, duration, name, stated)
 
 
+def _head(out: Path, robot: str | None) -> dict[str, dict[str, Any]]:
+    """Return what a new campaign file says of the machine; runs of a virtual one must not hide it."""
+    from dtwin.acquire.campaign_folder import open_campaign
+    from dtwin.serve.controller_kind import is_virtual
+
+    if robot is None or not is_virtual(robot):
+        return {}
+    known = open_campaign(out).campaign if (out / "campaign.toml").exists() else None
+    if known is not None and not known.machine_geometry.get("virtual", False):
+        raise InputError(
+            "the controller is a virtual one, and the folder's runs are of a real machine",
+            code="record.virtual", where=str(out), got=robot, hint="record into another folder",
+        )  # fmt: skip
+    return {"machine_geometry": {"virtual": True}}
+
+
 def _next_run(out: Path) -> str:
     taken = {path.name.split(".")[0] for path in out.glob("r*.*")}
     return next(name for n in range(1, 100_000) if (name := f"r{n:03d}") not in taken)
-
-
-def _instruments(sensors: Path | None, robot: str | None) -> list[Instrument]:
-    found: list[Instrument] = []
-    if sensors is not None:
-        from dtwin.acquire.sensor_file import read_sensors
-
-        found.append(read_sensors(sensors).task())
-    if robot is not None:
-        from dtwin.acquire.robot import RobotRecorder
-
-        found.append(RobotRecorder(robot))
-    if not found:
-        raise InputError(
-            "there is nothing to record",
-            code="record.nothing",
-            hint="name a channel file with --sensors, a controller with --robot, or both",
-        )
-    return found
 
 
 def _stated(pairs: list[str]) -> dict[str, Any]:
@@ -169,6 +180,6 @@ def run_text(done: RecordedRun) -> str:
     """Return the files of a recorded run, and what is wrong with them, for people."""
     lines = [done.run_id]
     for file in done.sealed:
-        lines.append(f"  {file.path.name}: {file.n_samples} samples, {file.n_bytes / 1e6:.2f} MB")
+        lines.append(f"  {file.path.name}: {file.n_samples} samples, {file.n_bytes / 1e6:z.2f} MB")
         lines += [f"    {f.severity}: {f.message}" for f in file.findings]
     return "\n".join(lines)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import signal
 import sys
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -31,6 +32,10 @@ def up(
     no_schedule: Annotated[
         bool, typer.Option("--no-schedule", help="Train only when somebody starts it.")
     ] = False,
+    allow: Annotated[
+        list[Path] | None,
+        typer.Option(help="Folder besides DTWIN_HOME that flows started on the page may use."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
     """Start the Prefect and MLflow pages on this computer; Ctrl-C stops them."""
@@ -38,7 +43,7 @@ def up(
     from flows.servers import UpRequest, servers
 
     times = None if no_schedule else _checked(cron)
-    request = UpRequest(prefect_port, mlflow_port, times)
+    request = UpRequest(prefect_port, mlflow_port, times, tuple(allow or ()))
     # Both, also where a shell has switched one off for background jobs.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _as_interrupt)
@@ -67,7 +72,7 @@ def _text(payload: dict[str, Any], state: Home) -> str:
     when = payload["cron"] or "only when started from the Prefect page"
     return "\n".join(
         [
-            f"Prefect  {payload['prefect']}/dashboard   flows, runs, tables and plots",
+            f"Prefect  {payload.get('prefect_enter', payload['prefect'])}   flows, runs, tables, plots",
             f"MLflow   {payload['mlflow']}/#/models   versions, comparisons, gates",
             f"training on new data: {when}",
             f"logs     {state.logs}",

@@ -16,6 +16,7 @@ from dtwin.report.text import table
 if TYPE_CHECKING:
     from dtwin.serve.analogue_link import AnalogueWiring
     from dtwin.serve.loop import Mode, ServeStatus
+    from dtwin.serve.proved import WhenExpired
     from dtwin.serve.serve_request import Served
     from dtwin.serve.session import OpenSensors
 
@@ -78,6 +79,9 @@ def serve(
     watchdog_ms: Annotated[
         int, typer.Option(help="Silence after which the board goes neutral by itself.")
     ] = 100,
+    expired: Annotated[
+        str, typer.Option(help="A champion whose evidence has expired: refuse or warn.")
+    ] = "refuse",
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
     """Correct a machine live with a promoted model; Ctrl-C releases the correction."""
@@ -93,7 +97,7 @@ def serve(
     )
     request = ServeRequest(
         model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
-        _covariates(covariate or []), patience, wiring, axes,
+        _covariates(covariate or []), patience, wiring, axes, _when_expired(expired),
     )  # fmt: skip
     served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
@@ -103,6 +107,17 @@ def serve(
         _announce("interrupted before the time was over; run the same command again to continue")
     if served.exit_code != EXIT_DONE:
         raise typer.Exit(served.exit_code)
+
+
+def _when_expired(said: str) -> WhenExpired:
+    if said == "warn":
+        return "warn"
+    if said == "refuse":
+        return "refuse"
+    raise InputError(
+        "expired evidence is refused, or warned of", code="serve.expired_option", got=said[:40],
+        allowed="refuse, warn",
+    )  # fmt: skip
 
 
 def render_served(served: Served) -> str:
@@ -117,7 +132,7 @@ def render_served(served: Served) -> str:
     lines = [
         head,
         f"  ended: {status.ended}; the correction is {kept}",
-        f"  longest correction {status.largest_um:.1f} um, clamp {served.clamp_um:.1f} um",
+        f"  longest correction {status.largest_um:z.1f} um, clamp {served.clamp_um:z.1f} um",
         _tick_line(status),
         "",
         _percentiles("stage_us", timing["stage_us"]),
@@ -142,7 +157,7 @@ def _tick_line(status: ServeStatus) -> str:
         return f"  {timing['ticks']} ticks, each waited for its correction"
     return (
         f"  {timing['ticks']} ticks, {timing['late_ticks']} late, {timing['missed_states']} "
-        f"states missed ({100 * timing['late_share']:.2f} % together), "
+        f"states missed ({100 * timing['late_share']:z.2f} % together), "
         f"{timing['timeouts']} waits without a state, {status.reconnects} links came back"
     )
 

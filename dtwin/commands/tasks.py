@@ -8,12 +8,25 @@ from typer.core import TyperGroup
 
 TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
-    "Measure": ("plan", "record", "check", "ingest", "runs", "repair"),
+    "Measure": (
+        "plan",
+        "campaign",
+        "record",
+        "watch",
+        "check",
+        "ingest",
+        "runs",
+        "amend",
+        "leave-out",
+        "restore",
+        "repair",
+    ),
     "Understand": ("twin", "effects", "dynamics", "report", "papers"),
     "Correct": (
         "features",
         "train",
         "models",
+        "evidence",
         "promote",
         "recheck",
         "rollback",

@@ -46,7 +46,7 @@ def plan_tones(file: Path, *, as_json: bool) -> None:
     head = (
         f"{plan.name} on {plan.machine}: axis {plan.axis}, {len(plan.frequencies_hz)} frequencies, "
         f"{len(plan.amplitudes_um)} amplitudes, {plan.repeats} times, {plan.count} groups of "
-        f"{plan.seconds:g} s, about {duration_s(plan) / 60.0:.0f} min"
+        f"{plan.seconds:g} s, about {duration_s(plan) / 60.0:z.0f} min"
     )
     lines = [head, f"  in random order (seed {plan.seed}), repeat by repeat: {first} ..."]
     lines += [f"  {f.severity}: {f.message}" for f in findings]

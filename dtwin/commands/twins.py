@@ -201,7 +201,7 @@ def learn_effect(
         twin, gain = twins.learn(name, seed=seed)
         said = ""
     if not as_json:
-        print(f"gain on left-out conditions: {100 * gain:.1f} %{said}")
+        print(f"gain on left-out conditions: {100 * gain:z.1f} %{said}")
     _show_rung(before.figures, twin, as_json=as_json)
 
 

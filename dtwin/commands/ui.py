@@ -36,6 +36,12 @@ def ui(
         Path | None,
         typer.Option(help="Folder of your own effects, to edit in the browser; their code is run."),
     ] = None,
+    private: Annotated[
+        bool,
+        typer.Option(
+            "--private", help="Reading needs the token too: where several people use the computer."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
     """Open the workbench in a browser: ingest, fit, compare, diagnose, add; Ctrl-C stops it."""
@@ -64,7 +70,7 @@ def ui(
 
         # The server has ended in order by then, and raises the signal once more.
         with contextlib.suppress(KeyboardInterrupt):
-            run(home(), host, door, own, announce)
+            run(home(), host, door, own, announce, private=private)
     print("stopped", file=sys.stderr, flush=True)
     if threading.active_count() > 1:
         # A thread that still reads or fits must not meet an interpreter that is taken apart:

@@ -43,7 +43,7 @@ def plan_balls(file: Path, *, as_json: bool) -> None:
         "findings": [finding.as_dict() for finding in findings],
     }
     head = (
-        f"{plan.name} on {plan.machine}: {plan.cycles} cycles of {60.0 * plan.cycle_h:.0f} min, one every "
+        f"{plan.name} on {plan.machine}: {plan.cycles} cycles of {60.0 * plan.cycle_h:z.0f} min, one every "
         f"{plan.every_h:g} h, {plan.touches} balls in each, {plan.hours:g} h in all"
     )
     lines = [head, *(f"  {f.severity}: {f.message}" for f in findings)]

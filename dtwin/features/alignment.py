@@ -86,7 +86,7 @@ def align_envelopes(
         raise InputError(
             "no lag leaves enough of the two records in common",
             code="align.overlap",
-            got=f"{len(a) / rate_hz:.2f} s and {len(b) / rate_hz:.2f} s",
+            got=f"{len(a) / rate_hz:z.2f} s and {len(b) / rate_hz:z.2f} s",
             hint="lengthen the recordings or widen max_lag_s",
         )
     values = np.array([_overlap_correlation(a, b, int(lag)) for lag in lags])
@@ -94,7 +94,7 @@ def align_envelopes(
     peak = float(values[best])
     if peak <= 0:
         raise InputError("the two records share no motion", code="align.unrelated",
-                         got=f"best correlation {peak:.2f}")  # fmt: skip
+                         got=f"best correlation {peak:z.2f}")  # fmt: skip
     outside = np.abs(lags - lags[best]) > guard_s * rate_hz
     rival = float(values[outside].max()) if outside.any() else 0.0
     return Alignment(
@@ -153,7 +153,7 @@ def unwrap_angle(angle_rad: Floats) -> Floats:
         raise InputError(
             "the angle is sampled too coarsely, or holds values that are not finite",
             code="align.angle",
-            got=f"steps up to {np.degrees(step):.0f} deg",
+            got=f"steps up to {np.degrees(step):z.0f} deg",
             allowed="less than 135 deg per sample",
         )
     return unwrapped
@@ -257,7 +257,7 @@ def _per_turn(signal: Floats, angle_rad: Floats, n_grid: int) -> Floats:
         raise InputError(
             "the record covers less than one turn",
             code="align.turn",
-            got=f"{np.degrees(np.ptp(unwrapped)):.0f} deg",
+            got=f"{np.degrees(np.ptp(unwrapped)):z.0f} deg",
         )
     order = np.argsort(unwrapped, kind="stable")
     angle, value = unwrapped[order], np.asarray(signal, dtype=np.float64)[order]

@@ -63,7 +63,7 @@ def align_infeed(
         raise InputError(
             "the controller's record is shorter than the bar's",
             code="align.overlap",
-            got=f"{t_controller[-1]:.1f} s and {t_bar[-1]:.1f} s",
+            got=f"{t_controller[-1]:z.1f} s and {t_bar[-1]:z.1f} s",
         )
 
     def unexplained(lag: float) -> float:

@@ -123,9 +123,9 @@ def wrist_minus_base(
     gain = float(np.sum((b.conj() * w).real)) / energy if energy > 0 else 0.0
     quieter = np.sum(np.abs(w - b) ** 2) < np.sum(np.abs(w) ** 2)
     if shared < min_coherence:
-        reason = f"coherence {shared:.2f} is below {min_coherence:.2f}"
+        reason = f"coherence {shared:z.2f} is below {min_coherence:z.2f}"
     elif not quieter:
-        reason = f"the difference is louder than the wrist alone (gain {gain:.2f})"
+        reason = f"the difference is louder than the wrist alone (gain {gain:z.2f})"
     else:
         return RelativeMotion(wrist - base, True, shared, gain)
     return RelativeMotion(wrist.copy(), False, shared, gain, reason)

@@ -142,8 +142,8 @@ def true_period(
         raise InputError(
             "the record is too short to compare one revolution with the next",
             code="align.period",
-            got=f"{len(part) / rate_hz:.2f} s after the lead-in",
-            allowed=f"at least {nominal_s * (1 + tolerance) + min_overlap_s:.2f} s",
+            got=f"{len(part) / rate_hz:z.2f} s after the lead-in",
+            allowed=f"at least {nominal_s * (1 + tolerance) + min_overlap_s:z.2f} s",
         )
     lags = np.arange(low, high + 1)
     values = np.array([_correlation(part[:-lag], part[lag:]) for lag in lags])

@@ -135,6 +135,8 @@ class AnalogueOutput(OpenAndClose):
     ----------
     sent, answered, clamped : int
         Corrections sent and answered; values that were beyond the travel.
+    in_force : int
+        Number of the newest correction that the board has confirmed; 0 after it went neutral.
     """
 
     def __init__(
@@ -152,9 +154,9 @@ class AnalogueOutput(OpenAndClose):
         self.output: Output = output
         self.watchdog_ms = watchdog_ms
         self.link = SerialLink(port, _ANSWER.size, baud=baud, timeout_s=timeout_s)
-        self.sent = self.answered = self.clamped = 0
+        self.sent = self.answered = self.clamped = self.in_force = 0
         self._in_flight = in_flight
-        self._waiting: deque[tuple[int, Codes]] = deque()
+        self._waiting: deque[tuple[int, Codes, int]] = deque()
 
     @property
     def neutral(self) -> Codes:
@@ -191,6 +193,7 @@ class AnalogueOutput(OpenAndClose):
         DeviceError
             When the converter does not hold its neutral codes.
         """
+        self.in_force = 0
         answer = self._ask(_ENGAGE, (_MODES[self.output], self.watchdog_ms, 0))
         self._check(answer, None)
         return answer
@@ -203,13 +206,15 @@ class AnalogueOutput(OpenAndClose):
         """Keep this calibration's neutral codes on the board, without power too."""
         return self._ask(_NEUTRAL, self.neutral)
 
-    def send(self, offset_um: Floats) -> None:
+    def send(self, offset_um: Floats, number: int = 0) -> None:
         """Send a correction; answers to earlier ones are checked as they come.
 
         Parameters
         ----------
         offset_um : ndarray, shape (3,)
             Along x, y and z.
+        number : int
+            What ``in_force`` is once the board has confirmed it.
 
         Raises
         ------
@@ -222,8 +227,13 @@ class AnalogueOutput(OpenAndClose):
         while len(self._waiting) >= self._in_flight:
             self.settle(self._in_flight - 1)
         codes = self._codes(offset_um)
-        self._waiting.append((self.link.send(_REQUEST.pack(_SET, *codes)), codes))
+        self._waiting.append((self.link.send(_REQUEST.pack(_SET, *codes)), codes, number))
         self.sent += 1
+
+    def poll(self) -> None:
+        """Check the answers that have arrived, without waiting for any."""
+        for frame in self.link.arrived():
+            self._take(Answer.of(frame))
 
     def settle(self, unanswered: int = 0) -> None:
         """Wait until at most so many corrections are unanswered, and check the answers."""
@@ -236,9 +246,10 @@ class AnalogueOutput(OpenAndClose):
         while self._waiting and self._waiting[0][0] != answer.sequence:
             self._waiting.popleft()
         if self._waiting:
-            _, codes = self._waiting.popleft()
+            _, codes, number = self._waiting.popleft()
             self.answered += 1
             self._check(answer, codes)
+            self.in_force = number
 
     def close(self) -> None:
         """Release the port; the board goes neutral by itself."""

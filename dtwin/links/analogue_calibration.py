@@ -171,7 +171,7 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
     cross = {other: float(slopes[i] / um_per_v) for i, other in enumerate(AXES) if other != axis}
     worst = max(cross, key=lambda other: abs(cross[other]))
     if abs(cross[worst]) > _MOST_CROSS_TALK:
-        raise _refused(axis, f"this input also moves {worst}", f"{100 * cross[worst]:.0f} %")
+        raise _refused(axis, f"this input also moves {worst}", f"{100 * cross[worst]:z.0f} %")
     covariance = noise**2 * np.linalg.inv(design.T @ design)
     neutral = -float(offsets[own]) / um_per_v
     gradient = np.array([-neutral / um_per_v, -1.0 / um_per_v])
@@ -205,10 +205,10 @@ def calibration_rows(fits: Mapping[str, AxisFit]) -> Sequence[tuple[str, ...]]:
     return [
         (
             axis,
-            f"{f.um_per_v:.3f} ± {f.um_per_v_uncertainty:.3f}",
-            f"{f.neutral_v:.4f} ± {f.neutral_v_uncertainty:.4f}",
-            f"{f.noise_um:.3f}",
-            ", ".join(f"{other} {100 * share:+.1f} %" for other, share in f.cross_talk.items()),
+            f"{f.um_per_v:z.3f} ± {f.um_per_v_uncertainty:z.3f}",
+            f"{f.neutral_v:z.4f} ± {f.neutral_v_uncertainty:z.4f}",
+            f"{f.noise_um:z.3f}",
+            ", ".join(f"{other} {100 * share:+z.1f} %" for other, share in f.cross_talk.items()),
             str(f.readings),
         )
         for axis, f in fits.items()

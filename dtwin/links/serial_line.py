@@ -116,6 +116,18 @@ class SerialLink(OpenAndClose):
                     hint="check baud rate, cable and the device's firmware",
                 )
 
+    def arrived(self) -> list[Frame]:
+        """Return the frames that have arrived, without waiting.
+
+        Raises
+        ------
+        DeviceError
+            When the device is gone.
+        """
+        with self._faults():
+            waiting = self._device.in_waiting
+            return self._reader.feed(self._device.read(waiting)) if waiting else []
+
     def discard(self) -> None:
         """Forget what has arrived and was not received."""
         with self._faults():

@@ -71,7 +71,7 @@ class StateLines(OpenAndClose):
                 return self._state
             now_s = time.monotonic()
             if now_s - self._heard_s > self._lost_after_s:
-                text = f"no state has come for {now_s - self._heard_s:.1f} s"
+                text = f"no state has come for {now_s - self._heard_s:z.1f} s"
                 raise self._line.fault("states.silent", text)
             if now_s >= until_s:
                 return None

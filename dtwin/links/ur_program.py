@@ -27,19 +27,42 @@ def dtwin_towards(now, wanted, step):
   return now + dtwin_within(wanted - now, step)
 end
 
-# Applied x, y, z in um, latched x, y, z, last sequence, ticks since it changed.
+def dtwin_square(x, y, z):
+  return x * x + y * y + z * z
+end
+
+# Applied x, y, z in um, latched x, y, z, last sequence, ticks since it changed; more than
+# {watchdog} of these: a correction was dropped, and nothing counts before a vector of zeros.
 def dtwin_correct(s, sequence, x, y, z):
   local wanted = [s[3], s[4], s[5]]
-  local idle = s[7] + 1
-  if sequence != s[6]:
+  local idle = s[7]
+  if sequence == s[6]:
+    idle = idle + 1
+    if idle > {watchdog}:
+      idle = {watchdog}
+      if dtwin_square(wanted[0], wanted[1], wanted[2]) > 0.0:
+        idle = {watchdog} + 1
+      elif s[7] > {watchdog}:
+        idle = {watchdog} + 1
+      end
+      wanted = [0.0, 0.0, 0.0]
+    end
+  elif idle <= {watchdog}:
     wanted = [dtwin_within(x, {limit}), dtwin_within(y, {limit}), dtwin_within(z, {limit})]
     idle = 0
-  elif idle > {watchdog}:
-    wanted = [0.0, 0.0, 0.0]
-    idle = {watchdog}
+  elif dtwin_square(x, y, z) == 0.0:
+    idle = 0
   end
   return [dtwin_towards(s[0], wanted[0], {step}), dtwin_towards(s[1], wanted[1], {step}), \
 dtwin_towards(s[2], wanted[2], {step}), wanted[0], wanted[1], wanted[2], sequence, idle]
+end
+
+# Number of the vector in force; 0 for none.
+def dtwin_in_force(s):
+  if s[7] > {watchdog}:
+    return 0
+  end
+  return s[6]
 end
 """
 
@@ -48,14 +71,15 @@ thread dtwin_correction():
   path_offset_set_max_offset({limit_m}, 0.001)
   path_offset_set_alpha_filter(1.0)
   path_offset_enable()
-  # What stands in the registers from before is no correction: only a change of the number counts.
-  local s = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, read_input_integer_register({sequence_in}), {watchdog}]
+  # What stands in the registers from before is no correction: it begins as after the watchdog.
+  local s = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, read_input_integer_register({sequence_in}), \
+{watchdog} + 1]
   while True:
     s = dtwin_correct(s, read_input_integer_register({sequence_in}), \
 read_input_float_register({x_in}), read_input_float_register({y_in}), \
 read_input_float_register({z_in}))
     path_offset_set(p[s[0] / 1000000.0, s[1] / 1000000.0, s[2] / 1000000.0, 0, 0, 0], 1)
-    write_output_integer_register({sequence_out}, s[6])
+    write_output_integer_register({sequence_out}, dtwin_in_force(s))
     write_output_float_register({x_out}, s[0])
     write_output_float_register({y_out}, s[1])
     write_output_float_register({z_out}, s[2])
@@ -75,7 +99,8 @@ def correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) -
     slew_um_s : float
         Fastest change of it.
     watchdog_s : float
-        Time without a new sequence number after which the offset is led back to zero.
+        Time without a new sequence number after which the offset is led back to zero. From then on
+        no vector counts before one of zeros has come: whoever was away begins at zero.
 
     Raises
     ------
@@ -123,7 +148,8 @@ def correction_program(
     return (
         f"# Corrections of dtwin as a path offset in base coordinates. Not yet run on a controller.\n"
         f"# Limits: {limit_um:g} um along each axis, {slew_um_s:g} um/s; back to zero {watchdog_s:g} s\n"
-        f"# after the last new sequence number. Begin it in the program with:\n"
+        f"# after the last new sequence number, and from then on nothing before a vector of zeros.\n"
+        f"# Begin it in the program with:\n"
         f"#   dtwin_thread = run dtwin_correction()\n"
         f"# and end it, before path_offset_disable(), with:  kill dtwin_thread\n"
         f"{functions}\n{thread}"

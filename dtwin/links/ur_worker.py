@@ -212,7 +212,7 @@ class Worker:
         if not self._receive.isConnected():
             raise Fault("ur.link_lost", "the robot controller closed the connection")
         if silent_s > self._lost_after_s:
-            raise Fault("ur.silent", f"the robot controller sent nothing for {silent_s:.1f} s")
+            raise Fault("ur.silent", f"the robot controller sent nothing for {silent_s:z.1f} s")
 
 
 def _prepare(realtime: bool) -> bool:

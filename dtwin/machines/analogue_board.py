@@ -46,6 +46,8 @@ class AnalogueBoard:
         Its serial port.
     changes : list of int
         Clock cycles (16 MHz) at which a voltage changed.
+    changed_to : list of tuple
+        What the three voltages were then.
     """
 
     def __init__(self, folder: Path, *, baud: int = 250_000, stuck_bits: int = 0) -> None:
@@ -55,6 +57,7 @@ class AnalogueBoard:
         self._changed = threading.Condition()
         self.port = ""
         self.changes: list[int] = []
+        self.changed_to: list[tuple[float, float, float]] = []
 
     def __enter__(self) -> Self:
         """Build what is not there, and switch the board on."""
@@ -88,6 +91,12 @@ class AnalogueBoard:
         self._process.terminate()
         self._process.wait(10)
 
+    @property
+    def process_id(self) -> int:
+        """Process id of the simulator."""
+        assert self._process is not None
+        return self._process.pid
+
     def volts(self, source: str = "dac") -> tuple[float, float, float]:
         """Return the voltages at the terminals now: source ``dac`` or ``pwm``."""
         with self._changed:
@@ -113,6 +122,8 @@ class AnalogueBoard:
             words = line.split()
             if len(words) == 5 and words[1] in ("dac", "pwm"):
                 with self._changed:
+                    volts = float(words[2]), float(words[3]), float(words[4])
                     self.changes.append(int(words[0]))
-                    self._volts[words[1]] = (float(words[2]), float(words[3]), float(words[4]))
+                    self.changed_to.append(volts)
+                    self._volts[words[1]] = volts
                     self._changed.notify_all()

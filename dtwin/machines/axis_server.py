@@ -113,6 +113,7 @@ class AxisServer:
         self.watchdog_trips = 0
         self._client: _Client | None = None
         self._offset_um, self._sequence = np.zeros(3), 0
+        self._let_go = False
         self._heard_s = -math.inf
 
     def close(self) -> None:
@@ -142,7 +143,7 @@ class AxisServer:
                 self._wait_for_client(announce)
             self._machine.advance(tick, self._offset_um)
             if tick % max(1, total // 200) == 0:
-                progress(tick, total, f"{tick * self._machine.period_s:.1f} s of the program")
+                progress(tick, total, f"{tick * self._machine.period_s:z.1f} s of the program")
         progress(total, total, "the program has ended")
         self._farewell(total)
 
@@ -153,9 +154,9 @@ class AxisServer:
             self._listen(max(wait_s, 0.0))
             if self._client is not None:
                 self._say(self._state(tick))
-            silent = time.monotonic() - self._heard_s > WATCHDOG_S
-            if silent and self._offset_um.any():
+            if self._offset_um.any() and time.monotonic() - self._heard_s > WATCHDOG_S:
                 self._drop()
+                self._let_go = True
                 self.watchdog_trips += 1
             return True
         self._say(self._state(tick))
@@ -203,8 +204,9 @@ class AxisServer:
             found = True
             sequence, offset = correction
             self._heard_s = time.monotonic()
-            if sequence != self._sequence:
-                self._sequence = sequence
+            # What it dropped comes back only from zero.
+            if sequence != self._sequence and not (self._let_go and offset.any()):
+                self._sequence, self._let_go = sequence, False
                 allowed = [axis in self._machine.axes for axis in _AXES]
                 self._offset_um = np.where(allowed, offset, 0.0)
         self._keep()
@@ -258,7 +260,8 @@ class AxisServer:
             + ([f"channels at {hello['channels_hz']:g} Hz"] if rate_differs else []),
             "proof": self._prove(hello["nonce"]),
         })  # fmt: skip
-        self._client, self._sequence = (None if client.gone else client), 0
+        self._client = None if client.gone else client
+        self._sequence, self._let_go = 0, False
         self._heard_s = time.monotonic()
 
     def _keep(self) -> None:
@@ -269,7 +272,7 @@ class AxisServer:
             self._drop()
 
     def _drop(self) -> None:
-        self._offset_um = np.zeros(3)
+        self._offset_um, self._sequence = np.zeros(3), 0
 
 
 _ALWAYS = frozenset(

@@ -21,7 +21,7 @@ class CobotController:
 
     The offset acts as a path offset of the robot's program would: latched when its sequence
     number changes, limited in size and rate, delayed and lagged by the drives, and led back to
-    zero when the sequence number stands still.
+    zero when the sequence number stands still; from then on it takes nothing before a zero offset.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class CobotController:
         self._advance()
 
     def adopt_sequence(self, sequence: int) -> None:
-        """Take a sequence number as already seen, so that only the next change counts."""
+        """Take a sequence number as already seen, as a program that begins beside a client does."""
         m_.adopt_sequence(self._memory, sequence)
 
     def set_speed_scaling(self, factor: float) -> None:

@@ -218,7 +218,7 @@ class _Trigger:
 
 def _alarm(code: str, targets: Sequence[float], why: str) -> Finding:
     return Finding(
-        code, "error", f"{len(targets)} targets, the first at {targets[0]:.3f} mm: {why}",
+        code, "error", f"{len(targets)} targets, the first at {targets[0]:z.3f} mm: {why}",
         {"targets_1": float(len(targets)), "first_mm": targets[0]},
     )  # fmt: skip
 

@@ -34,7 +34,8 @@ _PATH_TIME, _SPEED_FACTOR, _STARTED, _Q, _PLAY, _PRESS, _RELAXED = 0, 1, 2, 3, 9
 _QA, _LAST_TARGET, _RIGID1, _RIGID2, _MODES = 27, 33, 36, 39, 42
 _LATCHED, _SLEWED, _LAGGED, _SEQUENCE, _AGE, _QUEUE = 50, 53, 56, 59, 60, 61
 _QUEUE_MAX = 32
-MEMORY_N = _QUEUE + 3 * _QUEUE_MAX
+_LET_GO = _QUEUE + 3 * _QUEUE_MAX
+MEMORY_N = _LET_GO + 1
 
 # Constants of the controller.
 _TICK_S, _LIMIT, _STEP, _DELAY_TICKS, _LAG, _WATCH_TICKS, _JOLTS = range(7)
@@ -124,8 +125,9 @@ def set_speed_factor(memory: Floats, factor: float) -> None:
 
 
 def adopt_sequence(memory: Floats, sequence: int) -> None:
-    """Take a sequence number as already seen."""
+    """Take a sequence number as already seen: nothing counts before a vector of zeros."""
     memory[_SEQUENCE] = sequence
+    memory[_LET_GO] = float(sequence != 0)
 
 
 def commanded_offset_um(memory: Floats) -> Floats:
@@ -140,19 +142,27 @@ def path_time_s(memory: Floats) -> float:
 
 @kernel
 def _apply_registers(registers: Floats, control: Floats, memory: Floats) -> None:
-    """Latch, limit, delay and lag the offset; the sequence number is the heartbeat."""
+    """Latch, limit, delay and lag the offset; the sequence number is the heartbeat.
+
+    Whoever was away for longer than the watchdog begins at zero: once it has dropped a correction,
+    nothing counts before a vector of zeros.
+    """
     if registers[0] != memory[_SEQUENCE]:
         memory[_SEQUENCE] = registers[0]
-        memory[_AGE] = 0.0
-        for i in range(3):
-            wanted = 1e-3 * registers[1 + i]
-            if not np.isfinite(wanted):
-                wanted = 0.0
-            memory[_LATCHED + i] = min(max(wanted, -control[_LIMIT]), control[_LIMIT])
+        zeros = registers[1] == 0.0 and registers[2] == 0.0 and registers[3] == 0.0
+        if memory[_LET_GO] == 0.0 or zeros:
+            memory[_AGE] = memory[_LET_GO] = 0.0
+            for i in range(3):
+                wanted = 1e-3 * registers[1 + i]
+                if not np.isfinite(wanted):
+                    wanted = 0.0
+                memory[_LATCHED + i] = min(max(wanted, -control[_LIMIT]), control[_LIMIT])
     else:
         memory[_AGE] += 1.0
         if memory[_AGE] >= control[_WATCH_TICKS]:
             for i in range(3):
+                if memory[_LATCHED + i] != 0.0:
+                    memory[_LET_GO] = 1.0
                 memory[_LATCHED + i] = 0.0
     delay = int(control[_DELAY_TICKS])
     for i in range(3):
@@ -271,7 +281,7 @@ def tick_kernel(
     state[_SEGMENT_ID] = segment
     state[_SEGMENT_TIME] = max(began_s, 0.0)
     state[_SCALING] = memory[_SPEED_FACTOR]
-    state[_APPLIED_SEQUENCE] = memory[_SEQUENCE]
+    state[_APPLIED_SEQUENCE] = memory[_SEQUENCE] if memory[_LET_GO] == 0.0 else 0.0
     memory[_PATH_TIME] += tick_s * memory[_SPEED_FACTOR]
 
 

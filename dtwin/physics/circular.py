@@ -256,6 +256,6 @@ def _require_arc(angle_deg: Floats, deviation_um: Floats) -> None:
         raise InputError(
             "the arc is too short to fit a centre",
             code="circular.arc",
-            got=f"{arc:.1f} deg",
+            got=f"{arc:z.1f} deg",
             allowed="30 deg and more",
         )

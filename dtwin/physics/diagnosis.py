@@ -125,6 +125,8 @@ class Diagnosis:
         Effects that would hide in the set-up or in known effects.
     untestable : dict of str to str
         Effects that cannot be judged, and why.
+    told : tuple of str
+        Runs that were left out before, and why; what was stated anew of the campaign.
     outlier_runs : tuple of str
         Runs that were left out.
     spread : Spread or None
@@ -148,6 +150,7 @@ class Diagnosis:
     invisible: tuple[str, ...] = ()
     untestable: Mapping[str, str] = field(default_factory=dict)
     outlier_runs: tuple[str, ...] = ()
+    told: tuple[str, ...] = ()
     spread: Spread | None = None
     next_experiment: Mapping[str, Any] | None = None
 
@@ -174,6 +177,7 @@ class Diagnosis:
             "invisible": list(self.invisible),
             "untestable": dict(self.untestable),
             "outlier_runs": list(self.outlier_runs),
+            "told": list(self.told),
             "variance": self.spread.as_dict() if self.spread else {},
             "next_experiment": dict(self.next_experiment) if self.next_experiment else None,
         }

@@ -140,7 +140,7 @@ def next_experiment(
         }  # fmt: skip
     return {
         "text": f"{best.text}, {REPEATS} times: tells {labels[0]} from {labels[1]} with a "
-        f"probability of {100 * best.power:.0f} %, about {best.minutes:.0f} min",
+        f"probability of {100 * best.power:z.0f} %, about {best.minutes:z.0f} min",
         "separates": labels,
         "conditions": [c.as_dict() for c in best.conditions],
         "repeats": REPEATS,

@@ -94,7 +94,7 @@ class Alias:
         """Return it as a sentence."""
         return (
             f"{self.first} and {self.second} cannot be told apart by these runs "
-            f"(correlation {self.correlation:.3f}). {self.separate_by}"
+            f"(correlation {self.correlation:z.3f}). {self.separate_by}"
         )
 
 

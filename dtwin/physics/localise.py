@@ -108,7 +108,7 @@ def headline(obs: Observations, residual: Floats) -> str:
     top = int(np.argmax(by_harmonic))
     share = by_harmonic[top] / max(by_harmonic.sum(), 1e-300)
     words.append(
-        f"{obs.grid.wave(top)} ({100 * share:.0f} %)"
+        f"{obs.grid.wave(top)} ({100 * share:z.0f} %)"
         if share > 0.4
         else "spread over many harmonics"
     )

@@ -111,7 +111,7 @@ def tone_row(run: Run, time_h: float) -> Row:
             "a tone has too few samples for its harmonics", code="twin.short",
             where=f"run {run.meta.run_id}",
             got=f"{int(settled.sum())} samples after {_SETTLING_S:g} s, "
-            f"{rate_hz / condition.frequency_hz:.1f} in a period",
+            f"{rate_hz / condition.frequency_hz:z.1f} in a period",
             allowed=f"at least {_POINTS} in a period",
         )  # fmt: skip
     turn = 2.0 * np.pi * condition.frequency_hz * t_s[settled]

@@ -157,9 +157,10 @@ class Twin:
         }
 
 
-def left_out_lines(data: Mapping[str, Any]) -> list[str]:
-    """Return a line for each run that was left out because of its errors."""
-    return [f"left out, {run}: {why}" for run, why in data.get("left_out", {}).items()]
+def data_lines(data: Mapping[str, Any]) -> list[str]:
+    """Return a line for each run that was left out, and for each amendment of the metadata."""
+    out = [f"left out, {run}: {why}" for run, why in data.get("left_out", {}).items()]
+    return [*out, *data.get("amended", [])]
 
 
 def twin_of(

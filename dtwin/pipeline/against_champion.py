@@ -46,7 +46,7 @@ class Comparison:
     def verdict(self) -> str:
         """One sentence for the reviewer."""
         change = 1.0 - self.candidate_um / self.champion_um
-        what = f"{abs(100 * change):.0f} % {'less' if change > 0 else 'more'} error"
+        what = f"{abs(100 * change):z.0f} % {'less' if change > 0 else 'more'} error"
         known = (
             f"; the champion was trained on {self.seen_by_champion} of these runs, which flatters it"
             if self.seen_by_champion
@@ -54,17 +54,17 @@ class Comparison:
         )
         return (
             f"candidate {self.candidate} leaves {what} than champion {self.champion} "
-            f"({self.candidate_um:.1f} against {self.champion_um:.1f} um) on {self.n_runs} runs"
+            f"({self.candidate_um:z.1f} against {self.champion_um:z.1f} um) on {self.n_runs} runs"
             + known
         )
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Return head and rows for pages."""
         return ["", "um RMS, held out"], [
-            ["no correction", f"{self.before_um:.1f}"],
-            [f"champion {self.champion}", f"{self.champion_um:.1f}"],
-            [f"candidate {self.candidate}", f"{self.candidate_um:.1f}"],
-            ["noise floor", f"{self.noise_floor_um:.1f}"],
+            ["no correction", f"{self.before_um:z.1f}"],
+            [f"champion {self.champion}", f"{self.champion_um:z.1f}"],
+            [f"candidate {self.candidate}", f"{self.candidate_um:z.1f}"],
+            ["noise floor", f"{self.noise_floor_um:z.1f}"],
         ]
 
 

@@ -109,7 +109,7 @@ def compensation_file(table: AxisTable) -> str:
         One axis.
     """
     rows = zip(table.position_mm, table.forward_um, table.reverse_um, strict=True)
-    lines = [f"{p:.6f} {0.0 - f / UM_PER_MM:.6f} {0.0 - r / UM_PER_MM:.6f}" for p, f, r in rows]
+    lines = [f"{p:z.6f} {0.0 - f / UM_PER_MM:z.6f} {0.0 - r / UM_PER_MM:z.6f}" for p, f, r in rows]
     return "\n".join(lines) + "\n"
 
 
@@ -125,7 +125,7 @@ def csv_table(tables: list[AxisTable]) -> str:
     for t in tables:
         rows = zip(t.position_mm, t.forward_um, t.reverse_um, strict=True)
         lines += [
-            f"{t.axis},{p:.6f},{f:.4f},{r:.4f},{0.0 - f / UM_PER_MM:.7f},{0.0 - r / UM_PER_MM:.7f}"
+            f"{t.axis},{p:z.6f},{f:z.4f},{r:z.4f},{0.0 - f / UM_PER_MM:z.7f},{0.0 - r / UM_PER_MM:z.7f}"
             for p, f, r in rows
         ]
     return "\n".join(lines) + "\n"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.quality import judge_campaign, without_samples
 from dtwin.config import Home
 from dtwin.physics.circular import fit_circle, residual_um
@@ -42,7 +43,7 @@ def campaign_figures(home: Home, campaign: str, progress: Progress | None = None
     results, light = [], []
     for done, row in enumerate(rows, start=1):
         run = lake.load(row, signals=False)
-        results.append(_once(run_result(run)))
+        results.append(run_result(run))
         light.append(without_samples(run))
         if progress is not None:
             progress(done, len(rows), run.meta.run_id)
@@ -51,7 +52,13 @@ def campaign_figures(home: Home, campaign: str, progress: Progress | None = None
         "machine": known.machine,
         "kind": known.kind,
         "runs": results,
-        "findings": [finding.as_dict() for finding in judge_campaign(light)],
+        "findings": [
+            finding.as_dict()
+            for finding in [
+                *judge_campaign(light),
+                *amendment_findings(lake.runs(campaign, left_out=True)),
+            ]
+        ],
     }
 
 
@@ -94,9 +101,3 @@ def _centred(run: Run) -> tuple[Floats, Floats]:
     angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
     radius = float(run.meta.radius_mm or 0.0)
     return angle, residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
-
-
-def _once(result: dict[str, Any]) -> dict[str, Any]:
-    """Drop findings that the ingest made already and that are kept with the run."""
-    unique = {(f["code"], f["message"]): f for f in result["findings"]}
-    return result | {"findings": list(unique.values())}

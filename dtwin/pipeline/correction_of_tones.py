@@ -103,7 +103,7 @@ def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -
         ),
         exports={"window.txt": to_text(graph), "tick.txt": to_text(bundle.tick_graph)},
         bundle=bundle.to_dict(),
-        findings=(f"spectral radius of the corrected loop {radius:.3f}, worst at {where}",)
+        findings=(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}",)
         if where
         else (),
         numbers=found.numbers

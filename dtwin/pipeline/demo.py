@@ -25,7 +25,7 @@ from dtwin.report.campaign import (
 from dtwin.report.checking import render_check
 from dtwin.report.html import Section, Table, page
 from dtwin.report.text import table
-from dtwin.train.evidence import DEFAULT_PLAN, EvidencePlan
+from dtwin.train.circle_evidence import DEFAULT_PLAN, EvidencePlan
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import verdict_lines
 
@@ -166,7 +166,7 @@ def _measure(work: Work, home: Home, screen: Screen, size: DemoSize, seed: int) 
     codes = sorted({finding.code for _, finding in report.findings})
     screen.say(
         f"{done.measured} tests measured, {done.kept} kept from before, "
-        f"{done.raw_bytes / 1e6:.0f} MB; {len(report.added)} runs added to the lake, "
+        f"{done.raw_bytes / 1e6:z.0f} MB; {len(report.added)} runs added to the lake, "
         f"{len(report.unchanged)} unchanged; findings: {', '.join(codes) or 'none'}"
     )
     return {
@@ -190,8 +190,8 @@ def _train(work: Work, screen: Screen, size: DemoSize, sections: list[Section]) 
     head, rows = comparison_table(report.candidates)
     screen.say(table(head, rows))
     screen.say(
-        f"error without a model {report.rms_before_um:.1f} um RMS, noise floor "
-        f"{report.noise_floor_um:.1f} um (unit of replication: the run)\n"
+        f"error without a model {report.rms_before_um:z.1f} um RMS, noise floor "
+        f"{report.noise_floor_um:z.1f} um (unit of replication: the run)\n"
         f"proposed: {report.proposed}, registered as version {registered.version.version}"
     )
     sections.append(training_section(report))
@@ -202,7 +202,7 @@ def _correct(
     work: Work, screen: Screen, size: DemoSize, seed: int, registered: Registered,
     sections: list[Section],
 ) -> dict[str, Any]:  # fmt: skip
-    version, geometry = registered.version, registered.training.geometry
+    version = registered.version
     screen.say("\n".join(verdict_lines(registered.verdicts)))
     if not all(v.passed for v in registered.verdicts):
         return _stopped(registered.verdicts, "an offline gate said no")
@@ -210,10 +210,10 @@ def _correct(
     screen.say(f"version {version.version} is on trial (a quarter of its clamp)")
     serving = work.serve(version.machine, size.evidence.conditions[0], size.serve_s, seed)
     screen.say(_serving_text(serving))
-    evidence = work.evidence(version, geometry, size.evidence, seed)
+    evidence = work.evidence(version, size.evidence, seed)
     found = evidence.as_dict()
     screen.say(table(*evidence_table(found)))
-    path, reason = work.make_champion(version, found, "demo")
+    path, reason = work.make_champion(version, "demo")
     screen.say(
         f"champion: version {version.version}, {path}" if path else f"not promoted\n{reason}"
     )
@@ -282,7 +282,7 @@ def _comparison(registered: Registered) -> list[dict[str, Any]]:
 
 def _final(outcome: Mapping[str, Any], seconds: Mapping[str, float]) -> str:
     return (
-        f"{_conclusion(outcome)}; {sum(seconds.values()):.0f} s in all\n"
+        f"{_conclusion(outcome)}; {sum(seconds.values()):z.0f} s in all\n"
         "look further: dtwin models, dtwin runs, dtwin up (MLflow and Prefect pages)"
     )
 
@@ -294,8 +294,8 @@ def _conclusion(outcome: Mapping[str, Any]) -> str:
         return champion
     return (
         f"share of the oracle's reduction: "
-        f"{100 * evidence['share_of_oracle_unseen_feeds']:.0f} % on feeds never trained, "
-        f"{100 * evidence['share_of_oracle_trained_feeds']:.0f} % on trained ones\n{champion}"
+        f"{100 * evidence['share_of_oracle_unseen_feeds']:z.0f} % on feeds never trained, "
+        f"{100 * evidence['share_of_oracle_trained_feeds']:z.0f} % on trained ones\n{champion}"
     )
 
 

@@ -15,7 +15,7 @@ from dtwin.pipeline.measuring import Progress
 from dtwin.schema import Finding, Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.store import Lake
+from dtwin.store import TABLES, Lake
 from dtwin.train.candidates import score
 from dtwin.train.dataset import TICK_HZ, TickRun, load_ticks
 from dtwin.train.registry import RegisteredVersion, Registry
@@ -130,11 +130,9 @@ def trained_rows(
         The version.
     """
     params = registry.client.get_run(version.run_id).data.params
-    table = lake.tables["runs"]
-    files = table.files(int(params.get("table_version.runs", -1)))
-    campaign = campaign_of(registry, version)
-    rows = table.read(files).to_pylist() if files else []
-    return [row for row in rows if row["campaign"] == campaign and usable(row)]
+    at = {name: int(params.get(f"table_version.{name}", -1)) for name in TABLES}
+    rows = lake.runs(str(params.get("campaign", "")), at=at)
+    return [row for row in rows if usable(row)]
 
 
 def usable(row: Any) -> bool:
@@ -189,11 +187,11 @@ def check_drift(
     excess = float(np.sqrt(max(0.0, error.rms_um**2 - expected**2)))
     drifted = excess > error.noise_floor_um
     reason = (
-        f"champion {champion.version} leaves {error.rms_um:.1f} um on {error.n_runs} runs of "
-        f"{campaign} that it never saw, {expected:.1f} um were registered with it "
-        f"({left_out} left out): grown by {excess:.1f} um in quadrature, "
+        f"champion {champion.version} leaves {error.rms_um:z.1f} um on {error.n_runs} runs of "
+        f"{campaign} that it never saw, {expected:z.1f} um were registered with it "
+        f"({left_out} left out): grown by {excess:z.1f} um in quadrature, "
         f"{'more' if drifted else 'not more'} than the noise floor of "
-        f"{error.noise_floor_um:.1f} um"
+        f"{error.noise_floor_um:z.1f} um"
     )
     return DriftCheck(
         champion.version, campaign, error, expected, left_out, excess, drifted, reason

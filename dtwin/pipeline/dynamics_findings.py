@@ -34,8 +34,8 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
     if lobes and lobes["taken"] > _MOST_TAKEN:
         say(
             "eats_features",
-            f"the filter takes {100 * lobes['taken']:.0f} % of a real two-lobe error for dynamics "
-            f"(leaves {100 * lobes['gain']:.0f} %, {lobes['lag_deg']:.1f} deg late): raise Q or the "
+            f"the filter takes {100 * lobes['taken']:z.0f} % of a real two-lobe error for dynamics "
+            f"(leaves {100 * lobes['gain']:z.0f} %, {lobes['lag_deg']:z.1f} deg late): raise Q or the "
             "cutoff, or use the twin",
             taken=lobes["taken"],
         )
@@ -49,7 +49,7 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
     elif result["bias"]["dc3_um"] > _MOST_BIAS * taken:
         say(
             "static_taken",
-            f"{result['bias']['dc3_um']:.2f} um RMS are taken out of the slow runs, {taken:.2f} um out "
+            f"{result['bias']['dc3_um']:z.2f} um RMS are taken out of the slow runs, {taken:z.2f} um out "
             "of the fastest: the twin lacks an effect (dtwin twin diagnose), the filter smooths too "
             "much, or the reference is not slow enough",
             slow_um=result["bias"]["dc3_um"],
@@ -82,8 +82,8 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
         say(
             "differs_from_reference",
             f"in {len(apart)} of {len(rows)} runs the circular deviation differs from the slow "
-            f"reference by more than {100 * ACCEPTED_DIFFERENCE:.0f} %, most in {worst['run']} "
-            f"({100 * worst['difference']:.0f} %): what changes with the feed was not all taken out",
+            f"reference by more than {100 * ACCEPTED_DIFFERENCE:z.0f} %, most in {worst['run']} "
+            f"({100 * worst['difference']:z.0f} %): what changes with the feed was not all taken out",
             worst=worst["difference"],
         )
     grown = [r for r in rows if r["dc1_um"] < 0.0]

@@ -146,7 +146,7 @@ def _published_filter() -> Line:
     found = response(RandomWalkFilter(), 360)
     return Line(
         "", "two-lobe errors after Q 0.001, R 1 at 360 readings", "main shapes well preserved",
-        f"{100 * found.gain:.0f} % of them left, {found.lag_deg:.0f} deg late", found.taken <= 0.01,
+        f"{100 * found.gain:z.0f} % of them left, {found.lag_deg:z.0f} deg late", found.taken <= 0.01,
     )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def _printed_fitness() -> Line:
     right = math.isclose(equal, tiny) and one < 1.01
     return Line(
         "A6", "printed fitness: (1,1,1), (1e-6,1e-6,1e-6), (100,0.1,0.01)", "smaller is better",
-        f"{equal:.4f}, {tiny:.4f}, {one:.4f}: a perfect fit is the worst", not right,
+        f"{equal:z.4f}, {tiny:z.4f}, {one:z.4f}: a perfect fit is the worst", not right,
     )  # fmt: skip
 
 
@@ -186,10 +186,10 @@ def _deviations() -> Line:
             error = radial_error_um(simulated_turn(machine, sign, 0.0, rng), machine["radius"])
             ours, theirs = float(np.ptp(error)), machine["circular_deviation"][way.lower()]
             off.append(abs(ours - theirs))
-            told.append(f"{ours:.1f}")
+            told.append(f"{ours:z.1f}")
     return Line(
         "A4", "machines 2 and 3 without vibration: circular deviation CW, CCW",
-        "7.3, 7.8, 20, 24 um", f"{', '.join(told)} um, worst by {max(off):.1f}",
+        "7.3, 7.8, 20, 24 um", f"{', '.join(told)} um, worst by {max(off):z.1f}",
         max(off) <= _NEAR_UM,
     )  # fmt: skip
 
@@ -206,8 +206,8 @@ def _still(cases: Sequence[Case]) -> list[Line]:
             Line(
                 "A8", f"{how}: what vibration below CD changes after it",
                 "at most 1.7 um (UKF)",
-                f"{abs(worst.off_um):.1f} um ({worst.machine}); takes {eaten:.1f} um RMS out of still "
-                f"machines, DC3 wrong by up to {wrong:.1f} um",
+                f"{abs(worst.off_um):z.1f} um ({worst.machine}); takes {eaten:z.1f} um RMS out of still "
+                f"machines, DC3 wrong by up to {wrong:z.1f} um",
                 abs(worst.off_um) <= _WITHIN_UM,
             )
         )  # fmt: skip
@@ -244,8 +244,8 @@ def _swarm(size: Size, seed: int) -> Line:
     return Line(
         "A10", f"swarm of {size.particles} and {size.iterations} iterations, 360 readings",
         "alpha 0.0442; no time told",
-        f"Q/R {found.chosen.q_um2:.3g} in {found.seconds:.0f} s, fitness "
-        f"{found.unfiltered.fitness:.1f} to {found.judged.fitness:.1f}",
+        f"Q/R {found.chosen.q_um2:.3g} in {found.seconds:z.0f} s, fitness "
+        f"{found.unfiltered.fitness:z.1f} to {found.judged.fitness:z.1f}",
         None,
     )  # fmt: skip
 
@@ -279,19 +279,19 @@ def _sweep_lines(sweep: Sequence[dict[str, float]]) -> list[Line]:
         Line(
             "", "hexapod at its fastest: DC1 and DC3 of circular deviation",
             "about 5 % (data not public)",
-            f"{100 * last['dc1_um'] / last['before_um']:.0f} % and "
-            f"{100 * last['dc3_um'] / last['before_um']:.0f} %",
+            f"{100 * last['dc1_um'] / last['before_um']:z.0f} % and "
+            f"{100 * last['dc3_um'] / last['before_um']:z.0f} %",
             None,
         ),
         Line(
             "", f"hexapod: DC3 rises clearly beyond {_SLOW_MM_MIN:g} mm/min", "yes",
-            f"up to it {min(slow):.1f} to {max(slow):.1f} um, beyond {min(fast):.1f} to "
-            f"{max(fast):.1f} um, most at {largest['feed_mm_min']:g}",
+            f"up to it {min(slow):z.1f} to {max(slow):z.1f} um, beyond {min(fast):z.1f} to "
+            f"{max(fast):z.1f} um, most at {largest['feed_mm_min']:g}",
             min(fast) > max(slow),
         ),
         Line(
             "", "hexapod: DC3 by the low-pass against what is true", "-",
-            f"wrong by up to {worst:.1f} um: lag and bending with the speed pass it",
+            f"wrong by up to {worst:z.1f} um: lag and bending with the speed pass it",
             None,
         ),
     ]  # fmt: skip

@@ -260,7 +260,7 @@ def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
 
 def _table_notes(request: Request, tables: Sequence[AxisTable]) -> list[str]:
     notes = [
-        f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:.2f} um off; "
+        f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:z.2f} um off; "
         f"a table of {MOST_TRIPLETS} rows is not enough for {TOLERANCE_UM:g} um"
         for t in tables
         if t.interpolation_um > TOLERANCE_UM and request.points is None

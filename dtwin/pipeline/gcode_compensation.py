@@ -169,6 +169,6 @@ class _Work:
         self.points += 1
         self.written = target
         places = zip("XYZ", target.tolist(), move.known, strict=True)
-        words = [f"{letter}{value:.5f}" for letter, value, known in places if known]
+        words = [f"{letter}{value:z.5f}" for letter, value, known in places if known]
         feed = [f"F{move.feed_mm_min:g}"] if code == "G1" else []
         return " ".join([code, *words, *feed])

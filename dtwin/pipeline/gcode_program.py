@@ -188,7 +188,7 @@ def _arc(
             "the ends of an arc are not equally far from its centre",
             code="gcode.arc",
             where=where,
-            got=f"{first:.4f} and {last:.4f} mm",
+            got=f"{first:z.4f} and {last:z.4f} mm",
             hint="give the centre with I, J, K from the start of the arc",
         )
     begin = math.atan2(at[b] - centre[1], at[a] - centre[0])

@@ -51,9 +51,9 @@ class IntegrationCheck:
         """Return one sentence."""
         return (
             f"double integration of ideal accelerations ({COUPLING_HZ:g} Hz coupling, restarted "
-            f"every {1000 * WINDOW_S:.0f} ms) would answer {self.answer_um:.0f} um RMS for this "
-            f"error of {self.error_um:.0f} um; with the spectral threshold that a particle swarm "
-            f"finds best, {self.filtered_um:.1f} um that correlate {self.filtered_correlation:.2f} "
+            f"every {1000 * WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} um RMS for this "
+            f"error of {self.error_um:z.0f} um; with the spectral threshold that a particle swarm "
+            f"finds best, {self.filtered_um:z.1f} um that correlate {self.filtered_correlation:z.2f} "
             "with it"
         )
 

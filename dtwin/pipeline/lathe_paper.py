@@ -194,8 +194,8 @@ def _scatter(
         theirs = told * UM_PER_IN
         lines.append(
             Line(
-                target, f"{what}: {title}", f"{theirs:.1f} um",
-                f"{middle:.1f} +- {spread:.1f} um, worst {values.max():.1f} ({len(values)} campaigns)",
+                target, f"{what}: {title}", f"{theirs:z.1f} um",
+                f"{middle:z.1f} +- {spread:z.1f} um, worst {values.max():z.1f} ({len(values)} campaigns)",
                 abs(theirs - middle) <= 2.0 * spread,
             )
         )  # fmt: skip
@@ -216,7 +216,7 @@ def _ratios(
             Line(
                 "A5", f"left of the {title}: table, pair, flanks",
                 f"{paper[0]} %, {paper[1]} %, -",
-                f"{left['table']:.1f} %, {left['network']:.1f} %, {left['flanks']:.1f} %",
+                f"{left['table']:z.1f} %, {left['network']:z.1f} %, {left['flanks']:z.1f} %",
                 bool(left["table"] <= 20.0 and left["network"] <= 20.0),
             )
         )  # fmt: skip
@@ -225,7 +225,7 @@ def _ratios(
         lines.append(
             Line(
                 "A4", f"pair better than the table, {title}", "yes, from one run each",
-                f"in {better} of {n} campaigns, median ratio {both:.2f}",
+                f"in {better} of {n} campaigns, median ratio {both:z.2f}",
                 better > n / 2 + np.sqrt(n),
             )
         )  # fmt: skip
@@ -271,7 +271,7 @@ def _reached(target: str, what: str, goal: float, epochs: int, found: Sequence[T
     seconds = float(np.median([t.seconds for t in found]))
     return Line(
         target, f"{what} to {goal:g} in2", f"fewer than {epochs} epochs",
-        f"{len(done)} of {len(found)} seeds, median {typical:.0f} epochs, {seconds:.1f} s",
+        f"{len(done)} of {len(found)} seeds, median {typical:z.0f} epochs, {seconds:z.1f} s",
         3 * len(done) >= 2 * len(found),
     )  # fmt: skip
 
@@ -296,7 +296,7 @@ def _single(exact: Averages, size: Size) -> list[Line]:
         Line(
             "A10", "pair trained faster than the single network, to equal error",
             "2 h against 1 min",
-            f"{ratio:.0f} times ({equal.seconds:.1f} s against {dual_s:.2f} s)"
+            f"{ratio:z.0f} times ({equal.seconds:z.1f} s against {dual_s:z.2f} s)"
             + ("" if same else "; the single one had not reached the pair's error"),
             ratio >= 50.0,
         ),

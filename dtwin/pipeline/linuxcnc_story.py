@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -13,23 +14,27 @@ from dtwin.acquire.linuxcnc import (
     MACHINE,
     CirclePlan,
     run_circles,
+    run_of,
     write_circles,
 )
 from dtwin.config import Home
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
 from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
+from dtwin.pipeline.evidence import compute_measured, make_champion
 from dtwin.pipeline.exports import Request, export, source_of
 from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace, named, served_figures
-from dtwin.pipeline.modelling import make_champion, put_on_trial
+from dtwin.pipeline.modelling import put_on_trial
 from dtwin.pipeline.twin_correction import Correction, correct
 from dtwin.pipeline.twins import Twins
-from dtwin.schema import Floats
+from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import t_quantile
-from dtwin.train.evidence import ConditionResult, Evidence
+from dtwin.train.evidence_runs import corrected
+from dtwin.train.measured_ways import MeasuredWays, numbered
 
 KNOWN = ("scale_mismatch", "squareness", "servo_mismatch")
+CLOCK = "LinuxCNC's servo thread in simulated real time (1 kHz), serving on the wall clock"
 NONE, LIVE, TABLE = "none", "live", "table"
 WAYS = (NONE, LIVE, TABLE)
 _MOST_ADDED = 3
@@ -92,7 +97,7 @@ def linuxcnc_story(
     folder = home.campaigns / name
     if not (folder / "campaign.toml").exists():
         circles = size.campaign.circles(seed)
-        tell("campaign")(0, len(circles), f"{size.campaign.duration_s:.0f} s")
+        tell("campaign")(0, len(circles), f"{size.campaign.duration_s:z.0f} s")
         with LinuxcncSession(seed=seed) as session:
             write_circles(folder, run_circles(session, circles), session.faults, name)
     twins = Twins(home)
@@ -108,10 +113,10 @@ def linuxcnc_story(
         for feed in size.campaign.feeds_mm_min
         for d in DIRECTIONS
     ]
-    turns, served = _proof(bundle, tables, proof, size.repeats, seed, tell)
+    turns, served, measured = _proof(bundle, tables, proof, size.repeats, seed, tell)
     results = [_result(turns, circle) for circle in proof]
-    evidence = _evidence(bundle, turns, size, size.campaign.feeds_mm_min)
-    champion, reason = make_champion(home, made.version, evidence, "dtwin demo linuxcnc")
+    compute_measured(home, made.version, MeasuredWays(numbered(measured), CLOCK))
+    champion, reason = make_champion(home, made.version, "dtwin demo linuxcnc")
     return {
         "machine": MACHINE,
         "campaign": name,
@@ -178,29 +183,33 @@ def compensation_tables(home: Home, made: Correction) -> tuple[dict[str, str], d
 def _proof(
     bundle: Bundle, tables: Mapping[str, str], circles: Sequence[Circle], repeats: int, seed: int,
     tell: Callable[[str], Progress],
-) -> tuple[dict[str, list[Trace]], dict[str, Any]]:  # fmt: skip
+) -> tuple[dict[str, list[Trace]], dict[str, Any], list[Run]]:  # fmt: skip
     """Run the circles without and with live correction interleaved, then with the tables."""
     rng = np.random.default_rng([seed, 29])
     jobs = [(way, c) for way in (NONE, LIVE) for c in circles for _ in range(repeats)]
     jobs = [jobs[i] for i in rng.permutation(len(jobs))]
     turns: dict[str, list[Trace]] = {way: [] for way in WAYS}
     served: list[LiveTrace] = []
+    measured: list[Run] = []
     line = tell("without and with live correction")
     with LinuxcncSession(_LATER, seed=seed + 1) as session:
         live = LiveCorrection(session, bundle)
         for done, (way, circle) in enumerate(jobs, start=1):
+            started = datetime.now(UTC).isoformat()
             if way == LIVE:
                 served.append(live.run(circle))
                 turns[way].append(served[-1].trace)
             else:
                 turns[way] += run_circles(session, [circle])
+            run = run_of(turns[way][-1], "e", 1, "later", started)
+            measured.append(corrected(run, bundle.model_sha256) if way == LIVE else run)
             line(done, len(jobs), named(circle))
     # LinuxCNC reads tables at its start only: they cannot be interleaved inside a session.
     tabled = [circles[i % len(circles)] for i in rng.permutation(len(circles) * repeats)]
     tell("with compensation tables")(0, len(tabled), "")
     with LinuxcncSession(_LATER, tables, seed=seed + 2) as session:
         turns[TABLE] = run_circles(session, tabled)
-    return turns, served_figures(served)
+    return turns, served_figures(served), measured
 
 
 def _result(turns: Mapping[str, Sequence[Trace]], circle: Circle) -> dict[str, Any]:
@@ -251,32 +260,3 @@ def _half_width_um(groups: Sequence[Floats]) -> float:
         return float("inf")
     spread = sum((len(g) - 1) * float(np.var(g, ddof=1)) for g in groups if len(g) > 1)
     return t_quantile(0.975, freedom) * float(np.sqrt(spread / freedom / n))
-
-
-def _evidence(
-    bundle: Bundle, turns: Mapping[str, Sequence[Trace]], size: StorySize, feeds: Sequence[float]
-) -> dict[str, Any]:
-    """Return the live runs as promotion asks for them; no oracle was run."""
-    rms = {way: _rms_um(turns[way]) for way in (NONE, LIVE)}
-    conditions = []
-    for feed in feeds:
-        groups = {
-            way: [
-                rms[way][[t.circle.feed_mm_min == feed and t.circle.direction == d for t in turns[way]]]
-                for d in DIRECTIONS
-            ]
-            for way in (NONE, LIVE)
-        }  # fmt: skip
-        mean = {way: float(np.concatenate(groups[way]).mean()) for way in groups}
-        conditions.append(
-            ConditionResult(
-                plane="XY", radius_mm=size.radius_mm, feed_mm_min=feed, trained=True,
-                before_um=mean[NONE], after_um=mean[LIVE], oracle_um=float("nan"),
-                before_ci_um=_half_width_um(groups[NONE]),
-                after_ci_um=_half_width_um(groups[LIVE]), floor_um=float("nan"),
-                n_runs=sum(len(g) for g in groups[LIVE]),
-            )
-        )  # fmt: skip
-    clock = "LinuxCNC's servo thread in simulated real time (1 kHz), serving on the wall clock"
-    made = Evidence("virtual", clock, bundle.sha256, tuple(conditions), {})
-    return made.as_dict()

@@ -72,8 +72,13 @@ def simulate(
     return run_campaign(plan, VirtualCobotBench(seed), out, progress)
 
 
-def ingest(path: Path, home: Home, progress: Progress | None = None) -> IngestReport:
-    """Bring a campaign folder or a ball-bar file into the lake.
+def ingest(
+    path: Path,
+    home: Home,
+    progress: Progress | None = None,
+    told: Mapping[str, Any] | None = None,
+) -> IngestReport:
+    """Bring a campaign folder, a ball-bar file or a table that lies alone into the lake.
 
     Parameters
     ----------
@@ -83,8 +88,10 @@ def ingest(path: Path, home: Home, progress: Progress | None = None) -> IngestRe
         Gives the lake.
     progress : callable, optional
         Called with (done, total, what).
+    told : mapping, optional
+        What is told of a table that lies alone.
     """
-    return ingest_path(path, Lake(home.lake), progress)
+    return ingest_path(path, Lake(home.lake), progress, told)
 
 
 def in_lake(home: Home, campaign: str) -> str:

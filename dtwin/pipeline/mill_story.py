@@ -18,13 +18,16 @@ from dtwin.acquire.thesis_mill import (
 )
 from dtwin.acquire.virtual_mill import write_campaign
 from dtwin.config import Home
+from dtwin.pipeline.evidence import compute_measured, make_champion
 from dtwin.pipeline.mill_story_defects import NOT_DONE, defects, uncaught
 from dtwin.pipeline.mill_story_map import LearnedSession, learn_session, register_map
 from dtwin.pipeline.mill_story_session import NONE, LaterSession, Way, later_session
-from dtwin.pipeline.modelling import make_champion, put_on_trial
+from dtwin.pipeline.modelling import put_on_trial
 from dtwin.pipeline.twin_correction import Correction, correct
 from dtwin.pipeline.twins import Twins
 from dtwin.schema import Campaign
+from dtwin.serve.bundle import Bundle
+from dtwin.train.measured_ways import MeasuredWays
 from dtwin.train.promotion import check_version
 from dtwin.train.registry import RegisteredVersion, Registry
 
@@ -102,13 +105,11 @@ def mill_story(
         "seed": seed,
         "repeats": repeats,
         "learned": _learned_dict(learned, (float(seen.min()), float(seen.max()))),
-        "map_gates": _judged(
-            home, registry, mapped, session.evidence(MAP, learned.bundle).as_dict()
-        ),
-        "later": _later_dict(session),
+        "map_gates": _judged(home, registry, mapped, session.measured(MAP, learned.bundle)),
+        "later": _later_dict(session, {MAP: learned.bundle, TWIN: right}),
         "twin": _twin_dict(told),
         "twin_gates": _judged(
-            home, registry, told.correction.version, session.evidence(TWIN, right).as_dict()
+            home, registry, told.correction.version, session.measured(TWIN, right)
         ),
         "defects": broken,
         "nothing_catches": uncaught(broken),
@@ -151,12 +152,13 @@ def _learned_dict(learned: LearnedSession, temperature_c: tuple[float, float]) -
 
 
 def _judged(
-    home: Home, registry: Registry, version: RegisteredVersion, evidence: Mapping[str, Any]
+    home: Home, registry: Registry, version: RegisteredVersion, measured: MeasuredWays
 ) -> dict[str, Any]:
     """Ask for promotion without evidence and with it, as a user would."""
     _, offline = check_version(registry, version)
-    _, without = make_champion(home, version, None, "dtwin demo mill, without evidence")
-    path, reason = make_champion(home, version, evidence, "dtwin demo mill")
+    _, without = make_champion(home, version, "dtwin demo mill, without evidence")
+    compute_measured(home, version, measured)
+    path, reason = make_champion(home, version, "dtwin demo mill")
     return {
         "version": version.version,
         "offline": [dict(vars(v)) for v in offline],
@@ -166,20 +168,20 @@ def _judged(
     }
 
 
-def _later_dict(session: LaterSession) -> dict[str, Any]:
+def _later_dict(session: LaterSession, served: Mapping[str, Bundle]) -> dict[str, Any]:
     ways = {}
-    for way in (MAP, TWIN):
+    for way, bundle in served.items():
         rows = []
-        for c in session.conditions(way):
-            ratio = c.after_um / c.before_um
-            spread = np.hypot(c.after_ci_um / c.after_um, c.before_ci_um / c.before_um)
+        for c in session.evidence(way, bundle).as_dict()["conditions"]:
+            ratio = c["after_um"] / c["before_um"]
+            shares = [c[f"{name}_ci_um"] / c[f"{name}_um"] for name in ("after", "before")]
             rows.append(
                 {
-                    **c.as_dict(),
+                    **c,
                     "ratio": ratio,
-                    "ratio_half_width": float(ratio * spread),
-                    "raw_before_um": session.raw_um(NONE, c.feed_mm_min),
-                    "raw_after_um": session.raw_um(way, c.feed_mm_min),
+                    "ratio_half_width": float(ratio * np.hypot(*shares)),
+                    "raw_before_um": session.raw_um(NONE, c["feed_mm_min"]),
+                    "raw_after_um": session.raw_um(way, c["feed_mm_min"]),
                     "halved": ratio <= 0.5,
                 }
             )

@@ -65,7 +65,7 @@ def defects(
         "sign flipped": Way(wrong_way(bundle)),
         "axes swapped": Way(bundle, _changed(lambda mm: mm[::-1])),
         f"{STALE_S:g} s old, stamped as new": Way(bundle, _changed(_late)),
-        f"8-bit output, {QUANTUM_UM:.2f} um": Way(bundle, _changed(_rounded)),
+        f"8-bit output, {QUANTUM_UM:z.2f} um": Way(bundle, _changed(_rounded)),
         "a Gaussian term that never fires": Way(with_dead_term(bundle)),
     }
     session = later_session(ways, seed=seed, repeats=repeats, progress=progress)
@@ -112,10 +112,10 @@ def with_dead_term(bundle: Bundle) -> Bundle:
 def _measured(
     name: str, bundle: Bundle, metrics: Mapping[str, float], session: LaterSession
 ) -> dict[str, Any]:
-    found = session.evidence(name, bundle).as_dict()
+    found = session.evidence(name, bundle)
     verdicts = evidence_gate(found, bundle, real=False)
     caught = [v.gate for v in verdicts if not v.passed]
-    ratio = np.mean([c["after_um"] / c["before_um"] for c in found["conditions"]])
+    ratio = np.mean([c["after_um"] / c["before_um"] for c in found.conditions])
     return {
         "defect": name,
         "ratio": float(ratio),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,13 +25,10 @@ from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest
 from dtwin.schema import Run
 from dtwin.serve.bundle import Bundle
-from dtwin.train.evidence import ConditionResult, Evidence, condition_result
-from dtwin.train.mill_evidence import (
-    TRANSPORT_S,
-    ServedCorrection,
-    by_direction,
-    oracle_correction,
-)
+from dtwin.train.evidence import Evidence
+from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
+from dtwin.train.results import condition_name
 
 NONE, ORACLE = "none", "oracle"
 _WARM_UP = 2
@@ -65,36 +63,20 @@ class LaterSession:
 
     Attributes
     ----------
-    runs : dict of str to dict
-        By way and feed: runs as ``condition_result`` takes them, with ``raw_um``.
+    runs : dict of str to tuple of Run
+        By way, in order of time; the other ways' runs lie between.
+    acted : dict of str to dict
+        By way and name of a condition: share of the ticks in which each guard acted.
     temperature_c : tuple of float
         Lowest and highest logged temperature.
     """
 
-    runs: Mapping[str, Mapping[float, Sequence[dict[str, Any]]]]
+    runs: Mapping[str, tuple[Run, ...]]
+    acted: Mapping[str, Mapping[str, Mapping[str, float]]]
     temperature_c: tuple[float, float]
 
-    def conditions(self, way: str) -> tuple[ConditionResult, ...]:
-        """Return before and after of every feed, set-up-corrected, the run as unit.
-
-        Parameters
-        ----------
-        way : str
-            One of the ways.
-        """
-        out = []
-        for feed in FEEDS_MM_MIN:
-            runs = {
-                "uncompensated": self.runs[NONE][feed],
-                "compensated": self.runs[way][feed],
-                "oracle": self.runs[ORACLE][feed],
-            }
-            found = condition_result(PLANE, RADIUS_MM, feed, True, runs)
-            out.append(by_direction(found, runs))
-        return tuple(out)
-
-    def evidence(self, way: str, bundle: Bundle) -> Evidence:
-        """Return the closed-loop evidence for a way, as promotion asks for it.
+    def measured(self, way: str, bundle: Bundle) -> MeasuredWays:
+        """Return the runs of a way beside those without any correction.
 
         Parameters
         ----------
@@ -104,13 +86,21 @@ class LaterSession:
             What was served in it.
         """
         delay_s = float(geometry()["correction_delay_s"])
-        return Evidence(
-            kind="virtual",
-            clock="machine clock (correction at 500 Hz, axes at 1 kHz)",
-            bundle_sha256=bundle.sha256,
-            conditions=self.conditions(way),
-            delays={"position_loop_s": delay_s - TRANSPORT_S, "transport_s": TRANSPORT_S},
+        served = [
+            replace(run, meta=replace(run.meta, correction=bundle.model_sha256))
+            for run in self.runs[way]
+        ]
+        return MeasuredWays(
+            numbered(sorted([*self.runs[NONE], *served], key=lambda run: run.meta.started)),
+            CLOCK,
+            {"position_loop_s": delay_s - TRANSPORT_S, "transport_s": TRANSPORT_S},
+            self.runs[ORACLE],
+            self.acted[way],
         )
+
+    def evidence(self, way: str, bundle: Bundle) -> Evidence:
+        """Return what the runs say of a way."""
+        return self.measured(way, bundle).evidence(bundle.machine, bundle.model_sha256)
 
     def raw_um(self, way: str, feed: float) -> float:
         """Return the mean absolute reading of a way's runs, mounting and all.
@@ -122,7 +112,8 @@ class LaterSession:
         feed : float
             Feed in mm/min.
         """
-        return float(np.mean([run["raw_um"] for run in self.runs[way][feed]]))
+        chosen = [run for run in self.runs[way] if run.meta.feed_mm_min == feed]
+        return float(np.mean([np.abs(run.samples["deviation_um"]).mean() for run in chosen]))
 
 
 def later_session(
@@ -161,14 +152,22 @@ def later_session(
             corrections[test.correction] = change(made) if change else made
     mill = thesis_mill(seed, corrections=_counted(corrections, progress))
     runs = measure_warm(mill, tests, _WARM_UP)
-    found: dict[str, dict[float, list[dict[str, Any]]]] = {
-        name: {feed: [] for feed in FEEDS_MM_MIN} for name in names
-    }
+    found: dict[str, list[Run]] = {name: [] for name in names}
+    counts: dict[tuple[str, str], list[Mapping[str, int]]] = defaultdict(list)
     for test, name, run in zip(tests, places, runs, strict=True):
-        acted = served[test.correction].acted[test.direction] if name in ways else {}
-        found[name][test.feed_mm_min].append(_row(test, run, acted))
+        found[name].append(run)
+        if name in ways:
+            about = {"plane": PLANE, "radius_mm": RADIUS_MM, "feed_mm_min": test.feed_mm_min}
+            guard = served[test.correction].acted[test.direction]
+            counts[name, condition_name(about)].append(guard)
+    acted: dict[str, dict[str, dict[str, float]]] = defaultdict(dict)
+    for (name, condition), guards in counts.items():
+        acted[name][condition] = guard_shares(guards)
     seen = temperatures_c(runs)
-    return LaterSession(found, (float(seen.min()), float(seen.max())))
+    return LaterSession(
+        {name: tuple(chosen) for name, chosen in found.items()}, acted,
+        (float(seen.min()), float(seen.max())),
+    )  # fmt: skip
 
 
 def _interleaved(
@@ -216,14 +215,3 @@ def _counted(
         return correct
 
     return {name: told(name, inner) for name, inner in corrections.items()}
-
-
-def _row(test: CircularTest, run: Run, acted: Mapping[str, int]) -> dict[str, Any]:
-    reading = run.samples["deviation_um"]
-    return {
-        "direction": test.direction,
-        "angle_rad": np.radians(run.samples["angle_deg"]) % (2.0 * np.pi),
-        "deviation_um": reading,
-        "raw_um": float(np.abs(reading).mean()),
-        "acted": acted,
-    }

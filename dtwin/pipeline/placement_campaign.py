@@ -228,7 +228,7 @@ def _csv(rows: Sequence[Row]) -> str:
         values = [r.started_s, *r.placed.error_um, r.placed.turned_deg,
                   r.placed.faces_disagree_deg, *r.probed.readings_mm, r.probed.temperature_c,
                   r.probed.jig_moved_um, FLAGS.index(r.placed.flag)]  # fmt: skip
-        lines.append(",".join(f"{v:.6g}" if i else f"{v:.3f}" for i, v in enumerate(values)))
+        lines.append(",".join(f"{v:.6g}" if i else f"{v:z.3f}" for i, v in enumerate(values)))
     return "\n".join([*lines, ""])
 
 

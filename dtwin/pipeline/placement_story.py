@@ -159,7 +159,7 @@ def _shortfalls(results: Sequence[Mapping[str, Any]]) -> list[str]:
         if np.isnan(r["share_of_oracle"]):
             out.append(f"{name}: nothing to correct, the oracle's change is not told from zero")
         elif r["share_of_oracle"] < WANTED_SHARE:
-            out.append(f"{name}: {100 * r['share_of_oracle']:.0f} % of the oracle's reduction")
+            out.append(f"{name}: {100 * r['share_of_oracle']:z.0f} % of the oracle's reduction")
         if r["worse"]:
             out.append(f"{name}: worse beyond its confidence interval")
     return out

@@ -206,10 +206,10 @@ def _verdict(influence: dict[str, float], sessions: Sequence[dict[str, Any]]) ->
     sensor = influence["accelerometer RMS, g"]
     dead = f"the accelerometer decides {100 * sensor:.2g} % of the equation's output"
     worth = (
-        f"R² {same['r2']:.3f} on left-out runs of the same mounting, whose mean square is the "
-        f"mounting to {100 * mounting:.1f} %; with the bar mounted anew it leaves "
-        f"{anew['after_um']:.1f} um where the machine's own error is "
-        f"{anew['mounting_out_before_um']:.1f} um"
+        f"R² {same['r2']:z.3f} on left-out runs of the same mounting, whose mean square is the "
+        f"mounting to {100 * mounting:z.1f} %; with the bar mounted anew it leaves "
+        f"{anew['after_um']:z.1f} um where the machine's own error is "
+        f"{anew['mounting_out_before_um']:z.1f} um"
     )
     if anew["after_um"] > anew["mounting_out_before_um"]:
         return f"a position map of one session: {dead}; {worth}"

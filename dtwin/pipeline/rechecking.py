@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,15 +13,16 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.pipeline.modelling import CONDITIONS_FILE, evidence_of, geometry_of
+from dtwin.pipeline.evidence import compute
+from dtwin.pipeline.modelling import CONDITIONS_FILE, geometry_of
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.machine_file import MACHINE_TYPES
-from dtwin.train.evidence import plan_within
+from dtwin.serve.pointer import renew_proof
+from dtwin.train.circle_evidence import plan_within
+from dtwin.train.evidence_record import newest
 from dtwin.train.promotion import withdraw
-from dtwin.train.recheck import CheckedRun, Recheck, interleaved_runs, judge, read_runs
+from dtwin.train.recheck import CheckedRun, Recheck, interleaved_runs, judge, judge_evidence
 from dtwin.train.registry import RegisteredVersion, Registry
-
-_MAX_BYTES = 10_000_000
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ def recheck(
     home: Home,
     machine: str,
     *,
-    runs: Sequence[CheckedRun] | None = None,
+    without: Sequence[str] = (),
+    with_: Sequence[str] = (),
     cobot: VirtualCobot | None = None,
     blocks: int = 3,
     seed: int = 0,
@@ -79,8 +80,9 @@ def recheck(
         Registry and bundles.
     machine : str
         The machine.
-    runs : sequence of CheckedRun, optional
-        Circles that were measured on a real machine; without, the virtual cobot is measured.
+    without, with_ : sequence of str
+        Campaigns in the lake that were measured without and with it, as for ``dtwin evidence``;
+        when none is named the virtual cobot is measured.
     cobot : VirtualCobot, optional
         The virtual machine as it is now; by default the one of the seed, as it was.
     blocks : int
@@ -93,42 +95,31 @@ def recheck(
     Raises
     ------
     InputError
-        When there is no champion, or the machine is real and no runs are given.
+        When there is no champion, or the machine is real and no campaigns are named.
     """
     registry = Registry(home)
     champion = registry.version(machine, "champion")
-    given = list(runs) if runs is not None else None
-    if given is None:
-        given = _measure(registry, champion, cobot, blocks, seed, progress)
-    found = judge(given)
-    stamp = datetime.now(UTC).strftime("%Y%m%d-%H%M%S")
-    record = found.as_dict() | {"runs": [vars(run) for run in given]}
+    given: Sequence[Mapping[str, Any]]
+    if without or with_:
+        evidence = compute(home, champion, without, with_)
+        given, found = evidence.runs, judge_evidence(evidence)
+    else:
+        circles = _measure(registry, champion, cobot, blocks, seed, progress)
+        given, found = [vars(run) for run in circles], judge(circles)
+    now = datetime.now(UTC)
+    stamp = now.strftime("%Y%m%d-%H%M%S")
+    record = found.as_dict() | {"runs": [dict(run) for run in given]}
     withdrawn, restored = False, None
     if found.verdict == "worse":
         _, restored = withdraw(registry, home, machine, found.reason)
         withdrawn = True
+    if found.verdict == "helps":
+        proved = now.isoformat(timespec="seconds")
+        renew_proof(machine, home, int(champion.version), proved)
+        registry.mark(champion, {"proved": proved})
     registry.attach(champion, {f"recheck-{stamp}.json": json.dumps(record, indent=1)})
     registry.mark(champion, {"recheck": f"{stamp} {found.verdict}: {found.reason}"[:500]})
     return Rechecked(champion, found, withdrawn, restored.version if restored else "", len(given))
-
-
-def runs_file(path: Path) -> list[CheckedRun]:
-    """Return the runs that were measured on a real machine.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read or holds something else.
-    """
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError("too large")
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InputError(
-            "the runs cannot be read", code="recheck.file", where=str(path), got=str(error)[:160]
-        ) from error
-    return read_runs(content, str(path))
 
 
 def _measure(
@@ -145,8 +136,7 @@ def _measure(
             "this machine's circles have to be measured on it",
             code="recheck.real",
             where=f"machine {champion.machine}",
-            hint="measure each circle with and without the correction, in random order, and give "
-            "the runs with --runs FILE",
+            hint="dtwin campaign --with champion, then: dtwin recheck --without C --with C",
         )
     return interleaved_runs(
         Bundle.from_dict(registry.bundle(champion)),
@@ -161,9 +151,9 @@ def _measure(
 
 def _conditions(registry: Registry, champion: RegisteredVersion) -> list[tuple[str, float, float]]:
     """Return the circles of its promotion, or without evidence those that it was trained for."""
-    kept = evidence_of(registry, champion)
+    kept = newest(registry, champion)
     if kept is not None:
-        rows = kept["conditions"]
+        rows = kept.content["conditions"]
         return [(str(c["plane"]), float(c["radius_mm"]), float(c["feed_mm_min"])) for c in rows]
     trained = registry.read_json(champion, CONDITIONS_FILE)
-    return list(plan_within([(str(p), float(r), float(f)) for p, r, f in trained]).conditions)
+    return list(plan_within([(p, float(r), float(f)) for p, r, f in trained]).conditions)

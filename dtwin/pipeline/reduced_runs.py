@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tokenize
 import zipfile
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
@@ -28,6 +30,11 @@ from dtwin.schema import Campaign, Floats, RunMeta, require_name
 
 _ARRAYS = ("y_um", "mask", "condition_of", "setup_of", "run_of", "feed_mm_s")
 _COLUMN, _CONTROLLER, _WORDS = "column:", "controller_um", "words"
+# What reading a damaged file of arrays may raise; a header may ask for any amount of memory.
+_DAMAGED = (
+    OSError, EOFError, ValueError, KeyError, TypeError, MemoryError, OverflowError, RuntimeError,
+    zipfile.BadZipFile, zlib.error, SyntaxError, tokenize.TokenError,
+)  # fmt: skip
 Reduced = tuple[Observations, Floats | None]
 
 
@@ -66,7 +73,7 @@ def read_reduced(home: Home, campaign: str, stamp: str) -> Reduced | None:
             arrays = {name: kept[name] for name in _ARRAYS}
             wide = {n.removeprefix(_COLUMN): kept[n] for n in kept.files if n.startswith(_COLUMN)}
             controller = kept[_CONTROLLER] if _CONTROLLER in kept.files else None
-    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+    except _DAMAGED:
         return None
     numbers: list[dict[str, Any]] = words["columns"]
     for name, values in wide.items():

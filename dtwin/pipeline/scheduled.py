@@ -210,7 +210,8 @@ def _has_controller(row: dict[str, Any]) -> bool:
 def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
     """Judge the champion on a newer campaign unless the same runs were judged before."""
     champion = champion_of(registry, item.machine)
-    judgeable = item.rows and all(_has_controller(row) for row in item.rows)
+    plain = not any(row["correction"] for row in item.rows)
+    judgeable = plain and item.rows and all(_has_controller(row) for row in item.rows)
     if champion is None or not judgeable or item.rows[0]["kind"] != "circular":
         return None
     known = trained_rows(registry, Lake(home.lake), champion)

@@ -1,30 +1,34 @@
-"""Closed-loop evidence for a correction of tones: surfaces with and without, on the virtual slide."""
+"""Tones of the virtual slide with and without a correction, by turns."""
 
 from __future__ import annotations
 
-import json
-import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping
-from typing import Any
+from datetime import timedelta
 
 import numpy as np
 
-from dtwin.config import Home
-from dtwin.machines.turning import AnaloguePath
-from dtwin.pipeline.turning_trial import RIM_MM, SLOPE_UM_PER_MM, TRIAL_HZ, trial
-from dtwin.report.html import page
-from dtwin.report.turning import trial_section
+from dtwin.acquire.tone_campaign import SAMPLE_HZ
+from dtwin.acquire.virtual import EPOCH
+from dtwin.acquire.virtual_turning import virtual_slide
+from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AnaloguePath, Instruments
+from dtwin.pipeline.turning_loop import CLOCK, LoopRecord, ToneCommand, run_loop
+from dtwin.pipeline.turning_trial import AIR_S, RIM_MM, SLOPE_UM_PER_MM, TRIAL_HZ
+from dtwin.schema import Floats, Run, RunMeta
 from dtwin.serve.bundle import Bundle
-from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
+from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.results import condition_name
 
 REPEATS = 3
+RECORDED_S = 4.0
+AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
 Progress = Callable[[int, int, str], None]
 
 
-def tone_evidence(
+def measured_tones(
     bundle: Bundle, truth: str, *, seed: int, progress: Progress | None = None
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Cut the surface several times with and without a bundle.
+) -> MeasuredWays:
+    """Swing the tool at each frequency several times with and without a bundle, by turns.
 
     Parameters
     ----------
@@ -36,78 +40,44 @@ def tone_evidence(
         Of noise.
     progress : callable, optional
         Called with (done, total, what).
-
-    Returns
-    -------
-    evidence, first : tuple
-        In the form that the gates read, error vectors at the rim in um; and the first trial.
     """
-    trials = []
+    slide = virtual_slide(truth)
+    runs: list[Run] = []
+    counts: dict[str, list[Mapping[str, int]]] = defaultdict(list)
     for repeat in range(REPEATS):
-        trials.append(trial(bundle, truth=truth, seed=1000 * (seed + 1) + 10 * repeat)[0])
+        for number, frequency in enumerate(TRIAL_HZ):
+            command = ToneCommand(frequency, _swelling, np.zeros_like, AIR_S + RECORDED_S)
+            for way in (None, bundle):
+                drawn = 1000 * (seed + 1) + 10 * (REPEATS * number + repeat) + (way is not None)
+                record = run_loop(slide, command, way, seed=drawn)
+                run = _run(record, frequency, drawn, len(runs), bundle.model_sha256 if way else "")
+                if way:
+                    counts[condition_name(run.meta.condition)].append(record.guard)
+                runs.append(run)
         if progress is not None:
-            progress(repeat + 1, REPEATS, "surfaces")
-    conditions = [
-        _condition(f, [t["rows"][i] for t in trials]) for i, f in enumerate(TRIAL_HZ)
-    ]  # fmt: skip
-    evidence = {
-        "kind": "virtual", "clock": trials[0]["clock"], "bundle_sha256": bundle.sha256,
-        "delays": {"analogue path": AnaloguePath().delay_s}, "conditions": conditions,
-    }  # fmt: skip
-    return evidence, trials[0]
+            progress(repeat + 1, REPEATS, "tones")
+    return MeasuredWays(
+        numbered(runs), CLOCK, {"analogue path": AnaloguePath().delay_s},
+        acted={name: guard_shares(found) for name, found in counts.items()},
+    )  # fmt: skip
 
 
-def measure_tone_evidence(
-    home: Home, version: RegisteredVersion, geometry: Mapping[str, Any], *, seed: int,
-    progress: Progress | None = None,
-) -> dict[str, Any]:  # fmt: skip
-    """Measure evidence for a registered version and keep it with the version.
-
-    Parameters
-    ----------
-    home : Home
-        Registry.
-    version : RegisteredVersion
-        The version.
-    geometry : mapping
-        Of a virtual slide: ``truth`` names its mechanism.
-    seed : int
-        Of noise.
-    progress : callable, optional
-        Called with (done, total, what).
-    """
-    registry = Registry(home)
-    bundle = Bundle.from_dict(registry.bundle(version))
-    evidence, first = tone_evidence(
-        bundle, str(geometry.get("truth", "")), seed=seed, progress=progress
-    )
-    title = f"version {version.version}"
-    registry.attach(
-        version,
-        {
-            EVIDENCE_FILE: json.dumps(evidence, indent=1),
-            "evidence.html": page("Closed-loop evidence", title, [trial_section(first, {})]),
-        },
-    )
-    return evidence
+def _swelling(t_s: Floats) -> Floats:
+    return np.asarray(AMPLITUDE_UM * np.minimum(t_s, 1.0))
 
 
-def _condition(frequency: float, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    before = np.array([r["before"]["vector_um"] for r in rows])
-    after = np.array([r["after"]["vector_um"] for r in rows])
-    # Student's t of two degrees of freedom, 95 %, for three repeats.
-    half = 4.303 / math.sqrt(len(rows))
-    ci = [float(half * values.std(ddof=1)) for values in (before, after)]
-    b, a = float(before.mean()), float(after.mean())
-    ticks = sum(sum(r["guard"].values()) for r in rows)
-    outside = sum(r["guard"].get("outside_box", 0) for r in rows)
-    return {
-        "frequency_hz": frequency, "amplitude_um": SLOPE_UM_PER_MM * RIM_MM, "trained": True,
-        "before_um": b, "after_um": a, "before_ci_um": ci[0], "after_ci_um": ci[1],
-        "floor_um": float(before.std(ddof=1)), "oracle_um": None, "n_runs": len(rows),
-        "reduction": 1.0 - a / b,
-        # At the rim, or over the whole surface.
-        "worse": a - b > math.hypot(*ci) or all(r["reduction"]["rms_um"] < 0.0 for r in rows),
-        "acted": {"outside_box": outside / max(ticks, 1)},
-        "alarms": [r["alarm"] for r in rows if r["alarm"]],
-    }  # fmt: skip
+def _run(record: LoopRecord, frequency: float, seed: int, number: int, correction: str) -> Run:
+    """Return what command and probe say after the tool has swung in."""
+    kept = np.flatnonzero(record.t_s >= AIR_S)[:: round(SERVO_HZ / SAMPLE_HZ)]
+    seen = Instruments().probe_um * np.random.default_rng(seed).normal(size=len(kept))
+    samples = {
+        "t_s": record.t_s[kept] - AIR_S,
+        "cmd_z_mm": record.command_um[kept] * MM_PER_UM,
+        "tool_z_mm": (record.tool_um[kept] + seen) * MM_PER_UM,
+    }
+    meta = RunMeta(
+        "e", kind="sinusoidal", sample_rate_hz=SAMPLE_HZ, correction=correction,
+        condition={"axis": "Z", "frequency_hz": frequency, "amplitude_um": AMPLITUDE_UM},
+        started=(EPOCH + timedelta(minutes=number)).isoformat(),
+    )  # fmt: skip
+    return Run(meta, samples, source="virtual slide")

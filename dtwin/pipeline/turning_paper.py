@@ -105,11 +105,11 @@ def calibration_lines(slide: Slide) -> list[Line]:
     for what, paper, ours, unit in rows:
         off = abs(ours - paper)
         close = off <= _CLOSE_DEG if unit == "deg" else off <= _CLOSE * paper
-        lines.append(_line(f"mechanism: {what}", f"{paper:g} {unit}", f"{ours:.3f} {unit}", close))
+        lines.append(_line(f"mechanism: {what}", f"{paper:g} {unit}", f"{ours:z.3f} {unit}", close))
     vector = at[30.0].total_um
     lines.append(
         _line("total error vector, 5 um at 30 Hz", "1.97 um, but its own figures make 2.33",
-              f"{vector:.2f} um", None)
+              f"{vector:z.2f} um", None)
     )  # fmt: skip
     return lines
 
@@ -138,13 +138,13 @@ def exponent_lines(groups: ToneGroups, hardened: ToneGroups) -> list[Line]:
     error = np.array(list(PRINTED_UM.values()))
     felt = f**2 * (_AMPLITUDE_UM + error)
     slopes = np.diff(np.log(error)) / np.diff(np.log(felt))
-    told = " and ".join(f"{s:.2f}" for s in slopes)
+    told = " and ".join(f"{s:z.2f}" for s in slopes)
     return [
-        _line("exponent beyond the encoder, linear slide", "1 by theory", f"{own:.3f}",
+        _line("exponent beyond the encoder, linear slide", "1 by theory", f"{own:z.3f}",
               abs(own - 1.0) <= 0.02),
-        _line("exponent of the amplitude error, linear slide", "0.78", f"{total:.3f}",
+        _line("exponent of the amplitude error, linear slide", "0.78", f"{total:z.3f}",
               0.7 <= total <= 0.9),
-        _line("the same, hardening joint", "0.78", f"{stiff:.3f}", 0.7 <= stiff <= 0.9),
+        _line("the same, hardening joint", "0.78", f"{stiff:z.3f}", 0.7 <= stiff <= 0.9),
         _line("the same, from the three printed amplitude errors", "0.78", told, None),
     ]  # fmt: skip
 
@@ -168,9 +168,9 @@ def learning_lines(
         ("printed forms, refitted", printed),
     ):
         c = made.candidate
-        r2 = ", ".join(f"{c.scores[g].r2:.4f}" for g in HELD_OUT)
-        phase = ", ".join(f"{c.numbers[f'leave_{g}_out.phase_r2']:.4f}" for g in HELD_OUT)
-        mean = ", ".join(f"{1000 * c.scores[g].mae_um:.1f}" for g in HELD_OUT)
+        r2 = ", ".join(f"{c.scores[g].r2:z.4f}" for g in HELD_OUT)
+        phase = ", ".join(f"{c.numbers[f'leave_{g}_out.phase_r2']:z.4f}" for g in HELD_OUT)
+        mean = ", ".join(f"{1000 * c.scores[g].mae_um:z.1f}" for g in HELD_OUT)
         used = [len(columns) for columns in features_used(made.bundle).values()]
         lines += [
             _line(f"{name}: R2 of amplitude (frequency, amplitude out)", "0.989", r2,
@@ -189,10 +189,10 @@ def learning_lines(
               f"no: {dead:g} of the features used are constants on clean sines", dead == 0.0),
         _line("phase equation as printed", "R2 0.952", "bounded to 0.72-3.18 deg; 8.41 was measured", False),
         _line("NARX, mean amplitude error", "similar, below 100 nm",
-              ", ".join(f"{1000 * narx.scores[g].mae_um:.1f}" for g in HELD_OUT) + " nm",
+              ", ".join(f"{1000 * narx.scores[g].mae_um:z.1f}" for g in HELD_OUT) + " nm",
               all(narx.scores[g].mae_um <= 0.1 for g in HELD_OUT)),
         _line("LSTM", "similar, slower", "not tried", None),
-        _line("evaluation", "below 0.15 s", f"tick {timing.p50_us:.2f} us p50, {timing.p99_us:.2f} p99",
+        _line("evaluation", "below 0.15 s", f"tick {timing.p50_us:z.2f} us p50, {timing.p99_us:z.2f} p99",
               timing.p99_us < 12.5),
     ]  # fmt: skip
 
@@ -209,11 +209,11 @@ def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
     before, after, less = row["before"], row["after"], row["reduction"]
     return [
         _line("surface at 40 Hz: form error", "2.42 -> 0.31 um (-87 %)",
-              f"{before['form_um']:.2f} -> {after['form_um']:.3f} um (-{100 * less['form_um']:.1f} %)",
+              f"{before['form_um']:z.2f} -> {after['form_um']:z.3f} um (-{100 * less['form_um']:z.1f} %)",
               less["form_um"] >= 0.85),
         _line("surface at 40 Hz: phase error", "8.57 -> 0.38 deg (-95 %)",
-              f"{before['phase_deg']:.2f} -> {after['phase_deg']:.3f} deg "
-              f"(-{100 * less['phase_deg']:.1f} %)", less["phase_deg"] >= 0.93),
+              f"{before['phase_deg']:z.2f} -> {after['phase_deg']:z.3f} deg "
+              f"(-{100 * less['phase_deg']:z.1f} %)", less["phase_deg"] >= 0.93),
         _line("better at 5, 10, 20, 30, 40 Hz", "consistently",
               "worse at " + ", ".join(f"{f:g} Hz" for f in cut["worse"]) if cut["worse"] else "at each",
               not cut["worse"]),
@@ -241,8 +241,8 @@ def action_lines(groups: ToneGroups, seed: int) -> list[Line]:
         less = row["reduction"]
         lines.append(
             _line(f"40 Hz, {what}", "-87 %, -95 %",
-                  f"form {-100 * less['form_um']:+.0f} %, phase {-100 * less['phase_deg']:+.0f} %; spectral "
-                  f"radius {radius:.2f}; {'released by the alarm' if row['alarm'] else 'no alarm'}",
+                  f"form {-100 * less['form_um']:+z.0f} %, phase {-100 * less['phase_deg']:+z.0f} %; spectral "
+                  f"radius {radius:z.2f}; {'released by the alarm' if row['alarm'] else 'no alarm'}",
                   less["form_um"] >= 0.85 and less["phase_deg"] >= 0.93)
         )  # fmt: skip
     return lines

@@ -8,8 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from dtwin.acquire.amending import AMENDED, amendment_findings
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.encoder_split import Cutoff
@@ -21,11 +20,10 @@ from dtwin.physics.whitening import pure_error, to_harmonics
 from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 from dtwin.pipeline.measuring import in_lake
 from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
-from dtwin.schema import Campaign, Floats, Run
+from dtwin.schema import Campaign, Floats
 from dtwin.store import Lake
 
 KINDS = ("circular", "linear", "sinusoidal")
-_READ = ("deviation_um", "error_um", "tool_z_mm", "tool_x_mm", "tool_y_mm")
 _CORRECTED_BY = {
     "linear": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation",
     "sinusoidal": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation",
@@ -44,7 +42,8 @@ class Loaded:
     obs : Observations
         The runs.
     data : dict
-        Table versions, a hash of what was used, and ``left_out``: runs with errors, and which.
+        Table versions, a hash of what was used, ``left_out``: runs and why, and ``amended``:
+        what was stated anew.
     controller_um : ndarray, shape (rows, n), or None
         Following error that the controller saw; None when it was not logged.
     """
@@ -132,8 +131,10 @@ def load(home: Home, campaign: str) -> Loaded:
     lake = Lake(home.lake)
     name = in_lake(home, campaign)
     found = lake.campaign(name)
-    rows = lake.runs(name)
-    left_out = {str(row["run_id"]): why for row in rows if (why := _error_in(row))}
+    rows = lake.runs(name, left_out=True)
+    left_out = {
+        str(row["run_id"]): why for row in rows if (why := row["left_out"] or _error_in(row))
+    }
     usable = [row for row in rows if str(row["run_id"]) not in left_out]
     if not usable:
         why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])
@@ -161,6 +162,7 @@ def load(home: Home, campaign: str) -> Loaded:
         "runs_sha256": digest.hexdigest(),
         "n_runs": len(usable),
         "left_out": left_out,
+        "amended": [f.message for f in amendment_findings(rows) if f.code == AMENDED],
     }
     obs, controller_um = _reduced(home, lake, found, usable)
     return Loaded(obs, data, controller_um)
@@ -195,25 +197,7 @@ def _reduced(
     if kept is not None:
         return kept
     runs = [lake.load(row, signals=False) for row in rows]
-    _require_different(runs, campaign.name)
     obs = observe(campaign, runs)
     made = obs, controller_rows_um(runs) if obs.grid is CIRCLE else None
     keep_reduced(home, campaign.name, stamp, made)
     return made
-
-
-def _require_different(runs: Sequence[Run], campaign: str) -> None:
-    """Refuse copies: repeats that agree to the last digit would say that there is no noise."""
-    seen: dict[bytes, str] = {}
-    for run in runs:
-        name = run.meta.run_id
-        read = next((c for c in _READ if c in run.samples), None)
-        if read is None:
-            continue
-        other = seen.setdefault(np.asarray(run.samples[read]).tobytes(), name)
-        if other != name:
-            raise InputError(
-                "two runs hold the same readings", code="twin.same_readings",
-                where=f"{campaign}: {other} and {name}", allowed="repeats that were measured",
-                hint="ingest the campaign without the copy, under another name",
-            )  # fmt: skip

@@ -31,7 +31,7 @@ class WithFormulas(Mapping[str, Effect]):
 
     def keep(self, found: ResidualFormula) -> str:
         """Keep a formula and return its name."""
-        name = PREFIX + hashlib.sha256(found.text.encode()).hexdigest()[:8]
+        name = _name_of(found.text)
         document = json.dumps({"name": name, **vars(found)}, indent=1)
         write_text(self.folder / f"{name}.json", document, "the formula")
         return name
@@ -43,6 +43,8 @@ class WithFormulas(Mapping[str, Effect]):
             return self.library[name]
         try:
             text = str(json.loads(path.read_text(encoding="utf-8"))["text"])
+            if _name_of(text) != name:
+                raise ValueError("it is not the formula that was written")
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise StoreError(
                 "a learned formula cannot be read", code="twin.formula", where=str(path),
@@ -61,3 +63,7 @@ class WithFormulas(Mapping[str, Effect]):
     def __len__(self) -> int:
         """Return how many other effects there are."""
         return len(self.library)
+
+
+def _name_of(text: str) -> str:
+    return PREFIX + hashlib.sha256(text.encode()).hexdigest()[:8]

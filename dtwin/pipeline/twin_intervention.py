@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from dtwin.atomic import write_text
 from dtwin.errors import InputError
 from dtwin.physics.fit import Estimate, fit
 from dtwin.pipeline.twin_data import load
-from dtwin.pipeline.twin_files import finite, read_document
+from dtwin.pipeline.twin_files import finite, read_document, write_document
 from dtwin.pipeline.twin_shelf import TwinShelf
 from dtwin.pipeline.twins import Twins
 
@@ -170,4 +168,4 @@ def _change(before: Estimate, after: Estimate) -> Change:
 
 def _keep(twins: Twins, name: str, found: Intervention) -> None:
     document = {"interventions": [*interventions(twins, name), finite(found.as_dict())]}
-    write_text(twins.root / name / _FILE, json.dumps(document, indent=1), "the intervention")
+    write_document(twins.root / name / _FILE, document, "the intervention")

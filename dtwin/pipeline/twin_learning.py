@@ -100,7 +100,7 @@ def learn_formula(
             "no formula holds on conditions that were left out",
             code="twin.law_does_not_hold",
             where=f"twin {name} version {twin.version}",
-            got=f"{learned.text[:120]}, gain {100 * learned.gain:.0f} %",
+            got=f"{learned.text[:120]}, gain {100 * learned.gain:z.0f} %",
             hint="measure more feeds or radii, or write the effect yourself",
         )
     return twins.add(name, twins.library.keep(learned)), learned

@@ -29,8 +29,8 @@ def registered(home: Home, document: Mapping[str, Any], parent: str | None) -> d
     figures = document["figures"]
     description = (
         f"**{document['action']}** on {document['campaign']}: RMS "
-        f"{figures['rms_before_um']:.2f} -> {figures['rms_after_um']:.2f} um, "
-        f"noise floor {figures['noise_floor_um']:.2f} um (unit of replication: the {document.get('replication', 'run')})."
+        f"{figures['rms_before_um']:z.2f} -> {figures['rms_after_um']:z.2f} um, "
+        f"noise floor {figures['noise_floor_um']:z.2f} um (unit of replication: the {document.get('replication', 'run')})."
     )
     return log_twin(Registry(home), finite(document), description=description, parent=parent)
 

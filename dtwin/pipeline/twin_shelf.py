@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics.twin import Twin
 from dtwin.physics.volumetric.heat_twin import HeatTwin
-from dtwin.pipeline.twin_files import finite, read_document
+from dtwin.pipeline.twin_files import read_document, write_document
 from dtwin.pipeline.twin_registration import note, registered
 from dtwin.schema import require_name
 
@@ -213,8 +211,7 @@ class TwinShelf:
         return [int(p.stem[1:]) for p in (self.root / name).glob(_VERSIONS)]
 
     def _write(self, name: str, file: str, document: Mapping[str, Any]) -> None:
-        content = json.dumps(finite(document), indent=1)
-        write_text(self.root / name / file, content, "the twin")
+        write_document(self.root / name / file, document, "the twin")
 
     def _mlflow(self, name: str, version: int) -> Mapping[str, str]:
         """Return where a version is in MLflow; empty when it was never logged."""

@@ -17,8 +17,8 @@ from dtwin.physics.problem import Term
 from dtwin.physics.twin import (
     Twin,
     chosen_terms,
+    data_lines,
     frozen_residual_um,
-    left_out_lines,
     twin_of,
 )
 from dtwin.pipeline.twin_data import Comparison, Loaded, load
@@ -96,7 +96,7 @@ class Twins(TwinShelf):
         obs = loaded.obs
         require_same_machine(name, twin.machine, obs.campaign.name, obs.campaign.machine)
         outside = twin.box.outside(obs)
-        warnings = left_out_lines(loaded.data)
+        warnings = data_lines(loaded.data)
         if outside:
             shown = ", ".join(outside[:4]) + (" ..." if len(outside) > 4 else "")
             warnings.append(f"outside the conditions of the fit: {shown}")
@@ -115,10 +115,11 @@ class Twins(TwinShelf):
             Seed of permutations.
         """
         twin = self.newest(name)
-        obs = load(self.home, twin.campaign).obs
+        loaded = load(self.home, twin.campaign)
+        obs = loaded.obs
         found = diagnose(obs, twin.terms, self.library, seed=seed)
         proposed = next_experiment(obs, twin.terms, found, self.library)
-        found = replace(found, next_experiment=proposed)
+        found = replace(found, next_experiment=proposed, told=tuple(data_lines(loaded.data)))
         document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
         document |= found.as_dict()
         self.store_diagnosis(document)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -14,16 +13,14 @@ from dtwin.errors import GateRefusal
 from dtwin.physics.volumetric.thermal_model import independent
 from dtwin.pipeline.volumetric import distance_changes_um
 from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
-from dtwin.report.campaign import evidence_table
-from dtwin.report.html import Section, Table, page
-from dtwin.report.model_plots import evidence_figure
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import box_factor
 from dtwin.statistics import t_quantile
 from dtwin.store import Lake
-from dtwin.train.registry import EVIDENCE_FILE, RegisteredVersion, Registry
+from dtwin.train.evidence import WITH, WITHOUT, Evidence
+from dtwin.train.registry import RegisteredVersion, Registry
 
 DAY_H = 24.0
 # A span has at least so many cycles: fewer say nothing of their scatter.
@@ -32,16 +29,16 @@ CLOCK = "measured without it, the prediction taken off afterwards"
 Progress = Callable[[int, int, str], None]
 
 
-def measure_volumetric_evidence(
-    home: Home, version: RegisteredVersion, geometry: Mapping[str, Any], *, seed: int,
-    progress: Progress | None = None,
-) -> dict[str, Any]:  # fmt: skip
+def volumetric_evidence(
+    home: Home, version: RegisteredVersion, *, progress: Progress | None = None
+) -> Evidence:
     """Judge a registered version by every other ball-array campaign of its machine in the lake.
 
     Campaigns during which a correction was in force judge nothing: they have been corrected already.
 
     A correction of micrometres does not change the heat, so that it is taken off what was measured. Where a
-    temperature lies outside of the validity box it fades, as in serving.
+    temperature lies outside of the validity box it fades, as in serving. Nothing was served: only a
+    virtual machine is judged so.
 
     Parameters
     ----------
@@ -49,10 +46,6 @@ def measure_volumetric_evidence(
         Lake and registry.
     version : RegisteredVersion
         The version.
-    geometry : mapping
-        Of the machine.
-    seed : int
-        Not used: nothing is measured anew.
     progress : callable, optional
         Called with (done, total, what).
 
@@ -74,28 +67,22 @@ def measure_volumetric_evidence(
         )  # fmt: skip
     tell = progress or (lambda *_: None)
     conditions = [c for name in others for c in judged_hours(bundle, session_in(lake, name, tell))]
-    found = {
-        "kind": "virtual", "clock": CLOCK, "bundle_sha256": bundle.sha256, "delays": {},
-        "conditions": conditions,
-    }  # fmt: skip
-    section = Section(
-        "With and without the correction",
-        [
-            f"Changes of the distances between balls in {', '.join(others)}: {CLOCK}. Better and worse "
-            "are said of the share that each cycle keeps of its error, by a 95 % interval that counts "
-            "as many cycles as their correlation leaves."
-        ],
-        tables=[Table(*evidence_table(found))],
-        figures=[
-            evidence_figure(
-                found, "Distances between balls, RMS of their changes; bars: 95 % over cycles"
-            )
-        ],
-    )
-    content = page("Evidence of other campaigns", f"version {version.version}", [section])
-    files = {EVIDENCE_FILE: json.dumps(found, indent=1), "evidence.html": content}
-    registry.attach(version, files)
-    return found
+    runs = [
+        {"way": WITHOUT, "campaign": name, "run_id": row["run_id"], "started": row["started"],
+         "content_sha256": row["content_sha256"]}
+        for name in others
+        for row in lake.runs(name)
+    ]  # fmt: skip
+    return Evidence(
+        "virtual", version.machine, bundle.model_sha256, {WITHOUT: tuple(others), WITH: ()},
+        tuple(conditions), tuple(runs), 0,
+        (
+            "Changes of the distances between balls. Better and worse are said of the share that "
+            "each cycle keeps of its error, by a 95 % interval that counts as many cycles as their "
+            "correlation leaves.",
+        ),
+        {"clock": CLOCK},
+    )  # fmt: skip
 
 
 def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
@@ -190,7 +177,7 @@ def _condition(
         "campaign": measured.campaign, "from_h": begin, "to_h": begin + span_h, "trained": False,
         "before_um": float(was.mean()), "after_um": float(left.mean()),
         "before_ci_um": ci[0], "after_ci_um": ci[1],
-        "floor_um": float(noise.mean()), "oracle_um": None, "n_runs": len(was),
+        "floor_um": float(noise.mean()), "n_without": len(was), "n_with": len(was),
         "reduction": 1.0 - float(left.mean() / was.mean()),
         "better": change < -half, "worse": change > half,
         "acted": {"outside_box": float(np.mean(trusted < 1.0))},

@@ -78,7 +78,7 @@ def _lines(
         d = result["distances"]
         out.append({
             "what": f"{label}, um", "paper": f"{before:g} -> {after:g} (-{printed:g} %)",
-            "ours": f"{d[f'{key}_um']:.1f} -> {d[f'{key}_left_um']:.1f} (-{d[f'{key}_reduction_pct']:.0f} %)",
+            "ours": f"{d[f'{key}_um']:z.1f} -> {d[f'{key}_left_um']:z.1f} (-{d[f'{key}_reduction_pct']:z.0f} %)",
             "follows": d[f"{key}_reduction_pct"] >= {"rms": 55.0, "p2p": 50.0}[key],
         })  # fmt: skip
     out.append(_slot_line(other))
@@ -104,8 +104,8 @@ def _slot_line(other: dict[str, Any]) -> dict[str, Any]:
                 "ours": "not computed: cycles are not hourly", "follows": None}  # fmt: skip
     return {
         "what": "slots in 15 h, mean and largest range, um", "paper": "57.5 -> 29.5, 112 -> 54",
-        "ours": f"{slots['mean_range_um']:.1f} -> {slots['mean_range_left_um']:.1f}, "
-        f"{slots['max_range_um']:.0f} -> {slots['max_range_left_um']:.0f}",
+        "ours": f"{slots['mean_range_um']:z.1f} -> {slots['mean_range_left_um']:z.1f}, "
+        f"{slots['max_range_um']:z.0f} -> {slots['max_range_left_um']:z.0f}",
         "follows": slots["mean_reduction_pct"] >= 45.0 and slots["max_reduction_pct"] >= 45.0,
     }  # fmt: skip
 
@@ -123,6 +123,6 @@ def _cause_line(other: dict[str, Any], told: dict[str, Any]) -> dict[str, Any]:
     row = next(r for r in told["coefficients"] if r["name"] == "EXZ1")
     return {
         "what": "EXZ1, squareness of Z to X", "paper": "13 % explained, no cause named",
-        "ours": f"not explained; cause named: {named.get('EXZ1')}; with it {row['rms_reduction_pct']:.0f} % in training",
+        "ours": f"not explained; cause named: {named.get('EXZ1')}; with it {row['rms_reduction_pct']:z.0f} % in training",
         "follows": named.get("EXZ1") == "coolant_tank_c",
     }  # fmt: skip

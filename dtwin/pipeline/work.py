@@ -5,18 +5,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import Home
-from dtwin.pipeline import measuring, modelling
+from dtwin.pipeline import evidence, measuring, modelling
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import Plan
 from dtwin.report.checking import check_source
-from dtwin.train.evidence import Evidence, EvidencePlan
+from dtwin.train.circle_evidence import EvidencePlan
+from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion
 
 Progress = Callable[[int, int, str], None]
@@ -55,15 +56,11 @@ class Work(Protocol):
         """Serve the trial on the wall clock."""
         ...
 
-    def evidence(
-        self, version: RegisteredVersion, geometry: Mapping[str, Any], plan: EvidencePlan, seed: int
-    ) -> Evidence:
+    def evidence(self, version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
         """Measure circles with and without a version."""
         ...
 
-    def make_champion(
-        self, version: RegisteredVersion, found: Mapping[str, Any], comment: str
-    ) -> tuple[Path | None, str]:
+    def make_champion(self, version: RegisteredVersion, comment: str) -> tuple[Path | None, str]:
         """Make a version champion, or return why not."""
         ...
 
@@ -156,19 +153,15 @@ class PlainWork:
         """Serve the trial on the wall clock."""
         return serve_wall_clock(self._home, machine, circle, duration_s, seed)
 
-    def evidence(
-        self, version: RegisteredVersion, geometry: Mapping[str, Any], plan: EvidencePlan, seed: int
-    ) -> Evidence:
+    def evidence(self, version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
         """Measure circles with and without a version."""
-        return modelling.measure_evidence(
-            self._home, version, geometry, seed=seed, plan=plan, progress=self._progress("circles")
+        return evidence.measure(
+            self._home, version, seed=seed, plan=plan, progress=self._progress("circles")
         )
 
-    def make_champion(
-        self, version: RegisteredVersion, found: Mapping[str, Any], comment: str
-    ) -> tuple[Path | None, str]:
+    def make_champion(self, version: RegisteredVersion, comment: str) -> tuple[Path | None, str]:
         """Make a version champion, or return why not."""
-        return modelling.make_champion(self._home, version, found, comment)
+        return evidence.make_champion(self._home, version, comment)
 
     def reported(self, path: Path, conclusion: str) -> None:
         """Take note of nothing: the terminal has it."""

@@ -53,7 +53,7 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
         tables.append(Table(head, rows))
         findings += [(f["severity"], f"{run['run']}: {f['message']}") for f in run["findings"]]
         lines = ", ".join(
-            f"{line['frequency_hz']:.2f} Hz ({line['amplitude_um']:.1f} um)"
+            f"{line['frequency_hz']:z.2f} Hz ({line['amplitude_um']:z.1f} um)"
             for line in run["spectrum"]["lines"]
         )
         findings.append(("info", f"{run['run']}: strongest lines {lines}"))
@@ -106,7 +106,7 @@ def training_section(report: TrainingReport) -> Section:
         "Candidates",
         [
             f"Campaign {report.campaign} on {report.machine}: {report.n_runs} runs, "
-            f"{report.n_rows} rows. Error without a model {report.rms_before_um:.1f} um RMS"
+            f"{report.n_rows} rows. Error without a model {report.rms_before_um:z.1f} um RMS"
             + (
                 " after centre and radius of each set-up"
                 if "feed_mm_min" in proposed.scores
@@ -149,9 +149,9 @@ def comparison_table(
         rows.append(
             [
                 c.name,
-                *(text for s in c.scores.values() for text in (f"{s.r2:.3f}", _um(s.rms_um))),
-                f"{c.latency.p50_us:.2f}" if c.latency else "-",
-                f"{c.latency.p99_us:.2f}" if c.latency else "-",
+                *(text for s in c.scores.values() for text in (f"{s.r2:z.3f}", _um(s.rms_um))),
+                f"{c.latency.p50_us:z.2f}" if c.latency else "-",
+                f"{c.latency.p99_us:z.2f}" if c.latency else "-",
                 str(c.complexity),
                 "yes" if c.promotable else "no",
             ]
@@ -160,44 +160,57 @@ def comparison_table(
 
 
 def evidence_section(evidence: Mapping[str, Any], profiles: Mapping[str, Any]) -> Section:
-    """Return the section about compensated against uncompensated circles.
+    """Return the section about runs with a correction and runs without it.
 
     Parameters
     ----------
     evidence : mapping
         As ``Evidence.as_dict`` gives it.
     profiles : mapping
-        Mean error over the path angle by condition, way and direction.
+        Mean error along the path by condition, way and direction; drawn for circles.
     """
     figures = [evidence_figure(evidence)]
-    for name, ways in list(profiles.items())[:4]:
-        plane, radius = name.split()[0], float(name.split()[1][1:])
-        arc = 360.0 if plane == "XY" else 180.0
+    circles = [c for c in evidence["conditions"] if "radius_mm" in c]
+    for condition in circles[:4]:
+        name, ways = condition_name(condition), profiles[condition_name(condition)]
+        direction = "CCW" if "CCW" in ways["without"] else "CW"
+        arc = 360.0 if condition["plane"] == "XY" else 180.0
         curves: dict[str, tuple[Floats, Floats]] = {}
-        for way in ("uncompensated", "compensated"):
-            values = np.asarray(ways[way]["CCW"])
-            curves[way] = ((np.arange(values.size) + 0.5) / values.size * arc, values)
+        for way, title in (("without", "uncompensated"), ("with", "compensated")):
+            values = np.asarray(ways[way][direction])
+            curves[title] = ((np.arange(values.size) + 0.5) / values.size * arc, values)
         figures.append(
-            polar_figure(curves, radius, title=f"{name} CCW")
-            if plane == "XY"
-            else error_figure(curves, title=f"{name} CCW")
+            polar_figure(curves, condition["radius_mm"], title=f"{name} {direction}")
+            if condition["plane"] == "XY"
+            else error_figure(curves, title=f"{name} {direction}")
         )
-    delays = ", ".join(f"{k} {1000 * v:.0f} ms" for k, v in evidence["delays"].items())
+    told = [*evidence["told"]]
+    if circles:
+        told.append(THESIS_REDUCTION)
     return Section(
         "Compensated against uncompensated",
-        [
-            f"{evidence['kind'].capitalize()} evidence on the {evidence['clock']}; modelled "
-            f"delays: {delays}. The oracle knows the repeatable error exactly and has the same "
-            "clamp, slew limit and delay.",
-            f"Share of the oracle's reduction on feeds that were never trained: "
-            f"{100 * evidence['share_of_oracle_unseen_feeds']:.0f} %; on trained feeds "
-            f"{100 * evidence['share_of_oracle_trained_feeds']:.0f} %.",
-            THESIS_REDUCTION,
-        ],
+        [f"{evidence['kind'].capitalize()} evidence on the {evidence['clock']}.",
+         *_of_the_oracle(evidence), *told],
         [],
         [Table(*evidence_table(evidence))],
         figures,
-    )
+    )  # fmt: skip
+
+
+def _of_the_oracle(evidence: Mapping[str, Any]) -> list[str]:
+    if all(c["oracle_um"] is None for c in evidence["conditions"]):
+        return []
+    delays = ", ".join(f"{k} {1000 * v:z.0f} ms" for k, v in evidence["delays"].items())
+    told = [
+        f"Modelled delays: {delays}. The oracle knows the repeatable error exactly and has the same "
+        "clamp, slew limit and delay."
+    ]
+    shares = {
+        "feeds that were never trained": evidence["share_of_oracle_unseen_feeds"],
+        "trained feeds": evidence["share_of_oracle_trained_feeds"],
+    }
+    known = [f"{100 * share:z.0f} % on {what}" for what, share in shares.items() if share == share]
+    return [*told, f"Share of the oracle's reduction: {', '.join(known)}."] if known else told
 
 
 def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -219,14 +232,14 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
         rows.append(
             [
                 condition_name(c),
-                "yes" if c["trained"] else "no",
+                {True: "yes", False: "no"}.get(c["trained"], "-"),
                 f"{_um(c['before_um'])} +- {_um(c['before_ci_um'])}",
                 f"{_um(c['after_um'])} +- {_um(c['after_ci_um'])}",
-                f"{100 * c['reduction']:.0f} %",
+                f"{100 * c['reduction']:z.0f} %",
                 "-" if c["oracle_um"] is None else _um(c["oracle_um"]),
                 _um(c["floor_um"]),
-                str(c["n_runs"]),
-                f"{100 * c.get('acted', {}).get('outside_box', 0.0):.1f} %",
+                f"{c['n_without']} + {c['n_with']}",
+                f"{100 * c['acted'].get('outside_box', 0.0):z.1f} %" if c["acted"] else "-",
                 "yes" if c["worse"] else "no",
             ]
         )
@@ -235,7 +248,7 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
 
 def _um(value: float) -> str:
     """Return an error in um; of tones, thousandths count."""
-    return f"{value:.1f}" if abs(value) >= 1.0 or value == 0.0 else f"{value:.3f}"
+    return f"{value:z.1f}" if abs(value) >= 1.0 or value == 0.0 else f"{value:z.3f}"
 
 
 _LEFT_OUT = {
@@ -262,4 +275,4 @@ def _centred(run: Run, angle: Floats, window: tuple[int, int] | None) -> tuple[F
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}" if 10 < abs(value) < 1000 else f"{value:.2f}"
+    return "-" if value is None else f"{value:z.4f}" if 10 < abs(value) < 1000 else f"{value:z.2f}"

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.motion_quality import Motion, aligned_angle_deg, motion_of
-from dtwin.acquire.quality import judge_campaign, judge_run, without_samples
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.physics.circular import (
     CircularFigures,
     bidirectional_figures,
@@ -23,22 +24,28 @@ from dtwin.physics.spectrum import strongest_lines
 from dtwin.report.positioning import positioning_lines, positioning_result
 from dtwin.report.text import table
 from dtwin.report.turning import tone_lines, tone_result
-from dtwin.schema import Floats, Run
+from dtwin.run_rows import columns_sha256
+from dtwin.schema import Campaign, Floats, Run
+from dtwin.store import Lake, RejectedRows
 
 MAX_DETAILED = 12
 
 
 def check_source(
-    path: Path, progress: Callable[[int, int, str], None] | None = None
+    path: Path,
+    progress: Callable[[int, int, str], None] | None = None,
+    told: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
 
     Parameters
     ----------
     path : Path
-        A ``.b5r`` file or a campaign folder.
+        A ``.b5r`` file, a campaign folder or a table that lies alone.
     progress : callable, optional
         Called with (done, total, what).
+    told : mapping, optional
+        What is told of a table that lies alone.
 
     Returns
     -------
@@ -46,11 +53,36 @@ def check_source(
         ``campaign``, ``runs`` (figures by the file's indices and aligned by the stops, vendor's
         figures, spectrum, findings), ``bidirectional`` and ``findings`` of the whole.
     """
-    campaign, sources, total = open_source(path)
+    campaign, sources, total = open_source(path, told)
+    return _checked(str(path), campaign, sources, total, progress)
+
+
+def check_campaign(
+    lake: Lake, name: str, progress: Callable[[int, int, str], None] | None = None
+) -> dict[str, Any]:
+    """Evaluate the runs of a campaign in the lake as :func:`check_source` does those of a file."""
+    campaign = lake.campaign(name)
+    rows = lake.runs(name)
+    sources = (([lake.load(row, signals=False)], list[RejectedRows]()) for row in rows)
+    result = _checked(f"campaign {name}", campaign, sources, len(rows), progress)
+    told = amendment_findings(lake.runs(name, left_out=True))
+    result["findings"] += [finding.as_dict() for finding in told]
+    return result
+
+
+def _checked(
+    source: str,
+    campaign: Campaign,
+    sources: Iterable[tuple[list[Run], list[RejectedRows]]],
+    total: int,
+    progress: Callable[[int, int, str], None] | None,
+) -> dict[str, Any]:
     results: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []
     light: list[Run] = []
+    samples: dict[str, str] = {}
     for done, (runs, rejected) in enumerate(sources, start=1):
+        samples |= {run.meta.run_id: columns_sha256(run.samples) for run in runs}
         results += [run_result(run) for run in runs]
         pairs += _bidirectional(runs)
         light += map(without_samples, runs)
@@ -58,9 +90,13 @@ def check_source(
             results[-1]["rejected_rows"] = sum(len(part.rows) for part in rejected)
         if progress is not None:
             progress(done, total, runs[0].meta.run_id if runs else "")
+    copies = judge_copies(samples)
+    for result in results:
+        if result["run"] in copies:
+            result["findings"].append(copies[result["run"]].as_dict())
     positioning = {"positioning": positioning_result(light)} if campaign.kind == "linear" else {}
     return positioning | {
-        "source": str(path),
+        "source": source,
         "campaign": campaign.name,
         "machine": campaign.machine,
         "kind": campaign.kind,
@@ -78,7 +114,9 @@ def run_result(run: Run) -> dict[str, Any]:
     run : Run
         Any run; circular ones get circular-test figures.
     """
-    findings = [*run.findings, *judge_run(run)]
+    # Runs of the lake were judged when they came in.
+    found = {(f.code, f.message): f for f in [*run.findings, *judge_run(run)]}
+    findings = list(found.values())
     result: dict[str, Any] = {
         "run": run.meta.run_id,
         "condition": {
@@ -191,8 +229,8 @@ def render_check(result: dict[str, Any]) -> str:
     for pair in result["bidirectional"][:MAX_DETAILED]:
         lines.append(
             f"\n{' and '.join(pair['runs'])}: bidirectional circular deviation "
-            f"{pair['circular_deviation_um']:.1f} um, hysteresis {pair['hysteresis_um']:.1f} um "
-            f"at {pair['hysteresis_angle_deg']:.0f} deg, as the file's indices say"
+            f"{pair['circular_deviation_um']:z.1f} um, hysteresis {pair['hysteresis_um']:z.1f} um "
+            f"at {pair['hysteresis_angle_deg']:z.0f} deg, as the file's indices say"
         )
     if result["kind"] == "sinusoidal":
         lines += ["", *tone_lines(runs), ""]
@@ -236,11 +274,11 @@ def _render_run(run: dict[str, Any]) -> list[str]:
         head = ("", "by the file's indices", "vendor's file says", "aligned by the stops")
         lines += ["  " + line for line in table(head, rows).splitlines()]
         strongest = ", ".join(
-            f"{line['frequency_hz']:.2f} Hz {line['amplitude_um']:.1f} um"
+            f"{line['frequency_hz']:z.2f} Hz {line['amplitude_um']:z.1f} um"
             for line in run["spectrum"]["lines"]
         )
         bands = ", ".join(
-            f"{b['from_hz']:g}-{b['to_hz']:g} Hz {b['rms_um']:.1f}"
+            f"{b['from_hz']:g}-{b['to_hz']:g} Hz {b['rms_um']:z.1f}"
             for b in run["spectrum"]["bands_um"]
         )
         lines += [f"  strongest lines: {strongest}", f"  bands, um RMS: {bands}"]
@@ -261,4 +299,4 @@ def _render_rest(runs: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def _fixed(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4f}" if 10 < abs(value) < 1000 else f"{value:.2f}"
+    return "-" if value is None else f"{value:z.4f}" if 10 < abs(value) < 1000 else f"{value:z.2f}"

@@ -25,8 +25,8 @@ def correction_text(found: Mapping[str, Any]) -> str:
     predicted = [
         (
             p["condition"],
-            f"{p['rms_before_um']:.{digits}f}",
-            f"{p['rms_predicted_um']:.{digits}f}",
+            f"{p['rms_before_um']:z.{digits}f}",
+            f"{p['rms_predicted_um']:z.{digits}f}",
         )
         for p in found["predicted"]
     ]

@@ -105,7 +105,7 @@ def paper_text(found: Mapping[str, Any]) -> str:
 def _machines(cases: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[object]]]:
     heights = sorted({c["vibration_um"] for c in cases} - {0.0})
     head = ["machine", "way", *(f"off at {h:g}" for h in heights), "DC3 still"]
-    head += [f"DC3 at {h:g} ({h / np.sqrt(12.0):.2f})" for h in heights]
+    head += [f"DC3 at {h:g} ({h / np.sqrt(12.0):z.2f})" for h in heights]
     rows: list[list[object]] = []
     for machine, how in dict.fromkeys((c["machine"], c["how"]) for c in cases):
         mine = [c for c in cases if (c["machine"], c["how"]) == (machine, how)]
@@ -124,16 +124,16 @@ def _rows(result: Mapping[str, Any]) -> list[list[object]]:
     return [
         [
             r["run"], r["feed_mm_min"], r["direction"],
-            *(f"{r[k]:.2f}" for k in ("before_um", "after_um", "dc1_um", "dc2_um", "dc3_um")),
-            f"{100 * r['difference']:.1f} %",
-            " ".join(f"{1e3 * v:.2f}" for v in r["accelerometer_rms_g"].values()) or "-",
+            *(f"{r[k]:z.2f}" for k in ("before_um", "after_um", "dc1_um", "dc2_um", "dc3_um")),
+            f"{100 * r['difference']:z.1f} %",
+            " ".join(f"{1e3 * v:z.2f}" for v in r["accelerometer_rms_g"].values()) or "-",
         ]
         for r in result["rows"]
     ]  # fmt: skip
 
 
 def _bias_row(result: Mapping[str, Any]) -> list[object]:
-    bias = [f"{result['bias'][k]:.2f}" for k in ("dc1_um", "dc2_um", "dc3_um")]
+    bias = [f"{result['bias'][k]:z.2f}" for k in ("dc1_um", "dc2_um", "dc3_um")]
     return ["slow runs", result["reference_feed_mm_min"], "", "", "", *bias, "", ""]
 
 

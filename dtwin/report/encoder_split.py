@@ -73,7 +73,7 @@ def _cells(found: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, .
 
 def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
     parts = [figures[name] for name in _SHOWN]
-    sizes = [f"{p['rms_um']:.2f} ± {_number(p['floor_um'])}" for p in parts]
+    sizes = [f"{p['rms_um']:z.2f} ± {_number(p['floor_um'])}" for p in parts]
     return (*sizes, _number(figures["controller_correlation"]))
 
 
@@ -99,7 +99,7 @@ def _figure(found: Mapping[str, Any]) -> go.Figure:
                 x=[c[part]["rms_um"] for c in found["conditions"]],
                 orientation="h",
                 marker_color=COLOURS[_COLOURS[part]],
-                hovertemplate="%{y}: %{x:.2f} um<extra>" + shown + "</extra>",
+                hovertemplate="%{y}: %{x:z.2f} um<extra>" + shown + "</extra>",
             )
             for part, shown in _SHOWN.items()
         ]
@@ -122,4 +122,4 @@ def _name(condition: Mapping[str, Any]) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None or not math.isfinite(value) else f"{value:.2f}"
+    return "-" if value is None or not math.isfinite(value) else f"{value:z.2f}"

@@ -88,7 +88,7 @@ def heat_diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
                 c["effect"],
                 micrometres(c["seen_um"]),
                 micrometres(c["rms_after_um"]),
-                f"{100 * c['cv_gain']:.0f} %" if c["cv_gain"] > 0.0 else "nothing",
+                f"{100 * c['cv_gain']:z.0f} %" if c["cv_gain"] > 0.0 else "nothing",
                 f"{c['p_value']:.1g}",
                 _told_by(c),
                 "yes" if c["in_group"] else "",
@@ -101,7 +101,7 @@ def heat_diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
             lines.append("more after than now: it offsets another at these balls until both are in")
     if result["quiet"]:
         lines.append(
-            f"move, but by less than {100 * MATERIAL:.0f} % of the floor: {', '.join(result['quiet'])}"
+            f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}"
         )
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")

@@ -13,7 +13,7 @@ from dtwin.report.text import table
 def paper_text(found: Mapping[str, Any]) -> str:
     """Return the comparison with the thesis, and what tables of different steps leave."""
     steps = [
-        [t["model"], *(f"{t[k]:.1f}" for k in list(t) if k != "model")] for t in found["tables"]
+        [t["model"], *(f"{t[k]:z.1f}" for k in list(t) if k != "model")] for t in found["tables"]
     ]
     return "\n".join(
         [
@@ -38,8 +38,8 @@ def wall_clock_text(found: Mapping[str, Any]) -> str:
         [
             f"{found['cycles']} cycles of 10 ms on the wall clock: {found['corrected']} corrected, "
             f"{found['missed']} missed, {found['late']} late, {found['unaccounted']} not accounted for",
-            f"begun after due, ms: p50 {begun['p50']:.3f}, p99.9 {begun['p99.9']:.3f}, max "
-            f"{begun['max']:.3f}; work, ms: p50 {work['p50']:.3f}, p99.9 {work['p99.9']:.3f}",
+            f"begun after due, ms: p50 {begun['p50']:z.3f}, p99.9 {begun['p99.9']:z.3f}, max "
+            f"{begun['max']:z.3f}; work, ms: p50 {work['p50']:z.3f}, p99.9 {work['p99.9']:z.3f}",
             f"the system: {allowed}",
         ]
     )
@@ -58,6 +58,6 @@ def compensation_text(found: Mapping[str, Any]) -> str:
         [
             *before_after_lines(states),
             f"{found['ticks']} cycles on the {found['clock']}; guard: {acted}; largest change in one "
-            f"cycle {found['largest_step_um']:.1f} um",
+            f"cycle {found['largest_step_um']:z.1f} um",
         ]
     )

@@ -41,8 +41,8 @@ def _corrected(found: Mapping[str, Any]) -> str:
         (
             f"{r['feed_mm_min']:g} {r['direction']}",
             r["none"]["runs"],
-            *(f"{r[w]['rms_um']:.2f} ± {r[w]['half_width_um']:.2f}" for w in _WAYS),
-            *(f"{r[w]['rms_um'] / r['none']['rms_um']:.2f}" for w in _WAYS[1:]),
+            *(f"{r[w]['rms_um']:z.2f} ± {r[w]['half_width_um']:z.2f}" for w in _WAYS),
+            *(f"{r[w]['rms_um'] / r['none']['rms_um']:z.2f}" for w in _WAYS[1:]),
         )
         for r in found["results"]
     ]
@@ -59,7 +59,7 @@ def _corrected(found: Mapping[str, Any]) -> str:
         "only: a session of their own)",
         table(head, rows),
         f"live: {served['circles']} circles, guard {_counts(served['acted'])}; "
-        f"largest {served['largest_um']:.1f} um; dropped by the controller's watchdog "
+        f"largest {served['largest_um']:z.1f} um; dropped by the controller's watchdog "
         f"{served['watchdog_trips']} times",
     ]
     if served["interrupted"]:

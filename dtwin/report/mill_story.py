@@ -32,7 +32,7 @@ def _learned(found: Mapping[str, Any]) -> str:
         (
             f"{r['feed_mm_min']:g}",
             r["runs"],
-            f"{r['r2']:.3f}",
+            f"{r['r2']:z.3f}",
             _um(r["before_um"]),
             _um(r["after_um"]),
         )
@@ -81,7 +81,7 @@ def _refused(found: Mapping[str, Any]) -> str:
             f"promotion without closed-loop evidence: {_first(gates['without_evidence'])}",
             f"promotion with what was measured above: {_first(gates['with_evidence'])}",
             *_blind(gates["offline"]),
-            f"audit: {100 * share:.1f} % of the mean square of what it learned is centre and radius "
+            f"audit: {100 * share:z.1f} % of the mean square of what it learned is centre and radius "
             "of that mounting, and all of it is a function of the position only "
             "(dtwin demo position-map looks at the thesis's own equation)",
         ]
@@ -100,7 +100,7 @@ def _told_right(found: Mapping[str, Any]) -> str:
     twin, later = found["twin"], found["later"]
     rows = later["ways"]["told right"]
     values = [
-        (e["effect"], e["name"], f"{e['value']:.1f} +- {e['uncertainty']:.1f} {e['unit']}")
+        (e["effect"], e["name"], f"{e['value']:z.1f} +- {e['uncertainty']:z.1f} {e['unit']}")
         for e in twin["estimates"]
     ]
     terms = [(t["label"], "yes" if t["included"] else "no", t["how"]) for t in twin["terms"]]
@@ -137,7 +137,7 @@ def _defects(found: Mapping[str, Any]) -> str:
     rows = [
         (
             d["defect"],
-            "not moved" if d["ratio"] is None else f"{d['ratio']:.2f}",
+            "not moved" if d["ratio"] is None else f"{d['ratio']:z.2f}",
             ", ".join(d["caught"]) or ("-" if d["defect"] == "as it should be" else "NOTHING"),
         )
         for d in found["defects"]
@@ -158,7 +158,7 @@ def _uncaught(found: Mapping[str, Any]) -> str:
         return "each is caught"
     worst = max(d["ratio"] for d in missed)
     return (
-        f"with what nothing catches, at most {100 * worst:.0f} % of the error without correction is "
+        f"with what nothing catches, at most {100 * worst:z.0f} % of the error without correction is "
         "left: it costs accuracy, which no gate asks for"
     )
 
@@ -167,9 +167,9 @@ def _thesis(found: Mapping[str, Any]) -> str:
     rows = [
         (
             f"{r['feed_mm_min']:g}",
-            "{:.2f}, {:.2f}".format(*r["r2"]),
-            "{:+.1f} %, {:+.1f} %".format(*r["printed"]),
-            "{:+.1f} %, {:+.1f} %".format(*r["follows"]),
+            "{:z.2f}, {:z.2f}".format(*r["r2"]),
+            "{:+z.1f} %, {:+z.1f} %".format(*r["printed"]),
+            "{:+z.1f} %, {:+z.1f} %".format(*r["follows"]),
         )
         for r in found["thesis"]
     ]
@@ -195,10 +195,10 @@ def _later(rows: Sequence[Mapping[str, Any]]) -> list[tuple[object, ...]]:
     return [
         (
             f"{c['feed_mm_min']:g}",
-            c["n_runs"],
+            c["n_with"],
             f"{_um(c['before_um'])} +- {_um(c['before_ci_um'])}",
             f"{_um(c['after_um'])} +- {_um(c['after_ci_um'])}",
-            f"{c['ratio']:.2f} +- {c['ratio_half_width']:.2f}",
+            f"{c['ratio']:z.2f} +- {c['ratio_half_width']:z.2f}",
             _um(c["oracle_um"]),
             _um(c["floor_um"]),
             _um(c["raw_before_um"]),
@@ -220,8 +220,8 @@ def _first(reason: str) -> str:
 
 def _span(part: Mapping[str, Any]) -> str:
     low, high = part["temperature_c"]
-    return f"{low:.1f} to {high:.1f} °C"
+    return f"{low:z.1f} to {high:z.1f} °C"
 
 
 def _um(value: float) -> str:
-    return f"{value:.2f}"
+    return f"{value:z.2f}"

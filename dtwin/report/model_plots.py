@@ -13,10 +13,10 @@ from dtwin.train.results import condition_name
 
 _LOWEST_R2 = -0.5
 _FAR = 100.0
-_CIRCLES = "Radial error, RMS after set-up; bars: 95 % over runs; *: feed not trained"
+_ERRORS = "Error, RMS after set-up; bars: 95 % over runs; *: not trained"
 
 
-def evidence_figure(evidence: Mapping[str, Any], title: str = _CIRCLES) -> go.Figure:
+def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Figure:
     """Return error before and after per condition, with the oracle and the noise floor.
 
     Parameters
@@ -27,7 +27,7 @@ def evidence_figure(evidence: Mapping[str, Any], title: str = _CIRCLES) -> go.Fi
         What the errors are.
     """
     conditions = evidence["conditions"]
-    names = [condition_name(c) + ("" if c["trained"] else " *") for c in conditions]
+    names = [condition_name(c) + (" *" if c["trained"] is False else "") for c in conditions]
     figure = go.Figure()
     for name, key, colour in (
         ("uncompensated", "before", COLOURS["measured"]),
@@ -93,7 +93,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
                 text=[c["name"] for c in chosen],
                 mode="markers+text" if promotable else "markers",
                 textposition="top center",
-                hovertemplate="%{text}<br>%{x:.3g} us, %{y:.1f} um<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3g} us, %{y:z.1f} um<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={
                     "size": 12,

@@ -39,7 +39,7 @@ def _sphere(sphere: Mapping[str, Any]) -> str:
             len(r["rms_um"]["uncompensated"]),
             *_before_after(r),
             *(
-                f"{sum(r['raw_mae_um'][way]) / len(r['raw_mae_um'][way]):.1f}"
+                f"{sum(r['raw_mae_um'][way]) / len(r['raw_mae_um'][way]):z.1f}"
                 for way in ("uncompensated", "compensated")
             ),
         ]
@@ -50,8 +50,8 @@ def _sphere(sphere: Mapping[str, Any]) -> str:
     return "\n".join(
         [
             "1 of 3  three circles at three heights, R 150 mm, clockwise, a stop every quarter",
-            f"({sphere['clock']}; correction and oracle with {1e3 * sphere['delay_s']:.0f} ms of "
-            f"delay and lag, clamp {sphere['clamp_um']:.0f} um, slew {sphere['slew_um_s']:.0f} "
+            f"({sphere['clock']}; correction and oracle with {1e3 * sphere['delay_s']:z.0f} ms of "
+            f"delay and lag, clamp {sphere['clamp_um']:z.0f} um, slew {sphere['slew_um_s']:z.0f} "
             "um/s; a mounting that the fit has not seen; RMS with one centre and one length for "
             "all runs of a way; 95 % intervals, the run as unit; MAE: as the thesis counts, with "
             "the mounting in it; * feed never fitted)",
@@ -71,9 +71,9 @@ def _placements(found: Mapping[str, Any]) -> str:
     flags = ", ".join(f"{name} {count}" for name, count in found["flags"].items())
     low, high = found["temperature_c"]
     audit = [
-        [a["bookkeeping"], *(f"{a[k]:.1f}" for k in ("before_um", "after_um")),
-         f"{100 * a['reduction']:.1f} %",
-         *(f"{a[k]:.1f}" for k in ("before_sd_um", "after_sd_um"))]
+        [a["bookkeeping"], *(f"{a[k]:z.1f}" for k in ("before_um", "after_um")),
+         f"{100 * a['reduction']:z.1f} %",
+         *(f"{a[k]:z.1f}" for k in ("before_sd_um", "after_sd_um"))]
         for a in found["audit"]
     ]  # fmt: skip
     audit_head = ("bookkeeping", "before, um", "after, um", "reduction", "SD before, um",
@@ -84,10 +84,10 @@ def _placements(found: Mapping[str, Any]) -> str:
             "(mean distance from where the block should lie, by a datum that was set before; the "
             "placement as unit, 95 % intervals; order drawn anew for every repeat; feeds "
             f"{', '.join(f'{f:g}' for f in found['trained_mm_min'])} mm/min were trained; clamp "
-            f"{found['clamp_um']:.0f} um)",
+            f"{found['clamp_um']:z.0f} um)",
             table(head, rows),
-            f"flagged by rule: {flags}; block from {low:.1f} to {high:.1f} C, its half length "
-            f"grows by up to {found['growth_um']:.1f} um, which the evaluation takes off",
+            f"flagged by rule: {flags}; block from {low:z.1f} to {high:z.1f} C, its half length "
+            f"grows by up to {found['growth_um']:z.1f} um, which the evaluation takes off",
             "the same placements under other bookkeeping:",
             table(audit_head, audit),
             f"data: {found['folder']}",
@@ -97,12 +97,12 @@ def _placements(found: Mapping[str, Any]) -> str:
 
 def _before_after(r: Mapping[str, Any]) -> list[str]:
     return [
-        f"{r['before_um']:.1f} ± {r['before_half_width_um']:.1f}",
-        f"{r['after_um']:.1f} ± {r['after_half_width_um']:.1f}",
-        f"{r['oracle_um']:.1f}",
-        f"{r['change_um']:+.1f} ± {r['change_half_width_um']:.1f}",
-        f"{100 * r['reduction']:.0f} %",
-        f"{100 * r['share_of_oracle']:.0f} %",
+        f"{r['before_um']:z.1f} ± {r['before_half_width_um']:z.1f}",
+        f"{r['after_um']:z.1f} ± {r['after_half_width_um']:z.1f}",
+        f"{r['oracle_um']:z.1f}",
+        f"{r['change_um']:+z.1f} ± {r['change_half_width_um']:z.1f}",
+        f"{100 * r['reduction']:z.0f} %",
+        f"{100 * r['share_of_oracle']:z.0f} %",
     ]
 
 
@@ -110,7 +110,7 @@ def _verdict(found: Mapping[str, Any]) -> str:
     if found["shortfalls"]:
         return "not reached: " + "; ".join(found["shortfalls"])
     return (
-        f"every condition: at least {100 * found['wanted_share']:.0f} % of the oracle's reduction, "
+        f"every condition: at least {100 * found['wanted_share']:z.0f} % of the oracle's reduction, "
         "none worse beyond its confidence interval"
     )
 
@@ -128,9 +128,9 @@ def _published(published: Mapping[str, Any]) -> str:
 def _xyz(published: Mapping[str, Any]) -> str:
     xyz = published["xyz"]
     rows = [
-        [f"{r['feed_mm_min']:g}", f"{r['before_mm']:.4f}", f"{r['after_mm']:.4f}",
-         f"{r['reduction_pct']:.2f}", f"{r['printed_pct']:.2f}",
-         f"{r['change_mm']:+.3f} ± {r['half_width_mm']:.3f}", f"{r['mae_over_sd']:.3f}"]
+        [f"{r['feed_mm_min']:g}", f"{r['before_mm']:z.4f}", f"{r['after_mm']:z.4f}",
+         f"{r['reduction_pct']:z.2f}", f"{r['printed_pct']:z.2f}",
+         f"{r['change_mm']:+z.3f} ± {r['half_width_mm']:z.3f}", f"{r['mae_over_sd']:z.3f}"]
         for r in xyz["rows"]
     ]  # fmt: skip
     head = ("feed", "before", "after", "less, %", "printed, %", "change (95 %, 3 runs)",
@@ -138,29 +138,29 @@ def _xyz(published: Mapping[str, Any]) -> str:
     return "\n".join(
         [
             table(head, rows),
-            f"mean {xyz['mean_reduction_pct']:.2f} %, printed {xyz['printed_mean_pct']:.2f} %: it "
-            f"follows. MAE/SD of an off-centre bar is {xyz['sinusoid']:.3f}, of scatter "
-            f"{xyz['gaussian']:.3f}.",
+            f"mean {xyz['mean_reduction_pct']:z.2f} %, printed {xyz['printed_mean_pct']:z.2f} %: it "
+            f"follows. MAE/SD of an off-centre bar is {xyz['sinusoid']:z.3f}, of scatter "
+            f"{xyz['gaussian']:z.3f}.",
         ]
     )
 
 
 def _motion(m: Mapping[str, Any]) -> list[str]:
     spread = [
-        [r["condition"], r["printed"], f"{r['spread']:.3f}", f"{r['mean']:.3f}"]
+        [r["condition"], r["printed"], f"{r['spread']:z.3f}", f"{r['mean']:z.3f}"]
         for r in m["mean_sd"]
     ]
     zeros = [
-        [r["condition"], *(f"{r[k]:.3f}" for k in ("with_all", "printed", "as_zeros", "removed"))]
+        [r["condition"], *(f"{r[k]:z.3f}" for k in ("with_all", "printed", "as_zeros", "removed"))]
         for r in m["zeros"]
     ]
     radial = [
         [f"{r['feed_mm_min']:g}",
-         *(f"{r[k]:.1f}" for k in ("all_pct", "removed_pct", "stated_offset_pct"))]
+         *(f"{r[k]:z.1f}" for k in ("all_pct", "removed_pct", "stated_offset_pct"))]
         for r in m["radial"]["rows"]
     ]  # fmt: skip
     average = m["radial"]["average_pct"]
-    radial.append(["average", *(f"{average[k]:.1f}" for k in ("all", "removed", "stated_offset"))])
+    radial.append(["average", *(f"{average[k]:z.1f}" for k in ("all", "removed", "stated_offset"))])
     offset, centred = m["offset"], m["centring"]
     lines = [
         'the printed "Mean SD" is the spread of the three deviations, not their mean:',
@@ -169,21 +169,21 @@ def _motion(m: Mapping[str, Any]) -> list[str]:
         table(("condition", "with all", "printed", "zeros counted", "removed"), zeros),
         f"offset printed {_pair(offset['printed'])}; the means that are left "
         f"({_pair(offset['mean_left'])}) say {_pair(offset['used'])} was subtracted",
-        f"rows All, distance: without {centred['nc']:.3f}, with {centred['wc']:.3f}; their sum "
+        f"rows All, distance: without {centred['nc']:z.3f}, with {centred['wc']:z.3f}; their sum "
         f"{_pair(centred['sum'])} is zero wherever the offset is the mean of both; after removal "
-        f"{centred['nc_removed']:.3f} and {centred['wc_removed']:.3f}, "
-        f"{-centred['removed_pct']:+.1f} %, printed {centred['printed_removed_pct']:.1f} %",
+        f"{centred['nc_removed']:z.3f} and {centred['wc_removed']:z.3f}, "
+        f"{-centred['removed_pct']:+z.1f} %, printed {centred['printed_removed_pct']:z.1f} %",
         "reduction of the mean's distance, %: all placements, without anomalies as printed, all with the offset as stated:",
         table(("feed", "all", "without anomalies", "offset as stated"), radial),
-        f"average printed without anomalies: {m['radial']['printed_average_pct']:.1f} %",
+        f"average printed without anomalies: {m['radial']['printed_average_pct']:z.1f} %",
     ]
     if m["limit"]["readings_mm"]:
         lines.append(
             f"two readings, {m['limit']['readings_mm']}, are the end of a travel: they differ by "
-            f"{1e3 * max(m['limit']['apart_mm']):.1f} um"
+            f"{1e3 * max(m['limit']['apart_mm']):z.1f} um"
         )
     return lines
 
 
 def _pair(values: Any) -> str:
-    return ", ".join(f"{v:+.3f}" for v in values)
+    return ", ".join(f"{v:+z.3f}" for v in values)

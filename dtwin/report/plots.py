@@ -73,7 +73,9 @@ def polar_figure(
                 name=name,
                 line={"color": colour, "width": 1.5},
                 customdata=_short(deviation),
-                hovertemplate="%{theta:.1f} deg<br>%{customdata:.1f} um<extra>" + name + "</extra>",
+                hovertemplate="%{theta:z.1f} deg<br>%{customdata:z.1f} um<extra>"
+                + name
+                + "</extra>",
             )
         )
     figure.update_layout(
@@ -138,7 +140,7 @@ def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
         return
     figure.add_hrect(
         y0=-floor_um, y1=floor_um, fillcolor=COLOURS["floor"], opacity=0.25, line_width=0, layer="below",
-        annotation_text=f"noise floor ±{floor_um:.2f} um", annotation_position="bottom right",
+        annotation_text=f"noise floor ±{floor_um:z.2f} um", annotation_position="bottom right",
         annotation_bgcolor=BEHIND_TEXT,
     )  # fmt: skip
 
@@ -150,7 +152,7 @@ def floor_rings(floor_um: float | None) -> list[tuple[str, float, dict[str, Any]
     """
     if floor_um is None or not np.isfinite(floor_um):
         return []
-    name, line = f"noise floor ±{floor_um:.2f} um", {"color": COLOURS["floor"], "width": 0}
+    name, line = f"noise floor ±{floor_um:z.2f} um", {"color": COLOURS["floor"], "width": 0}
     inner = {"line": line, "showlegend": False, "hoverinfo": "skip"}
     outer = {"line": line, "fill": "tonext", "fillcolor": "rgba(153,153,153,0.25)"}
     return [("", -floor_um, inner), (name, floor_um, {**outer, "hoverinfo": "skip"})]
@@ -182,13 +184,13 @@ def spectrum_figure(
         go.Scatter(
             x=_short(frequency_hz), y=_short(amplitude_um), mode="lines", name="amplitude",
             line={"color": COLOURS["measured"], "width": 1.3},
-            hovertemplate="%{x:.2f} Hz: %{y:.3f} um<extra></extra>",
+            hovertemplate="%{x:z.2f} Hz: %{y:z.3f} um<extra></extra>",
         )
     )  # fmt: skip
     if np.isfinite(floor_um):
         figure.add_hline(
             y=floor_um, line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise of one line {floor_um:.3f} um",
+            annotation_text=f"noise of one line {floor_um:z.3f} um",
         )  # fmt: skip
     figure.update_layout(
         title=title, xaxis_title="frequency, Hz",

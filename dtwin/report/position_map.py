@@ -21,17 +21,17 @@ def position_map_text(found: Mapping[str, Any]) -> str:
         for name, (low, high) in found["ranges"].items()
     ]
     points = ", ".join(
-        f"{p['error_um']:.1f} at ({p['x_mm']:g}, {p['y_mm']:g})" for p in found["at"]
+        f"{p['error_um']:z.1f} at ({p['x_mm']:g}, {p['y_mm']:g})" for p in found["at"]
     )
     sessions = [
         (
             s["session"],
             s["runs"],
-            f"{s['before_um']:.2f}",
-            f"{s['after_um']:.2f}",
-            f"{s['r2']:.3f}",
-            f"{s['mounting_out_before_um']:.2f}",
-            f"{s['mounting_out_after_um']:.2f}",
+            f"{s['before_um']:z.2f}",
+            f"{s['after_um']:z.2f}",
+            f"{s['r2']:z.3f}",
+            f"{s['mounting_out_before_um']:z.2f}",
+            f"{s['mounting_out_after_um']:z.2f}",
         )
         for s in found["sessions"]
     ]

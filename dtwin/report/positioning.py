@@ -132,13 +132,13 @@ def positioning_lines(result: Mapping[str, Any]) -> list[str]:
     if not result["targets"]:
         return ["no target was read in every run from both sides: no figures"]
     lines = [
-        f"{result['runs']} runs, {result['targets']} targets from {result['from_mm']:.3f} to "
-        f"{result['to_mm']:.3f} mm"
+        f"{result['runs']} runs, {result['targets']} targets from {result['from_mm']:z.3f} to "
+        f"{result['to_mm']:z.3f} mm"
         + ("" if not result["left_out_targets"] else f", {result['left_out_targets']} left out")
         + _phases(result)
     ]
     if "iso_230_2" in result:
-        rows = [[title, f"{result['iso_230_2'][key]:.2f}"] for key, title in _ISO]
+        rows = [[title, f"{result['iso_230_2'][key]:z.2f}"] for key, title in _ISO]
         lines += table(("ISO 230-2, k = 2", "um"), rows).splitlines()
         if result["runs"] < 5:
             lines.append(f"  the standard asks for 5 runs, these are {result['runs']}")
@@ -160,8 +160,8 @@ def before_after_lines(figures: Mapping[str, Mapping[str, float | None]]) -> lis
         row = [title]
         for number, name in enumerate(names):
             value = figures[name][key]
-            share = f" ({100 * value / first:.1f} %)" if number and value and first else ""
-            row.append("not visible" if value is None else f"{value:.2f}{share}")
+            share = f" ({100 * value / first:z.1f} %)" if number and value and first else ""
+            row.append("not visible" if value is None else f"{value:z.2f}{share}")
         rows.append(row)
     return table(("error, um", *names), rows).splitlines()
 

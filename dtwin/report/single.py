@@ -80,11 +80,11 @@ def waterfall(result: Mapping[str, Any]) -> go.Figure:
     rungs = result["ladders"][result["best"]]
     names = ["set-up only", *(f"{n}. {r['label']}" for n, r in enumerate(rungs, 1))]
     heights = [result["setup_only_um"], *(r["held_out_um"] for r in rungs)]
-    figure = go.Figure(go.Bar(x=names, y=heights, text=[f"{h:.1f}" for h in heights]))
+    figure = go.Figure(go.Bar(x=names, y=heights, text=[f"{h:z.1f}" for h in heights]))
     lines = (("look-up of the other pass", "look_up_um"), ("within-run floor", "floor_um"))
     for name, key in lines:
         figure.add_hline(
-            y=result[key], line={"dash": "dash"}, annotation_text=f"{name} {result[key]:.1f} um"
+            y=result[key], line={"dash": "dash"}, annotation_text=f"{name} {result[key]:z.1f} um"
         )
     figure.update_layout(title="Error on the pass that was not fitted", yaxis_title="RMS, um")
     return styled(figure)
@@ -93,7 +93,7 @@ def waterfall(result: Mapping[str, Any]) -> go.Figure:
 def _alignment(result: Mapping[str, Any]) -> list[str]:
     return [
         f"{run['run_id']}: stops at samples {', '.join(map(str, run['stops']))}; the file's angles "
-        f"are off by up to {run['misregistered_deg']:.1f} deg; mean feed {run['feed_mm_min']:.0f} mm/min"
+        f"are off by up to {run['misregistered_deg']:z.1f} deg; mean feed {run['feed_mm_min']:z.0f} mm/min"
         for run in result["runs"]
     ]
 
@@ -101,12 +101,12 @@ def _alignment(result: Mapping[str, Any]) -> list[str]:
 def _stretches(result: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{s['run_id']}: samples {s['first']} to {s['end']} are seen again {s['lag_samples']} samples "
-        f"later; {s['non_repeatable_um']:.1f} um RMS does not repeat"
+        f"later; {s['non_repeatable_um']:z.1f} um RMS does not repeat"
         for s in result["stretches"]
     ]
     return [
         *lines,
-        f"Floor {result['floor_um']:.1f} um ({result['floor_kind']}): a lower bound, for nothing "
+        f"Floor {result['floor_um']:z.1f} um ({result['floor_kind']}): a lower bound, for nothing "
         "was mounted or started twice.",
     ]
 
@@ -114,13 +114,13 @@ def _stretches(result: Mapping[str, Any]) -> list[str]:
 def _vendor(result: Mapping[str, Any]) -> list[str]:
     vendor = result["vendor"]
     stated = vendor["stated_um"]
-    lines = [] if stated is None else [f"The vendor states a residual of {stated:.1f} um RMS."]
+    lines = [] if stated is None else [f"The vendor states a residual of {stated:z.1f} um RMS."]
     for key, name in (("file_angles", "the file's angles"), ("aligned_angles", "aligned angles")):
         one = vendor[key]
         lines.append(
             f"Terms of the same kinds ({one['parameters']} parameters) refitted at {name}: "
-            f"{one['marked_window_um']:.1f} um in the marked windows; fitted to one pass they leave "
-            f"{one['held_out_um']:.1f} um of the other."
+            f"{one['marked_window_um']:z.1f} um in the marked windows; fitted to one pass they leave "
+            f"{one['held_out_um']:z.1f} um of the other."
         )
     return lines
 
@@ -128,8 +128,8 @@ def _vendor(result: Mapping[str, Any]) -> list[str]:
 def _rungs(rungs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return [
         [
-            r["label"], _shape(r["shape"]), str(r["parameters"]), f"{r['fit_um']:.1f}",
-            f"{r['held_out_um']:.1f}", r["grade"],
+            r["label"], _shape(r["shape"]), str(r["parameters"]), f"{r['fit_um']:z.1f}",
+            f"{r['held_out_um']:z.1f}", r["grade"],
         ]
         for r in rungs
     ]  # fmt: skip
@@ -141,7 +141,7 @@ def _shape(shape: Mapping[str, float]) -> str:
 
 def _alone(one: Mapping[str, Any]) -> str:
     shape = _shape(one["shape"])
-    return f"{one['family']}: {one['label']} ({shape}) leaves {one['held_out_um']:.1f} um"
+    return f"{one['family']}: {one['label']} ({shape}) leaves {one['held_out_um']:z.1f} um"
 
 
 def _models(result: Mapping[str, Any]) -> list[list[str]]:
@@ -155,10 +155,10 @@ def _models(result: Mapping[str, Any]) -> list[list[str]]:
     for name, one in result["harmonics"].items():
         label = f"harmonics, {name.replace('_', ' ')}, best up to {one['at_most']}"
         rows.append([label, str(one["parameters"]), one["held_out_um"], one["unseen_path_um"]])
-    shown = [[r[0], r[1], f"{r[2]:.1f}", f"{r[3]:.1f}"] for r in rows]
+    shown = [[r[0], r[1], f"{r[2]:z.1f}", f"{r[3]:z.1f}"] for r in rows]
     return [
         *shown,
-        ["look-up of the other pass", "every sample", f"{result['look_up_um']:.1f}", "-"],
+        ["look-up of the other pass", "every sample", f"{result['look_up_um']:z.1f}", "-"],
     ]
 
 
@@ -169,11 +169,11 @@ def _conclusion(result: Mapping[str, Any]) -> list[str]:
     lines = np.array([line["frequency_hz"] for line in result["remaining_lines"]])
     return [
         _against(result),
-        f"Verdict: {result['verdict']}. {result['unexplained_um']:.1f} um RMS that repeats is not "
-        f"explained; strongest lines in it at {', '.join(f'{f:.1f}' for f in lines)} Hz.",
+        f"Verdict: {result['verdict']}. {result['unexplained_um']:z.1f} um RMS that repeats is not "
+        f"explained; strongest lines in it at {', '.join(f'{f:z.1f}' for f in lines)} Hz.",
         "The effects were chosen by the pass they were not fitted to, which lies on the same path: "
         "the figure is for this path only, and choosing by it flatters it.",
-        f"On parts of the path left out of the estimates, {best:.1f} um is the lowest the effects "
+        f"On parts of the path left out of the estimates, {best:z.1f} um is the lowest the effects "
         f"reach, with {', '.join(carried) if carried else 'centre and radius alone'}; what was "
         "added after that describes this recording and explains nothing elsewhere.",
         _waves_elsewhere(result, best),
@@ -185,7 +185,7 @@ def _waves_elsewhere(result: Mapping[str, Any], effects_um: float) -> str:
     name, one = min(result["harmonics"].items(), key=lambda item: item[1]["unseen_path_um"])
     left = one["unseen_path_um"]
     better = "better" if left < effects_um else "no better"
-    return f"There the best harmonics ({name.replace('_', ' ')}) do {better}: {left:.1f} um."
+    return f"There the best harmonics ({name.replace('_', ' ')}) do {better}: {left:z.1f} um."
 
 
 def _against(result: Mapping[str, Any]) -> str:
@@ -198,9 +198,9 @@ def _against(result: Mapping[str, Any]) -> str:
         rivals["what the vendor states"] = result["vendor"]["stated_um"]
     rivals["the look-up"] = result["look_up_um"]
     said = [
-        f"{'below' if held_out < r else 'not below'} {n}, {r:.1f} um" for n, r in rivals.items()
+        f"{'below' if held_out < r else 'not below'} {n}, {r:z.1f} um" for n, r in rivals.items()
     ]
-    return f"On the pass not fitted the effects leave {held_out:.1f} um: {'; '.join(said)}."
+    return f"On the pass not fitted the effects leave {held_out:z.1f} um: {'; '.join(said)}."
 
 
 def _step(step: Mapping[str, Any]) -> str:

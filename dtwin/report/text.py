@@ -44,7 +44,7 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         if not math.isfinite(value):
             return "-"
-        return f"{value:.4g}" if abs(value) < 1e5 else f"{value:.3e}"
+        return f"{value:z.4g}" if abs(value) < 1e5 else f"{value:z.3e}"
     return str(value)
 
 
@@ -52,4 +52,4 @@ def micrometres(value: float | None) -> str:
     """Return micrometres for people: two decimals, below a tenth three digits that count."""
     if value is None or not math.isfinite(value):
         return "-"
-    return f"{value:.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else f"{value:.3g}"
+    return f"{value:z.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else f"{value:z.3g}"

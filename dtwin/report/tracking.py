@@ -32,9 +32,9 @@ def _published(found: Mapping[str, Any]) -> str:
         [
             "what the thesis reports (table 4-3: UR10e, XY, R100, 3 repeats, CCW and CW)",
             table(head, rows),
-            f"mean of the five per cents: {told['mean_of_per_cents']:.1f} % +- "
-            f"{told['half_width_pct']:.0f} (95 %, the feed as unit); reduction of the summed gap: "
-            f"{told['per_cent_of_sums']:.1f} %; spread of repeats: not published",
+            f"mean of the five per cents: {told['mean_of_per_cents']:z.1f} % +- "
+            f"{told['half_width_pct']:z.0f} (95 %, the feed as unit); reduction of the summed gap: "
+            f"{told['per_cent_of_sums']:z.1f} %; spread of repeats: not published",
         ]
     )
 
@@ -45,10 +45,10 @@ def _reproduced(found: Mapping[str, Any]) -> str:
             f"{f['feed_mm_min']:g}",
             str(f["runs"]),
             *(
-                f"{f[k + '_um']:.1f} +- {f[k + '_floor_um']:.1f}"
+                f"{f[k + '_um']:z.1f} +- {f[k + '_floor_um']:z.1f}"
                 for k in ("ball_bar", "encoder", "accelerometer")
             ),
-            f"{f['reduction_pct']:.1f} %",
+            f"{f['reduction_pct']:z.1f} %",
         )
         for f in found["feeds"]
     ]
@@ -58,9 +58,9 @@ def _reproduced(found: Mapping[str, Any]) -> str:
             "the same chain on the virtual cobot (mean over the middle half +- what repeats of a "
             "direction disagree by; unit: the run)",
             table(head, rows),
-            f"mean of the five per cents: {found['reduction_pct']:.1f} % +- "
-            f"{found['reduction_half_width_pct']:.1f} (95 %, the feed as unit); without the feed at "
-            f"which the threshold was tuned: {found['reduction_of_feeds_not_tuned_pct']:.1f} %",
+            f"mean of the five per cents: {found['reduction_pct']:z.1f} % +- "
+            f"{found['reduction_half_width_pct']:z.1f} (95 %, the feed as unit); without the feed at "
+            f"which the threshold was tuned: {found['reduction_of_feeds_not_tuned_pct']:z.1f} %",
         ]
     )
 
@@ -73,9 +73,9 @@ def _does_not_follow(found: Mapping[str, Any]) -> str:
         [
             (
                 c["circle"],
-                f"{c['middle_half_um']:.1f}",
-                f"{c['full_circle_um']:.1f}",
-                f"{c['centre_offset_um']:.1f}",
+                f"{c['middle_half_um']:z.1f}",
+                f"{c['full_circle_um']:z.1f}",
+                f"{c['centre_offset_um']:z.1f}",
             )
             for c in found["set_up"]
         ],
@@ -85,21 +85,21 @@ def _does_not_follow(found: Mapping[str, Any]) -> str:
         [
             "what does not follow",
             "1. That a sensor closed the gap. One constant, the mean gap of the other four feeds, "
-            f"would have closed {told['constant_of_other_feeds_pct']:.0f} % of it in the published "
-            f"table and {constant:.0f} % here; the accelerometer of another feed closes "
-            f"{other:.1f} % here.",
+            f"would have closed {told['constant_of_other_feeds_pct']:z.0f} % of it in the published "
+            f"table and {constant:z.0f} % here; the accelerometer of another feed closes "
+            f"{other:z.1f} % here.",
             "2. That the gap is an error of the robot. The mean over half of a circle holds the "
             "centre offset of the mounting; over the full circle that cancels:",
             circles,
             "3. That the shape of the error is found. With centre and radius fitted to every run, "
-            f"the gap is {path['gap_um']:.1f} um RMS without and {path['left_um']:.1f} um with the "
-            f"displacement: {path['change_um']:+.1f} +- {path['change_half_width_um']:.1f} um "
-            f"(95 %, {path['runs']:.0f} runs), correlation {path['correlation']:.2f}.",
+            f"the gap is {path['gap_um']:z.1f} um RMS without and {path['left_um']:z.1f} um with the "
+            f"displacement: {path['change_um']:+z.1f} +- {path['change_half_width_um']:z.1f} um "
+            f"(95 %, {path['runs']:z.0f} runs), correlation {path['correlation']:z.2f}.",
             "4. The threshold. It minimises the figure that is reported, on the same runs; "
             f"here the swarm chose {found['threshold_g2']:.2g} g^2 at "
             f"F{found['tuned_at_feed_mm_min']:g}.",
             "not reproduced: the encoder's 40 to 49 um. The virtual controller's own position stays "
-            f"within {largest:.1f} um of its command on average; where the thesis's offset comes "
+            f"within {largest:z.1f} um of its command on average; where the thesis's offset comes "
             "from is not stated.",
         ]
     )

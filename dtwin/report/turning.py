@@ -87,7 +87,7 @@ def trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     for row in found["rows"]:
         cells = [
             f"{row['before'][key]:{form}}, {row['after'][key]:{form}} "
-            f"({-100.0 * row['reduction'][key]:+.1f} %)"
+            f"({-100.0 * row['reduction'][key]:+z.1f} %)"
             for _, key, form in _FIGURES
         ]
         rows.append(

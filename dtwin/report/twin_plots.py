@@ -81,7 +81,7 @@ def overlay_figure(
                 theta=angle, r=_drawn(curve, radius_mm, fitting), mode="lines", name=name,
                 line={"color": colour, "width": 1.6, "dash": dash_of(name)},
                 customdata=_closed(curve),
-                hovertemplate="%{theta:.0f} deg<br>%{customdata:.2f} um<extra>" + name + "</extra>",
+                hovertemplate="%{theta:z.0f} deg<br>%{customdata:z.2f} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
     figure.update_layout(
@@ -163,7 +163,7 @@ def harmonics_figure(
             go.Bar(
                 x=numbers, y=np.round(harmonic_amplitudes_um(curve)[1 : most + 1], 4), name=name,
                 marker_color=colour,
-                hovertemplate="%{x} times: %{y:.3f} um<extra>" + name + "</extra>",
+                hovertemplate="%{x} times: %{y:z.3f} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
     if floor_um is not None:

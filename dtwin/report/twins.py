@@ -13,7 +13,7 @@ from dtwin.physics import localise
 from dtwin.physics.effect import Effect
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
-from dtwin.physics.twin import Twin, left_out_lines
+from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
@@ -93,7 +93,7 @@ def twin_text(twin: Twin) -> str:
     shown = parameter_table(twin)
     lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
     lines += [f"cannot be told apart: {_alias(alias)}" for alias in twin.aliases]
-    lines += [f"warning: {line}" for line in left_out_lines(twin.data)]
+    lines += [f"warning: {line}" for line in data_lines(twin.data)]
     return "\n".join(lines)
 
 
@@ -139,7 +139,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
             (
                 f"{c['effect']} {c['axis']}".strip(),
                 micrometres(c["rms_after_um"]),
-                f"{100 * c['cv_gain']:.1f} %",
+                f"{100 * c['cv_gain']:z.1f} %",
                 number(c["p_value"], 2),
                 c["grade"] or "",
                 "yes" if c["in_group"] else "",
@@ -149,7 +149,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(table(head, rows))
     lines += [f"law: {law['equation']}" for law in result["laws"][:3]]
     lines += [
-        f"channel: {c['name']} explains {100 * c['share']:.0f} % of the spread between repeats "
+        f"channel: {c['name']} explains {100 * c['share']:z.0f} % of the spread between repeats "
         f"(p = {c['p_value']:.2g})"
         for c in result["channels"]
     ]
@@ -157,6 +157,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(f"closest of what is known: {result['closest']}")
     if result["outlier_runs"]:
         lines.append(f"left out, not like their repeats: {', '.join(result['outlier_runs'])}")
+    lines += [f"warning: {line}" for line in result.get("told", [])]
     if result["invisible"]:
         lines.append(f"invisible in these runs: {', '.join(result['invisible'])}")
     if result["next_experiment"]:
@@ -289,7 +290,7 @@ def _condition_table(result: Mapping[str, Any]) -> Table:
 
 def _alias(alias: Mapping[str, Any]) -> str:
     return (
-        f"{alias['first']} and {alias['second']} (correlation {alias['correlation']:.3f}). "
+        f"{alias['first']} and {alias['second']} (correlation {alias['correlation']:z.3f}). "
         f"{alias['separate_by']}"
     )
 

@@ -15,21 +15,21 @@ def judged_text(found: Mapping[str, Any]) -> str:
     d = found["distances"]
     lines = [
         f"{found['campaign']}: {found['cycles']} cycles, {found['sensors']} thermocouples; identification "
-        f"leaves {found['identified_um']:.2f} um, {found['held_out_poses_um']:.2f} um in held-out poses",
-        f"distances between balls: RMS {d['rms_um']:.2f} -> {d['rms_left_um']:.2f} um "
-        f"(-{d['rms_reduction_pct']:.0f} %), range {d['p2p_um']:.0f} -> {d['p2p_left_um']:.0f} um "
-        f"(-{d['p2p_reduction_pct']:.0f} %)",
+        f"leaves {found['identified_um']:z.2f} um, {found['held_out_poses_um']:z.2f} um in held-out poses",
+        f"distances between balls: RMS {d['rms_um']:z.2f} -> {d['rms_left_um']:z.2f} um "
+        f"(-{d['rms_reduction_pct']:z.0f} %), range {d['p2p_um']:z.0f} -> {d['p2p_left_um']:z.0f} um "
+        f"(-{d['p2p_reduction_pct']:z.0f} %)",
     ]
     if found["slots"]:
         s = found["slots"]
         lines.append(
-            f"sixteen slots in 15 h: range {s['mean_range_um']:.1f} -> {s['mean_range_left_um']:.1f} um on "
-            f"average, {s['max_range_um']:.1f} -> {s['max_range_left_um']:.1f} um at worst"
+            f"sixteen slots in 15 h: range {s['mean_range_um']:z.1f} -> {s['mean_range_left_um']:z.1f} um on "
+            f"average, {s['max_range_um']:z.1f} -> {s['max_range_left_um']:z.1f} um at worst"
         )
     rows = [
-        [r["name"], r["unit"], f"{r['rms_um']:.2f}", f"{r['rms_left_um']:.2f}",
-         f"{r['rms_reduction_pct']:.0f}", len(r["sensors"]), "yes" if r["memory"] else "",
-         f"{r['largest_inflation']:.0f}"]
+        [r["name"], r["unit"], f"{r['rms_um']:z.2f}", f"{r['rms_left_um']:z.2f}",
+         f"{r['rms_reduction_pct']:z.0f}", len(r["sensors"]), "yes" if r["memory"] else "",
+         f"{r['largest_inflation']:z.0f}"]
         for r in found["coefficients"]
     ]  # fmt: skip
     head = ("", "unit", "RMS", "left", "less %", "sensors", "memory", "inflation")
@@ -52,7 +52,7 @@ def _line_lines(lines: Sequence[Mapping[str, Any]]) -> list[str]:
     rows = [
         [
             f"{line['line']}, error in {line['direction']}",
-            *(f"{line['p95_um'][i]:.1f} -> {line['p95_left_um'][i]:.1f}" for i in shown),
+            *(f"{line['p95_um'][i]:z.1f} -> {line['p95_left_um'][i]:z.1f}" for i in shown),
         ]
         for line in lines
     ]
@@ -68,7 +68,7 @@ def _line_lines(lines: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _unexplained_line(entry: Mapping[str, Any]) -> str:
-    left = ", ".join(f"{t['channel']} would leave {t['left_um']:.2f}" for t in entry["tried"])
+    left = ", ".join(f"{t['channel']} would leave {t['left_um']:z.2f}" for t in entry["tried"])
     if entry["cause"]:
         return (
             f"{entry['name']} is not explained by the thermocouples; {entry['cause']} explains it in both "

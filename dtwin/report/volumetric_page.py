@@ -24,7 +24,7 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
     told = [("note", line) for line in finding_lines(found)] or [("note", "nothing to warn of")]
     head = ("motion", "unit", "RMS", "left", "less, %", "temperatures")
     rows = [
-        [r["name"], r["unit"], f"{r['rms_um']:.2f}", f"{r['rms_left_um']:.2f}",
+        [r["name"], r["unit"], f"{r['rms_um']:z.2f}", f"{r['rms_left_um']:z.2f}",
          str(round(r["rms_reduction_pct"])), str(len(r["sensors"]))]
         for r in found["coefficients"]
     ]  # fmt: skip
@@ -39,8 +39,8 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
         Section("Every motion", (), tables=[Table(head, rows)]),
     ]  # fmt: skip
     subtitle = (
-        f"{found['cycles']} cycles; distances between balls: RMS {d['rms_um']:.2f} to "
-        f"{d['rms_left_um']:.2f} um (-{d['rms_reduction_pct']:.0f} %)"
+        f"{found['cycles']} cycles; distances between balls: RMS {d['rms_um']:z.2f} to "
+        f"{d['rms_left_um']:z.2f} um (-{d['rms_reduction_pct']:z.0f} %)"
     )
     return page(f"Heat in {found['campaign']}", subtitle, sections)
 

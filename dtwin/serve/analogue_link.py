@@ -119,8 +119,15 @@ class AnalogueLink:
         return self._feed.newest
 
     def wait_state(self, timeout_s: float) -> Floats | None:
-        """Return the newest unseen state (N,), or None; see ``StateFeed``."""
-        return self._feed.wait_state(timeout_s)
+        """Return the newest unseen state (N,), or None; see ``StateFeed``.
+
+        Which correction is in force is the board's to say, and renewed with or without a state.
+        """
+        state = self._feed.wait_state(timeout_s)
+        if self._output is not None:
+            self._output.poll()
+            self._feed.newest[layout.APPLIED_SEQUENCE] = self._output.in_force
+        return state
 
     def begin(self) -> None:
         """Let the board take corrections from now on; its watchdog begins to count."""
@@ -128,7 +135,7 @@ class AnalogueLink:
             self._output.engage()
 
     def send(self, offset_um: Floats, sequence: int) -> None:
-        """Send a correction (3,); the frames of the board count by themselves.
+        """Send a correction (3,) with the number that ``applied_sequence`` is once the board has it.
 
         Raises
         ------
@@ -136,7 +143,7 @@ class AnalogueLink:
             When the board tripped, refused, is silent, or does not hold what was sent.
         """
         if self._output is not None:
-            self._output.send(offset_um)
+            self._output.send(offset_um, sequence)
 
     def close(self) -> None:
         """Go neutral when the board still listens, and release port and feed."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 
 from dtwin.errors import DeviceError
@@ -12,7 +13,7 @@ from dtwin.schema import Floats
 from dtwin.serve.axis_inputs import AxisInputs
 from dtwin.serve.decision import Decision
 from dtwin.serve.endings import fault_of
-from dtwin.serve.journal import Note
+from dtwin.serve.journal import LINK_LOST, Note, Sparing
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.loop import ServeStatus
@@ -61,7 +62,8 @@ class LockstepControl:
     ) -> None:  # fmt: skip
         self._link, self._decision, self._inputs = link, decision, inputs
         self._asked, self._withdrawn, self._board = asked, withdrawn, board
-        self._program = ProgramWatch(note)
+        self._program, self._note = ProgramWatch(note), Sparing(note)
+        self._stamp_s = -math.inf
         self._begun_s = float(link.newest[layout.TIMESTAMP])
         self._until_s = self._begun_s + longest_s
         self._segment = float(link.newest[layout.SEGMENT_ID])
@@ -82,8 +84,14 @@ class LockstepControl:
             self._inputs.forget()
         windows = self._inputs.windows
         # What was not measured yet is no fault: the correction waits for its first window.
-        stands = self._program.hold(state, float(state[layout.TIMESTAMP]))
-        self._decision.hold = stands or (windows is not None and not windows.ready)
+        stamp_s = float(state[layout.TIMESTAMP])
+        stands = self._program.hold(state, stamp_s)
+        # It waits for each correction: what does not come after the state before is none of now.
+        old = stamp_s <= self._stamp_s
+        if old:
+            self._note("clock_jump", step_s=round(stamp_s - self._stamp_s, 3))
+        self._stamp_s = max(stamp_s, self._stamp_s)
+        self._decision.hold = stands or old or (windows is not None and not windows.ready)
         return state
 
     def step(self, registers: Floats) -> None:
@@ -164,7 +172,7 @@ def serve_machine_clock(
         decision, control, period_s=link.greeting.period_s, mode=request.mode, stop=control.stops
     )
     if status.fault is not None:
-        note("link_lost", why=status.ended, said=status.fault["message"])
+        note(LINK_LOST, why=status.ended, said=status.fault["message"])
         return status
     last = status.last_sequence % layout.SEQUENCE_LIMIT + 1
     try:

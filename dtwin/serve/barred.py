@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 from dtwin.config import Home
-from dtwin.errors import InputError
-from dtwin.serve.bundle_file import read_json, write_json
+from dtwin.errors import DtwinError, InputError
 from dtwin.serve.machine_file import machine_folder
+from dtwin.serve.sealed import BARRED, locked, read_sealed, write_sealed
 
-_FILE = "barred.json"
-_MAX_BYTES = 100_000
 _LOOK_EVERY_S = 1.0
 
 
@@ -34,14 +31,20 @@ def bar(machine: str, home: Home, version: int, reason: str) -> None:
     StoreError
         When the file cannot be written.
     """
-    write_json(_path(machine, home), _read(machine, home) | {str(version): reason[:500]})
+    folder = machine_folder(machine, home)
+    with locked(folder):
+        write_sealed(folder, BARRED, _read(machine, home) | {str(version): reason[:500]})
 
 
 def allow(machine: str, home: Home, version: int) -> None:
     """Take a version off the list, when it was promoted after all; none is no mistake."""
-    found = _read(machine, home)
-    if found.pop(str(version), None) is not None:
-        write_json(_path(machine, home), found)
+    folder = machine_folder(machine, home)
+    if not (folder / BARRED).exists():
+        return
+    with locked(folder):
+        found = _read(machine, home)
+        if found.pop(str(version), None) is not None:
+            write_sealed(folder, BARRED, found)
 
 
 def barred_why(machine: str, home: Home, version: int) -> str:
@@ -60,7 +63,7 @@ class BarredWatch:
 
     def __init__(self, machine: str, home: Home, version: int) -> None:
         self._machine, self._home, self._version = machine, home, version
-        self._file = _path(machine, home)
+        self._file = machine_folder(machine, home) / BARRED
         self._stamp = self._look()
         self._next_s = time.monotonic() + _LOOK_EVERY_S
 
@@ -75,7 +78,7 @@ class BarredWatch:
         self._stamp = stamp
         try:
             return barred_why(self._machine, self._home, self._version)
-        except InputError:
+        except DtwinError:
             return "the list of withdrawn versions cannot be read"
 
     def _look(self) -> tuple[int, int]:
@@ -86,17 +89,14 @@ class BarredWatch:
         return found.st_mtime_ns, found.st_ino
 
 
-def _path(machine: str, home: Home) -> Path:
-    return machine_folder(machine, home) / _FILE
-
-
 def _read(machine: str, home: Home) -> dict[str, str]:
-    path = _path(machine, home)
-    if not path.exists():
+    folder = machine_folder(machine, home)
+    found = read_sealed(folder, BARRED)
+    if found is None:
         return {}
-    found = read_json(path, _MAX_BYTES)
     if not isinstance(found, dict):
         raise InputError(
-            "the list of withdrawn versions is malformed", code="barred.file", where=str(path)
-        )
+            "the list of withdrawn versions is malformed", code="barred.file",
+            where=str(folder / BARRED),
+        )  # fmt: skip
     return {str(key): str(value) for key, value in found.items()}

@@ -154,7 +154,7 @@ class Bundle:
             "window_graph": self.window_graph.to_dict() if self.window_graph else None,
             "tick_graph": self.tick_graph.to_dict(),
             "safety": asdict(self.safety),
-            "provenance": asdict(self.provenance),
+            "provenance": self.provenance.as_dict(),
             "vectors": _listed(asdict(self.vectors)),
         }
 
@@ -167,6 +167,15 @@ class Bundle:
     def sha256(self) -> str:
         """Checksum of the content."""
         return checksum(self.body())
+
+    @property
+    def model_sha256(self) -> str:
+        """Checksum of what moves the machine: the content without version and provenance.
+
+        It stays the same when a version is put on trial and when it is promoted.
+        """
+        body = self.body()
+        return checksum({name: body[name] for name in body if name not in _OF_THE_VERSION})
 
     @classmethod
     def from_dict(cls, data: object) -> Bundle:
@@ -218,6 +227,9 @@ _BODY_FIELDS = (
     "format", "version", "name", "machine", "model_version", "created", "inputs", "outputs",
     "states", "window", "window_graph", "tick_graph", "safety", "provenance", "vectors",
 )  # fmt: skip
+
+
+_OF_THE_VERSION = ("model_version", "provenance")
 
 
 def checksum(body: Mapping[str, Any]) -> str:

@@ -124,6 +124,11 @@ def load_bundle(
     return CompiledBundle(bundle)
 
 
+def json_text(content: Mapping[str, Any]) -> str:
+    """Return the text that ``write_json`` writes."""
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+
+
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON so that a reader sees the old file or the new one, never a part.
 
@@ -132,7 +137,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     StoreError
         When the folder cannot be written.
     """
-    plain = json.dumps(content, indent=1, allow_nan=False) + "\n"
+    plain = json_text(content)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, draft = tempfile.mkstemp(prefix=f".{path.name[:40]}.", dir=path.parent)
@@ -167,6 +172,17 @@ def read_json(path: Path, max_bytes: int) -> Any:
     InputError
         When it is missing, too large, or not such JSON.
     """
+    return parse_json(read_bytes(path, max_bytes), path)
+
+
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """Read a file of bounded size.
+
+    Raises
+    ------
+    InputError
+        When it is missing, unreadable or too large.
+    """
     try:
         with path.open("rb") as file:
             raw = file.read(max_bytes + 1)
@@ -183,6 +199,24 @@ def read_json(path: Path, max_bytes: int) -> Any:
             "the file is too large", code="bundle.size", where=str(path),
             allowed=f"{max_bytes} bytes",
         )  # fmt: skip
+    return raw
+
+
+def parse_json(raw: bytes, path: Path) -> Any:
+    """Return what JSON says, refusing NaN, infinity and repeated names.
+
+    Parameters
+    ----------
+    raw : bytes
+        The text.
+    path : Path
+        Where it stood, for messages.
+
+    Raises
+    ------
+    InputError
+        When it is not such JSON.
+    """
     try:
         return json.loads(raw, parse_constant=_refuse_constant, object_pairs_hook=_unrepeated)
     except (ValueError, RecursionError) as error:

@@ -19,8 +19,9 @@ from dtwin.links.live_values import LiveValues
 from dtwin.schema import Floats
 from dtwin.serve.direction import Direction
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.serve.safety import Guard
+from dtwin.serve.safety import IMPOSSIBLE, OK, Guard
 from dtwin.serve.sensor_trouble import SATURATED, saturated_kernel
+from dtwin.serve.state_limits import any_machine, impossible, possible
 
 STANDARD_INPUTS: tuple[str, ...] = (*PATH_INPUTS, *layout.NAMES)
 """Inputs that follow from every controller's state."""
@@ -64,6 +65,8 @@ class Decision:
         Required when the bundle has feature inputs.
     live : LiveValues, optional
         Inputs that the control sends beside its state.
+    largest : ndarray, shape (N,), optional
+        Largest magnitudes in a state of this machine; see :mod:`dtwin.serve.state_limits`.
 
     Attributes
     ----------
@@ -81,11 +84,13 @@ class Decision:
     def __init__(
         self, compiled: CompiledBundle, tcp_mm: Floats,
         covariates: Mapping[str, float] | None = None, sensors: SensorSource | None = None,
-        live: LiveValues | None = None,
+        live: LiveValues | None = None, largest: Floats | None = None,
     ) -> None:  # fmt: skip
         bundle = compiled.bundle
         sent = live or LiveValues({})
         self.compiled, self.sensors = compiled, sensors
+        self._largest = any_machine() if largest is None else largest
+        self._nothing, self._impossible = np.zeros(3), ""
         self._path = PathInputs(dict(layout.INDEX), tcp_mm)
         given = dict(covariates or {})
         n_path = len(PATH_INPUTS)
@@ -122,7 +127,9 @@ class Decision:
 
     @property
     def trouble(self) -> str:
-        """What is not finite: a channel of the newest window, or values that the control sends no more."""
+        """What is impossible in the newest state, or else not finite: a channel, values that are old."""
+        if self.guard.reason == IMPOSSIBLE:
+            return self._impossible
         return self.sensor_trouble or ", ".join(self._sent.old())
 
     def _prepare_window(self, sensors: SensorSource | None) -> None:
@@ -170,7 +177,7 @@ class Decision:
 
     def decide(
         self, state: Floats, *, age_s: float, elapsed_s: float, enabled: bool,
-        stages: NDArray[np.int64],
+        stages: NDArray[np.int64], found: int = OK,
     ) -> Floats:  # fmt: skip
         """Return the safe correction (3,) in um for the newest state.
 
@@ -184,8 +191,19 @@ class Decision:
             Whether a correction is wanted; false releases.
         stages : ndarray of int64, shape (6,)
             Receives the nanoseconds of window, path, equation and guard in its first four.
+        found : int
+            What the caller has found, as for ``safety.guard_kernel``.
         """
         start = perf_counter_ns()
+        if not possible(state, self._largest):
+            self._impossible = impossible(state, self._largest)
+            # What remembers must not remember this.
+            self.reset()
+            stages[:4] = 0
+            return self.guard.step(
+                self._nothing, self._inputs, age_s=age_s, elapsed_s=elapsed_s, enabled=enabled,
+                found=IMPOSSIBLE,
+            )  # fmt: skip
         if self._uses_window:
             self._take_window()
         windowed = perf_counter_ns()
@@ -206,13 +224,15 @@ class Decision:
         )
         safe = self.guard.step(
             wanted, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
-            window_age_s=self.window_age_s, enabled=enabled, device_ok=bool(device_ok),
+            window_age_s=self.window_age_s, enabled=enabled, device_ok=bool(device_ok), found=found,
         )  # fmt: skip
         stages[0], stages[1] = windowed - start, pathed - windowed
         stages[2], stages[3] = evaluated - pathed, perf_counter_ns() - evaluated
         return safe
 
-    def release(self, *, elapsed_s: float, age_s: float = 0.0, enabled: bool = False) -> Floats:
+    def release(
+        self, *, elapsed_s: float, age_s: float = 0.0, enabled: bool = False, found: int = OK
+    ) -> Floats:
         """Return the next correction when there is no usable state: towards zero.
 
         Parameters
@@ -223,10 +243,12 @@ class Decision:
             Age of the last state; beyond the limit it counts as a fault.
         enabled : bool
             False for a wanted release, true while the source is silent.
+        found : int
+            As in ``decide``.
         """
         return self.guard.step(
             self.direction.vector_um, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
-            window_age_s=self.window_age_s, enabled=enabled,
+            window_age_s=self.window_age_s, enabled=enabled, found=found,
         )  # fmt: skip
 
     def _take_window(self) -> None:

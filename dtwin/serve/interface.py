@@ -17,6 +17,7 @@ OUTPUT_FRAMES = (
 ROLES = ("error", "correction")
 EVIDENCE = ("none", "virtual", "real")
 MAX_LISTED = 512
+LONGEST_DAYS = 36_500.0
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,8 @@ class Provenance:
         Closed-loop evidence.
     gates : dict of str to bool
         Verdict of each gate.
+    valid_days : float
+        How long closed-loop evidence holds after it was measured; 0 for ever.
     """
 
     code_version: str = ""
@@ -141,6 +144,14 @@ class Provenance:
     table_versions: Mapping[str, int] = field(default_factory=dict)
     evidence: str = "none"
     gates: Mapping[str, bool] = field(default_factory=dict)
+    valid_days: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping; evidence that holds for ever has no term in it."""
+        found = asdict(self)
+        if not self.valid_days:
+            del found["valid_days"]
+        return found
 
 
 @dataclass(frozen=True)
@@ -214,15 +225,20 @@ def read_safety(data: object) -> SafetyLimits:
 
 def read_provenance(data: object) -> Provenance:
     """Return origin and evidence."""
-    f = only_fields(data, tuple(Provenance.__dataclass_fields__), "provenance")
+    given = {"valid_days": 0.0} | mapping(data, "provenance")
+    f = only_fields(given, tuple(Provenance.__dataclass_fields__), "provenance")
     gates = mapping(f["gates"], "provenance.gates")
     if not all(isinstance(v, bool) for v in gates.values()):
         raise wrong("a gate's verdict is neither true nor false", str(gates)[:200])
     tables = mapping(f["table_versions"], "provenance.table_versions")
+    valid_days = number(f["valid_days"], "provenance.valid_days")
+    if not 0.0 <= valid_days <= LONGEST_DAYS:
+        raise wrong("evidence cannot hold for so long", f"{valid_days:g} days")
     return Provenance(
         text(f["code_version"], "code_version"), text(f["mlflow_version"], "mlflow_version"),
         {k: whole(v, f"table_versions.{k}") for k, v in tables.items()},
         one_of(f["evidence"], EVIDENCE, "provenance.evidence"), dict(gates),
+        valid_days,
     )  # fmt: skip
 
 

@@ -9,17 +9,23 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
+import secrets
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Protocol
 
 ENDED, KILLED, GAP = "ended", "killed", "lines_lost"
+SERVING, RELEASED, NOT_RELEASED = "serving", "released", "not_released"
+LINK_LOST, RECONNECTED = "link_lost", "reconnected"
 _CLOSE_S = 5.0
 _PIPE_PROMISE_BYTES = 4096
+_BURST, _PER_S = 20.0, 0.5
 
 
 class Note(Protocol):
@@ -32,6 +38,56 @@ class Note(Protocol):
 
 def no_journal(event: str, **details: object) -> None:
     """Note nothing."""
+
+
+class Bucket:
+    """Lets a burst through, and then no more than a steady trickle."""
+
+    def __init__(self) -> None:
+        self._left, self._last_s = _BURST, math.nan
+
+    def take(self, now_s: float) -> bool:
+        """Tell whether one more may go at a monotonic time."""
+        if now_s > self._last_s:
+            self._left = min(_BURST, self._left + (now_s - self._last_s) * _PER_S)
+        self._last_s = now_s
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+class Sparing:
+    """Notes what may happen at every tick without flooding the journal.
+
+    Of each kind of event 20 lines may come at once, and then one in two seconds; the next line says how many were
+    left out before it.
+
+    Parameters
+    ----------
+    note : callable
+        Takes the lines that are let through.
+    """
+
+    def __init__(self, note: Note) -> None:
+        self._note = note
+        self._buckets: dict[str, Bucket] = {}
+        self._left_out: dict[str, int] = {}
+
+    def __call__(self, event: str, **details: object) -> None:
+        """Note an event, or count it."""
+        bucket = self._buckets.setdefault(event, Bucket())
+        if not bucket.take(time.monotonic()):
+            self._left_out[event] = self._left_out.get(event, 0) + 1
+            return
+        before = self._left_out.pop(event, 0)
+        self._note(event, **details, **({"left_out": before} if before else {}))
+
+    def end(self) -> None:
+        """Say what was left out and never told."""
+        for event, count in self._left_out.items():
+            self._note(event, left_out=count)
+        self._left_out.clear()
 
 
 class Journal:
@@ -49,6 +105,8 @@ class Journal:
         self.path = path
         self.dropped = 0
         self.complete = True
+        # Sessions of one machine share the file: one that serves and others that look on.
+        self._session = secrets.token_hex(4)
         self._process = subprocess.Popen(
             [sys.executable, "-m", "dtwin.serve.journal", str(path)],
             stdin=subprocess.PIPE,
@@ -67,7 +125,8 @@ class Journal:
 
     def note(self, event: str, **details: object) -> None:
         """Hand an event to the writer; one that does not fit the pipe is dropped and counted."""
-        line = json.dumps({"time": _now(), "event": event, **details}).encode() + b"\n"
+        about = {"time": _now(), "event": event, "session": self._session}
+        line = json.dumps({**about, **details}).encode() + b"\n"
         try:
             # A line below the pipe's promise goes in whole or not at all.
             if len(line) > _PIPE_PROMISE_BYTES:
@@ -154,15 +213,16 @@ def _main(path: Path) -> int:
     for line in sys.stdin.buffer:
         writer.write(line)
         last = line
-    if _event(last) != ENDED:
+    if _field(last, "event") != ENDED:
         text = "the serving process died without a word; the machine's own watchdog leads to zero"
-        writer.write(json.dumps({"time": _now(), "event": KILLED, "why": text}).encode() + b"\n")
+        about = {"time": _now(), "event": KILLED, "session": _field(last, "session"), "why": text}
+        writer.write(json.dumps(about).encode() + b"\n")
     return 1 if writer.was_lost else 0
 
 
-def _event(line: bytes) -> Any:
+def _field(line: bytes, name: str) -> Any:
     try:
-        return json.loads(line)["event"]
+        return json.loads(line)[name]
     except (ValueError, KeyError, TypeError):
         return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,17 +14,18 @@ from dtwin.errors import DeviceError
 from dtwin.links import state as layout
 from dtwin.schema import Floats
 from dtwin.serve.decision import Decision
-from dtwin.serve.journal import Note, no_journal
+from dtwin.serve.in_force import InForce
+from dtwin.serve.journal import Note, Sparing, no_journal
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.program_watch import ProgramWatch
 from dtwin.serve.realtime import realtime
-from dtwin.serve.safety import NOT_FINITE
+from dtwin.serve.safety import ENGAGING, IMPOSSIBLE, JUMPED, NOT_FINITE, OK, STALLED
+from dtwin.serve.stamps import StampWatch
 from dtwin.serve.timing import LoopTiming
 
 Mode = Literal["live", "shadow", "dry-run"]
-_RELEASE_MARGIN_S = 0.25
-# A controller's stamp that goes ahead by this much more than our own clock has jumped.
-_CLOCK_JUMP_S = 0.5
+# A busy host takes longer for its steps; what silence holds up, the machine's watchdog releases.
+_RELEASE_PATIENCE, _RELEASE_MARGIN_S = 5.0, 0.25
 
 
 class Link(Protocol):
@@ -35,7 +37,12 @@ class Link(Protocol):
         ...
 
     def wait_state(self, timeout_s: float) -> Floats | None:
-        """Return the newest unseen state (N,), or None when none came in time."""
+        """Return the newest unseen state (N,), or None when none came in time.
+
+        ``applied_sequence`` is the number of the correction that the machine's end has in force, 0 when it
+        has none: before the first, and when its watchdog has let go. What it let go of comes back only
+        from zero. The array is valid until the next call, which may renew it though it returns None.
+        """
         ...
 
     def send(self, offset_um: Floats, sequence: int) -> None:
@@ -109,23 +116,29 @@ class ServingLoop:
         Takes events.
     board : LiveBoard, optional
         Shows every tick to other processes.
+    echoed : bool
+        Whether states come from what takes the corrections, so that a number just sent proves a
+        state new; without, states that lag behind their stamps stay old.
     """
 
     def __init__(
         self, decision: Decision, link: Link, *, period_s: float = 0.002, mode: Mode = "live",
         first_sequence: int = 1, note: Note = no_journal, board: LiveBoard | None = None,
+        echoed: bool = True,
     ) -> None:  # fmt: skip
         self.decision, self.link, self.mode = decision, link, mode
         self._board = board
         self.timing = LoopTiming(period_s)
         self.watch = ProgramWatch(note)
-        self._note, self._period_s = note, period_s
-        self._first = first_sequence
-        self._sequence = first_sequence - 1
+        self._note, self._period_s, self._echoed = Sparing(note), period_s, echoed
         self._sent_zero, self._largest_um = True, 0.0
         self._zero = np.zeros(3)
-        self._last_s = self._last_stamp_s = self._seen_s = np.nan
-        self._segment = np.nan
+        self._begin(first_sequence)
+
+    def _begin(self, first_sequence: int) -> None:
+        self._in_force, self._stamps = InForce(first_sequence), StampWatch()
+        self._newest, self._leading_back = layout.empty_state(), False
+        self._last_s = self._last_stamp_s = self._heard_s = self._segment = np.nan
 
     def use(self, link: Link, first_sequence: int) -> None:
         """Go on with another link; the correction begins at zero, the counts go on.
@@ -138,14 +151,13 @@ class ServingLoop:
             Sequence number to start from.
         """
         self.link = link
-        self._first, self._sequence = first_sequence, first_sequence - 1
-        self._last_s = self._last_stamp_s = self._seen_s = self._segment = np.nan
+        self._begin(first_sequence)
         self.decision.reset()
         self.decision.guard.out_um[:] = 0.0
 
     def run(
         self, duration_s: float, *, stop: Callable[[], bool] | None = None, priority: int = 60,
-        core: int | None = None,
+        core: int | None = None, begin: Callable[[], None] | None = None,
     ) -> ServeStatus:  # fmt: skip
         """Serve until the time is up, a stop is asked for, or the device fails.
 
@@ -160,6 +172,8 @@ class ServingLoop:
             Asked every tick; true ends the serving, as after Ctrl-C.
         priority, core : int
             As in ``realtime``.
+        begin : callable, optional
+            Called when all is prepared, which takes longer than a watchdog waits.
 
         Returns
         -------
@@ -170,11 +184,14 @@ class ServingLoop:
         ended = "duration"
         with realtime(priority, core) as allowed:
             try:
+                if begin is not None:
+                    begin()
                 ended = self._serve(time.monotonic() + duration_s, stop)
             except DeviceError as error:
                 fault, ended = error, error.code
             finally:
                 fault = self._release() or fault
+                self._note.end()
         return ServeStatus(
             clock="wall",
             mode=self.mode,
@@ -185,7 +202,7 @@ class ServingLoop:
             realtime=allowed,
             fault=fault.as_dict() if fault else None,
             largest_um=self._largest_um,
-            last_sequence=max(self._sequence, 0),
+            last_sequence=max(self._in_force.sequence, 0),
         )
 
     def _serve(self, until_s: float, stop: Callable[[], bool] | None) -> str:
@@ -193,7 +210,7 @@ class ServingLoop:
         while time.monotonic() < until_s:
             if stop is not None and stop():
                 return "stopped"
-            state = self.link.wait_state(silence_s)
+            state = self.link.wait_state(self._period_s if self._leading_back else silence_s)
             if state is None:
                 self.timing.timeouts += 1
                 self._without_state(enabled=True)
@@ -204,40 +221,42 @@ class ServingLoop:
     def _tick(self, state: Floats) -> None:
         start_ns = time.perf_counter_ns()
         now_s = time.monotonic()
+        self._newest, self._leading_back = state, False
+        stamp_s = float(state[layout.TIMESTAMP])
+        engaged = self._heed()
+        # What was sent long ago and is not in force: the state is old, or nothing arrives there.
+        overdue = self._in_force.overdue_s(now_s) > self.decision.guard.limits.stale_s
+        if overdue or self._stamps.repeats(stamp_s):
+            self._without_state(enabled=True)
+            return
         segment = state[layout.SEGMENT_ID]
         if segment < self._segment:
             self.decision.reset()
         self._segment = segment
-        interval_s = now_s - self._last_s
-        elapsed_s = interval_s if interval_s >= 0 else self._period_s
-        step_s = float(state[layout.TIMESTAMP]) - self._last_stamp_s
-        silent_s, self._seen_s = now_s - self._seen_s, now_s
-        if step_s < 0.0 or step_s > silent_s + _CLOCK_JUMP_S:
-            self._note("clock_jump", step_s=round(step_s, 3))
-            self.decision.reset()
-            self._last_stamp_s = float(state[layout.TIMESTAMP])
-            self._without_state(enabled=True)
-            return
-        self._require_own_numbers(int(state[layout.APPLIED_SEQUENCE]))
+        interval_s, step_s = now_s - self._last_s, stamp_s - self._last_stamp_s
+        found = self._found(stamp_s, interval_s, engaged=engaged)
+        self._heard_s = self.link.received_s
         self.decision.hold = self.watch.hold(state, now_s)
         row = self.timing.stages()
         safe = self.decision.decide(
-            state, age_s=now_s - self.link.received_s, elapsed_s=elapsed_s, enabled=True,
-            stages=row,
+            state, age_s=now_s - self._heard_s,
+            elapsed_s=self._room_um() / self.decision.guard.limits.slew_um_s, enabled=True,
+            stages=row, found=found,
         )  # fmt: skip
         reason = self.decision.guard.reason
-        trouble = self.decision.trouble if reason == NOT_FINITE else ""
+        trouble = self.decision.trouble if reason in (NOT_FINITE, IMPOSSIBLE) else ""
         self.watch.reason(reason, now_s, trouble)
         before_ns = time.perf_counter_ns()
-        sent_um = self._send(safe)
+        # What was decided before the loop was held up is as old as that.
+        late = time.monotonic() - now_s > self.decision.guard.limits.stale_s
+        sent_um = self._zero if late else self._send(safe)
         done_ns = time.perf_counter_ns()
         row[4], row[5] = done_ns - before_ns, done_ns - start_ns
-        stamp_s = float(state[layout.TIMESTAMP])
-        self.timing.applied(int(state[layout.APPLIED_SEQUENCE]), stamp_s)
+        self.timing.applied(self._number_in_force(), stamp_s)
         age_s, window_age_s = time.monotonic() - self.link.received_s, self.decision.window_age_s
         self.timing.tick(
             interval_s, step_s, age_s, window_age_s, stamp_s=stamp_s,
-            sequence=0 if self.mode == "shadow" else self._sequence,
+            sequence=0 if self.mode == "shadow" else self._in_force.sequence,
         )  # fmt: skip
         if self._board is not None:
             self._board.show(
@@ -246,38 +265,67 @@ class ServingLoop:
             )  # fmt: skip
         self._last_s, self._last_stamp_s = now_s, stamp_s
 
+    def _found(self, stamp_s: float, interval_s: float, *, engaged: bool) -> int:
+        """Return what is wrong with the time of a state, or with what the machine's end holds."""
+        limits = self.decision.guard.limits
+        fresh = self._echoed or self.mode == "shadow"
+        steady = self._stamps.steady(stamp_s, self.link.received_s, fresh=fresh)
+        if self._stamps.jump_s:
+            self._note("clock_jump", step_s=round(self._stamps.jump_s, 3))
+            self.decision.reset()
+        # For so long it may have waited for a state, and no longer.
+        if interval_s > limits.stale_s + self._period_s:
+            self._note("stalled", gap_s=round(interval_s, 4))
+            return STALLED
+        if not steady:
+            return JUMPED
+        return OK if engaged else ENGAGING
+
+    def _heed(self) -> bool:
+        """Take what the machine's end reports as in force; tell whether it may leave zero."""
+        if self.mode == "shadow":
+            return True
+        if self._in_force.report(self._number_in_force()):
+            # Its watchdog, or its program, was faster: it stands at zero, and so do we.
+            self.decision.guard.out_um[:] = 0.0
+            self._note("let_go", after=self._in_force.sequence)
+        return self._in_force.engaged
+
+    def _number_in_force(self) -> int:
+        number = float(self._newest[layout.APPLIED_SEQUENCE])
+        # What is no number is none.
+        return int(number) if 0.0 < number <= layout.SEQUENCE_LIMIT else 0
+
+    def _room_um(self) -> float:
+        """Return how far the next correction may go: one step, less what is not in force yet."""
+        slew_um_s = self.decision.guard.limits.slew_um_s
+        if self.mode != "live":
+            return slew_um_s * self._period_s
+        # Two states that come at once are no reason for two steps at once.
+        step_um = slew_um_s * min(self._in_force.since_s(time.monotonic()), self._period_s)
+        return self._in_force.room_um(self.decision.guard.out_um, step_um)
+
     def _without_state(self, *, enabled: bool) -> None:
+        """Go on towards zero while no state comes, as long as it is known what is in force.
+
+        Where nothing says so any more nothing is sent: then the machine's own watchdog leads to zero.
+        """
         now_s = time.monotonic()
-        elapsed_s = now_s - self._last_s
-        age_s = now_s - self.link.received_s
-        self._send(self.decision.release(
-            elapsed_s=elapsed_s if elapsed_s >= 0 else self._period_s, age_s=age_s,
-            enabled=enabled,
-        ))  # fmt: skip
+        engaged, room_um = self._heed(), self._room_um()
+        # Its watchdog never drops a zero: if what was sent after it got lost, nothing else would come.
+        again = room_um == 0.0 and self._in_force.rests
+        if again:
+            self.decision.guard.out_um[:] = 0.0
+        safe = self.decision.release(
+            elapsed_s=room_um / self.decision.guard.limits.slew_um_s,
+            age_s=max(now_s - self._heard_s, self._in_force.overdue_s(now_s)), enabled=enabled,
+            found=OK if engaged else ENGAGING,
+        )  # fmt: skip
+        if room_um > 0.0 or again:
+            self._send(safe)
+        self._leading_back = room_um > 0.0 and not self.decision.guard.at_rest
         self.watch.reason(self.decision.guard.reason, now_s)
         self._last_s = now_s
-
-    def _require_own_numbers(self, echoed: int) -> None:
-        """Raise when the controller acts on a number that nobody here has sent.
-
-        Raises
-        ------
-        DeviceError
-            Then somebody else writes the correction's registers.
-        """
-        if self.mode == "shadow" or echoed == 0:
-            return
-        limit = layout.SEQUENCE_LIMIT
-        behind = (self._sequence - echoed) % limit
-        # One before the first: what the controller held when we came.
-        if behind > (self._sequence - self._first + 1) % limit:
-            raise DeviceError(
-                "another client writes the correction's registers; ours was released",
-                code="serve.other_writer",
-                got=f"the controller acts on number {echoed}",
-                allowed=f"{self._first} to {self._sequence}",
-                hint="end the other program or fieldbus that writes these registers",
-            )
 
     def _send(self, safe_um: Floats) -> Floats:
         """Send what the mode allows of a correction, and return it."""
@@ -287,24 +335,24 @@ class ServingLoop:
         if self.mode == "shadow":
             return self._zero
         offset_um = safe_um if self.mode == "live" else self._zero
-        self._sequence = self._sequence % layout.SEQUENCE_LIMIT + 1
         self._sent_zero = False
-        self.link.send(offset_um, self._sequence)
+        self.link.send(offset_um, self._in_force.sent(offset_um, time.monotonic()))
         self._sent_zero = not offset_um.any()
         return offset_um
 
     def _release(self) -> DeviceError | None:
-        """Lead the correction to zero and send zero; return what prevented it."""
+        """Lead the correction to zero and send zero, as the last resort at once; return what prevented it."""
         limits = self.decision.guard.limits
-        patience_s = limits.clamp_um / limits.slew_um_s + _RELEASE_MARGIN_S
+        patience_s = _RELEASE_PATIENCE * limits.clamp_um / limits.slew_um_s + _RELEASE_MARGIN_S
         until_s = time.monotonic() + patience_s
-        try:
+        with contextlib.suppress(DeviceError):
             while not self.decision.guard.at_rest and time.monotonic() < until_s:
-                self.link.wait_state(self._period_s)
+                state = self.link.wait_state(self._period_s)
+                self._newest = self._newest if state is None else state
                 self._without_state(enabled=False)
-            self.decision.guard.out_um[:] = 0.0
+        self.decision.guard.out_um[:] = 0.0
+        try:
             self._send(self._zero)
         except DeviceError as error:
-            self.decision.guard.out_um[:] = 0.0
             return error
         return None

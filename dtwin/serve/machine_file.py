@@ -11,13 +11,14 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinematics import UR10E
 from dtwin.schema import Floats, require_name
-from dtwin.serve.bundle_file import read_json, write_json
+from dtwin.serve import state_limits
 from dtwin.serve.fields import number, one_of, only_fields
+from dtwin.serve.sealed import MACHINE, read_sealed, write_sealed
 
-MACHINE_TYPES = ("ur10e",)
-_MACHINE_FILE = "machine.json"
-_MAX_BYTES = 10_000
+_CHAINS = {"ur10e": UR10E}
+MACHINE_TYPES = tuple(_CHAINS)
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,11 @@ class MachineGeometry:
     def tcp(self) -> Floats:
         """Tool centre point as an array (3,), in mm."""
         return np.array(self.tcp_mm)
+
+    @property
+    def largest(self) -> Floats:
+        """Largest magnitudes (N,) in a state of this machine."""
+        return state_limits.robot(_CHAINS[self.type], self.tcp)
 
 
 def machine_folder(machine: str, home: Home) -> Path:
@@ -75,9 +81,8 @@ def write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Path
     if isinstance(known.get("tcp_mm"), np.ndarray | tuple):
         known["tcp_mm"] = [float(value) for value in known["tcp_mm"]]
     read = _geometry(known, f"the geometry of {machine}")
-    path = machine_folder(machine, home) / _MACHINE_FILE
-    write_json(path, {"type": read.type, "tcp_mm": list(read.tcp_mm)})
-    return path
+    content = {"type": read.type, "tcp_mm": list(read.tcp_mm)}
+    return write_sealed(machine_folder(machine, home), MACHINE, content)
 
 
 def read_machine(machine: str, home: Home) -> MachineGeometry:
@@ -87,8 +92,11 @@ def read_machine(machine: str, home: Home) -> MachineGeometry:
     ------
     InputError
         When the file is missing or malformed.
+    GateRefusal
+        When it is not the one that was written.
     """
-    path = machine_folder(machine, home) / _MACHINE_FILE
+    folder = machine_folder(machine, home)
+    path = folder / MACHINE
     if not path.is_file():
         raise InputError(
             f"nothing is known of the tool of {machine}",
@@ -97,7 +105,7 @@ def read_machine(machine: str, home: Home) -> MachineGeometry:
             allowed='{"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]}',
             hint="dtwin promote writes it from the campaign's machine_geometry",
         )
-    return _geometry(read_json(path, _MAX_BYTES), str(path))
+    return _geometry(read_sealed(folder, MACHINE), str(path))
 
 
 def _geometry(data: object, where: str) -> MachineGeometry:

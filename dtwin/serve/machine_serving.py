@@ -12,7 +12,7 @@ from dtwin.errors import DeviceError, DtwinError, GateRefusal
 from dtwin.links import state as layout
 from dtwin.serve.decision import Decision
 from dtwin.serve.endings import fault_of
-from dtwin.serve.journal import Note
+from dtwin.serve.journal import LINK_LOST, RECONNECTED, Note
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.loop import Link, Mode, ServeStatus, ServingLoop
 
@@ -71,6 +71,8 @@ class ServingRequest:
         Real-time priority, 0 for none.
     rate_hz : float
         Of the controller's states.
+    echoed : bool
+        As in ``ServingLoop``.
     """
 
     where: str
@@ -79,6 +81,7 @@ class ServingRequest:
     patience_s: float = 0.0
     priority: int = 60
     rate_hz: float = RATE_HZ
+    echoed: bool = True
 
 
 class MachineServing:
@@ -138,16 +141,18 @@ class MachineServing:
         first = self._first_sequence()
         self._loop = loop = ServingLoop(
             self._decision, self._link, period_s=1.0 / self._request.rate_hz, mode=self._request.mode,
-            first_sequence=first, note=self._note, board=self._board,
+            first_sequence=first, note=self._note, board=self._board, echoed=self._request.echoed,
         )  # fmt: skip
         while True:
             stops = _Stops(asked, loop, self._decision, self._request, self._withdrawn)
             left_s = until_s - time.monotonic()
-            self._link.begin()
-            status = loop.run(max(left_s, 0.0), stop=stops, priority=self._request.priority)
+            status = loop.run(
+                max(left_s, 0.0), stop=stops, priority=self._request.priority,
+                begin=self._link.begin,
+            )  # fmt: skip
             status = dataclasses.replace(status, reconnects=self.reconnects)
             if status.fault is not None and self._may_return(status.ended):
-                self._note("link_lost", why=status.ended, said=status.fault["message"])
+                self._note(LINK_LOST, why=status.ended, said=status.fault["message"])
                 if self._reconnect(asked, until_s):
                     loop.use(self._link, self._first_sequence())
                     continue
@@ -197,7 +202,7 @@ class MachineServing:
                 wait_s = min(2.0 * wait_s, _LONGEST_BACK_OFF_S)
                 continue
             self.reconnects += 1
-            self._note("reconnected", tries=tries)
+            self._note(RECONNECTED, tries=tries)
             return True
         return False
 

@@ -1,7 +1,8 @@
 """What ``serve`` reads: small files per machine that name the bundles it may use.
 
 ``champion.json`` names the promoted bundle, ``trial.json`` the one on trial, ``machine.json``
-what serving must know of the machine itself. A trial never touches the champion's pointer.
+what serving must know of the machine itself. A trial never touches the champion's pointer. All lie
+under one seal, together with the list of withdrawn versions: see :mod:`dtwin.serve.sealed`.
 """
 
 from __future__ import annotations
@@ -13,13 +14,15 @@ from pathlib import Path
 from typing import Literal
 
 from dtwin.config import Home
-from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.errors import GateRefusal, InputError
 from dtwin.schema import require_name
 from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import MAX_BYTES, read_json, write_json
+from dtwin.serve.bundle_file import MAX_BYTES, parse_json, read_bytes
 from dtwin.serve.fields import one_of, only_fields, text, whole
+from dtwin.serve.interface import mapping
 from dtwin.serve.machine_file import MachineGeometry, machine_folder, read_machine, write_machine
+from dtwin.serve.sealed import CHAMPION, TRIAL, locked, read_sealed, write_sealed
 
 __all__ = [
     "MachineGeometry",
@@ -29,6 +32,7 @@ __all__ = [
     "on_trial",
     "only_machine",
     "read_machine",
+    "renew_proof",
     "resolve",
     "write_machine",
     "write_pointer",
@@ -37,9 +41,8 @@ __all__ = [
 STATES = ("champion", "trial", "candidate", "barred")
 UNPROMOTED = "unpromoted"
 _SERVED_LIVE = ("champion", "trial")
-_POINTERS = {"latest": "champion.json", "trial": "trial.json"}
-_FIELDS = ("bundle", "sha256", "version", "state")
-_MAX_POINTER_BYTES = 10_000
+_POINTERS = {"latest": CHAMPION, "trial": TRIAL}
+_FIELDS = ("bundle", "sha256", "version", "state", "proved")
 
 
 @dataclass(frozen=True)
@@ -53,12 +56,14 @@ class Resolved:
     sha256 : str
         Checksum of that file's bytes.
     version : int
-        Version in the registry.
+        Version in the registry, as the bundle itself says.
     state : str
         ``champion``, ``trial``, ``candidate`` or ``barred``; ``unpromoted`` for a file that
         no pointer names.
     machine : str
         Machine that it is served to.
+    proved : str
+        ISO time at which it was last shown in a closed loop that it helps; empty when it never was.
     """
 
     path: Path
@@ -66,6 +71,7 @@ class Resolved:
     version: int
     state: str
     machine: str
+    proved: str = ""
 
     def describe(self) -> str:
         """Return one line for the terminal."""
@@ -77,7 +83,7 @@ class Resolved:
 
 def write_pointer(
     machine: str, home: Home, bundle: Path, version: int,
-    state: Literal["champion", "trial", "candidate", "barred"],
+    state: Literal["champion", "trial", "candidate", "barred"], proved: str = "",
 ) -> Path:  # fmt: skip
     """Point to a bundle, atomically, and return the pointer's path.
 
@@ -95,11 +101,13 @@ def write_pointer(
         Version in the registry.
     state : {"champion", "trial", "candidate", "barred"}
         What the version may be used for.
+    proved : str
+        As in ``Resolved``.
 
     Raises
     ------
     InputError
-        When the bundle is missing or lies elsewhere.
+        When the bundle is missing, lies elsewhere or is of another version.
     StoreError
         When the pointer cannot be written.
     """
@@ -112,15 +120,41 @@ def write_pointer(
             got=str(bundle),
             allowed=str(folder),
         )
+    raw = read_bytes(path, MAX_BYTES)
+    told = mapping(parse_json(raw, path), str(path)).get("model_version")
+    if told != version:
+        raise InputError(
+            "the bundle is of another version", code="pointer.version", where=str(path),
+            got=str(told)[:40], allowed=str(version),
+        )  # fmt: skip
     content = {
         "bundle": path.name,
-        "sha256": _file_sha256(path),
+        "sha256": hashlib.sha256(raw).hexdigest(),
         "version": version,
         "state": one_of(state, STATES, "state"),
+        "proved": proved,
     }
-    pointer = folder / _POINTERS["trial" if state == "trial" else "latest"]
-    write_json(pointer, content)
-    return pointer
+    return write_sealed(folder, _POINTERS["trial" if state == "trial" else "latest"], content)
+
+
+def renew_proof(machine: str, home: Home, version: int, proved: str) -> None:
+    """Note that a champion was shown anew to help; nothing happens when it is no more.
+
+    Parameters
+    ----------
+    machine, home, version
+        The champion.
+    proved : str
+        ISO time.
+    """
+    folder = machine_folder(machine, home)
+    with locked(folder):
+        content = read_sealed(folder, CHAMPION)
+        if content is None:
+            return
+        found = only_fields(content, _FIELDS, CHAMPION)
+        if (found["version"], found["state"]) == (version, "champion"):
+            write_sealed(folder, CHAMPION, found | {"proved": proved})
 
 
 def on_trial(machine: str, home: Home) -> int | None:
@@ -133,11 +167,10 @@ def on_trial(machine: str, home: Home) -> int | None:
     home : Home
         Where state lives.
     """
-    pointer = machine_folder(machine, home) / _POINTERS["trial"]
-    if not pointer.exists():
-        return None
-    fields = only_fields(read_json(pointer, _MAX_POINTER_BYTES), _FIELDS, str(pointer))
-    return whole(fields["version"], "version")
+    found = read_sealed(machine_folder(machine, home), TRIAL)
+    return (
+        None if found is None else whole(only_fields(found, _FIELDS, TRIAL)["version"], "version")
+    )
 
 
 def clear_trial(machine: str, home: Home) -> None:
@@ -148,16 +181,8 @@ def clear_trial(machine: str, home: Home) -> None:
     StoreError
         When the folder cannot be written.
     """
-    pointer = machine_folder(machine, home) / _POINTERS["trial"]
-    try:
-        pointer.unlink(missing_ok=True)
-    except OSError as error:
-        raise StoreError(
-            "the trial's pointer cannot be removed",
-            code="pointer.write",
-            where=str(pointer),
-            got=error.strerror or str(error),
-        ) from error
+    if (machine_folder(machine, home) / TRIAL).exists():
+        write_sealed(machine_folder(machine, home), TRIAL, None)
 
 
 def only_machine(home: Home, model: str = "latest") -> str:
@@ -246,26 +271,39 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
             where=str(pointer),
             hint=_absent_hint(model, machine, home),
         )
-    fields = only_fields(read_json(pointer, _MAX_POINTER_BYTES), _FIELDS, str(pointer))
+    found = read_sealed(folder, pointer.name)
+    if found is None:
+        raise InputError(
+            "the file cannot be read", code="bundle.missing", where=str(pointer),
+            hint="dtwin promote writes it",
+        )  # fmt: skip
+    fields = only_fields(found, _FIELDS, str(pointer))
     path = _inside(folder, text(fields["bundle"], "bundle"))
     states = tuple(state for state in STATES if (state == "trial") == (model == "trial"))
     state = one_of(fields["state"], states, "state")
     version = whole(fields["version"], "version")
     sha256 = text(fields["sha256"], "sha256")
-    if _file_sha256(path) != sha256:
+    if hashlib.sha256(read_bytes(path, MAX_BYTES)).hexdigest() != sha256:
         raise GateRefusal(
             "the bundle is not the one that was promoted",
             code="pointer.checksum",
             where=str(path),
             hint="dtwin promote writes bundle and pointer together",
         )
-    return Resolved(path, sha256, version, state, machine)
+    bundle, _ = _read_bundle(path)
+    if bundle.model_version != version:
+        raise GateRefusal(
+            "the pointer names another version than its bundle does", code="pointer.version",
+            where=str(pointer), got=str(version), allowed=str(bundle.model_version),
+            hint="dtwin promote writes bundle and pointer together",
+        )  # fmt: skip
+    proved = text(fields["proved"], "proved")
+    return Resolved(path, sha256, bundle.model_version, state, machine, proved)
 
 
 def _resolve_file(path: Path, machine: str | None, home: Home) -> Resolved:
     """Return a bundle's file, with the state that a pointer of its machine gives it."""
-    sha256 = _file_sha256(path)
-    bundle = Bundle.from_dict(read_json(path, MAX_BYTES))
+    bundle, sha256 = _read_bundle(path)
     name = bundle.machine if machine is None else machine
     for model, pointer in _POINTERS.items():
         if (machine_folder(name, home) / pointer).exists():
@@ -294,16 +332,7 @@ def _inside(folder: Path, name: str) -> Path:
     return path
 
 
-def _file_sha256(path: Path) -> str:
-    try:
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise InputError(
-            "the bundle cannot be read",
-            code="bundle.missing",
-            where=str(path),
-            got=error.strerror or str(error),
-            hint="dtwin promote writes it",
-        ) from error
-    return hashlib.sha256(raw).hexdigest()
+def _read_bundle(path: Path) -> tuple[Bundle, str]:
+    """Return a bundle, and the checksum of its file."""
+    raw = read_bytes(path, MAX_BYTES)
+    return Bundle.from_dict(parse_json(raw, path)), hashlib.sha256(raw).hexdigest()

@@ -6,13 +6,14 @@ import math
 
 from dtwin.links import state as layout
 from dtwin.schema import Floats
-from dtwin.serve.journal import Note, no_journal
+from dtwin.serve.journal import Bucket, Note, no_journal
 from dtwin.serve.safety import REASONS
 
 SETTLE_S = 1.0
 """How long a robot must have run again, after a stop, before it is corrected again."""
 
 _NOTE_EVERY_S = 0.05
+_ABOUT = {"not_finite": "sensors", "impossible_state": "state"}
 _HARMLESS = ("ok", "shrunk", "clamped", "slew_limited")
 
 
@@ -59,6 +60,7 @@ class ProgramWatch:
         self._note, self._settle_s = note, settle_s
         self._free_at_s = -math.inf
         self._reason, self._noted_s = "", -math.inf
+        self._bucket = Bucket()
 
     def hold(self, state: Floats, now_s: float) -> bool:
         """Tell whether the correction is to be held at zero for this state."""
@@ -67,8 +69,8 @@ class ProgramWatch:
             self._change(found, now_s)
         return found != "running" or now_s < self._free_at_s
 
-    def reason(self, number: int, now_s: float, sensors: str = "") -> None:
-        """Note why the guard acts when that has changed, at most twenty times a second.
+    def reason(self, number: int, now_s: float, trouble: str = "") -> None:
+        """Note why the guard acts when that has changed; what changes again and again is noted sparingly.
 
         Parameters
         ----------
@@ -76,14 +78,15 @@ class ProgramWatch:
             Position in ``REASONS``.
         now_s : float
             Monotonic time.
-        sensors : str
-            Which sensor is in trouble, for a guard that acts on it.
+        trouble : str
+            Which sensor is in trouble, or which number of the state, for a guard that acts on it.
         """
         name = REASONS[number]
         name = "correcting" if name in _HARMLESS else name
-        if name != self._reason and now_s - self._noted_s > _NOTE_EVERY_S:
+        due = name != self._reason and now_s - self._noted_s > _NOTE_EVERY_S
+        if due and self._bucket.take(now_s):
             self._reason, self._noted_s = name, now_s
-            about = {"sensors": sensors} if sensors and name == "not_finite" else {}
+            about = {_ABOUT[name]: trouble} if trouble and name in _ABOUT else {}
             self._note("guard", why=name, **about)
 
     def _change(self, found: str, now_s: float) -> None:

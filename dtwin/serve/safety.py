@@ -9,13 +9,19 @@ from dtwin.features.compiled import compiled
 from dtwin.schema import Floats
 from dtwin.serve.interface import SafetyLimits
 
-OK, DISABLED, NOT_FINITE, STALE, STALE_WINDOW, OUTSIDE, SHRUNK, CLAMPED, SLEWED, LATCHED, DEVICE = (
-    range(11)
-)
+(
+    OK, DISABLED, NOT_FINITE, STALE, STALE_WINDOW, OUTSIDE, SHRUNK, CLAMPED, SLEWED, LATCHED, DEVICE,
+    STALLED, IMPOSSIBLE, JUMPED, ENGAGING,
+) = range(15)  # fmt: skip
 REASONS: tuple[str, ...] = (
     "ok", "disabled", "not_finite", "stale", "stale_window", "outside_box", "shrunk", "clamped",
-    "slew_limited", "latched", "device_stopped",
+    "slew_limited", "latched", "device_stopped", "stalled", "impossible_state", "clock_jump",
+    "engaging",
 )  # fmt: skip
+"""Why the guard acts. ``stalled``: the loop itself was away for too long; ``impossible_state``,
+``clock_jump``: what came is no state of a machine, or its stamps do not go on; ``engaging``: nothing of
+ours is in force yet, or no more, and zeros are sent until it is."""
+
 _LONGEST_STEP_S = 0.02
 _CLAMP, _SLEW, _STALE, _STALE_WINDOW, _TRIPS = range(5)
 _ARMED, _LATCH, _COUNT, _FAULT = range(4)
@@ -71,7 +77,7 @@ def _scaled(vector: Floats, longest: float) -> bool:
 @compiled
 def guard_kernel(
     wanted_um: Floats, factor: float, age_s: float, window_age_s: float, elapsed_s: float,
-    enabled: bool, device_ok: bool, limits: Floats, memory: Floats, out_um: Floats,
+    enabled: bool, found: int, limits: Floats, memory: Floats, out_um: Floats,
 ) -> int:  # fmt: skip
     """Turn a wanted correction into one that is safe to send.
 
@@ -87,8 +93,8 @@ def guard_kernel(
         Time since the last call; counted as at most 20 ms, so that a stall earns no jump.
     enabled : bool
         Its rising edge arms and clears a latch; false releases.
-    device_ok : bool
-        Whether the controller reports a running program and no safety stop.
+    found : int
+        What the caller has found: OK, or DEVICE, STALLED, IMPOSSIBLE, JUMPED, ENGAGING.
     limits : ndarray, shape (5,)
         Clamp, slew, the two ages, trips to latch.
     memory : ndarray, shape (4,)
@@ -105,16 +111,19 @@ def guard_kernel(
     finite = factor >= 0.0
     for i in range(3):
         finite = finite and abs(wanted_um[i]) < 1e300
-    if not device_ok:
-        reason = DEVICE
+    if found != OK and found != ENGAGING:
+        reason = found
     elif not (age_s >= 0.0 and age_s <= limits[_STALE]):
         reason = STALE
     elif not (window_age_s >= 0.0 and window_age_s <= limits[_STALE_WINDOW]):
         reason = STALE_WINDOW
     elif not finite:
         reason = NOT_FINITE
-    # A machine that stands still is no fault of the loop: it costs no trip.
-    fault = reason != OK and reason != DEVICE
+    elif found == ENGAGING:
+        reason = ENGAGING
+    # A machine that stands still, or does not take corrections yet, costs no trip; nor does a stall,
+    # which is over when it is seen.
+    fault = reason != OK and reason != DEVICE and reason != ENGAGING and reason != STALLED
     if enabled and memory[_ARMED] == 0.0:
         memory[_LATCH] = memory[_COUNT] = memory[_FAULT] = 0.0
     memory[_ARMED] = 1.0 if enabled else 0.0
@@ -163,7 +172,7 @@ def _guard_many(
     for tick in range(wanted_um.shape[0]):
         factor = box_factor(inputs[tick], low, high, span)
         reason = guard_kernel(
-            wanted_um[tick], factor, 0.0, 0.0, elapsed_s, True, True, limits, memory, out_um
+            wanted_um[tick], factor, 0.0, 0.0, elapsed_s, True, OK, limits, memory, out_um
         )
         counts[reason] += 1
         sent_um[tick] = out_um
@@ -224,7 +233,7 @@ class Guard:
 
     def step(
         self, wanted_um: Floats, inputs: Floats, *, age_s: float, elapsed_s: float,
-        window_age_s: float = 0.0, enabled: bool = True, device_ok: bool = True,
+        window_age_s: float = 0.0, enabled: bool = True, device_ok: bool = True, found: int = OK,
     ) -> Floats:  # fmt: skip
         """Return the correction (3,) in um that may be sent; the next call overwrites it.
 
@@ -240,11 +249,13 @@ class Guard:
             Time since the last call.
         enabled, device_ok : bool
             Whether a correction is wanted, and whether the machine runs.
+        found : int
+            As for ``guard_kernel``; a machine that does not run comes first.
         """
         factor = box_factor(inputs, self._low, self._high, self._span)
         self.reason = guard_kernel(
-            wanted_um, factor, age_s, window_age_s, elapsed_s, enabled, device_ok,
-            self._limits, self._memory, self.out_um,
+            wanted_um, factor, age_s, window_age_s, elapsed_s, enabled,
+            found if device_ok else DEVICE, self._limits, self._memory, self.out_um,
         )  # fmt: skip
         self.counts[self.reason] += 1
         return self.out_um

@@ -12,6 +12,7 @@ from dtwin.serve.analogue_link import AnalogueWiring
 from dtwin.serve.loop import Mode, ServeStatus
 from dtwin.serve.machine_serving import RATE_HZ, ServingRequest
 from dtwin.serve.pointer import Resolved
+from dtwin.serve.proved import WhenExpired
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,8 @@ class ServeRequest:
     axes : str or None
         ``HOST:PORT`` of a control that takes offsets of its axes; without it and without a board,
         a robot at ``host``.
+    expired : {"refuse", "warn"}
+        What to do with a champion whose evidence is older than its bundle allows.
     """
 
     model: str = "latest"
@@ -57,6 +60,7 @@ class ServeRequest:
     patience_s: float = 0.0
     analogue: AnalogueWiring | None = None
     axes: str | None = None
+    expired: WhenExpired = "refuse"
 
     @property
     def place(self) -> str:
@@ -82,7 +86,7 @@ class ServeRequest:
         known_hz = RATE_HZ if self.analogue is None else self.analogue.states_hz
         return ServingRequest(
             f"{end} at {self.place}", self.mode, self.longest_s, self.patience_s, self.priority,
-            rate_hz or known_hz,
+            rate_hz or known_hz, echoed=self.analogue is None,
         )  # fmt: skip
 
     def __post_init__(self) -> None:
@@ -164,6 +168,7 @@ class Served:
                 "state": found.state,
                 "bundle": str(found.path),
                 "sha256": found.sha256,
+                "proved": found.proved,
             },
             "host": self.request.place,
             "device": self.device,

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
@@ -25,13 +24,15 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.decision import STANDARD_INPUTS, Decision, SensorSource
 from dtwin.serve.door import AxisDoor, Door, with_trial_clamp
-from dtwin.serve.journal import journal
+from dtwin.serve.journal import NOT_RELEASED, RELEASED, SERVING, journal
 from dtwin.serve.lease import lease
 from dtwin.serve.live_board import live_board
 from dtwin.serve.loop import ServeStatus
 from dtwin.serve.machine_serving import MachineServing, Stop
 from dtwin.serve.pointer import Resolved, read_machine, resolve
+from dtwin.serve.proved import require_proof
 from dtwin.serve.serve_request import Served, ServeRequest
+from dtwin.serve.served_time import events_path
 from dtwin.serve.signals import stop_on_signals
 
 Announce = Callable[[str], None]
@@ -91,17 +92,21 @@ def _serve_resolved(
     open_sensors: OpenSensors | None,
 ) -> Served:  # fmt: skip
     compiled = load_bundle(resolved.path, resolved.machine)
+    # Of the model as it was promoted: a trial's clamp is no other model.
+    model_sha256 = compiled.bundle.model_sha256
     trial = request.trial or resolved.state == "trial"
     if trial:
         compiled = with_trial_clamp(compiled)
         limit_um = compiled.bundle.safety.clamp_um
-        announce(f"trial: the correction is limited to {limit_um:.1f} um, a quarter of its clamp")
+        announce(f"trial: the correction is limited to {limit_um:z.1f} um, a quarter of its clamp")
+    elif request.mode == "live":
+        announce(require_proof(resolved, compiled.bundle, request.expired))
     if request.analogue is not None:
         compiled = within_travel(compiled)
     bundle = compiled.bundle
     _require_control(request, bundle)
     robot = request.analogue is None and request.axes is None
-    tcp_mm = read_machine(resolved.machine, home).tcp if robot else NO_TOOL_MM
+    machine = read_machine(resolved.machine, home) if robot else None
     with contextlib.ExitStack() as held:
         events = held.enter_context(journal(events_path(home, resolved.machine), announce))
         if request.mode != "shadow":
@@ -114,8 +119,9 @@ def _serve_resolved(
         held.callback(door.close)
         rate_hz = door.rate_hz
         decision = Decision(
-            compiled, tcp_mm, request.covariates, sensors or inputs.windows, inputs.live
-        )
+            compiled, machine.tcp if machine else NO_TOOL_MM, request.covariates,
+            sensors or inputs.windows, inputs.live, machine.largest if machine else None,
+        )  # fmt: skip
         board = None
         # A shadow holds no lease: the board belongs to who holds it.
         if request.mode != "shadow":
@@ -141,12 +147,15 @@ def _serve_resolved(
             f"serving the {door.device} controller at {request.place}, {request.mode}, {time_text}"
         )
         model = {"version": resolved.version, "state": resolved.state}
-        events.note("serving", at=request.place, mode=request.mode, model=model, pid=os.getpid())
+        events.note(
+            SERVING, at=request.place, mode=request.mode, model=model, pid=os.getpid(),
+            model_sha256=model_sha256, device=door.device, trial=trial,
+        )  # fmt: skip
         with stop_on_signals() as asked:
             status = run(lambda: asked() or door.finished)
         if door.finished and status.ended == "stopped":
             status = dataclasses.replace(status, ended="finished")
-        events.note("released" if status.released else "not_released", why=status.ended)
+        events.note(RELEASED if status.released else NOT_RELEASED, why=status.ended)
         return Served(
             request, resolved, door.device, trial, bundle.safety.clamp_um, status, door.realtime
         )
@@ -180,11 +189,6 @@ def _require_control(request: ServeRequest, bundle: Bundle) -> None:
             hint="a control that sends them: dtwin serve --link axes --states HOST:PORT; or give a "
             "covariate its value: --covariate NAME=NUMBER",
         )  # fmt: skip
-
-
-def events_path(home: Home, machine: str) -> Path:
-    """Return the file of the events of a machine's sessions."""
-    return home.logs / f"serve-{machine}.events.jsonl"
 
 
 def _write_log(

@@ -215,8 +215,8 @@ def corrected_csv(made: Iterable[CorrectedTarget]) -> str:
     """Return corrected targets as CSV: the columns of the input, the offset, what the guard did."""
     lines = [",".join((*HEAD, "offset_x_um", "offset_y_um", "offset_z_um", "guard"))]
     for one in made:
-        place = ",".join(f"{value:.5f}" for value in one.position_mm)
-        offset = ",".join(f"{value:.3f}" for value in one.offset_um)
+        place = ",".join(f"{value:z.5f}" for value in one.position_mm)
+        offset = ",".join(f"{value:z.3f}" for value in one.offset_um)
         name = one.target.name.replace(",", " ").replace('"', " ")
         lines.append(f"{name},{place},{one.target.feed_mm_min:g},{offset},{one.reason}")
     return "\n".join(lines) + "\n"

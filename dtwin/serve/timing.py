@@ -57,7 +57,7 @@ class LoopTiming:
         stamp_s : float
             The controller's stamp of the state.
         """
-        if sequence == self._applied:
+        if sequence in (0, self._applied):
             return
         capacity = len(self._sequence)
         news = min(max(sequence - self._applied, 1), self.ticks, capacity)

@@ -1,335 +1,346 @@
-"""Closed-loop evidence: compensated against uncompensated circles, interleaved."""
+"""Closed-loop evidence: what runs with a correction say beside runs without it, interleaved."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from datetime import UTC, datetime
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.machines.cobot import CircleCondition, VirtualCobot
-from dtwin.schema import Floats
-from dtwin.serve.bundle import Bundle
-from dtwin.train.circles import TICK_S, evaluate_circle, rms_per_run, run_circle
+from dtwin.errors import GateRefusal
+from dtwin.schema import Floats, Run
+from dtwin.statistics import t_quantile
+from dtwin.train.results import condition_name
+from dtwin.train.run_errors import RunError, measured_sha256, run_errors
 
-Progress = Callable[[int, int, str], None]
-# Two-sided 95 % points of Student's t, by degrees of freedom.
-_T95 = {1: 12.706, 2: 4.303, 3: 3.182, 4: 2.776, 5: 2.571, 6: 2.447, 7: 2.365, 8: 2.306, 10: 2.228}
-WAYS = ("uncompensated", "compensated", "oracle")
-
-
-@dataclass(frozen=True)
-class EvidencePlan:
-    """Which circles are measured.
-
-    Attributes
-    ----------
-    conditions : tuple of (plane, radius_mm, feed_mm_min)
-        Each is run in both directions.
-    repeats : int
-        Repeats per condition, direction and way.
-    trained_feeds : tuple of float
-        For the report: the others were never trained.
-    """
-
-    conditions: tuple[tuple[str, float, float], ...]
-    repeats: int = 2
-    trained_feeds: tuple[float, ...] = (2000.0, 4000.0, 6000.0)
-
-
-DEFAULT_PLAN = EvidencePlan(
-    tuple(
-        (plane, radius, feed)
-        for plane, radius in (("XY", 100.0), ("YZ", 150.0), ("ZX", 100.0))
-        for feed in (1000.0, 2000.0, 3000.0, 6000.0)
-    )
-)
+Way = Literal["without", "with"]
+WITHOUT: Way = "without"
+WITH: Way = "with"
+FEWEST_RUNS = 3
+"""Runs of a condition each way, below which no interval is believed."""
+FEWEST_REPEATS = 2
+"""Runs of each direction each way: one alone does not tell what repeats disagree by."""
+_Key = tuple[tuple[str, str | float], ...]
 
 
 @dataclass(frozen=True)
-class ConditionResult:
-    """Before and after of one condition, over both directions.
+class EvidenceRun:
+    """A run of the lake that counts as evidence.
 
     Attributes
     ----------
-    plane, radius_mm, feed_mm_min
-        The condition.
-    trained : bool
-        Whether the feed was in the training grid.
-    before_um, after_um, oracle_um : float
-        RMS of the set-up-corrected radial error, mean over runs.
-    before_ci_um, after_ci_um : float
-        Half widths of 95 % intervals over runs.
-    floor_um : float
-        What repeats of the uncompensated circle disagree by.
-    n_runs : int
-        Runs of each way.
-    acted : dict of str to float
-        Share of the ticks in which each guard acted, for example ``outside_box``.
+    way : {"without", "with"}
+        Whether the correction was in force.
+    campaign, content_sha256 : str
+        Where it is in the lake, and what it holds.
+    run : Run
+        The run.
     """
 
-    plane: str
-    radius_mm: float
-    feed_mm_min: float
-    trained: bool
-    before_um: float
-    after_um: float
-    oracle_um: float
-    before_ci_um: float
-    after_ci_um: float
-    floor_um: float
-    n_runs: int
-    acted: Mapping[str, float] = field(default_factory=dict)
+    way: Way
+    campaign: str
+    content_sha256: str
+    run: Run
 
     @property
-    def reduction(self) -> float:
-        """Share of the error that compensation removed."""
-        return 1.0 - self.after_um / self.before_um
-
-    @property
-    def oracle_reduction(self) -> float:
-        """Share that the oracle removed."""
-        return 1.0 - self.oracle_um / self.before_um
-
-    @property
-    def worse(self) -> bool:
-        """Whether compensation made it worse beyond the confidence interval."""
-        return self.after_um - self.before_um > math.hypot(self.after_ci_um, self.before_ci_um)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready mapping with the derived figures."""
-        return dict(vars(self)) | {
-            "reduction": self.reduction,
-            "oracle_reduction": self.oracle_reduction,
-            "worse": self.worse,
-        }
+    def name(self) -> str:
+        """Campaign and run."""
+        return f"{self.campaign}/{self.run.meta.run_id}"
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Closed-loop evidence for one bundle on one machine.
+    """What a correction does to a machine, computed from runs.
 
     Attributes
     ----------
     kind : {"virtual", "real"}
         What was moved.
-    clock : str
-        Clock that the circles ran on.
-    bundle_sha256 : str
-        What was served.
-    conditions : tuple of ConditionResult
-        One per condition.
-    delays : dict of str to float
-        Modelled delays of the machine clock.
+    machine, model_sha256 : str
+        Whose correction was in force: ``Bundle.model_sha256``.
+    campaigns : dict of str to tuple of str
+        Names given for each way.
+    conditions : tuple of dict
+        Before and after of every condition: ``before_um``, ``after_um`` (RMS of the error, mean over
+        runs), ``before_ci_um``, ``after_ci_um`` (half widths of 95 % intervals over runs, from the
+        spread inside each direction), ``floor_um`` (what repeats without correction disagree by),
+        ``n_without``, ``n_with``, ``reduction``, ``better``, ``worse``.
+    runs : tuple of dict
+        ``way``, ``campaign``, ``run_id``, ``started`` and ``content_sha256`` of what was counted.
+    switches : int
+        How often the way changed in the course of time.
+    told : tuple of str
+        What was left out, and what to know of it.
+    notes : dict
+        What the runs do not tell, for reports: ``clock``, ``delays``, and by the name of a condition
+        ``trained``, ``oracle_um`` and ``acted``. No gate reads it.
     profiles : dict
-        Mean error over the path angle, for plots: ``condition -> way -> direction -> list``.
+        Mean error along the path, for plots: condition -> way -> direction -> list.
     """
 
     kind: str
-    clock: str
-    bundle_sha256: str
-    conditions: tuple[ConditionResult, ...]
-    delays: Mapping[str, float]
-    profiles: Mapping[str, Any] = field(default_factory=dict)
+    machine: str
+    model_sha256: str
+    campaigns: Mapping[Way, tuple[str, ...]]
+    conditions: tuple[Mapping[str, Any], ...]
+    runs: tuple[Mapping[str, str], ...]
+    switches: int
+    told: tuple[str, ...] = ()
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    profiles: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
-    def share_of_oracle(self, *, unseen: bool) -> float:
-        """Return the reduction as a share of the oracle's, over trained or unseen feeds."""
-        chosen = [c for c in self.conditions if c.trained != unseen]
-        before = math.sqrt(sum(c.before_um**2 for c in chosen))
-        after = math.sqrt(sum(c.after_um**2 for c in chosen))
-        oracle = math.sqrt(sum(c.oracle_um**2 for c in chosen))
+    def share_of_oracle(self, *, trained: bool) -> float:
+        """Return the reduction as a share of the oracle's, over feeds that were trained or not."""
+        shown = [c for c in self._shown() if c["oracle_um"] and c["trained"] is trained]
+        before, after, oracle = (
+            math.sqrt(sum(c[name] ** 2 for c in shown))
+            for name in ("before_um", "after_um", "oracle_um")
+        )
         return (before - after) / (before - oracle) if before > oracle else math.nan
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping without the profiles."""
         return {
             "kind": self.kind,
-            "clock": self.clock,
-            "bundle_sha256": self.bundle_sha256,
-            "delays": dict(self.delays),
-            "share_of_oracle_unseen_feeds": self.share_of_oracle(unseen=True),
-            "share_of_oracle_trained_feeds": self.share_of_oracle(unseen=False),
-            "conditions": [c.as_dict() for c in self.conditions],
+            "machine": self.machine,
+            "model_sha256": self.model_sha256,
+            "campaigns": {way: list(names) for way, names in self.campaigns.items()},
+            "clock": self.notes.get("clock", "as the runs were recorded"),
+            "delays": dict(self.notes.get("delays", {})),
+            "share_of_oracle_unseen_feeds": self.share_of_oracle(trained=False),
+            "share_of_oracle_trained_feeds": self.share_of_oracle(trained=True),
+            "switches": self.switches,
+            "told": list(self.told),
+            "conditions": self._shown(),
+            "runs": [dict(run) for run in self.runs],
         }
 
+    def _shown(self) -> list[dict[str, Any]]:
+        known = self.notes.get("conditions", {})
+        empty: dict[str, Any] = {"trained": None, "oracle_um": None, "acted": {}}
+        return [empty | dict(c) | known.get(condition_name(c), {}) for c in self.conditions]
 
-def virtual_evidence(
-    bundle: Bundle,
-    *,
-    seed: int,
-    tcp_mm: Floats,
-    plan: EvidencePlan = DEFAULT_PLAN,
-    workers: int = 2,
-    progress: Progress | None = None,
-) -> Evidence:
-    """Measure compensated, uncompensated and oracle circles on the virtual cobot.
 
-    Runs in lock-step on the machine clock: the controller advances a tick when that tick's
-    correction has arrived. The three ways alternate inside every set-up, which is not one of
-    those that were trained in. The oracle knows the machine's repeatable error exactly and is
-    subject to the same guard, delay and lag as the bundle.
+def evidence_of_runs(
+    runs: Sequence[EvidenceRun], *, kind: str, machine: str, model_sha256: str,
+    campaigns: Mapping[Way, tuple[str, ...]], notes: Mapping[str, Any] | None = None,
+    told: Sequence[str] = (),
+) -> Evidence:  # fmt: skip
+    """Return what runs say, the run as unit of replication.
 
     Parameters
     ----------
-    bundle : Bundle
-        What to serve.
-    seed : int
-        Seed of the machine that was trained on.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point.
-    plan : EvidencePlan
-        Circles.
-    workers : int
-        Processes side by side.
-    progress : callable, optional
-        Called with (done, total, what).
+    runs : sequence of EvidenceRun
+        Of one machine, and with one correction or none.
+    kind, machine, model_sha256, campaigns, notes
+        As for :class:`Evidence`.
+    told : sequence of str
+        What was left out before.
+
+    Raises
+    ------
+    GateRefusal
+        When a condition has too few runs, none was run both ways, or the ways follow each other
+        instead of taking turns.
     """
-    jobs = [
-        (bundle.to_dict(), seed, tcp_mm.tolist(), plane, radius, feed, plan.repeats)
-        for plane, radius, feed in plan.conditions
+    own, copies = _without_copies(runs)
+    said = [*told, *copies]
+    errors = {way: _by_condition([r for r in own if r.way == way]) for way in (WITHOUT, WITH)}
+    paired = sorted(key for key in errors[WITHOUT] if key in errors[WITH])
+    if not paired:
+        raise GateRefusal(
+            "no condition was run both with and without the correction", code="evidence.pairs",
+            got=f"{len(errors[WITHOUT])} conditions without, {len(errors[WITH])} with",
+        )  # fmt: skip
+    alone = {way: [k for k in errors[way] if k not in paired] for way in errors}
+    said += [
+        f"not counted, because run only {way}: {', '.join(map(_named, keys))}"
+        for way, keys in alone.items()
+        if keys
     ]
-    measured = []
-    with ProcessPoolExecutor(workers) as pool:
-        for done, found in enumerate(pool.map(_measure_condition, jobs), start=1):
-            measured.append(found)
-            if progress is not None:
-                progress(done, len(jobs), "{} R{:g} F{:g}".format(*plan.conditions[done - 1]))
-    results, profiles = [], {}
-    for (plane, radius, feed), runs in zip(plan.conditions, measured, strict=True):
-        results.append(condition_result(plane, radius, feed, feed in plan.trained_feeds, runs))
-        profiles[f"{plane} R{radius:g} F{feed:g}"] = {
-            way: {
-                d: profile_of([r for r in runs[way] if r["direction"] == d]) for d in ("CCW", "CW")
-            }
-            for way in WAYS
-        }
-    controller = VirtualCobot(seed=seed).parameters.controller
+    directions = {
+        key: sorted({e.direction for e in errors[WITHOUT][key]} & {e.direction for e in errors[WITH][key]})
+        for key in paired
+    }  # fmt: skip
+    counted = {
+        way: {k: [e for e in errors[way][k] if e.direction in directions[k]] for k in paired}
+        for way in errors
+    }
+    _require_enough(counted, directions)
+    used = _used(own, counted)
+    switches = _require_turns(used)
+    said += _in_a_row(own, counted)
+    conditions = [_condition(k, counted[WITHOUT][k], counted[WITH][k]) for k in paired]
     return Evidence(
-        kind="virtual",
-        clock="machine clock (lock-step, 500 Hz)",
-        bundle_sha256=bundle.sha256,
-        conditions=tuple(results),
-        delays={
-            "actuator_delay_s": controller.actuator_delay_s,
-            "actuator_lag_s": controller.actuator_lag_s,
-            "transport_s": TICK_S,
-        },
-        profiles=profiles,
-    )
+        kind, machine, model_sha256, dict(campaigns), tuple(conditions),
+        tuple(
+            {"way": r.way, "campaign": r.campaign, "run_id": r.run.meta.run_id,
+             "started": r.run.meta.started, "content_sha256": r.content_sha256}
+            for r in used
+        ),
+        switches, tuple(said), dict(notes or {}),
+        {condition_name(dict(k)): _profile({w: counted[w][k] for w in counted}) for k in paired},
+    )  # fmt: skip
 
 
-def plan_within(conditions: Sequence[tuple[str, float, float]], repeats: int = 2) -> EvidencePlan:
-    """Return circles in the planes that were trained, at feeds that were and were not.
-
-    Parameters
-    ----------
-    conditions : sequence of (plane, radius_mm, feed_mm_min)
-        What was trained.
-    repeats : int
-        Repeats per condition, direction and way.
-    """
-    feeds = sorted({feed for _, _, feed in conditions})
-    between = [0.5 * (feeds[0] + feeds[1])] if len(feeds) > 1 else []
-    wanted = sorted({0.5 * feeds[0], feeds[0], *between, feeds[-1]})
-    circles = []
-    for plane in sorted({plane for plane, _, _ in conditions}):
-        radii = sorted({radius for p, radius, _ in conditions if p == plane})
-        circles += [(plane, radii[(len(radii) - 1) // 2], feed) for feed in wanted]
-    return EvidencePlan(tuple(circles), repeats, tuple(feeds))
+def started_at(run: Run) -> datetime | None:
+    """Return when a run began, None when it does not say; without a zone it is this computer's."""
+    try:
+        stated = datetime.fromisoformat(run.meta.started)
+    except ValueError:
+        return None
+    return stated.astimezone(UTC)
 
 
-def _measure_condition(job: tuple[Any, ...]) -> dict[str, list[dict[str, Any]]]:
-    content, seed, tcp, plane, radius, feed, repeats = job
-    bundle = Bundle.from_dict(content)
-    cobot = VirtualCobot(seed=seed)
-    found: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
-    setup = f"evidence-{plane}-{radius:g}"
-    serial = 0
-    for _ in range(repeats):
-        for way in WAYS:
-            for direction in ("CCW", "CW"):
-                serial += 1
-                condition = CircleCondition(plane, radius, feed, direction)
-                recording, acted = run_circle(
-                    cobot, bundle, np.array(tcp), condition, setup, 100 + serial, way
-                )
-                found[way].append(evaluate_circle(recording, direction) | {"acted": acted})
-    return found
-
-
-def condition_result(
-    plane: str, radius: float, feed: float, trained: bool, runs: Mapping[str, Sequence[Any]]
-) -> ConditionResult:
-    """Return before and after of one condition, the run as unit.
-
-    Parameters
-    ----------
-    plane, radius, feed : str, float, float
-        The condition.
-    trained : bool
-        Whether the feed was trained.
-    runs : dict of str to sequence of dict
-        By way: ``direction``, ``angle_rad``, ``deviation_um`` and ``acted`` of every run.
-    """
-    rms = {way: rms_per_run(runs[way]) for way in WAYS}
-    before, after = rms["uncompensated"], rms["compensated"]
-    return ConditionResult(
-        plane=plane,
-        radius_mm=radius,
-        feed_mm_min=feed,
-        trained=trained,
-        before_um=float(np.mean(before)),
-        after_um=float(np.mean(after)),
-        oracle_um=float(np.mean(rms["oracle"])),
-        before_ci_um=_half_width(before),
-        after_ci_um=_half_width(after),
-        floor_um=_floor(runs["uncompensated"]),
-        n_runs=len(before),
-        acted=_shares([run["acted"] for run in runs["compensated"]]),
-    )
-
-
-def _shares(counts: Sequence[Mapping[str, int]]) -> dict[str, float]:
-    total = sum(sum(c.values()) for c in counts)
-    names = sorted({name for c in counts for name in c})
-    return {n: sum(c.get(n, 0) for c in counts) / total for n in names} if total else {}
-
-
-def _half_width(values: Floats) -> float:
-    n = len(values)
-    if n < 2:
-        return math.inf
-    return _T95.get(n - 1, 2.0) * float(np.std(values, ddof=1)) / math.sqrt(n)
-
-
-def _floor(runs: Sequence[Mapping[str, Any]]) -> float:
-    """Return the pooled standard deviation between repeats of the same direction."""
-    squares, freedom = 0.0, 0
-    for direction in ("CCW", "CW"):
-        grids = np.array([profile_of([r]) for r in runs if r["direction"] == direction])
-        if len(grids) > 1:
-            squares += float(np.nanmean(np.sum((grids - grids.mean(axis=0)) ** 2, axis=0)))
-            freedom += len(grids) - 1
-    return math.sqrt(squares / freedom) if freedom else math.nan
-
-
-def profile_of(runs: Sequence[Mapping[str, Any]], bins: int = 180) -> list[float]:
-    """Return the mean error over equal parts of the arc, of runs that were evaluated.
-
-    Parameters
-    ----------
-    runs : sequence of dict
-        With ``angle_rad`` and ``rest_um``.
-    bins : int
-        Parts of the arc.
-    """
-    grid = (np.arange(bins) + 0.5) / bins
-    rows = []
+def _without_copies(runs: Sequence[EvidenceRun]) -> tuple[list[EvidenceRun], list[str]]:
+    first: dict[str, EvidenceRun] = {}
+    said = []
     for run in runs:
-        order = np.argsort(run["angle_rad"])
-        angle = run["angle_rad"][order]
-        rows.append(np.interp(grid * angle[-1], angle, run["rest_um"][order]))
-    return [float(v) for v in np.mean(rows, axis=0)] if rows else []
+        digest = measured_sha256(run.run)
+        if digest in first:
+            said.append(f"not counted: {run.name} is a copy of {first[digest].name}")
+        else:
+            first[digest] = run
+    return list(first.values()), said
+
+
+def _by_condition(runs: Sequence[EvidenceRun]) -> dict[_Key, list[RunError]]:
+    found: dict[_Key, list[RunError]] = defaultdict(list)
+    for error in run_errors([r.run for r in runs]):
+        found[tuple(sorted(error.condition.items()))].append(error)
+    return dict(found)
+
+
+def _require_enough(
+    counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]], directions: Mapping[_Key, list[str]]
+) -> None:
+    few = []
+    for way, found in counted.items():
+        for key, errors in found.items():
+            n = {d: sum(e.direction == d for e in errors) for d in directions[key]}
+            if len(errors) < FEWEST_RUNS or min(n.values()) < FEWEST_REPEATS:
+                told = ", ".join(f"{count} {d}".strip() for d, count in n.items()) or "none"
+                few.append(f"{_named(key)} {way}: {told}")
+    if few:
+        raise GateRefusal(
+            "too few runs to know what repeats disagree by", code="evidence.few",
+            got="; ".join(few)[:400],
+            allowed=f"of every condition {FEWEST_RUNS} runs each way, and {FEWEST_REPEATS} of each "
+            "direction",
+            hint="measure more of them, with and without by turns",
+        )  # fmt: skip
+
+
+def _used(
+    own: Sequence[EvidenceRun], counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]]
+) -> list[EvidenceRun]:
+    """Return the runs that were counted, in order of time where it is known."""
+    chosen = []
+    for way, found in counted.items():
+        mine = [r for r in own if r.way == way]
+        numbers = sorted({error.run for errors in found.values() for error in errors})
+        chosen += [mine[number] for number in numbers]
+    return sorted(chosen, key=lambda r: started_at(r.run) or datetime.min.replace(tzinfo=UTC))
+
+
+def _require_turns(used: Sequence[EvidenceRun]) -> int:
+    """Refuse ways that follow each other: what else changed meanwhile would count as correction."""
+    untold = [r.name for r in used if started_at(r.run) is None]
+    if untold:
+        raise GateRefusal(
+            "runs do not say when they were measured, so that nobody knows whether the ways took "
+            "turns",
+            code="evidence.time", got=", ".join(untold[:8]),
+            hint="state started for every run of campaign.toml",
+        )  # fmt: skip
+    if not _take_turns(used):
+        spans = {way: [s for r in used if r.way == way and (s := started_at(r.run))]
+                 for way in (WITHOUT, WITH)}  # fmt: skip
+        raise GateRefusal(
+            "the runs without and with the correction follow each other", code="evidence.turns",
+            got="; ".join(
+                f"{way} {min(times).isoformat(timespec='seconds')} to "
+                f"{max(times).isoformat(timespec='seconds')}"
+                for way, times in spans.items()
+            ),
+            allowed="with and without by turns: else warmth and drift look like a correction",
+            hint="dtwin campaign --with VERSION measures them in turns",
+        )  # fmt: skip
+    return sum(one.way != other.way for one, other in pairwise(used))
+
+
+def _take_turns(runs: Sequence[EvidenceRun]) -> bool:
+    times = {way: [s for r in runs if r.way == way and (s := started_at(r.run))]
+             for way in (WITHOUT, WITH)}  # fmt: skip
+    return max(times[WITHOUT]) > min(times[WITH]) and max(times[WITH]) > min(times[WITHOUT])
+
+
+def _in_a_row(
+    own: Sequence[EvidenceRun], counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]]
+) -> list[str]:
+    """Name the conditions whose own runs happened to follow each other."""
+    mine = {way: [r for r in own if r.way == way] for way in counted}
+    rows = [
+        _named(key)
+        for key in counted[WITHOUT]
+        if not _take_turns([mine[way][e.run] for way in counted for e in counted[way][key]])
+    ]
+    return [f"all of one way before the other within {', '.join(rows)}"] if rows else []
+
+
+def _condition(key: _Key, without: Sequence[RunError], with_: Sequence[RunError]) -> dict[str, Any]:
+    (before, before_ci), (after, after_ci) = _mean(without), _mean(with_)
+    change, half = after - before, math.hypot(before_ci, after_ci)
+    return {
+        **dict(key), "before_um": before, "after_um": after, "before_ci_um": before_ci,
+        "after_ci_um": after_ci, "floor_um": _floor(without), "n_without": len(without),
+        "n_with": len(with_), "reduction": 1.0 - after / before, "better": change < -half,
+        "worse": change > half,
+    }  # fmt: skip
+
+
+def _mean(errors: Sequence[RunError]) -> tuple[float, float]:
+    """Return the mean size and half its 95 % interval.
+
+    Both directions are always run; that their errors differ is not what repeats disagree by.
+    """
+    sizes = [np.array([e.size_um for e in group]) for group in _groups(errors)]
+    n = len(errors)
+    freedom = n - len(sizes)
+    spread = sum(float(np.sum((s - s.mean()) ** 2)) for s in sizes)
+    half = t_quantile(0.975, freedom) * math.sqrt(spread / freedom / n)
+    return float(np.concatenate(sizes).mean()), half
+
+
+def _floor(errors: Sequence[RunError]) -> float:
+    """Return what repeats of one direction disagree by, from place to place."""
+    squares, freedom = 0.0, 0
+    for group in _groups(errors):
+        rest = np.array([e.rest_um for e in group])
+        squares += float(np.mean(np.sum((rest - rest.mean(axis=0)) ** 2, axis=0)))
+        freedom += len(rest) - 1
+    return math.sqrt(squares / freedom)
+
+
+def _groups(errors: Sequence[RunError]) -> list[list[RunError]]:
+    found: dict[str, list[RunError]] = defaultdict(list)
+    for error in errors:
+        found[error.direction].append(error)
+    return list(found.values())
+
+
+def _profile(ways: Mapping[Way, Sequence[RunError]]) -> dict[str, dict[str, list[float]]]:
+    def mean(errors: Sequence[RunError]) -> list[float]:
+        stacked: Floats = np.array([e.rest_um for e in errors])
+        return [float(v) for v in stacked.mean(axis=0)]
+
+    return {way: {g[0].direction: mean(g) for g in _groups(errors)} for way, errors in ways.items()}
+
+
+def _named(key: _Key) -> str:
+    return condition_name(dict(key))

@@ -205,10 +205,8 @@ def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, sourc
     source : str
         Campaign or table that the turns come from.
     """
-    client = registry.client
     tags = {"dtwin.campaign": source, "dtwin.kind": "filter tuning"}
     name = f"filter tuning {source}"
-    run_id = str(client.create_run(registry.experiment(), run_name=name, tags=tags).info.run_id)
     params = {
         "filter": found.chosen.name,
         "tuned": found.tuned,
@@ -218,7 +216,7 @@ def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, sourc
     }
     metrics = {**asdict(found.judged), "evaluations": float(found.evaluations)}
     metrics |= {"alpha": found.chosen.alpha, "q_um2": found.chosen.q_um2}
-    registry.log(run_id, params, metrics | {"seconds": found.seconds}, {})
-    registry.log_files(run_id, {"tuning.json": json.dumps(found.as_dict(), indent=1)})
-    client.set_terminated(run_id)
+    with registry.open_run(name, tags) as run_id:
+        registry.log(run_id, params, metrics | {"seconds": found.seconds}, {})
+        registry.log_files(run_id, {"tuning.json": json.dumps(found.as_dict(), indent=1)})
     return run_id

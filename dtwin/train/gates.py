@@ -16,6 +16,7 @@ from dtwin.serve.proof import prove
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 from dtwin.train.dataset import TICK_HZ
+from dtwin.train.evidence import Evidence
 from dtwin.train.results import condition_name
 
 LATENCY_BUDGET_US = 100.0
@@ -63,28 +64,28 @@ def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]
     ]
 
 
-def evidence_gate(evidence: Mapping[str, Any], bundle: Bundle, *, real: bool) -> list[Verdict]:
+def evidence_gate(evidence: Evidence, bundle: Bundle, *, real: bool) -> list[Verdict]:
     """Judge closed-loop evidence.
 
     Parameters
     ----------
-    evidence : mapping
-        As ``Evidence.as_dict`` gives it.
+    evidence : Evidence
+        As it was computed from runs.
     bundle : Bundle
         The bundle that it must belong to.
     real : bool
         Whether the machine is real, which virtual evidence cannot speak for.
     """
-    conditions = evidence["conditions"]
+    conditions = evidence.conditions
     worse = [c for c in conditions if c["worse"]]
-    better = [c for c in conditions if _is_better(c)]
+    better = [c for c in conditions if c["better"]]
     counted = [c for c in conditions if c in better or _errs(c)]
     spared = len(conditions) - len(counted)
-    same = evidence["bundle_sha256"] == bundle.sha256
-    kind_fits = evidence["kind"] == "real" or not real
+    same = evidence.model_sha256 == bundle.model_sha256 and evidence.machine == bundle.machine
+    kind_fits = evidence.kind == "real" or not real
     return [
-        Verdict("evidence belongs to this bundle", same, evidence["bundle_sha256"][:12]),
-        Verdict("evidence is of this kind of machine", kind_fits, f"{evidence['kind']} evidence"),
+        Verdict("evidence belongs to this bundle", same, evidence.model_sha256[:12]),
+        Verdict("evidence is of this kind of machine", kind_fits, f"{evidence.kind} evidence"),
         Verdict(
             "no condition worse",
             not worse,
@@ -101,16 +102,7 @@ def evidence_gate(evidence: Mapping[str, Any], bundle: Bundle, *, real: bool) ->
 
 def _errs(condition: Mapping[str, Any]) -> bool:
     """Tell whether there is much to correct; what lies near the noise floor need not fall."""
-    floor_um = condition.get("floor_um")
-    return floor_um is None or condition["before_um"] > _ERROR_FLOORS * floor_um
-
-
-def _is_better(condition: Mapping[str, Any]) -> bool:
-    """Tell whether the error fell beyond its interval; who measured in pairs has said so."""
-    if "better" in condition:
-        return bool(condition["better"])
-    change = condition["before_um"] - condition["after_um"]
-    return bool(change > np.hypot(condition["before_ci_um"], condition["after_ci_um"]))
+    return bool(condition["before_um"] > _ERROR_FLOORS * condition["floor_um"])
 
 
 def _held_out(metrics: Mapping[str, float]) -> Verdict:
@@ -118,7 +110,7 @@ def _held_out(metrics: Mapping[str, float]) -> Verdict:
         group: metrics.get(f"leave_{group}_out.r2", float("nan"))
         for group in ("feed_mm_min", "radius_mm")
     }
-    told = ", ".join(f"{group} out: R2 {r2:.3f}" for group, r2 in found.items())
+    told = ", ".join(f"{group} out: R2 {r2:z.3f}" for group, r2 in found.items())
     passed = all(np.isnan(r2) or r2 >= MIN_R2 for r2 in found.values())
     passed = passed and found["feed_mm_min"] >= MIN_R2
     return Verdict("held-out conditions", passed, f"{told}; at least {MIN_R2}")
@@ -129,7 +121,7 @@ def _no_slice_worse(metrics: Mapping[str, float]) -> Verdict:
     return Verdict(
         "no slice worse than no correction",
         ratio < 1.0,
-        f"worst held-out condition keeps {100 * ratio:.0f} % of its error",
+        f"worst held-out condition keeps {100 * ratio:z.0f} % of its error",
     )
 
 
@@ -147,7 +139,7 @@ def _sign_and_frame(bundle: Bundle) -> Verdict:
             worst = min(worst, outward_sign * float(vector @ outward) / length)
     radial = all(output.frame == "path_radial" for output in bundle.outputs)
     passed = not radial or worst > 1.0 - 1e-9
-    return Verdict("sign and frame", passed, f"cosine to the inward radius {worst:.6f}")
+    return Verdict("sign and frame", passed, f"cosine to the inward radius {worst:z.6f}")
 
 
 def vectors_proved(bundle: Bundle) -> Verdict:
@@ -183,8 +175,8 @@ def bounded_output(bundle: Bundle) -> Verdict:
     return Verdict(
         "bounded output",
         passed,
-        f"up to {raw:.0f} um inside the box, {largest:.0f} um after a clamp of "
-        f"{bundle.safety.clamp_um:.0f} um whatever comes in",
+        f"up to {raw:z.0f} um inside the box, {largest:z.0f} um after a clamp of "
+        f"{bundle.safety.clamp_um:z.0f} um whatever comes in",
     )
 
 
@@ -210,5 +202,5 @@ def latency_gate(metrics: Mapping[str, float]) -> Verdict:
     """Compare the time of one evaluation with its budget."""
     p99 = metrics.get("latency_p99_us", float("inf"))
     return Verdict(
-        "latency", p99 <= LATENCY_BUDGET_US, f"p99 {p99:.2f} us of {LATENCY_BUDGET_US:g}"
+        "latency", p99 <= LATENCY_BUDGET_US, f"p99 {p99:z.2f} us of {LATENCY_BUDGET_US:g}"
     )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Any
+from datetime import datetime, timedelta
 
 import numpy as np
 
@@ -12,24 +12,18 @@ from dtwin.machines.mill import Correction, SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S, Command
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest
-from dtwin.schema import PLANES, Direction, Floats, Plane
+from dtwin.schema import PLANES, Direction, Floats, Plane, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.direction import Direction as Frame
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
-from dtwin.statistics import t_quantile
+from dtwin.train.circle_evidence import WAYS, EvidencePlan, Progress
 from dtwin.train.dataset import TICK_HZ
-from dtwin.train.evidence import (
-    WAYS,
-    ConditionResult,
-    Evidence,
-    EvidencePlan,
-    Progress,
-    condition_result,
-    profile_of,
-)
+from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.results import condition_name
 from dtwin.units import UM_PER_MM
 
+CLOCK = "machine clock (correction at 500 Hz, axes at 1 kHz)"
 TRANSPORT_S = 1.0 / TICK_HZ
 _EVERY = round(1.0 / TICK_HZ / STEP_S)
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
@@ -75,7 +69,7 @@ class ServedCorrection:
         return added
 
 
-def mill_evidence(
+def measured_mill(
     bundle: Bundle,
     make_mill: MakeMill,
     *,
@@ -84,7 +78,7 @@ def mill_evidence(
     delay_s: float,
     covariates: Mapping[str, float] | None = None,
     progress: Progress | None = None,
-) -> Evidence:
+) -> MeasuredWays:
     """Measure compensated, uncompensated and oracle circles on the virtual mill, interleaved.
 
     The order of the three ways is drawn anew for every repeat, inside one mounting of the bar that
@@ -107,97 +101,55 @@ def mill_evidence(
     progress : callable, optional
         Called with (done, total, what).
     """
-    results: list[ConditionResult] = []
-    profiles: dict[str, Any] = {}
+    kept: dict[str, list[Run]] = {"measured": [], "oracle": []}
+    acted: dict[str, dict[str, float]] = {}
     rng = np.random.default_rng([seed, 41])
     for done, (plane, radius, feed) in enumerate(plan.conditions, start=1):
+        # Each condition on a day of its own, in a mounting of its own.
+        setup, day = f"evidence-{done}", timedelta(days=done)
         oracle = _oracle(bundle, make_mill, plane, radius, feed, delay_s)
         served = ServedCorrection(bundle, covariates)
-        ways = {"compensated": served, "oracle": oracle}
-        runs: dict[str, list[dict[str, Any]]] = {way: [] for way in WAYS}
         order = [WAYS[i] for _ in range(plan.repeats) for i in rng.permutation(len(WAYS))]
-        tests = [_test(plane, radius, feed, d, way) for way in order for d in _DIRECTIONS]
-        mill = make_mill(seed=_SESSION + seed + done, corrections=ways)
+        tests = [_test(plane, radius, feed, d, way, setup) for way in order for d in _DIRECTIONS]
+        mill = make_mill(
+            seed=_SESSION + seed + done, corrections={"compensated": served, "oracle": oracle}
+        )
         for test, run in zip(tests, mill.measure(tests), strict=True):
-            runs[test.correction or "uncompensated"].append(
-                {
-                    "direction": test.direction,
-                    "angle_rad": np.radians(run.samples["angle_deg"]) % (2.0 * np.pi),
-                    "deviation_um": run.samples["deviation_um"],
-                    "acted": served.acted[test.direction],
-                }
-            )
-        found = condition_result(plane, radius, feed, feed in plan.trained_feeds, runs)
-        results.append(by_direction(found, runs))
-        if plane == "XY":
-            profiles[f"{plane} R{radius:g} F{feed:g}"] = {
-                way: {
-                    d: profile_of([r for r in runs[way] if r["direction"] == d])
-                    for d in _DIRECTIONS
-                }
-                for way in WAYS
-            }
+            correction = bundle.model_sha256 if test.correction == "compensated" else ""
+            started = (datetime.fromisoformat(run.meta.started) + day).isoformat()
+            meta = replace(run.meta, correction=correction, started=started)
+            group = "oracle" if test.correction == "oracle" else "measured"
+            kept[group].append(replace(run, meta=meta))
+        condition = {"plane": plane, "radius_mm": radius, "feed_mm_min": feed}
+        acted[condition_name(condition)] = guard_shares(list(served.acted.values()))
         if progress is not None:
             progress(done, len(plan.conditions), f"{plane} R{radius:g} F{feed:g}")
-    return Evidence(
-        kind="virtual",
-        clock="machine clock (correction at 500 Hz, axes at 1 kHz)",
-        bundle_sha256=bundle.sha256,
-        conditions=tuple(results),
+    return MeasuredWays(
+        runs=numbered(kept["measured"]),
+        clock=CLOCK,
         delays={"position_loop_s": delay_s - TRANSPORT_S, "transport_s": TRANSPORT_S},
-        profiles=profiles,
+        oracle=tuple(kept["oracle"]),
+        acted=acted,
+        trained=plan.trained,
     )
 
 
-def _test(plane: str, radius: float, feed: float, direction: Direction, way: str) -> CircularTest:
-    standard: Plane = next(p for p in PLANES if p == plane)
+def _test(
+    plane: Plane, radius: float, feed: float, direction: Direction, way: str, setup: str
+) -> CircularTest:
     return CircularTest(
-        plane=standard, direction=direction, radius_mm=radius, feed_mm_min=feed,
-        setup="evidence", correction="" if way == "uncompensated" else way,
+        plane=plane, direction=direction, radius_mm=radius, feed_mm_min=feed,
+        setup=setup, correction="" if way == "uncompensated" else way,
     )  # fmt: skip
 
 
-def by_direction(
-    found: ConditionResult, runs: Mapping[str, Sequence[Mapping[str, Any]]]
-) -> ConditionResult:
-    """Return the result with intervals from the spread inside each direction.
-
-    Both directions are always run; that their errors differ is not what repeats disagree by.
-
-    Parameters
-    ----------
-    found : ConditionResult
-        From ``condition_result``.
-    runs : dict of str to sequence of dict
-        The runs that it was made from.
-    """
-    widths = {}
-    for way in ("uncompensated", "compensated"):
-        sizes = [
-            [float(np.sqrt(np.mean(r["rest_um"] ** 2))) for r in runs[way] if r["direction"] == d]
-            for d in _DIRECTIONS
-        ]
-        n = sum(len(s) for s in sizes)
-        freedom = n - len(sizes)
-        spread = sum((len(s) - 1) * float(np.var(s, ddof=1)) for s in sizes if len(s) > 1)
-        known = freedom > 0
-        widths[way] = (
-            t_quantile(0.975, freedom) * np.sqrt(spread / freedom / n) if known else np.inf
-        )
-    return replace(
-        found,
-        before_ci_um=float(widths["uncompensated"]),
-        after_ci_um=float(widths["compensated"]),
-    )
-
-
 def _oracle(
-    bundle: Bundle, make_mill: MakeMill, plane: str, radius: float, feed: float, delay_s: float
+    bundle: Bundle, make_mill: MakeMill, plane: Plane, radius: float, feed: float, delay_s: float
 ) -> Correction:
     """Return the correction that knows the machine's repeatable error, under the same guard."""
     known: dict[str, tuple[Floats, Floats]] = {}
     for direction in _DIRECTIONS:
-        test = _test(plane, radius, feed, direction, "uncompensated")
+        test = _test(plane, radius, feed, direction, "uncompensated", "evidence")
         (run,) = make_mill(seed=0, noise=_QUIET, setup_errors=_CENTRED).measure([test])
         angle = np.degrees(np.radians(run.samples["angle_deg"])) % 360.0
         order = np.argsort(angle)

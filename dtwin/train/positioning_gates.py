@@ -120,16 +120,16 @@ def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -
     return [
         Verdict(
             "held-out runs", share >= LEAST_EXPLAINED,
-            f"{100 * share:.1f} % of what the runs have in common is explained in runs left out; at "
-            f"least {100 * LEAST_EXPLAINED:.0f} %",
+            f"{100 * share:z.1f} % of what the runs have in common is explained in runs left out; at "
+            f"least {100 * LEAST_EXPLAINED:z.0f} %",
         ),
         Verdict(
             "better than a table with backlash", rms < table,
-            f"{rms:.2f} um RMS are left of runs left out, the table leaves {table:.2f} um",
+            f"{rms:z.2f} um RMS are left of runs left out, the table leaves {table:z.2f} um",
         ),
         Verdict(
             "no slice worse than no correction", worst < 1.0,
-            f"the worst tenth of the travel keeps {100 * worst:.0f} % of its error, scatter included",
+            f"the worst tenth of the travel keeps {100 * worst:z.0f} % of its error, scatter included",
         ),
         *shape, bounded_output(bundle), vectors_proved(bundle), latency_gate(metrics),
     ]  # fmt: skip
@@ -152,7 +152,7 @@ def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -
         error = served.along(np.concatenate([[start], path]))[1:]
         jumps = error[1::2] - error[::2]
         worst[name] = float(jumps[np.argmax(np.abs(jumps))]) * sign
-    told = ", ".join(f"{name} {jump:+.2f} um" for name, jump in worst.items())
+    told = ", ".join(f"{name} {jump:+z.2f} um" for name, jump in worst.items())
     passed = max(abs(jump) for jump in worst.values()) <= SEAM_UM
     return Verdict(
         "no seam at a turn of the screw", passed, f"largest jump {told}; at most {SEAM_UM:g} um"
@@ -171,7 +171,7 @@ def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     passed = all(value <= OUTSIDE_UM for value in off.values())
     return Verdict(
         "ends held outside of the mapped travel", passed,
-        f"{off[worst]:.1f} um away from the end's value at {worst:g} in; at most {OUTSIDE_UM:g} um",
+        f"{off[worst]:z.1f} um away from the end's value at {worst:g} in; at most {OUTSIDE_UM:g} um",
     )  # fmt: skip
 
 
@@ -184,8 +184,8 @@ def _reversal(served: PathAnswers, places: Floats) -> Verdict:
             worst, where = change, place
     return Verdict(
         "no step at reversal", worst <= STANDSTILL_UM,
-        f"{worst:.2f} um at {where:.3f} in when the axis turns back by one count "
-        f"({_COUNT_IN * _UM_PER_IN:.2f} um); at most {STANDSTILL_UM:g} um",
+        f"{worst:z.2f} um at {where:z.3f} in when the axis turns back by one count "
+        f"({_COUNT_IN * _UM_PER_IN:z.2f} um); at most {STANDSTILL_UM:g} um",
     )  # fmt: skip
 
 
@@ -198,6 +198,6 @@ def _standstill(served: PathAnswers, places: Floats) -> Verdict:
         worst = max(worst, float(np.ptp(answers)))
     return Verdict(
         "defined at standstill", worst <= STANDSTILL_UM,
-        f"{worst:.2f} um between answers at one place, by one count of jitter and either direction "
+        f"{worst:z.2f} um between answers at one place, by one count of jitter and either direction "
         f"told; at most {STANDSTILL_UM:g} um",
     )  # fmt: skip

@@ -73,7 +73,7 @@ def scores_of(test: LinearTest, left: Floats) -> Scores:
         # The laser was zeroed at the first target: near it there is nothing but noise to take away.
         without = np.hypot(rms_um(error[part == k]), spread_um(error[part == k]))
         inside = position[part == k] * MM_PER_IN
-        where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():.0f} to {inside.max():.0f} mm"
+        where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():z.0f} to {inside.max():z.0f} mm"
         ratios[where] = rms_um(left[part == k]) / without
     worst = max(ratios, key=lambda name: ratios[name])
     r2 = 1.0 - float(np.sum(left**2) / np.sum((error - error.mean()) ** 2))

@@ -15,6 +15,8 @@ from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, write_machine, write_pointer
+from dtwin.train.evidence import Evidence
+from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate, offline_gates
 from dtwin.train.positioning_bundle import is_positioning_bundle
 from dtwin.train.positioning_gates import registered_positioning_gates
@@ -72,8 +74,10 @@ def promote(
     found: RegisteredVersion,
     *,
     geometry: Mapping[str, Any],
-    evidence: Mapping[str, Any] | None,
+    evidence: Evidence | None,
+    despite: Sequence[str] = (),
     comment: str = "",
+    valid_days: float = 0.0,
 ) -> Path:
     """Make a version the champion of its machine, or refuse with the reasons.
 
@@ -87,10 +91,14 @@ def promote(
         The version.
     geometry : mapping
         The machine's geometry, for the serving host.
-    evidence : mapping or None
-        Closed-loop evidence; without it nothing becomes champion.
+    evidence : Evidence or None
+        Closed-loop evidence, computed from runs just now; without it nothing becomes champion.
+    despite : sequence of str
+        Names of the evidence on record that speaks against the version; all of it must be named.
     comment : str
         Why; kept in the history.
+    valid_days : float
+        How long the evidence holds; 0 for ever.
 
     Returns
     -------
@@ -110,23 +118,26 @@ def promote(
     else:
         real = not bool(geometry.get("virtual", False))
         verdicts += evidence_gate(evidence, bundle, real=real)
+        verdicts += _against(records(registry, found), despite)
     _record_verdicts(registry, found, verdicts)
     if not all(v.passed for v in verdicts):
-        _remember(home, found, "refused", comment, verdicts)
+        _remember(home, found, "refused", comment, verdicts, despite)
         raise _refusal(found, verdicts)
-    kind = str(evidence["kind"]) if evidence else "none"
-    path = _freeze(home, found, bundle, verdicts, kind)
+    kind = evidence.kind if evidence else "none"
+    path = _freeze(home, found, bundle, verdicts, kind, valid_days)
+    proved = _proved(evidence)
     previous = _champion(registry, found.machine)
     _write_machine(found.machine, home, geometry)
     allow(found.machine, home, int(found.version))
-    write_pointer(found.machine, home, path, int(found.version), "champion")
+    write_pointer(found.machine, home, path, int(found.version), "champion", proved)
     if on_trial(found.machine, home) == int(found.version):
         # Its bundle now states the evidence, so that the trial's checksum is no longer the file's.
         clear_trial(found.machine, home)
     if previous is not None and previous.version != found.version:
         registry.mark(previous, {"state": "previous"}, alias="previous")
-    registry.mark(found, {"state": "champion", "evidence": kind}, alias="champion")
-    _remember(home, found, "champion", comment, verdicts)
+    tags = {"state": "champion", "evidence": kind, "proved": proved}
+    registry.mark(found, tags, alias="champion")
+    _remember(home, found, "champion", comment, verdicts, despite)
     return path
 
 
@@ -199,7 +210,8 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
             hint="promote that version again",
         )
     replaced = present is not None and present.version != previous.version
-    write_pointer(machine, home, path, int(previous.version), "champion")
+    proved = previous.tags.get("proved", "")
+    write_pointer(machine, home, path, int(previous.version), "champion", proved)
     if present is not None and replaced:
         bar(machine, home, int(present.version), comment or "rolled back")
     registry.mark(previous, {"state": "champion"}, alias="champion")
@@ -265,6 +277,22 @@ def verdict_lines(verdicts: Sequence[Verdict]) -> list[str]:
     return [f"{'pass' if v.passed else 'FAIL'}  {v.gate}: {v.reason}" for v in verdicts]
 
 
+def _against(kept: Sequence[Record], despite: Sequence[str]) -> list[Verdict]:
+    """Judge whether every record that speaks against a version is known to who promotes it."""
+    against = contrary(kept)
+    known = {record.id for record in against}
+    strange = [name for name in despite if name not in known]
+    if strange:
+        raise InputError(
+            "no such evidence against the version", code="promote.despite",
+            got=", ".join(strange)[:200], allowed=", ".join(sorted(known)) or "there is none",
+        )  # fmt: skip
+    if not against:
+        return []
+    told = "; ".join(f"{r.id} of {r.time[:19]}: worse at {', '.join(r.worse)}" for r in against)
+    return [Verdict("evidence against it is named", known <= set(despite), told)]
+
+
 def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> None:
     """Keep what the serving host must know; only robots have a chain and a tool to know of."""
     if geometry.get("type") not in ("mill", "turning", "lathe", "volumetric"):
@@ -283,13 +311,15 @@ def _bundle_path(home: Home, found: RegisteredVersion) -> Path:
 
 
 def _freeze(
-    home: Home, found: RegisteredVersion, bundle: Bundle, verdicts: Sequence[Verdict], kind: str
-) -> Path:
+    home: Home, found: RegisteredVersion, bundle: Bundle, verdicts: Sequence[Verdict], kind: str,
+    valid_days: float = 0.0,
+) -> Path:  # fmt: skip
     provenance = dataclasses.replace(
         bundle.provenance,
         mlflow_version=found.version,
         evidence=kind,
         gates={v.gate: v.passed for v in verdicts},
+        valid_days=valid_days,
     )
     frozen = dataclasses.replace(bundle, model_version=int(found.version), provenance=provenance)
     path = _bundle_path(home, found)
@@ -315,17 +345,32 @@ def _refusal(found: RegisteredVersion, verdicts: Sequence[Verdict]) -> GateRefus
     )
 
 
+def _proved(evidence: Evidence | None) -> str:
+    """Return when a correction was last seen to help: when its newest runs were measured.
+
+    A virtual machine keeps no calendar: there it is now.
+    """
+    real = evidence.runs if evidence is not None and evidence.kind == "real" else ()
+    started = [run["started"] for run in real if run["way"] == "with" and run["started"]]
+    return max(started, default=_now())
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
 def _remember(
-    home: Home, found: RegisteredVersion, action: Action, comment: str, verdicts: Sequence[Verdict]
-) -> None:
+    home: Home, found: RegisteredVersion, action: Action, comment: str,
+    verdicts: Sequence[Verdict], despite: Sequence[str] = (),
+) -> None:  # fmt: skip
     path = machine_folder(found.machine, home) / HISTORY
     entry = {
-        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "time": _now(),
         "version": found.version,
         "action": action,
         "comment": comment,
         "failed": [v.gate for v in verdicts if not v.passed],
-    }
+    } | ({"despite": list(despite)} if despite else {})
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as handle:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -16,19 +16,12 @@ from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import t_quantile
 from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
+from dtwin.train.evidence import Evidence
+from dtwin.train.results import condition_name
 
 Verdict = Literal["helps", "unclear", "worse"]
 _LEVEL = 0.05
 _FEWEST_PAIRS = 3
-_FIELDS: dict[str, type | tuple[type, ...]] = {
-    "plane": str,
-    "radius_mm": (int, float),
-    "feed_mm_min": (int, float),
-    "direction": str,
-    "block": int,
-    "compensated": bool,
-    "rms_um": (int, float),
-}
 
 
 @dataclass(frozen=True)
@@ -193,6 +186,10 @@ def judge(runs: Sequence[CheckedRun]) -> Recheck:
     level = _LEVEL / (len(pairs) + 1)
     checks = [_check(_named(c), np.array(found), level) for c, found in pairs.items()]
     checks.append(_together([np.array(found) for found in pairs.values()], level))
+    return _verdict(checks)
+
+
+def _verdict(checks: Sequence[ConditionCheck]) -> Recheck:
     worse = [c for c in checks if c.worse]
     if worse:
         told = "; ".join(_told(c) for c in worse)
@@ -202,39 +199,27 @@ def judge(runs: Sequence[CheckedRun]) -> Recheck:
     return Recheck("unclear", f"neither helps nor harms: {_told(checks[-1])}", tuple(checks))
 
 
-def read_runs(content: object, where: str) -> list[CheckedRun]:
-    """Return the runs of a real machine's check: a JSON list of objects.
+def judge_evidence(evidence: Evidence) -> Recheck:
+    """Say whether a correction still helps, from runs of the lake.
 
     Parameters
     ----------
-    content : object
-        What was read: each object has the fields of ``CheckedRun``.
-    where : str
-        For messages.
-
-    Raises
-    ------
-    InputError
-        When it is something else.
+    evidence : Evidence
+        Computed from runs with and without it.
     """
-    rows = content if isinstance(content, list) else []
-    good = bool(rows) and all(
-        isinstance(row, Mapping)
-        and set(row) == set(_FIELDS)
-        and all(isinstance(row[name], kind) for name, kind in _FIELDS.items())
-        and math.isfinite(row["rms_um"])
-        and row["rms_um"] >= 0.0
-        for row in rows
-    )
-    if not good:
-        raise InputError(
-            "these are no runs of a check",
-            code="recheck.runs",
-            where=where,
-            got=str(content)[:120],
-            allowed=f"a list of objects with {', '.join(_FIELDS)}",
+    rows = [
+        ConditionCheck(
+            condition_name(c), c["before_um"], c["after_um"], c["after_um"] - c["before_um"],
+            math.hypot(c["before_ci_um"], c["after_ci_um"]), c["n_with"],
         )
-    return [CheckedRun(**row) for row in rows]
+        for c in evidence.conditions
+    ]  # fmt: skip
+    means = [float(np.mean([getattr(r, f) for r in rows])) for f in ("before_um", "after_um")]
+    half = math.sqrt(sum(r.half_width_um**2 for r in rows)) / len(rows)
+    every = ConditionCheck(
+        "all", means[0], means[1], means[1] - means[0], half, sum(r.pairs for r in rows)
+    )
+    return _verdict([*rows, every])
 
 
 def _pairs(runs: Sequence[CheckedRun]) -> dict[tuple[str, float, float], list[tuple[float, float]]]:
@@ -288,6 +273,6 @@ def _named(condition: tuple[str, float, float]) -> str:
 
 def _told(check: ConditionCheck) -> str:
     return (
-        f"{check.name} {check.before_um:.1f} -> {check.after_um:.1f} um, by {check.growth_um:+.1f} "
-        f"± {check.half_width_um:.1f} um over {check.pairs} pairs"
+        f"{check.name} {check.before_um:z.1f} -> {check.after_um:z.1f} um, by {check.growth_um:+z.1f} "
+        f"± {check.half_width_um:z.1f} um over {check.pairs} pairs"
     )

@@ -21,11 +21,12 @@ from mlflow.exceptions import MlflowException
 from dtwin import __version__
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.processes import is_gone, process
 from dtwin.train.results import Candidate, TrainingReport
 
 EXPERIMENT = "dtwin"
 BUNDLE_FOLDER = "bundle"
-EVIDENCE_FILE = "evidence.json"
+_PROCESS = "dtwin.process"
 ALIASES = ("candidate", "champion", "previous")
 _PACKAGES = ("numpy", "scipy", "scikit-learn", "pyoperon", "numba", "mlflow", "deltalake")
 
@@ -72,7 +73,10 @@ class Registry:
         self.uri = home.mlflow_uri
         if self.uri.startswith("sqlite:///"):
             try:
-                Path(self.uri.removeprefix("sqlite:///")).parent.mkdir(parents=True, exist_ok=True)
+                home.made()
+                database = Path(self.uri.removeprefix("sqlite:///"))
+                database.parent.mkdir(parents=True, exist_ok=True)
+                database.touch(mode=0o600)
             except OSError as error:
                 raise StoreError(
                     "the model registry cannot be written",
@@ -83,12 +87,10 @@ class Registry:
         self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
 
     @contextmanager
-    def training_run(self, report: TrainingReport, name: str) -> Iterator[str]:
-        """Open an MLflow run for a training; it is marked failed when the body fails."""
+    def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:
+        """Open an MLflow run and yield its id; it is marked failed when the body fails."""
         run = self.client.create_run(
-            self.experiment(),
-            run_name=name,
-            tags={"dtwin.machine": report.machine, "dtwin.campaign": report.campaign},
+            self.experiment(), run_name=name, tags={**tags, _PROCESS: process()}
         )
         try:
             yield run.info.run_id
@@ -96,6 +98,16 @@ class Registry:
             self.client.set_terminated(run.info.run_id, status="FAILED")
             raise
         self.client.set_terminated(run.info.run_id)
+
+    def close_abandoned(self) -> int:
+        """Mark runs as killed whose process of this computer is gone; return how many."""
+        running = self.client.search_runs(
+            [self.experiment()], "attributes.status = 'RUNNING'", max_results=1000
+        )
+        gone = [r.info.run_id for r in running if is_gone(r.data.tags.get(_PROCESS, ""))]
+        for run_id in gone:
+            self.client.set_terminated(run_id, status="KILLED")
+        return len(gone)
 
     def log_training(
         self, report: TrainingReport, artifacts: Mapping[str, str | bytes]
@@ -116,12 +128,13 @@ class Registry:
         """
         stamp = time.strftime("%Y%m%d-%H%M%S")
         ids: dict[str, str] = {}
-        with self.training_run(report, f"training {report.campaign} {stamp}") as parent:
+        tags = {"dtwin.machine": report.machine, "dtwin.campaign": report.campaign}
+        with self.open_run(f"training {report.campaign} {stamp}", tags) as parent:
             ids[""] = parent
             self.log(parent, _report_params(report), _report_metrics(report), {})
             self.log_files(parent, artifacts)
             for candidate in report.candidates:
-                with self.training_run(report, candidate.name) as child:
+                with self.open_run(candidate.name, tags) as child:
                     ids[candidate.name] = child
                     self._log_candidate(child, parent, report, candidate)
         return ids
@@ -252,6 +265,18 @@ class Registry:
             raise StoreError(
                 "a file in the registry is damaged", code="model.artifact", where=where
             ) from error
+
+    def files(self, found: RegisteredVersion, folder: str) -> list[str]:
+        """Return the names of the files in a folder of the run behind a version, sorted."""
+        try:
+            listed = self.client.list_artifacts(found.run_id, folder)
+        except (MlflowException, OSError) as error:
+            raise StoreError(
+                "the registry's files cannot be listed", code="model.artifact",
+                where=f"machine {found.machine} version {found.version} {folder}",
+                got=str(error)[:160],
+            ) from error  # fmt: skip
+        return sorted(item.path for item in listed if not item.is_dir)
 
     def metrics(self, found: RegisteredVersion) -> dict[str, float]:
         """Return the metrics of the run behind a version."""

@@ -167,7 +167,7 @@ def _law_candidate(
     equation = f"amplitude error, um = {laws[0].readable()}\nlag, deg = {laws[1].readable()}"
     findings = [f"{name_} is a dead constant on clean sines" for name_ in dead]
     if where:
-        findings.append(f"spectral radius of the corrected loop {radius:.3f}, worst at {where}")
+        findings.append(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}")
     return Candidate(
         name=name, family="symbolic", promotable=True, complexity=len(bundle.window_graph.nodes),
         scores=found.scores, train_rms_um=float(np.sqrt(np.mean(rest**2))),

@@ -164,11 +164,11 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         ),
         Verdict(
             "stable on its own correction", radius <= MOST_RADIUS,
-            f"spectral radius from window to window {radius:.3f}; at most {MOST_RADIUS:g}",
+            f"spectral radius from window to window {radius:z.3f}; at most {MOST_RADIUS:g}",
         ),
         _bounded(bundle),
         vectors_proved(bundle),
-        Verdict("latency", p99 <= TICK_BUDGET_US, f"p99 {p99:.2f} us of {TICK_BUDGET_US:g}"),
+        Verdict("latency", p99 <= TICK_BUDGET_US, f"p99 {p99:z.2f} us of {TICK_BUDGET_US:g}"),
     ]  # fmt: skip
 
 
@@ -176,14 +176,14 @@ def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
     found = []
     for name, least in LEAST_R2.items():
         values = {g: metrics.get(f"leave_{g}_out.{name}", float("nan")) for g in HELD_OUT}
-        told = ", ".join(f"{group} out: {value:.4f}" for group, value in values.items())
+        told = ", ".join(f"{group} out: {value:z.4f}" for group, value in values.items())
         what = "amplitude" if name == "r2" else "phase"
         found.append(
             Verdict(f"held-out {what}", all(v >= least for v in values.values()),
                     f"R2 {told}; at least {least}")
         )  # fmt: skip
     errors = [metrics.get(f"leave_{g}_out.mae_um", float("nan")) for g in HELD_OUT]
-    told = ", ".join(f"{1000 * error:.1f} nm" for error in errors)
+    told = ", ".join(f"{1000 * error:z.1f} nm" for error in errors)
     found.append(
         Verdict("held-out mean error", all(e <= MOST_ERROR_UM for e in errors),
                 f"{told}; at most {1000 * MOST_ERROR_UM:g} nm")
@@ -231,6 +231,6 @@ def _bounded(bundle: Bundle) -> Verdict:
             raw = max(raw, float(np.max(np.abs(wanted)))) if scale == 1.0 else raw
     return Verdict(
         "bounded output", largest <= bundle.safety.clamp_um * (1.0 + 1e-9),
-        f"up to {raw:.1f} um inside the box, {largest:.1f} um after a clamp of "
-        f"{bundle.safety.clamp_um:.1f} um whatever comes in",
+        f"up to {raw:z.1f} um inside the box, {largest:z.1f} um after a clamp of "
+        f"{bundle.safety.clamp_um:z.1f} um whatever comes in",
     )  # fmt: skip

@@ -85,8 +85,8 @@ def what_was_seen(everything: ToneGroups) -> list[str]:
         "validity box refuses to correct there",
         *feature_findings(groups),
         f"amplitude error grows with acceleration to the power "
-        f"{exponent(acceleration, groups.amplitude_error_um):.3f}, the error beyond the encoder to "
-        f"the power {exponent(acceleration, groups.beyond_encoder_um):.3f}; 1 is inertia on a spring",
+        f"{exponent(acceleration, groups.amplitude_error_um):z.3f}, the error beyond the encoder to "
+        f"the power {exponent(acceleration, groups.beyond_encoder_um):z.3f}; 1 is inertia on a spring",
         "an LSTM was not tried: the package has no deep-learning library",
     ]
 

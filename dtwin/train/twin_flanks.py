@@ -200,8 +200,8 @@ def _require_play(twin: Twin, obs: Observations) -> None:
         where = int(np.nanargmin(play))
         raise InputError(
             "the play that the twin foretells is negative somewhere: no memory can carry it",
-            code="correct.play", where=f"twin {twin.name}, {obs.grid.points[where]:.1f} mm",
-            got=f"the slide {-float(play[where]):.2f} um further ahead going up than going down",
+            code="correct.play", where=f"twin {twin.name}, {obs.grid.points[where]:z.1f} mm",
+            got=f"the slide {-float(play[where]):z.2f} um further ahead going up than going down",
             allowed="reverse errors at or above forward errors along the whole travel",
             hint=f"dtwin twin diagnose {twin.name}: backlash may be missing; or the control takes "
             "away more play than there is",

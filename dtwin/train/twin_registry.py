@@ -32,13 +32,10 @@ def log_twin(
     """
     client = registry.client
     name = f"twin-{document['twin']}"
-    experiment = registry.experiment()
     if parent is None:
-        opened = client.create_run(experiment, run_name=name, tags={"dtwin.twin": name})
-        parent = str(opened.info.run_id)
-        client.set_terminated(parent)
+        with registry.open_run(name, {"dtwin.twin": name}) as parent:
+            pass
     label = f"{name} v{document['version']}: {document['action']}"
-    run_id = client.create_run(experiment, run_name=label).info.run_id
     figures = {k: v for k, v in document["figures"].items() if isinstance(v, int | float)}
     params = {
         "effects": ", ".join(map(_label, document["effects"])),
@@ -50,9 +47,9 @@ def log_twin(
         **{f"version.{k}": v for k, v in environment().items()},
     }
     tags = {"mlflow.parentRunId": parent, "mlflow.note.content": description}
-    registry.log(run_id, params, figures, tags)
-    registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
-    client.set_terminated(run_id)
+    with registry.open_run(label, tags) as run_id:
+        registry.log(run_id, params, figures, {})
+        registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
     registry.ensure_model(name, f"Versions of the twin {document['twin']}, one for each rung.")
     created = client.create_model_version(
         name,

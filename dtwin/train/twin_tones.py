@@ -224,7 +224,7 @@ def _require_smooth(graph: Graph, name: str, groups: ToneGroups) -> None:
                     raise InputError(
                         "the twin's response swings between tones that were measured",
                         code="correct.between", where=f"twin {name}, {low:g} to {high:g} Hz",
-                        got=f"{out:.2f} um at {amplitude:g} um beyond what both tones show",
+                        got=f"{out:z.2f} um at {amplitude:g} um beyond what both tones show",
                         allowed=f"{MOST_ERROR_UM:g} um: what lies between tones must be seen by them",
                         hint="measure tones closer together there",
                     )  # fmt: skip

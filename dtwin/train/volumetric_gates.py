@@ -23,10 +23,10 @@ def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdi
     r2 = metrics.get("leave_hours_out.r2", float("nan"))
     worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))
     return [
-        Verdict("held-out hours", r2 >= LEAST_R2, f"R2 {r2:.3f}; at least {LEAST_R2}"),
+        Verdict("held-out hours", r2 >= LEAST_R2, f"R2 {r2:z.3f}; at least {LEAST_R2}"),
         Verdict(
             "no slice worse than no correction", worst < 1.0,
-            f"the worst span of hours keeps {100 * worst:.0f} % of its error",
+            f"the worst span of hours keeps {100 * worst:z.0f} % of its error",
         ),
         bounded_output(bundle), vectors_proved(bundle), latency_gate(metrics),
     ]  # fmt: skip

@@ -6,12 +6,14 @@ import html
 import ipaddress
 import secrets
 from dataclasses import dataclass, field
-from urllib.parse import quote, urlencode, urlsplit
+from urllib.parse import quote, urlencode
 
 from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.requests import cookie_parser
 from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from dtwin.own_address import is_foreign, names_this_computer
 
 READING = ("GET", "HEAD")
 _MOVE_ON = (
@@ -42,6 +44,8 @@ class Access:
         Address that the server listens on.
     port : int
         Its port.
+    private : bool
+        Whether reading needs the token too: where several people use the computer.
     token : str
         Needed for everything that changes something; for everything when others can reach
         the server.
@@ -49,6 +53,7 @@ class Access:
 
     host: str
     port: int
+    private: bool = False
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
 
     @property
@@ -73,24 +78,8 @@ class Access:
         return given is not None and secrets.compare_digest(given.encode(), self.token.encode())
 
     def knows_host(self, header: str | None) -> bool:
-        """Tell whether a Host header names this server.
-
-        A page of another site can point its own name at this computer (DNS rebinding); then
-        the header holds that name.
-        """
-        if not header:
-            return False
-        try:
-            name = urlsplit(f"//{header}").hostname or ""
-        except ValueError:
-            return False
-        if name in ("localhost", self.host.lower()):
-            return True
-        try:
-            address = ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return self.shared or address.is_loopback
+        """Tell whether a Host header names this server."""
+        return names_this_computer(header, also=self.host, any_address=self.shared)
 
 
 def is_loopback(host: str) -> bool:
@@ -144,16 +133,19 @@ class Guarded:
         allowed = self.access.knows(cookies.get(self.access.cookie))
         scope.setdefault("state", {})["allowed"] = allowed
         if scope["method"] not in READING:
-            if headers.get("origin") not in self._origins(headers):
+            if headers.get("origin") is None or is_foreign(headers["origin"], headers["host"]):
                 return _refusal("the request comes from another site", "use the workbench's page")
             if not allowed:
                 return _refusal("the token is missing", "open the address that dtwin ui printed")
-        elif self.access.shared and not allowed and not scope["path"].startswith("/static/"):
+            return None
+        if scope["path"].startswith("/static/"):
+            return None
+        if (self.access.shared or self.access.private) and not allowed:
             return _refusal("the token is missing", "open the address that dtwin ui printed")
+        # A page of another site, or of another server here, could make this one compute.
+        if headers.get("sec-fetch-site", "none") not in ("none", "same-origin"):
+            return _refusal("another site asks for this page", "type the address, or reload here")
         return None
-
-    def _origins(self, headers: Headers) -> tuple[str, ...]:
-        return (f"http://{headers['host']}",)
 
     def _entered(self, scope: Scope, given: str) -> Response:
         if not self.access.knows(given):
@@ -163,7 +155,9 @@ class Guarded:
             )
         # A redirect would still count as coming from where the link was pressed, and then a
         # strict cookie is withheld; a page that moves on by itself does not.
-        answer = HTMLResponse(_MOVE_ON.format(to=html.escape(quote(scope["path"] or "/"))))
+        answer = HTMLResponse(
+            _MOVE_ON.format(to=html.escape(quote(f"/{scope['path'].lstrip('/')}")))
+        )
         answer.set_cookie(self.access.cookie, given, httponly=True, samesite="strict", path="/")
         return answer
 

@@ -97,10 +97,14 @@ class Bench:
         return self.cache.get(("library", stamp), lambda: _usable(files))
 
     def run_rows(self) -> Sequence[Mapping[str, Any]]:
-        """Return the rows of all runs, read once for each version of their table."""
-        lake = self.lake
-        version = lake.tables["runs"].version()
-        return self.cache.get(("rows", version), lake.runs)
+        """Return the rows of all runs, left out ones too, read once for each version."""
+        return self.cache.get(("rows", *self.lake_version), lambda: self.lake.runs(left_out=True))
+
+    @property
+    def lake_version(self) -> tuple[int, int]:
+        """What changes with the rows of the runs: versions of the tables that they come from."""
+        tables = self.lake.tables
+        return tables["runs"].version(), tables["amendments"].version()
 
     def stamp(self, campaign: str) -> str:
         """Return a hash of the runs of a campaign: other campaigns do not change it.
@@ -111,15 +115,18 @@ class Bench:
             When the lake has no such campaign.
         """
         rows = self.run_rows()
-        version = self.lake.tables["runs"].version()
 
         def hashed() -> str:
-            mine = [row["content_sha256"] for row in rows if row["campaign"] == campaign]
+            mine = [
+                f"{row['content_sha256']} {row['metadata_version']}"
+                for row in rows
+                if row["campaign"] == campaign
+            ]
             if not mine:
                 self.lake.campaign(campaign)
             return hashlib.sha256("".join(mine).encode()).hexdigest()
 
-        return self.cache.get(("stamp", campaign, version), hashed)
+        return self.cache.get(("stamp", campaign, *self.lake_version), hashed)
 
 
 def bench_of(request: Request) -> Bench:

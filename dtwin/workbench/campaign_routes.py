@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Request
+from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
+from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.physics.tone_grid import TONE, tone_row
@@ -28,12 +31,43 @@ router = APIRouter()
 _NOISE_QUANTILE = 3.0
 
 
+class Told(BaseModel):
+    """What is told of a table that lies alone; empty fields are not told."""
+
+    machine: str = Field("", max_length=100)
+    campaign: str = Field("", max_length=100)
+    plane: str = Field("", max_length=10)
+    radius_mm: float | None = None
+    feed_mm_min: float | None = None
+    direction: str = Field("", max_length=10)
+    axis: str = Field("", max_length=10)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what was told, named as in campaign.toml."""
+        return {name: value for name, value in self if value not in ("", None)}
+
+
+class Amendment(BaseModel):
+    """What is stated anew of a campaign, or of one run."""
+
+    field: str = Field(max_length=120)
+    value: str = Field("", max_length=400)
+    run: str = Field("", max_length=100)
+    because: str = Field(max_length=500)
+
+
+class Reason(BaseModel):
+    """Why a run is left out, or taken in again."""
+
+    because: str = Field(max_length=500)
+
+
 @router.get("/campaigns")
 def campaign_list(request: Request) -> Response:
     """Show all campaigns."""
     bench = bench_of(request)
     rows = bench.run_rows()
-    version = bench.lake.tables["runs"].version()
+    version = bench.lake_version
     found = bench.cache.get(("overviews", version), lambda: campaigns.overviews(rows))
     return rendered(
         request, "campaigns.html", title="Campaigns", campaigns=found,
@@ -46,7 +80,7 @@ def campaign_page(request: Request, name: str) -> Response:
     """Show a campaign with its runs, and what can be done with it."""
     bench = bench_of(request)
     rows = _rows(bench, name)
-    version = bench.lake.tables["runs"].version()
+    version = bench.lake_version
     overview = bench.cache.get(("overview", name, version), lambda: campaigns.overview(name, rows))
     findings = bench.cache.get(
         ("findings", name, version), lambda: campaigns.grouped_findings(rows)
@@ -76,7 +110,7 @@ def run_figure(request: Request, name: str, run_id: str, kind: str) -> Response:
     """Return a figure of a run: polar, angle, time or spectrum; along a travel or tone ``along``."""
     bench = bench_of(request)
     row = _row(bench, name, run_id)
-    key = ("run", name, run_id, row["content_sha256"])
+    key = ("run", name, run_id, row["content_sha256"], row["metadata_version"])
     run = bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
     if kind == "along":
         return drawn(_along(run))
@@ -109,7 +143,7 @@ async def receive(request: Request, tray: str, name: str) -> JSONResponse:
 
 
 @router.post("/api/trays/{tray}/ingest")
-async def ingest_tray(request: Request, tray: str) -> JSONResponse:
+async def ingest_tray(request: Request, tray: str, told: Told | None = None) -> JSONResponse:
     """Ingest what a tray holds."""
     bench = bench_of(request)
     trays = bench.trays
@@ -117,14 +151,45 @@ async def ingest_tray(request: Request, tray: str) -> JSONResponse:
 
     def work(tell: Tell) -> str:
         try:
-            return _ingested(bench, folder, tell)
+            return _ingested(bench, folder, {} if told is None else told.as_dict(), tell)
         finally:
             trays.drop(tray)
 
     return accepted(await run_in_threadpool(bench.jobs.start, "Ingest", work))
 
 
-def _ingested(bench: Bench, folder: Path, tell: Tell) -> str:
+@router.post("/api/campaigns/{name}/amend")
+def amend_campaign(request: Request, name: str, wanted: Amendment) -> JSONResponse:
+    """State anew what was stated wrongly; raw values never change."""
+    bench = bench_of(request)
+    bench.lake.campaign(name)
+
+    def work(tell: Tell) -> str:
+        tell("judge the runs again")
+        runs = [wanted.run] if wanted.run else []
+        amend(bench.lake, name, [f"{wanted.field}={wanted.value}"], wanted.because, runs=runs)
+        return f"/campaigns/{name}"
+
+    return accepted(bench.jobs.start(f"Amend {name}", work))
+
+
+@router.post("/api/campaigns/{name}/runs/{run_id}/{verb}")
+def leave_run_out(
+    request: Request, name: str, run_id: str, verb: Literal["leave-out", "restore"], why: Reason
+) -> JSONResponse:
+    """Leave a run out of every figure, twin and report, or take it in again."""
+    bench = bench_of(request)
+    _row(bench, name, run_id)
+
+    def work(tell: Tell) -> str:
+        tell("keep the record")
+        leave_out(bench.lake, name, [run_id], why.because, out=verb == "leave-out")
+        return f"/campaigns/{name}"
+
+    return accepted(bench.jobs.start(f"{verb} {run_id}", work))
+
+
+def _ingested(bench: Bench, folder: Path, told: Mapping[str, Any], tell: Tell) -> str:
     tell("look at the files")
     names = []
     for source in sources(folder):
@@ -132,7 +197,8 @@ def _ingested(bench: Bench, folder: Path, tell: Tell) -> str:
         def count(done: int, total: int, what: str, source: Path = source) -> None:
             tell(f"{source.name}: {done} of {total} files")
 
-        names.append(ingest(source, bench.home, count).campaign)
+        alone = told if source.suffix.lower() in (".csv", ".parquet") else None
+        names.append(ingest(source, bench.home, count, alone).campaign)
     for name in dict.fromkeys(names):
         tell(f"prepare the pages of {name}")
         campaign_floor(bench, name)

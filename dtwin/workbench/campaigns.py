@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.quality import judge_campaign
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import campaign_instances
@@ -103,7 +104,8 @@ def findings_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
     """Return what is noteworthy about a campaign as a whole."""
-    return judge_campaign([Run(meta_of(row), {}) for row in rows])
+    used = [Run(meta_of(row), {}) for row in rows if row["left_out"] is None]
+    return [*judge_campaign(used), *amendment_findings(rows)]
 
 
 def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -112,7 +114,12 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     Each has ``severity``, ``code``, ``message`` of the first run, and ``runs``.
     """
     by_code: dict[str, dict[str, Any]] = {
-        f.code: {"severity": f.severity, "code": f.code, "message": f.message, "runs": []}
+        f"{f.code} {f.message}": {
+            "severity": f.severity,
+            "code": f.code,
+            "message": f.message,
+            "runs": [],
+        }
         for f in campaign_findings(rows)
     }
     for row in rows:

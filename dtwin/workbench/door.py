@@ -23,7 +23,7 @@ def only_one(home: Home) -> Iterator[None]:
     InputError
         When one runs already.
     """
-    path = home.root / "workbench" / ".lock"
+    path = home.made().root / "workbench" / ".lock"
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a") as handle:
         try:

@@ -20,7 +20,7 @@ from dtwin.errors import InputError
 from dtwin.report.live_plots import circle_figure, correction_figure, waiting_figure
 from dtwin.report.model_plots import jitter_figure
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
-from dtwin.serve.session import events_path
+from dtwin.serve.served_time import events_path
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.pages import drawn, rendered
 

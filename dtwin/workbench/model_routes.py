@@ -81,27 +81,21 @@ def promote(request: Request, machine: str, version: str, why: Comment) -> JSONR
     found = registry.version(machine, version)
 
     def work(tell: Tell) -> str:
-        from dtwin.pipeline.modelling import evidence_of, geometry_of, measure_evidence
+        from dtwin.pipeline.evidence import promote_proven, proven_or_measured
         from dtwin.pipeline.modelling import put_on_trial as on_trial
-        from dtwin.train.promotion import promote as make_champion
 
         address = f"/models/{machine}/{found.version}"
         if why.trial:
             tell("offline gates")
             on_trial(bench.home, found, why.comment)
             return address
-        geometry = geometry_of(registry, found)
-        given = evidence_of(registry, found)
-        if given is None:
-            tell("circles with and without correction")
-            given = measure_evidence(
-                bench.home, found, geometry, seed=0,
-                progress=lambda done, total, what: tell(f"circle {done} of {total}, {what}"),
-            ).as_dict()  # fmt: skip
+        tell("evidence from runs with and without correction")
+        proven_or_measured(
+            bench.home, found, seed=0,
+            progress=lambda done, total, what: tell(f"{done} of {total}, {what}"),
+        )  # fmt: skip
         tell("gates")
-        make_champion(
-            registry, bench.home, found, geometry=geometry, evidence=given, comment=why.comment
-        )
+        promote_proven(bench.home, found, why.comment)
         return address
 
     verb = "Put on trial" if why.trial else "Promote"

@@ -86,14 +86,15 @@ def judged(registry: Registry, machine: str, wanted: str) -> Judged:
     machine, wanted : str
         The machine, and a version number or alias.
     """
-    from dtwin.pipeline.modelling import evidence_of
     from dtwin.train.candidate_runs import training_candidates, training_metrics
+    from dtwin.train.evidence_record import newest
     from dtwin.train.promotion import check_version
 
     version = registry.version(machine, wanted)
     _, verdicts = check_version(registry, version)
     logged = training_candidates(registry, version)
     training = training_metrics(registry, version)
+    record = newest(registry, version)
     rows = [_row(c) for c in logged if f"{_FEED}.rms_um" in c["metrics"]]
     return Judged(
         version=version,
@@ -102,7 +103,7 @@ def judged(registry: Registry, machine: str, wanted: str) -> Judged:
         floor_um=training.get("noise_floor_um", math.nan),
         before_um=training.get("rms_before_um", math.nan),
         verdicts=tuple(verdicts),
-        evidence=evidence_of(registry, version),
+        evidence=record.content if record else None,
     )
 
 

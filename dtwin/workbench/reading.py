@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,16 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.atomic import write_text
-from dtwin.errors import InputError
+from dtwin.errors import InputError, StoreError
 from dtwin.physics import localise
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
-from dtwin.physics.twin import Twin, frozen_residual_um, left_out_lines
+from dtwin.physics.twin import Twin, data_lines, frozen_residual_um
 from dtwin.pipeline.twin_data import Comparison, Loaded, load, pure_rms_um
-from dtwin.pipeline.twin_files import read_document
+from dtwin.pipeline.twin_files import read_document, write_document
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
 from dtwin.workbench.bench import Bench
@@ -121,10 +119,13 @@ def campaign_floor(bench: Bench, campaign: str) -> Floor:
     path = bench.folder / "floors" / f"{require_name(campaign, 'the campaign')}.json"
 
     def found() -> Floor:
-        kept = read_document(path) if path.exists() else {}
+        try:
+            kept = read_document(path) if path.exists() else {}
+        except StoreError:
+            kept = {}
         if kept.get("runs_sha256") != stamp:
             kept = {"runs_sha256": stamp, "floor_um": _floor_um(bench, campaign)}
-            write_text(path, json.dumps(kept), "the noise floor")
+            write_document(path, kept, "the noise floor")
         um = kept["floor_um"]
         return Floor(math.nan, "none") if um is None else Floor(um, "repeats")
 
@@ -295,7 +296,7 @@ def _compared(twin: Twin, loaded: Loaded) -> Comparison:
     obs = loaded.obs
     residual = frozen_residual_um(twin, obs)
     before = localise.residual_um(obs, [])
-    warnings = tuple(left_out_lines(loaded.data))
+    warnings = tuple(data_lines(loaded.data))
     return Comparison(twin, obs, residual, before, warnings, loaded.controller_um)
 
 

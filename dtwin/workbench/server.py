@@ -24,6 +24,7 @@ from dtwin.workbench import (
     heat_pages,
     job_routes,
     live_routes,
+    measuring_routes,
     model_routes,
     models,
     reading,
@@ -49,7 +50,7 @@ def application(bench: Bench) -> Guarded:
     """
     app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
     app.state.bench = bench
-    for part in (campaign_routes, twin_routes, heat_pages, twin_actions, effect_routes, model_routes, live_routes,
+    for part in (campaign_routes, twin_routes, heat_pages, twin_actions, effect_routes, model_routes, live_routes, measuring_routes,
                  job_routes):  # fmt: skip
         app.include_router(part.router)
     app.add_api_route("/", lambda: RedirectResponse("/campaigns", 303), include_in_schema=False)
@@ -67,6 +68,8 @@ def run(
     listening: socket.socket,
     effects_path: Path | None,
     announce: Callable[[str], None],
+    *,
+    private: bool = False,
 ) -> None:
     """Serve until a signal ends it.
 
@@ -82,8 +85,10 @@ def run(
         Folder of the user's own effects.
     announce : callable
         Gets the address, once it answers.
+    private : bool
+        Whether reading needs the token too.
     """
-    access = Access(host, int(listening.getsockname()[1]))
+    access = Access(host, int(listening.getsockname()[1]), private)
     bench = Bench(home, access, effects_path)
     threading.Thread(target=_warm, args=(bench,), daemon=True).start()
     config = uvicorn.Config(

@@ -20,7 +20,7 @@ _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH = 4
 _CHUNK = 1024 * 1024
 _PART = re.compile(r"[\w(][\w .,()+\-]{0,119}")
-_ALLOWED = "a .b5r, a .zip of a campaign folder, or all files of one with its campaign.toml"
+_ALLOWED = "a .b5r, a .csv, a .zip of a campaign folder, or all files of one with its campaign.toml"
 
 
 class Trays:
@@ -144,10 +144,11 @@ def sources(folder: Path) -> list[Path]:
         archive.unlink()
     found = sorted(folder.rglob("campaign.toml"))
     homes = [toml.parent for toml in found]
+    alone = {".b5r"} if homes else {".b5r", ".csv", ".parquet"}
     loose = [
         path
         for path in sorted(folder.rglob("*"))
-        if path.suffix.lower() == ".b5r" and not any(path.is_relative_to(home) for home in homes)
+        if path.suffix.lower() in alone and not any(path.is_relative_to(home) for home in homes)
     ]
     if homes or loose:
         return [*homes, *loose]

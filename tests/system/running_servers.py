@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import select
@@ -57,11 +58,12 @@ class Up:
             self.process.send_signal(signal.SIGINT)
         return self.process.wait(60)
 
-    def ask(self, path: str, body: dict[str, Any]) -> Any:
+    def ask(self, path: str, body: dict[str, Any], **headers: str) -> Any:
+        secret = base64.b64encode((self.home.root / "prefect-auth").read_bytes()).decode()
         request = urllib.request.Request(
             self.addresses["prefect_api"] + path,
             json.dumps(body).encode(),
-            {"content-type": "application/json"},
+            {"content-type": "application/json", "Authorization": f"Basic {secret}"} | headers,
         )
         with urllib.request.urlopen(request, timeout=20) as reply:
             return json.load(reply)

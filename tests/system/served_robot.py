@@ -105,7 +105,8 @@ def applied_um(robot: VirtualRobot) -> float:
 def wait_until_corrected(robot: VirtualRobot) -> None:
     until = time.monotonic() + 60
     while applied_um(robot) < 15.0:
-        assert time.monotonic() < until
+        ended = [p.communicate() for p in _STARTED if p.poll() not in (None, 0)]
+        assert time.monotonic() < until, ended
         time.sleep(0.02)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -119,7 +120,35 @@ def follow(
     return said
 
 
+_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
+
+
 def _printed(shown: str, recent: set[str]) -> bool:
-    if shown.endswith("…"):
-        return any(line.startswith(shown.rstrip("… ")) for line in recent)
-    return not shown or shown in recent
+    """Whether a line was printed: words as they are, numbers to the precision that is shown.
+
+    Which way the last digit is rounded depends on the processor.
+    """
+    if not shown:
+        return True
+    begun = shown.endswith("…")
+    return any(alike(shown.rstrip("… "), line, begun=begun) for line in recent)
+
+
+def alike(shown: str, line: str, *, begun: bool = False) -> bool:
+    """Whether two lines say the same; with ``begun`` the second may go on."""
+    words, said = (" ".join(_NUMBER.sub("#", text).split()) for text in (shown, line))
+    if not (said.startswith(words) if begun else said == words):
+        return False
+    pairs = zip(_NUMBER.finditer(shown), _NUMBER.finditer(line), strict=False)
+    return all(
+        abs(float(one[0]) - float(other[0])) <= 1.001 * _step(one, shown) for one, other in pairs
+    )
+
+
+def _step(number: re.Match[str], text: str) -> float:
+    """Return what one more in the last digit is; 0 for a count, which is exact."""
+    decimals, exponent = number[1], number[2]
+    if decimals is None and exponent is None:
+        return 1.0 if text[number.end() :].startswith(" %") else 0.0
+    last = 10.0 ** -(len(decimals) - 1 if decimals else 0)
+    return last * 10.0 ** int(exponent[1:]) if exponent else last

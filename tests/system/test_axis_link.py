@@ -19,6 +19,7 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DeviceError, GateRefusal, InputError
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, COMMANDED, tone_contract
+from dtwin.links import state as layout
 from dtwin.links.axis_link import AxisLink
 from dtwin.links.live_values import LiveValues
 from dtwin.links.virtual_key import proof
@@ -111,6 +112,22 @@ def test_every_state_gets_its_own_correction_on_the_machine_clock(home: Home) ->
     assert status.timing["missed_states"] == 0
 
 
+def test_on_the_machine_clock_a_state_that_is_played_back_counts_for_nothing(home: Home) -> None:
+    class Stuck(Sledge):
+        def state(self, tick: int) -> Mapping[str, float]:
+            # Of tick 50 until 99, of a second before until 149.
+            played = {50: 50, 100: tick - 100}.get(tick // 50 * 50, tick) if tick < 150 else tick
+            return {**super().state(played), "timestamp_s": played * PERIOD_S}
+
+    sledge = Stuck(250)
+    with AxisControl(sledge, home) as control:
+        found = served(home, control.address)
+    assert found.status.ended == "finished"
+    assert sledge.offset_um[40:50, 2].all()
+    assert not sledge.offset_um[55:149, 2].any()
+    np.testing.assert_allclose(sledge.offset_um[200:, 2], sledge.wanted_um()[200:], atol=1e-9)
+
+
 @pytest.mark.parametrize("mode", ["shadow", "dry-run"])
 def test_who_only_looks_moves_nothing(home: Home, mode: str) -> None:
     sledge = Sledge(100)
@@ -181,8 +198,13 @@ def test_on_the_wall_clock_the_control_lets_go_by_itself(home: Home) -> None:
         while time.monotonic() < until_s:
             link.wait_state(0.02)
         assert control.server.watchdog_trips == 1
-        link.send(np.array([3.0, 0.0, 8.0]), 2)
-        while link.newest[46] != 2.0:
+        assert link.newest[layout.APPLIED_SEQUENCE] == 0.0
+        # What was dropped comes back only from zero.
+        link.send(np.array([0.0, 0.0, 9.0]), 2)
+        link.wait_state(0.05)
+        link.send(np.zeros(3), 3)
+        link.send(np.array([3.0, 0.0, 8.0]), 4)
+        while link.newest[layout.APPLIED_SEQUENCE] != 4.0:
             link.wait_state(0.02)
         # A client that goes without a word.
         link.close()
@@ -190,6 +212,7 @@ def test_on_the_wall_clock_the_control_lets_go_by_itself(home: Home) -> None:
     in_force = np.flatnonzero(held == 7.0)
     assert 1 <= len(in_force) <= round(WATCHDOG_S / PERIOD_S) + 3
     assert (held == 8.0).any()
+    assert not (held == 9.0).any()
     assert not held[-5:].any()
     assert not sledge.offset_um[:, 0].any(), "an axis that takes no offset was moved"
 

@@ -4,25 +4,26 @@ from __future__ import annotations
 
 import base64
 import json
+import threading
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from closed_loop import circles
 from running_servers import MACHINE, Up, wait_for
 
+from dtwin.acquire.b5r import write_b5r
 from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.pipeline.modelling import (
-    geometry_of,
-    make_champion,
-    measure_evidence,
-    put_on_trial,
-)
+from dtwin.pipeline.desk import open_question
+from dtwin.pipeline.evidence import make_champion, measure
+from dtwin.pipeline.modelling import put_on_trial
 from dtwin.pipeline.twins import Twins
-from dtwin.train.evidence import EvidencePlan
+from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.registry import Registry
 from flows import _plots
 from flows._artifacts import slug
@@ -33,6 +34,7 @@ from flows.diagnose import diagnose_flow
 from flows.ingest import ingest_flow
 from flows.reach import running
 from flows.recheck import recheck_flow
+from flows.simulate import simulate_flow
 
 pytest_plugins = ["scheduled_servers"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]
@@ -116,11 +118,38 @@ def test_a_measured_campaign_is_kept_when_the_flow_runs_again(up: Up, tmp_path: 
         encoding="utf-8",
     )
     options = {"plan_file": plan, "out": tmp_path / "small", "to_lake": False}
-    first, again = run(campaign_flow, **options), run(campaign_flow, **options)
+    first, again = run(simulate_flow, **options), run(simulate_flow, **options)
     assert (first["measured"], first["kept"]) == (1, 0)
     assert (again["measured"], again["kept"]) == (0, 1)
-    left = up.artifacts_of(up.runs_of("campaign")[-1])
+    left = up.artifacts_of(up.runs_of("simulate")[-1])
     assert "small" in " ".join(left)
+
+
+def test_the_flow_measures_on_a_machine_and_says_what_to_do_next(up: Up, tmp_path: Path) -> None:
+    plan = tmp_path / "shop.toml"
+    plan.write_text(
+        '[plan]\nname = "shop"\nmachine = "mill-a"\n[grid]\nradius_mm = [50.0]\n'
+        'feed_mm_min = [1000.0]\nplane = ["XY"]\nrepeats = 1\n',
+        encoding="utf-8",
+    )
+    inbox, folder = tmp_path / "inbox", tmp_path / "shop"
+    inbox.mkdir()
+
+    def play() -> None:
+        wait_for(lambda: open_question(folder), 120, "nothing is asked")
+        runs = [replace(run, window=(0, 360)) for run in circles([""])]
+        write_b5r(inbox / "result.b5r", runs, name="result", machine="mill-a")
+
+    operator = threading.Thread(target=play, daemon=True)
+    operator.start()
+    found = run(campaign_flow, plan_file=plan, inbox=inbox, out=folder, settle_s=0.2)
+    operator.join()
+    assert (found["measured"], found["added"]) == (1, 2)
+    left = up.artifacts_of(up.runs_of("campaign")[-1])
+    (told,) = cells(left["measured-shop"])
+    assert told["tests"] == "1"
+    tasks = up.ask("/task_runs/filter", {"limit": 200})
+    assert "measure shop" in {task["name"] for task in tasks}
 
 
 def test_a_user_s_mistake_fails_the_run_with_the_reason(up: Up) -> None:
@@ -139,10 +168,9 @@ def test_a_champion_that_harms_another_machine_is_withdrawn_by_the_flow(up: Up) 
     assert (left_out["verdict"], left_out["reason"]) == ("left out", "no such model version")
     candidate = registry.version(MACHINE, "candidate")
     put_on_trial(up.home, candidate)
-    geometry = geometry_of(registry, candidate)
     plan = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
-    evidence = measure_evidence(up.home, candidate, geometry, seed=0, plan=plan)
-    path, reason = make_champion(up.home, candidate, evidence.as_dict())
+    measure(up.home, candidate, seed=0, plan=plan)
+    path, reason = make_champion(up.home, candidate)
     assert path, reason
     # Another arm under the same name: its errors are others, and the equation adds its own.
     found = run(recheck_flow, machine=MACHINE, seed=9, blocks=2)[MACHINE]
@@ -157,7 +185,7 @@ def test_a_named_server_that_is_silent_is_said_so(up: Up, monkeypatch: pytest.Mo
     assert running_server(up.home) == up.addresses["prefect_api"]
     monkeypatch.setenv("PREFECT_API_URL", "http://127.0.0.1:9/api")
     with pytest.raises(InputError, match="does not answer"):
-        run(campaign_flow, quick=True)
+        run(simulate_flow, quick=True)
 
 
 def test_servers_of_a_killed_process_are_not_believed(up: Up, tmp_path: Path) -> None:
@@ -190,3 +218,18 @@ def test_plots_are_pictures_of_their_own_with_escaped_text() -> None:
     image = _plots.markdown("circle", polar)
     data = image.partition("base64,")[2].rstrip(")")
     assert base64.b64decode(data).decode() == polar
+
+
+def test_a_flow_started_on_the_page_keeps_to_its_folders(scheduled_up: Up, tmp_path: Path) -> None:
+    up, elsewhere = scheduled_up, tmp_path
+    deployment = next(
+        d for d in up.ask("/deployments/filter", {}) if "ingest_flow" in d["entrypoint"]
+    )
+    wanted = {"parameters": {"sources": [str(elsewhere)]}}
+    run = up.ask(f"/deployments/{deployment['id']}/create_flow_run", wanted)
+
+    def ended() -> str:
+        found = up.ask("/flow_runs/filter", {"flow_runs": {"id": {"any_": [run["id"]]}}})
+        return str(found[0]["state"]["message"]) if found[0]["state"]["type"] == "FAILED" else ""
+
+    assert "keeps to its folders" in wait_for(ended, 120, "the flow did not end")

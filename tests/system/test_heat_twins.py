@@ -210,5 +210,5 @@ def test_twins_of_one_kind_are_not_taken_for_those_of_another(said: Said, lake: 
     assert seen["heat"]["verdict"] == "missing_effect"
     spoilt = lake / "twins" / "heat" / "v001.json"
     spoilt.write_text(spoilt.read_text("utf-8").replace('"effects"', '"defects"'), "utf-8")
-    with pytest.raises(StoreError, match="not a twin of heat"):
+    with pytest.raises(StoreError, match="cannot be read"):
         HeatTwins(home()).newest("heat")

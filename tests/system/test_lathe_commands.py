@@ -174,6 +174,7 @@ def test_positions_are_trained_promoted_and_tried_like_circles(
     assert scheduled_training(home()).campaigns == {
         "again": "0 new runs", "served": "a correction was in force while it was measured",
         "map": "older than the newest campaign that was trained on",
+        "evidence-virtual-lathe-v1": "a correction was in force while it was measured",
     }  # fmt: skip
     newest = Registry(home()).version("virtual-lathe", "candidate")
     assert "cannot be judged on recorded runs" in newest.tags["against_champion"]

@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 
 from dtwin.cli import app
 from dtwin.config import Home
-from dtwin.errors import DtwinError
 from dtwin.report.mill_story import mill_story_text
 from dtwin.serve.pointer import resolve
 
@@ -106,9 +105,16 @@ def test_the_text_tells_all_of_it(told: Any) -> None:
     assert "-790.8 %" in text
 
 
-def test_elsewhere_this_mill_cannot_be_moved(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_evidence_is_in_the_lake_and_refuses_the_map_again(
+    told: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     home, _ = told
     monkeypatch.setenv("DTWIN_HOME", str(home))
-    done = CliRunner().invoke(app, ["promote", "2", "--machine", MACHINE])
-    assert isinstance(done.exception, DtwinError)
-    assert done.exception.code == "evidence.mill"
+    version = story(told)["map_gates"]["version"]
+    done = CliRunner().invoke(app, ["promote", version, "--machine", MACHINE, "--json"])
+    assert done.exit_code == 3
+    found = json.loads(done.stdout)
+    assert "no condition worse: XY R50 F100" in found["reason"]
+    assert found["evidence"]["campaigns"] == {
+        way: [f"evidence-{MACHINE}-v{version}"] for way in ("without", "with")
+    }

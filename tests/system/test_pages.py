@@ -8,9 +8,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from chromium import FLAGS
-from conftest import require_program
-from playwright.sync_api import Browser, Page, expect, sync_playwright
+from chromium import chromium
+from playwright.sync_api import Browser, Page, expect
 from running_servers import MACHINE, Up
 
 from dtwin.train.registry import Registry
@@ -26,11 +25,8 @@ PATIENCE_MS = 30_000
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = require_program("chromium", "chromium")
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=program, args=FLAGS)
+    with chromium() as started:
         yield started
-        started.close()
 
 
 @pytest.fixture
@@ -59,6 +55,8 @@ def test_prefect_shows_the_run_with_its_tables_and_plots(
     asked: set[str] = set()
     page.on("request", lambda request: asked.add(urlsplit(request.url).hostname or ""))
 
+    page.goto(up.addresses["prefect_enter"])
+    page.wait_for_url("**/dashboard*")
     page.goto(f"{up.addresses['prefect']}/runs/flow-run/{shown['id']}")
     expect(page.get_by_text("diagnose quick").first).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_text("Completed").first).to_be_visible()

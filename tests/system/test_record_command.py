@@ -106,7 +106,9 @@ def test_a_recorded_run_goes_into_the_lake_with_the_ball_bar_s_file(
     assert added == ["r001-ccw", "r001-cw"]
     lake = Lake(dtwin_home().lake)
     row = next(row for row in lake.runs("campaign") if row["run_id"] == "r001-cw")
-    assert (row["machine"], row["setup"]) == ("cobot-a", "s7")
+    assert (row["machine"], row["setup"], row["correction"]) == ("cobot-a", "s7", "")
+    # The controller that answered is a virtual one, whatever the machine is called.
+    assert lake.campaign("campaign").machine_geometry == {"virtual": True}
     groups = {group.name: group for group in lake.load(row).signals}
     felt, controller = groups["accelerometers"], groups["controller"]
     assert (felt.rate_hz, controller.rate_hz) == (RATE_HZ, 125.0)
@@ -117,6 +119,10 @@ def test_a_recorded_run_goes_into_the_lake_with_the_ball_bar_s_file(
 
     refused = dtwin("record", "--sensors", sensors, "--run", "r001", "--out", folder, code=1)
     assert "record.exists" in refused
+    toml = folder / "campaign.toml"
+    toml.write_text(toml.read_text("utf-8").replace("virtual = true", "virtual = false"), "utf-8")
+    refused = dtwin("record", "--robot", robot.host, "--duration", "1", "--out", folder, code=1)
+    assert "record.virtual" in refused
 
 
 def test_what_a_killed_recording_had_is_recovered_by_the_next_one(

@@ -71,6 +71,15 @@ def test_a_spoilt_or_cut_file_is_made_again(home: Home, spoilt: bytes | None) ->
     assert path.read_bytes() == kept
 
 
+def test_a_header_that_is_no_python_any_more_is_damage(home: Home) -> None:
+    first = load(home, _name(home))
+    (path,) = (home.root / "reduced").glob("*.npz")
+    kept = path.read_bytes()
+    place = kept.index(b"}", kept.index(b"'descr'"))
+    path.write_bytes(kept[:place] + b" " + kept[place + 1 :])
+    assert_same(first, load(home, _name(home)))
+
+
 def test_other_runs_are_not_taken_for_these(home: Home) -> None:
     load(home, _name(home))
     rows = Lake(home.lake).runs(_name(home))

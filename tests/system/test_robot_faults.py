@@ -101,7 +101,8 @@ def cut_while_pushing(robot: VirtualRobot, path: Path) -> dict[str, np.ndarray]:
         first = int(state[layout.APPLIED_SEQUENCE]) + 1
         with pytest.raises(DeviceError) as caught:  # noqa: PT012
             for sequence in range(first, first + 5000):
-                link.send(PUSH_UM, sequence)
+                held = state is not None and state[layout.APPLIED_SEQUENCE]
+                link.send(PUSH_UM if held else np.zeros(3), sequence)
                 state = link.wait_state(5.0)
                 if sequence > first + 100 and state is not None and state[layout.APPLIED] > 99.0:
                     robot.do("drop")
@@ -227,8 +228,9 @@ def test_a_frozen_host_leaves_a_half_open_link_and_the_robot_lets_go(robot: Virt
         assert state is not None
         first = int(state[layout.APPLIED_SEQUENCE]) + 1
         for sequence in range(first, first + 60):
-            link.send(PUSH_UM, sequence)
-            link.wait_state(5.0)
+            link.send(PUSH_UM if state[layout.APPLIED_SEQUENCE] else np.zeros(3), sequence)
+            state = link.wait_state(5.0)
+            assert state is not None
         os.kill(link.process_id, signal.SIGSTOP)
         with pytest.raises(DeviceError, match="hangs") as caught:  # noqa: PT012
             while True:

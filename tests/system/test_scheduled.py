@@ -16,24 +16,20 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.drift import champion_of, check_drift, trained_rows
+from dtwin.pipeline.evidence import make_champion, measure
 from dtwin.pipeline.measuring import ingest
-from dtwin.pipeline.modelling import (
-    geometry_of,
-    make_champion,
-    measure_evidence,
-    put_on_trial,
-    train,
-)
+from dtwin.pipeline.modelling import put_on_trial, train
 from dtwin.pipeline.rechecking import recheck
 from dtwin.pipeline.scheduled import news, scheduled_training
 from dtwin.plan import training_plan
 from dtwin.serve.pointer import resolve
 from dtwin.store import Lake
-from dtwin.train.evidence import EvidencePlan
+from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.promotion import check_version, history
 from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+_CORRECTED = "a correction was in force while it was measured"
 CIRCLES = EvidencePlan((("YZ", 150.0, 5000.0),), 2, (4000.0, 6000.0))
 
 
@@ -44,9 +40,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
     measured(made, "quick")
     registered = train(made, "quick")
     put_on_trial(made, registered.version)
-    geometry = registered.training.geometry
-    evidence = measure_evidence(made, registered.version, geometry, seed=0, plan=CIRCLES)
-    path, reason = make_champion(made, registered.version, evidence.as_dict())
+    measure(made, registered.version, seed=0, plan=CIRCLES)
+    path, reason = make_champion(made, registered.version)
     assert path, reason
     return made
 
@@ -59,7 +54,9 @@ def test_an_empty_lake_is_skipped_with_the_reason(tmp_path: Path) -> None:
 
 def test_what_was_trained_on_is_not_new(home: Home) -> None:
     done = scheduled_training(home)
-    assert (done.outcome, done.campaigns) == ("skipped", {"quick": "0 new runs"})
+    assert (done.outcome, done.campaigns) == (
+        "skipped", {"quick": "0 new runs", f"evidence-{MACHINE}-v1": _CORRECTED}
+    )  # fmt: skip
     assert done.reason.endswith("since version 1 of virtual-cobot (quick)")
 
 
@@ -88,7 +85,10 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
     toml.write_text(text, encoding="utf-8")
     ingest(home.campaigns / "grown", home)
     assert {row["content_sha256"] for row in trained_rows(registry, lake, champion)} == before
-    assert [item.new_runs for item in news(home, registry)] == [4]
+    # Beside them, the runs of its own evidence: nothing is trained on these.
+    assert {item.campaign: item.new_runs for item in news(home, registry)} == {
+        "quick": 4, f"evidence-{MACHINE}-v1": 8,
+    }  # fmt: skip
     check = check_drift(home, champion, "quick")
     assert check.error is not None
     assert check.error.n_runs == 4
@@ -165,8 +165,11 @@ def turned_gears() -> VirtualCobot:
 
 
 def test_a_champion_that_still_helps_is_kept(home: Home) -> None:
+    before = resolve("latest", MACHINE, home).proved
     done = recheck(home, MACHINE, blocks=2, seed=0)
     assert (done.found.verdict, done.withdrawn) == ("helps", False), done.found.reason
+    proved = resolve("latest", MACHINE, home).proved
+    assert before < proved == Registry(home).version(MACHINE, "champion").tags["proved"]
     assert done.found.conditions[-1].after_um < done.found.conditions[-1].before_um
     champion = Registry(home).version(MACHINE, "champion")
     assert champion.version == done.version.version
@@ -182,8 +185,8 @@ def test_a_champion_that_harms_a_changed_machine_is_rolled_back(
     first = registry.version(MACHINE, "champion")
     later = registry.version(MACHINE, "2")
     put_on_trial(home, later)
-    evidence = measure_evidence(home, later, geometry_of(registry, later), seed=0, plan=CIRCLES)
-    path, reason = make_champion(home, later, evidence.as_dict())
+    measure(home, later, seed=0, plan=CIRCLES)
+    path, reason = make_champion(home, later)
     assert path, reason
     done = recheck(home, MACHINE, cobot=turned_gears(), blocks=2, seed=0)
     assert (done.found.verdict, done.withdrawn, done.restored) == ("worse", True, first.version)

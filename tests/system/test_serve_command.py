@@ -209,6 +209,19 @@ def test_tampered_bundle(robot: VirtualRobot, home: Home, how: str) -> None:
     )
 
 
+def test_a_champion_whose_evidence_has_expired(robot: VirtualRobot, home: Home) -> None:
+    promote(home, provenance=Provenance(evidence="virtual", valid_days=30.0))
+    code, answer, _ = served(f"--host={robot.host}", "--duration=1")
+    assert (code, answer["error"]["code"]) == (3, "serve.expired")
+    code, _, err = served(f"--host={robot.host}", "--duration=0.5", "--expired=warn")
+    assert code == 0
+    assert "WARNING: the evidence has expired" in err
+    code, _, err = served(f"--host={robot.host}", "--duration=0.5", "--shadow")
+    assert (code, "expired" in err) == (0, False)
+    code, answer, _ = served(f"--host={robot.host}", "--expired=ignore")
+    assert (code, answer["error"]["code"]) == (1, "serve.expired_option")
+
+
 def test_bundle_of_another_machine(robot: VirtualRobot, home: Home) -> None:
     promote(home, machine="cobot-b")
     code, answer, _ = served(f"--host={robot.host}", "--duration=1")

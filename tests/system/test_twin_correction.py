@@ -19,9 +19,10 @@ from dtwin.errors import DtwinError
 from dtwin.report.correction import correction_text
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import resolve
-from dtwin.train.evidence import EvidencePlan
+from dtwin.train.circle_evidence import EvidencePlan
+from dtwin.train.evidence import Evidence
 from dtwin.train.gates import evidence_gate
-from dtwin.train.mill_evidence import mill_evidence
+from dtwin.train.mill_evidence import measured_mill
 from dtwin.train.twin_bundle import wrong_way
 
 ROOT = Path(__file__).parents[2]
@@ -75,31 +76,33 @@ def test_the_error_falls_by_what_was_predicted(told: Any) -> None:
     assert "backlash X" in correction_text(found)
     bundle = _served("latest", home)
     evidence = _evidence(bundle)
-    (measured,) = evidence.conditions
+    measured = _only_condition(evidence)
     here = [p for p in found["predicted"] if (p["radius_mm"], p["feed_mm_min"]) == (150.0, 2000.0)]
     removed = np.mean([p["rms_before_um"] ** 2 - p["rms_predicted_um"] ** 2 for p in here])
     # Noise and mounting differ from session to session; what is removed does not.
-    assert measured.before_um**2 - measured.after_um**2 == pytest.approx(removed, rel=0.15)
-    assert measured.after_um < 1.25 * measured.oracle_um
-    assert measured.acted == {"ok": 1.0}
-    assert all(v.passed for v in evidence_gate(evidence.as_dict(), bundle, real=False))
+    assert measured["before_um"] ** 2 - measured["after_um"] ** 2 == pytest.approx(
+        removed, rel=0.15
+    )
+    assert measured["after_um"] < 1.25 * measured["oracle_um"]
+    assert measured["acted"] == {"ok": 1.0}
+    assert all(v.passed for v in evidence_gate(evidence, bundle, real=False))
 
 
 def test_outside_of_what_was_measured_nothing_is_corrected(told: Any) -> None:
     home, _ = told
     wide = EvidencePlan((("XY", 200.0, 2000.0),), 2, (2000.0,))
-    (measured,) = _evidence(_served("latest", home), wide).conditions
-    assert measured.acted == {"outside_box": 1.0}
-    assert measured.after_um == pytest.approx(measured.before_um, rel=0.1)
+    measured = _only_condition(_evidence(_served("latest", home), wide))
+    assert measured["acted"] == {"outside_box": 1.0}
+    assert measured["after_um"] == pytest.approx(measured["before_um"], rel=0.1)
 
 
 def test_a_lost_sign_makes_it_worse_and_the_gate_refuses(told: Any) -> None:
     home, _ = told
     wrong = wrong_way(_served("latest", home))
     evidence = _evidence(wrong)
-    (measured,) = evidence.conditions
-    assert measured.after_um > 1.6 * measured.before_um
-    verdicts = {v.gate: v for v in evidence_gate(evidence.as_dict(), wrong, real=False)}
+    measured = _only_condition(evidence)
+    assert measured["after_um"] > 1.6 * measured["before_um"]
+    verdicts = {v.gate: v for v in evidence_gate(evidence, wrong, real=False)}
     assert not verdicts["no condition worse"].passed
     assert not verdicts["error falls"].passed
 
@@ -121,9 +124,8 @@ def test_what_is_not_confirmed_can_be_tried_but_never_be_champion(
     where = ["--machine", "virtual-mill"]
     assert run(["promote", version, *where, "--trial"])[0] == 0
     bundle = _served("trial", home)
-    evidence = home / "evidence.json"
-    evidence.write_text(json.dumps(_evidence(bundle).as_dict()), encoding="utf-8")
-    code, output = run(["promote", version, *where, "--evidence", str(evidence)])
+    assert bundle.model_version == int(version)
+    code, output = run(["promote", version, *where])
     assert code == 3
     assert "the twin is confirmed" in output
     assert resolve("latest", "virtual-mill", Home(home)).version == 1
@@ -192,9 +194,15 @@ def _served(model: str, home: Path) -> Bundle:
     return Bundle.from_dict(json.loads(found.path.read_text("utf-8")))
 
 
-def _evidence(bundle: Bundle, plan: EvidencePlan = PLAN) -> Any:
+def _evidence(bundle: Bundle, plan: EvidencePlan = PLAN) -> Evidence:
     geometry = geometry_of_mill("backlash")
-    return mill_evidence(
+    measured = measured_mill(
         bundle, partial(virtual_mill, "backlash"), seed=3, plan=plan,
         delay_s=geometry["correction_delay_s"],
     )  # fmt: skip
+    return measured.evidence(bundle.machine, bundle.model_sha256)
+
+
+def _only_condition(evidence: Evidence) -> dict[str, Any]:
+    (condition,) = evidence.as_dict()["conditions"]
+    return dict(condition)

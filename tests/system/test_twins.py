@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dtwin.acquire.amending import amend, leave_out
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.physics.library import Library
@@ -20,6 +21,7 @@ from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twin_intervention import confirm, interventions
 from dtwin.pipeline.twins import Twins
 from dtwin.report.twins import twin_text
+from dtwin.store import Lake
 from dtwin.train.symbolic import OperonEngine
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
@@ -233,9 +235,28 @@ def test_copies_are_no_repeats(home: Home, tmp_path: Path) -> None:
         tmp_path / "copied", "none", name="copied", feeds=(2000.0,), radii=(100.0,), repeats=2
     )
     shutil.copy(folder / "r001.csv", folder / "r003.csv")
-    with pytest.raises(InputError, match="same readings") as caught:
-        Twins(home).fit(str(folder), KNOWN, "copied")
-    assert "r001 and r003" in str(caught.value.where)
+    twin = Twins(home).fit(str(folder), KNOWN, "copied")
+    assert list(twin.data["left_out"]) == ["r003"]
+    assert "samples are those of run r001" in twin.data["left_out"]["r003"]
+
+
+def test_what_was_left_out_or_stated_anew_is_told_by_twin_and_diagnosis(
+    home: Home, tmp_path: Path
+) -> None:
+    folder = write_campaign(
+        tmp_path / "told", "none", name="told", feeds=(2000.0,), radii=(100.0,), repeats=3
+    )
+    twins = Twins(home)
+    before = twins.fit(str(folder), KNOWN, "told")
+    leave_out(Lake(home.lake), "told", ["r001"], "the magnet slipped")
+    amend(Lake(home.lake), "told", ["instrument.calibrated_mm=100.015"], "another master")
+    twin = twins.fit("told", KNOWN, "told")
+    assert twin.data["n_runs"] == before.data["n_runs"] - 1
+    assert twin.data["left_out"] == {"r001": "the magnet slipped"}
+    assert twin.data["amendments"] == Lake(home.lake).versions()["amendments"]
+    _, found = twins.diagnose("told")
+    assert "left out, r001: the magnet slipped" in found.told
+    assert "another master" in found.told[-1]
 
 
 def test_a_twin_stays_on_its_machine_and_says_where_it_is_outside(
@@ -352,25 +373,28 @@ def test_an_older_version_can_be_restored_as_a_new_one(twins: Twins) -> None:
 def test_a_formula_is_learned_where_nothing_in_the_library_helps(
     home: Home, tmp_path: Path
 ) -> None:
-    load(home, str(write_campaign(tmp_path / "odd", "strange", name="odd-mill", machine="mill-c")))
+    load(
+        home,
+        str(write_campaign(tmp_path / "odd", "strange", name="strange-mill", machine="mill-c")),
+    )
     twins = Twins(home)
-    first = twins.fit("odd-mill", KNOWN, "odd")
-    second, learned = twins.learn_formula("odd", OperonEngine())
+    first = twins.fit("strange-mill", KNOWN, "strange")
+    second, learned = twins.learn_formula("strange", OperonEngine())
     assert learned.groups == 6
     assert learned.gain > 0.7
     assert second.figures["rms_after_um"] < 0.5 * first.figures["rms_after_um"]
     (factor,) = [e for e in second.estimates if e.effect.startswith("learned_formula_")]
     assert factor.value == pytest.approx(1.0, abs=0.1)
     # Another process reads the formula back from its file.
-    again = Twins(home).newest("odd")
+    again = Twins(home).newest("strange")
     assert again.labels == second.labels
-    assert Twins(home).compare("odd").as_dict()["residual_rms_um"] == pytest.approx(
+    assert Twins(home).compare("strange").as_dict()["residual_rms_um"] == pytest.approx(
         second.figures["rms_after_um"], rel=0.02
     )
     kept = home.root / "formulas" / f"{factor.effect}.json"
     kept.write_text(json.dumps({"text": "__import__('os').system('true')"}))
-    with pytest.raises(InputError, match="not a formula"):
-        Twins(home).newest("odd")
+    with pytest.raises(StoreError, match="formula cannot be read"):
+        Twins(home).newest("strange")
 
 
 def test_nothing_is_learned_from_what_is_known(twins: Twins) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import re
 import subprocess
 import sys
@@ -14,9 +15,8 @@ from pathlib import Path
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
-from chromium import FLAGS
-from conftest import require_program
-from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+from chromium import chromium
+from playwright.sync_api import Browser, BrowserContext, Page, expect
 from workbench_server import Workbench, running_workbench
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
@@ -51,11 +51,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    program = require_program("chromium", "chromium")
-    with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=program, args=FLAGS)
+    with chromium() as started:
         yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")
@@ -252,6 +249,41 @@ def test_a_real_recording_is_dropped_on_the_page(
     page.get_by_role("link", name="ccw", exact=True).click()
     _settled(page)
     expect(page.get_by_text("spectrum of one run")).to_be_visible()
+
+
+def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(
+    page: Page, bench: Workbench
+) -> None:
+    page.goto(f"{bench.base}/campaigns")
+    t_s = [i * 0.01 for i in range(800)]
+    rows = [f"{t:.2f};{-45 * t:.2f};{3 * math.sin(t) + 0.7 * math.cos(9 * t):.3f}" for t in t_s]
+    content = "t_s;angle_deg;deviation_um\n" + "\n".join(rows).replace(".", ",")
+    page.set_input_files(
+        "#pick-files", {"name": "alone.csv", "mimeType": "text/csv", "buffer": content.encode()}
+    )
+    page.get_by_label("Machine", exact=True).fill("mill-x")
+    page.get_by_label("Plane").select_option("XY")
+    page.get_by_label("Radius, mm").fill("1500")
+    page.get_by_label("Programmed feed, mm/min").fill("7069")
+    page.get_by_role("button", name="Ingest").click()
+    page.wait_for_url("**/campaigns/alone")
+    expect(page.locator("tbody").get_by_text("CW", exact=True)).to_be_visible()
+    expect(page.get_by_text("a wrong feed, or a radius in another unit")).to_be_visible()
+
+    page.get_by_label("Field").fill("radius_mm")
+    page.get_by_label("is", exact=True).fill("150")
+    page.get_by_label("because").fill("one nought too many")
+    page.get_by_role("button", name="Amend").click()
+    expect(page.get_by_text("radius_mm stated anew, because one nought too many")).to_be_visible()
+    expect(page.get_by_text("a radius in another unit")).to_have_count(0)
+
+    page.get_by_role("link", name="alone", exact=True).click()
+    _settled(page)
+    page.get_by_label("Because").fill("the magnet slipped")
+    page.get_by_role("button", name="Leave this run out").click()
+    expect(page.get_by_text("left out by hand")).to_be_visible()
+    expect(page.get_by_text("left out, because the magnet slipped")).to_be_visible()
+    expect(page.get_by_text("radius_mm stated anew, because one nought too many")).to_be_visible()
 
 
 def test_what_cannot_be_ingested_is_said_in_the_words_of_the_command_line(

@@ -8,13 +8,13 @@ import signal
 import statistics
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from chromium import FLAGS
-from conftest import require_program
-from playwright.sync_api import expect, sync_playwright
+from chromium import chromium
+from playwright.sync_api import expect
 from served_robot import MACHINE, Server, promote, wait_until_corrected, wait_until_released
 from virtual_robot import virtual_robot
 from workbench_server import Workbench, running_workbench
@@ -96,13 +96,11 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
     """Real server, real ur-rtde client, virtual controller on the wall clock."""
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path))
     promote(dtwin_home())
-    program = require_program("chromium", "chromium")
     with (
         virtual_robot("--feed-mm-min=12000", "--radius-mm=50") as robot,
         running_workbench(tmp_path) as workbench,
-        sync_playwright() as playwright,
+        chromium() as browser,
     ):
-        browser = playwright.chromium.launch(executable_path=program, args=FLAGS)
         page = browser.new_page(viewport={"width": 1024, "height": 1300})
         page.set_default_timeout(60_000)
         expect.set_options(timeout=60_000)
@@ -118,16 +116,27 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
         assert int(now.locator("[data-key=ticks]").inner_text()) > first
         expect(page.locator("figcaption", has_text="newest circle of R50")).to_be_visible()
         # The promoted equation foretells 24 um along the radius: so much is taken away.
-        seen = json.loads(workbench.ask(f"/api/live/{MACHINE}/now")[1])
-        assert math.hypot(*seen["correction_um"]) == pytest.approx(24.0, rel=0.01)
+        # After a stall of a busy computer it comes back under the slew limit.
+        until = time.monotonic() + 60
+        while True:
+            seen = json.loads(workbench.ask(f"/api/live/{MACHINE}/now")[1])
+            if math.hypot(*seen["correction_um"]) == pytest.approx(24.0, rel=0.01):
+                break
+            assert time.monotonic() < until, seen["correction_um"]
         drawn = "document.querySelectorAll('[data-moving] .canvas')[1].data.map(d => d.y)"
         page.wait_for_function(f"() => {drawn}.length === 2")
-        with_it, without = page.evaluate(drawn)
-        assert statistics.mean(with_it) - statistics.mean(without) == pytest.approx(-24.0, rel=0.02)
+        # A circle in which the loop stalled, or the program began anew, begins at zero; each next
+        # one is drawn.
+        while True:
+            with_it, without = page.evaluate(drawn)
+            taken = statistics.median(a - b for a, b in zip(with_it, without, strict=True))
+            if taken == pytest.approx(-24.0, rel=0.02):
+                break
+            assert time.monotonic() < until, taken
+            time.sleep(1.0)
         page.screenshot(path=artifacts / "live.png", full_page=True)
         page.get_by_role("button", name="Stop and release the correction").click()
         assert server.end()[0] == 0
         wait_until_released(robot)
         expect(page.get_by_text("Nothing is being served")).to_be_visible()
         assert workbench.ask(f"/api/live/{MACHINE}/now")[0] == 400
-        browser.close()

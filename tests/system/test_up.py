@@ -7,11 +7,17 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
+import urllib.error
 import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
-from running_servers import running_up, wait_for
+from chromium import chromium
+from running_servers import Up, running_up, wait_for
 
 from dtwin.config import Home
 from dtwin.errors import StoreError
@@ -74,11 +80,13 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Pat
         assert listening(children) == {"0100007F"}
 
         served = wait_for(
-            lambda: len(up.ask("/deployments/filter", {})) == 12, 90, "not all flows are served"
+            lambda: len(up.ask("/deployments/filter", {})) == 13, 90, "not all flows are served"
         )
         assert served
         times = [d["schedules"] for d in up.ask("/deployments/filter", {})]
-        assert times == [[]] * 12, "--no-schedule has a schedule"
+        assert times == [[]] * 13, "--no-schedule has a schedule"
+
+        _refuses_strangers(up)
 
         second = dtwin(home, "up")
         assert second.returncode == 1
@@ -92,6 +100,90 @@ def test_up_serves_both_pages_on_loopback_alone_and_leaves_nothing(tmp_path: Pat
     assert set(logs) == {"prefect-server.log", "mlflow-server.log", "flows.log"}
     for name, text in logs.items():
         assert "Traceback" not in text, f"{name}: {text[-2000:]}"
+
+
+def _refuses_strangers(up: Up) -> None:
+    """No other name, no other site, nobody without the auth string; the secrets are private."""
+    for name in ("prefect-auth", "servers.json", "prefect/prefect.db", "mlflow/mlflow.db"):
+        assert (up.home.root / name).stat().st_mode & 0o077 == 0, name
+    assert up.home.root.stat().st_mode & 0o077 == 0
+    page = up.addresses["prefect"]
+    foreign = [
+        {"Origin": "https://evil.example"},
+        {"Origin": "null"},
+        {"Host": "evil.example"},
+        {"Host": "localhost:4200/evil"},
+        {"Sec-Fetch-Site": "cross-site"},
+        {"Sec-Fetch-Site": "same-site"},
+    ]
+    for headers in foreign:
+        assert _status(lambda h=headers: up.ask("/deployments/filter", {}, **h)) == 403, headers
+    assert _status(lambda: up.ask("/deployments/filter", {}, Authorization="")) == 401
+    assert _status(lambda: up.ask("/deployments/filter", {}, Authorization="Basic eDp5")) == 401
+    before = len(up.ask("/flow_runs/filter", {}))
+    deployment = next(d for d in up.ask("/deployments/filter", {}) if "campaign" in d["entrypoint"])
+    secret = up.addresses["prefect_enter"].rpartition("#")[2]
+    with foreign_page(_ATTACK % (page, deployment["id"], secret)) as address, chromium() as browser:
+        opened = browser.new_page()
+        opened.goto(address)
+        opened.wait_for_function("document.title === 'done'", timeout=60_000)
+        got = opened.evaluate("window.got")
+        assert [answer for answer in got if not answer.startswith("blocked")] == []
+        # The user's own way in still works.
+        opened.goto(up.addresses["prefect_enter"])
+        opened.wait_for_url(f"{page}/dashboard*")
+        opened.get_by_text("Run a task or flow").wait_for(timeout=60_000)
+    assert len(up.ask("/flow_runs/filter", {})) == before
+
+
+_ATTACK = """<!doctype html><title>x</title><script>
+const page = %r, id = %r, secret = %r;
+window.got = [];
+const body = JSON.stringify({parameters: {quick: true, out: "xorigin_out", to_lake: true}});
+const ways = [
+  () => fetch(page + "/api/deployments/filter", {method: "POST", body: "{}", headers: {"content-type": "application/json"}}),
+  () => fetch(page + "/api/deployments/filter", {method: "POST", body: "{}", headers: {"content-type": "application/json", Authorization: "Basic " + secret}}),
+  () => fetch(page + `/api/deployments/${id}/create_flow_run`, {method: "POST", mode: "no-cors", body}),
+  () => fetch(page + "/api/health"),
+  () => new Promise((done, no) => { const s = new WebSocket(page.replace("http", "ws") + "/api/events/in"); s.onopen = () => done("socket"); s.onerror = () => no(new Error("refused")); }),
+];
+(async () => {
+  for (const way of ways) {
+    try { const r = await way(); window.got.push(r.type === "opaque" ? "blocked: opaque" : `open ${r.status}`); }
+    catch (error) { window.got.push("blocked: " + error.message); }
+  }
+  document.title = "done";
+})();
+</script>"""
+
+
+@contextmanager
+def foreign_page(text: str) -> Iterator[str]:
+    """A page of another origin: another port of this computer."""
+
+    class Page(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("content-type", "text/html")
+            self.end_headers()
+            self.wfile.write(text.encode())
+
+        def log_message(self, *_: object) -> None:
+            return
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Page)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}/"
+    server.shutdown()
+    server.server_close()
+
+
+def _status(ask: Callable[[], object]) -> int:
+    try:
+        ask()
+    except urllib.error.HTTPError as error:
+        return error.code
+    return 200
 
 
 def test_a_port_in_use_is_said_before_anything_starts(tmp_path: Path) -> None:

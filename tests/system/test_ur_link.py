@@ -57,20 +57,26 @@ def until(link: UrLink, holds: Callable[[np.ndarray], bool], tries: int = 5000) 
     raise AssertionError("never came true")
 
 
+def pushed(state: np.ndarray) -> np.ndarray:
+    """What was dropped comes back only from zero: on a busy host the watchdog may come in between."""
+    return PUSH_UM if state[layout.APPLIED_SEQUENCE] else np.zeros(3)
+
+
 def push(link: UrLink, ticks: int, first_sequence: int = 1) -> np.ndarray:
     state = next_state(link)
     for sequence in range(first_sequence, first_sequence + ticks):
-        link.send(PUSH_UM, sequence)
+        link.send(pushed(state), sequence)
         state = next_state(link)
     return state.copy()
 
 
 def push_until_applied(link: UrLink, first_sequence: int, tries: int = 5000) -> None:
-    """Push until a state says that it acts: on a busy host the watchdog may come in between."""
+    """Push until a state says that it acts."""
+    state = next_state(link)
     for sequence in range(first_sequence, first_sequence + tries):
-        link.send(PUSH_UM, sequence)
-        applied = next_state(link)[layout.APPLIED : layout.APPLIED + 3]
-        if np.abs(applied).max() > 50:
+        link.send(pushed(state), sequence)
+        state = next_state(link)
+        if np.abs(state[layout.APPLIED : layout.APPLIED + 3]).max() > 50:
             return
     raise AssertionError("never applied")
 
@@ -218,8 +224,9 @@ from dtwin.links.ur import UrLink
 link = UrLink({robot.host!r}, realtime=False)
 print(link.process_id, flush=True)
 for sequence in range(1, 100000):
-    link.wait_state(1.0)
-    link.send(np.array([100.0, 0.0, 0.0]), sequence)
+    state = link.wait_state(1.0)
+    held = state is not None and state[{layout.APPLIED_SEQUENCE}]
+    link.send(np.array([100.0 if held else 0.0, 0.0, 0.0]), sequence)
 """
     with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as host:
         assert host.stdout is not None

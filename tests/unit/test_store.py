@@ -267,7 +267,7 @@ def test_a_model_can_be_rebuilt_from_its_table_version(
     lake.commit(replace(CAMPAIGN, name="later"), [make_run("r1")])
     assert lake.tables["samples"].files(versions["samples"]) == before
     assert pa.types.is_float64(
-        lake.tables["samples"].read(before).schema.field("deviation_um").type
+        lake.tables["samples"].read_file(before[0]).schema.field("deviation_um").type
     )
 
 
@@ -311,3 +311,192 @@ def test_a_file_without_page_checksums_gets_them_in_the_lake(tmp_path: Path) -> 
     kept.write_bytes(data)
     with pytest.raises(StoreError, match="damaged"):
         lake.load(lake.runs("c")[0])
+
+
+ESCAPES = [
+    "x/../../../../PWNED",
+    "x/../../../samples/victim/r0",
+    "a/b",
+    "..",
+    "",
+    "a\x00b",
+    "x" * 200,
+]
+
+
+@pytest.mark.parametrize("name", ESCAPES)
+def test_the_name_of_a_signal_group_cannot_leave_the_lake(tmp_path: Path, name: str) -> None:
+    run, source = make_run("r1"), tmp_path / "r1.accelerometers.parquet"
+    write_signals(source, replace(run.signals[0], name=name))
+    with pytest.raises(InputError, match="not a usable name"):
+        read_signals(source)
+    lake = Lake(tmp_path / "deep" / "lake")
+    with pytest.raises(InputError, match="not a usable name"):
+        lake.commit(CAMPAIGN, [replace(run, signals=(replace(run.signals[0], name=name),))])
+    assert [p for p in tmp_path.rglob("*") if p.is_file()] == [source]
+
+
+@pytest.mark.parametrize(
+    "name", ["../x.0123456789abcdef01234567.parquet", "x.parquet", "..parquet"]
+)
+def test_a_name_that_a_row_gives_is_a_file_of_its_table(tmp_path: Path, name: str) -> None:
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [make_run("r1")])
+    with pytest.raises(StoreError, match="no name of a data file"):
+        lake.load({**lake.runs()[0], "samples_file": name})
+
+
+def test_nothing_is_written_before_the_whole_run_is_accepted(tmp_path: Path) -> None:
+    lake, run = Lake(tmp_path / "lake"), make_run("r1")
+    odd = SignalGroup("odd", 100.0, {"x_g": np.array([1 + 2j, 3 + 4j])})
+    with pytest.raises((StoreError, pa.ArrowException)):
+        lake.commit(CAMPAIGN, [replace(run, signals=(odd,))])
+    strange = SignalGroup("odd", 100.0, {"n_1": np.array([1, 2], dtype="u8")})
+    with pytest.raises(StoreError, match="does not keep"):
+        lake.commit(CAMPAIGN, [replace(run, signals=(strange,))])
+    assert list((tmp_path / "lake").rglob("*.parquet")) == []
+
+
+def test_a_replaced_data_file_is_refused(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [make_run("r1")])
+    row = lake.runs()[0]
+    forged = dict(make_run("r1").samples) | {"deviation_um": np.full(400, 42.0)}
+    write_parquet(lake.root / "samples" / row["samples_file"], table_of(forged))
+    with pytest.raises(StoreError, match="damaged"):
+        lake.load(row)
+
+
+def test_a_damaged_or_missing_file_is_written_again_from_its_source(tmp_path: Path) -> None:
+    lake, run = Lake(tmp_path / "lake"), make_run("r1")
+    lake.commit(CAMPAIGN, [run])
+    row = lake.runs()[0]
+    (lake.root / "samples" / row["samples_file"]).write_bytes(b"PAR1")
+    kept_file(lake).unlink()
+    assert lake.commit(CAMPAIGN, [run]).unchanged == ("r1",)
+    np.testing.assert_array_equal(lake.load(row).samples["t_s"], run.samples["t_s"])
+
+
+def test_no_flip_in_any_file_of_a_lake_is_silent(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    for name in ("c", "d"):
+        lake.commit(replace(CAMPAIGN, name=name), [make_run(f"r{i}", i, 60) for i in range(3)])
+    lake.amend(
+        "c", [{"run_id": "r1", "who": "a", "when": "b", "because": "c", "changes": {"setup": "s9"}}]
+    )
+
+    def everything() -> str:
+        rows = lake.runs(left_out=True)
+        return repr([(row, lake.load(row)) for row in rows])
+
+    whole, rng = everything(), np.random.default_rng(7)
+    files = [p for p in lake.root.rglob("*") if p.is_file() and p.stat().st_size]
+    silent = noticed = 0
+    for _ in range(400):
+        path = files[int(rng.integers(len(files)))]
+        clean = path.read_bytes()
+        damaged = bytearray(clean)
+        damaged[int(rng.integers(len(clean)))] ^= 1 << int(rng.integers(8))
+        path.write_bytes(damaged)
+        try:
+            silent += everything() != whole
+        except StoreError:
+            noticed += 1
+        path.write_bytes(clean)
+    assert silent == 0
+    assert noticed > 200
+
+
+def test_the_content_of_a_run_is_all_that_was_stated(tmp_path: Path) -> None:
+    lake, run = Lake(tmp_path / "lake"), make_run("r1")
+    lake.commit(CAMPAIGN, [run])
+    group = run.signals[0]
+    stated = {
+        "instrument.nominal_mm: 100.0 -> 100.015": (
+            replace(CAMPAIGN, instrument={"nominal_mm": 100.015}), run),
+        "machine: mill-a -> mill-b": (replace(CAMPAIGN, machine="mill-b"), run),
+        "geometry.chain: None -> XZY": (
+            replace(CAMPAIGN, machine_geometry={"type": "ur10e", "chain": "XZY"}), run),
+        "window_start: 10 -> 20": (CAMPAIGN, replace(run, window=(20, 380))),
+        "the signals": (CAMPAIGN, replace(run, signals=(replace(group, rate_hz=25600.0),))),
+        "the samples": (CAMPAIGN, make_run("r1", seed=9)),
+    }  # fmt: skip
+    for told, (campaign, other) in stated.items():
+        with pytest.raises(InputError, match="other content") as caught:
+            lake.commit(campaign, [other])
+        assert told in str(caught.value.got)
+    late = replace(run, signals=(replace(group, start_s=5.0),))
+    with pytest.raises(InputError, match="other content"):
+        lake.commit(CAMPAIGN, [late])
+    with pytest.raises(InputError, match="another machine") as caught:
+        lake.commit(replace(CAMPAIGN, machine="mill-b"), [make_run("r2", 1)])
+    assert "mill-a -> mill-b" in str(caught.value.got)
+
+
+def test_two_groups_of_one_name_are_refused(tmp_path: Path) -> None:
+    lake, run = Lake(tmp_path / "lake"), make_run("r1")
+    twice = (run.signals[0], replace(run.signals[0], rate_hz=500.0))
+    with pytest.raises(InputError, match="have one name"):
+        lake.commit(CAMPAIGN, [replace(run, signals=twice)])
+
+
+def test_no_campaign_fixes_the_width_of_a_column_for_the_others(tmp_path: Path) -> None:
+    lake, run = Lake(tmp_path / "lake"), make_run("r1")
+    for i, kind in enumerate(("f8", "f4", "i4", "i8")):
+        values = np.arange(30).astype(kind)
+        wide = SignalGroup("accelerometers", 1000.0, {"wrist_x_g": values})
+        lake.commit(replace(CAMPAIGN, name=f"c{i}"), [replace(run, signals=(wide,))])
+        back = lake.load(lake.runs(f"c{i}")[0]).signals[0].columns["wrist_x_g"]
+        np.testing.assert_array_equal(back, values, strict=True)
+    from deltalake import DeltaTable
+
+    seen = DeltaTable(lake.root / "signals").to_pyarrow_table()
+    assert seen.num_rows == 120
+    assert pa.types.is_float64(seen.schema.field("wrist_x_g").type)
+
+
+def test_a_cut_log_entry_is_an_error_that_repair_mends(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    for i in range(3):
+        lake.commit(CAMPAIGN, [make_run(f"r{i}", i)])
+    (lake.root / "runs" / "_delta_log" / f"{3:020d}.json").write_text("")
+    with pytest.raises(StoreError, match="log of a table is damaged") as caught:
+        lake.runs()
+    assert "dtwin repair" in str(caught.value.hint)
+    assert lake.repair()["log"] == [f"runs/_delta_log/{3:020d}.json"]
+    assert [row["run_id"] for row in lake.runs()] == ["r0", "r1"]
+    assert lake.commit(CAMPAIGN, [make_run("r2", 2)]).added == ("r2",)
+
+
+def test_what_was_added_is_synced_file_log_and_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: set[Path] = set()
+    real = os.fsync
+    monkeypatch.setattr(
+        os, "fsync", lambda fd: synced.add(Path(f"/proc/self/fd/{fd}").readlink()) or real(fd)
+    )
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [make_run("r1")])
+    files = {p for p in lake.root.rglob("*") if p.is_file() and not p.name.startswith(".")}
+    logs = {p for p in files if p.suffix == ".json" and p.stem.endswith("1")}
+    folders = {p.parent for p in files}
+    assert len(logs) == 3
+    assert logs | folders | {lake.root, tmp_path} <= synced
+    partials = [p for p in synced if p.name.endswith(".partial")]
+    assert len(partials) == len([p for p in files if p.suffix == ".parquet"])
+
+
+def test_repair_sweeps_every_table(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    lake.commit(CAMPAIGN, [make_run("r1")], [RejectedRows("r1", "a.csv", [
+        {"row": 3, "reason": "not finite", "values": {"deviation_um": "nan"}}])])  # fmt: skip
+    lake.write_table("features", "key", table_of({"a_mm": np.zeros(3)}))
+    kept = sorted(p for p in lake.root.rglob("*.parquet"))
+    for name in ("runs", "samples", "signals", "features", "rejects"):
+        (lake.root / name / ".x.1.partial").write_text("half")
+        (lake.root / name / f"stray.{'0' * 24}.parquet").write_text("stray")
+    assert lake.repair() == dict.fromkeys(lake.tables, 2) | {"amendments": 0, "log": []}
+    assert lake.repair() == dict.fromkeys(lake.tables, 0) | {"log": []}
+    assert sorted(p for p in lake.root.rglob("*.parquet")) == kept
+    assert not list(lake.root.rglob("*.partial"))

@@ -80,7 +80,7 @@ def one_turn(angle_deg: Floats, deviation_um: Floats, readings: int) -> Turn:
     if covered < _TURN_DEG or step.max() > _LARGEST_GAP_DEG:
         raise InputError(
             "the samples do not go once round without a gap", code="dynamics.arc",
-            got=f"{covered:.2f} deg, largest gap {step.max():.2f} deg",
+            got=f"{covered:z.2f} deg, largest gap {step.max():z.2f} deg",
             allowed=f"360 deg and more, gaps up to {_LARGEST_GAP_DEG:g} deg",
         )  # fmt: skip
     wanted = np.arange(readings) * (_TURN_DEG / readings)

@@ -53,7 +53,7 @@ class Circle:
             raise InputError(
                 "the axes cannot hold this feed on this circle", code="linuxcnc.feed",
                 got=f"{self.feed_mm_min:g} mm/min at {self.radius_mm:g} mm",
-                allowed=f"100 to {largest:.0f} mm/min",
+                allowed=f"100 to {largest:z.0f} mm/min",
             )  # fmt: skip
 
 
@@ -107,15 +107,15 @@ def program(circles: Sequence[Circle]) -> str:
             6: float(PLANES.index(circle.plane)), 7: circle.feed_mm_min, 0: float(number),
         }  # fmt: skip
         at = (circle.radius_mm * math.cos(end), sign * circle.radius_mm * math.sin(end))
-        centre = f"{'IJK'[AXES.index(first)]}{-circle.radius_mm:.6f}"
+        centre = f"{'IJK'[AXES.index(first)]}{-circle.radius_mm:z.6f}"
         others = "".join(f" {a}0" for a in AXES if a not in (first, second))
         lines += [
             f"(circle {number}: {circle.plane} R{circle.radius_mm:g} {circle.direction})",
             f"{_SELECT[circle.plane]} G1 F{_APPROACH_MM_MIN}{others}",
-            f"G1 {first}{circle.radius_mm:.6f} {second}0",
+            f"G1 {first}{circle.radius_mm:z.6f} {second}0",
             "G4 P0.2",
-            *(f"M67 E{pin} Q{value:.6f}" for pin, value in told.items()),
-            f"{'G3' if sign > 0 else 'G2'} {first}{at[0]:.6f} {second}{at[1]:.6f} {centre} "
+            *(f"M67 E{pin} Q{value:z.6f}" for pin, value in told.items()),
+            f"{'G3' if sign > 0 else 'G2'} {first}{at[0]:z.6f} {second}{at[1]:z.6f} {centre} "
             f"{'IJK'[AXES.index(second)]}0 P2 F{circle.feed_mm_min:g}",
             "M67 E0 Q0",
             "M67 E2 Q0",
@@ -155,7 +155,7 @@ def read_samples(path: Path) -> Floats:
     if len(gaps):
         raise DeviceError(
             "samples are missing in the controller's recording", code="linuxcnc.samples",
-            where=path.name, got=f"{len(gaps)} gaps, the first after {samples[gaps[0], 0]:.0f}",
+            where=path.name, got=f"{len(gaps)} gaps, the first after {samples[gaps[0], 0]:z.0f}",
             hint="the computer was too busy to fetch them; measure again",
         )  # fmt: skip
     return samples
@@ -189,7 +189,7 @@ def _trace(samples: Floats, number: int, circle: Circle) -> Trace:
     if not len(chosen) or turned.max() < _LEAD_DEG + 360.0 or np.diff(chosen).max() != 1:
         raise DeviceError(
             "a circle was not run as a whole", code="linuxcnc.circle", where=f"circle {number}",
-            got=f"{turned.max() if len(turned) else 0.0:.0f} deg in {len(rows)} samples",
+            got=f"{turned.max() if len(turned) else 0.0:z.0f} deg in {len(rows)} samples",
         )  # fmt: skip
     cut = rows[chosen]
     return Trace(

@@ -2,7 +2,8 @@ component dtwin_correction "Takes corrections from a program outside, and drops 
 description """
 The program writes the three values first and the sequence number last. A change of the number
 latches the whole vector. Without a change for watchdog_s the target is zero, and the correction goes
-there at its slew limit, whatever happened to the program. Connect counts_* to
+there at its slew limit, whatever happened to the program. A correction that was dropped so comes back
+only from zero: until a vector of zeros has come, none is latched. Connect counts_* to
 axis.*.eoffset-counts and set axis.*.eoffset-scale to 1e-5 (a count is 0.01 um).
 """;
 pin in float x "um, wanted.";
@@ -22,6 +23,7 @@ variable double target[3];
 variable double applied[3];
 variable double silent_s;
 variable unsigned last;
+variable int dropped;
 function _ fp;
 license "Apache-2.0";
 author "dtwin";
@@ -42,17 +44,23 @@ FUNCTION(_) {
     silent_s += step_s;
     if (sequence != last) {
         last = sequence;
-        silent_s = 0.0;
-        latched = sequence;
-        target[0] = x; target[1] = y; target[2] = z;
-        for (i = 0; i < 3; i++)
-            /* Not a number compares false: the whole vector is refused. */
-            if (!(fabs(target[i]) < 1e6)) target[0] = target[1] = target[2] = 0.0;
-        shorten(target, limit);
+        if (!dropped || (x == 0.0 && y == 0.0 && z == 0.0)) {
+            dropped = 0;
+            silent_s = 0.0;
+            latched = sequence;
+            target[0] = x; target[1] = y; target[2] = z;
+            for (i = 0; i < 3; i++)
+                /* Not a number compares false: the whole vector is refused. */
+                if (!(fabs(target[i]) < 1e6)) target[0] = target[1] = target[2] = 0.0;
+            shorten(target, limit);
+        }
     } else if (latched && silent_s > watchdog_s) {
         latched = 0;
         /* A client that goes away at zero has done it right. */
-        if (target[0] != 0.0 || target[1] != 0.0 || target[2] != 0.0) trips++;
+        if (target[0] != 0.0 || target[1] != 0.0 || target[2] != 0.0) {
+            trips++;
+            dropped = 1;
+        }
         for (i = 0; i < 3; i++) target[i] = 0.0;
     }
     for (i = 0; i < 3; i++) change[i] = target[i] - applied[i];

@@ -370,9 +370,7 @@ def _headline(
     if verdict == "missing_effect":
         unknown = [m.motion for m in movers if not m.explained]
         also = f"; not explained by thermocouples: {', '.join(unknown)}" if unknown else ""
-        return (
-            f"{what} {lacks}, {100 * best.gain:.0f} % of it is told on hours left out{others}{also}"
-        )
+        return f"{what} {lacks}, {100 * best.gain:z.0f} % of it is told on hours left out{others}{also}"
     if verdict == "ambiguous":
         return (
             f"{what} {lacks}, but {_listed(best.bodies)} each tell it alone, equally well{others}"

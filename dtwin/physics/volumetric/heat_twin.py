@@ -105,7 +105,7 @@ class HeatTwin:
             read = series.rise_c[name] + series.begun_c[name]
             beyond = max(low - float(read.min()), float(read.max()) - high)
             if beyond > BEYOND_C:
-                found.append(f"{name} by {beyond:.1f} K")
+                found.append(f"{name} by {beyond:z.1f} K")
         return found
 
     def as_dict(self) -> dict[str, Any]:

@@ -301,17 +301,20 @@ async function watchJobs() {
 }
 
 async function watchLive() {
-  if (!document.querySelector("[data-live]")) return;
+  const followed = document.querySelector("[data-live]");
+  if (!followed) return;
   all("[data-now]").forEach(watchNow);
-  const seen = JSON.stringify(await ask("/api/live"));
+  const seen = JSON.stringify(await ask(followed.dataset.live));
   for (;;) {
     await pause(1500);
-    const now = await ask("/api/live").catch(() => null);
+    const now = await ask(followed.dataset.live).catch(() => null);
     if (now && JSON.stringify(now) !== seen) { location.reload(); return; }
   }
 }
 
-const plain = (value, digits) => (value === null ? "–" : Number(value.toPrecision(digits)).toString());
+// Adding 0 makes a zero that was rounded from below one without a sign.
+const plain = (value, digits) => (value === null ? "–" : (Number(value.toPrecision(digits)) + 0).toString());
+const fixed = (value, digits) => (Number(value.toFixed(digits)) + 0).toFixed(digits);
 
 function tellNow(list, now) {
   const said = {
@@ -320,7 +323,7 @@ function tellNow(list, now) {
     late: (100 * now.late_or_missed).toFixed(2),
     age: now.age_ms.map((ms) => plain(ms, 2)).join(" / "),
     jitter: plain(now.jitter_us_p99, 3),
-    correction: now.correction_um.map((um) => um.toFixed(1)).join("  "),
+    correction: now.correction_um.map((um) => fixed(um, 1)).join("  "),
     limits: Object.entries(now.reasons).map(([name, n]) => `${name.replaceAll("_", " ")} ${n}`).join(", ") || "none",
   };
   for (const field of all("[data-key]", list)) field.textContent = said[field.dataset.key];
@@ -367,12 +370,30 @@ function upload(gather) {
   start("Upload", async () => {
     const files = (await gather()).filter(wanted);
     if (!files.length) throw new Error("nothing was dropped that is a file");
+    const told = liesAlone(files) ? await asked() : {};
     const { tray } = await send("/api/trays", {});
     for (const [number, [name, file]] of files.entries()) {
       byId("work-stage").textContent = `${number + 1} of ${files.length}: ${name}`;
       await ask(`/api/trays/${tray}?${new URLSearchParams({ name })}`, { method: "PUT", body: file });
     }
-    return send(`/api/trays/${tray}/ingest`, {});
+    return send(`/api/trays/${tray}/ingest`, told);
+  });
+}
+
+// Tables that no campaign.toml names do not say under which conditions they were measured.
+const liesAlone = (files) => files.some(([name]) => /\.(csv|parquet)$/i.test(name)) && !files.some(([name]) => /(campaign\.toml|\.zip)$/i.test(name));
+
+function asked() {
+  const dialog = byId("told");
+  const form = dialog.querySelector("form");
+  byId("work").close();
+  dialog.showModal();
+  return new Promise((done, no) => {
+    dialog.addEventListener("close", () => {
+      if (dialog.returnValue !== "ok") { no(new Error("nothing was ingested: the conditions were not told")); return; }
+      opened("Upload");
+      done(contentOf(form));
+    }, { once: true });
   });
 }
 

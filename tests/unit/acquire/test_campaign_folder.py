@@ -103,7 +103,26 @@ def test_bad_rows_are_rejected_and_kept(tmp_path: Path) -> None:
         (RUN.replace('direction = "CCW"\n', ""), None, "run.direction"),
         (RUN.replace('plane = "XY"\n', ""), None, "run.plane"),
         (RUN.replace('"XY"', '"XX"'), None, "run.plane"),
-        (RUN.replace("100.0", "-5.0"), None, "campaign.run"),
+        (RUN.replace("100.0", "-5.0"), None, "campaign.value"),
+        (RUN.replace("100.0", "true"), None, "campaign.value"),
+        (RUN.replace("100.0", "1" + "0" * 400), None, "campaign.value"),
+        *(
+            (RUN + f"{text}\n", None, "campaign.value")
+            for text in (
+                'repeat = "abc"',
+                "repeat = 1e20",
+                "repeat = inf",
+                "repeat = true",
+                'condition = "x"',
+                "condition = {at = 2026-03-02}",
+                f"covariates = {{load_kg = 1{'0' * 400}}}",
+                "covariates = {load_kg = inf}",
+                "started = [1, 2]",
+                'started = "yesterday"',
+            )
+        ),
+        (RUN + "covariates = {warmth = 20.5}\n", None, "units.unknown"),
+        (RUN.replace('"r1"', '"CON"'), None, "name.invalid"),
         (RUN + "feeed = 3\n", None, "campaign.run"),
         (RUN, {"r1.csv": "t_s,angle_deg,deviation\n0,0,0\n"}, "columns.missing"),
         (

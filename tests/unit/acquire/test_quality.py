@@ -8,7 +8,7 @@ import pytest
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.motion_quality import aligned_angle_deg, motion_of, non_repeatable_um
-from dtwin.acquire.quality import judge_campaign, judge_run
+from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run
 from dtwin.schema import Finding, Run, RunMeta, SignalGroup
 
 
@@ -69,7 +69,12 @@ def made(**columns: np.ndarray) -> Run:
         "deviation_um": 5 * np.sin(np.arange(n) / 7.0),
     } | columns
     meta = RunMeta(
-        "r", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2000.0, sample_rate_hz=200.0
+        "r",
+        plane="XY",
+        direction="CCW",
+        radius_mm=100.0,
+        feed_mm_min=18_800.0,
+        sample_rate_hz=200.0,
     )
     return Run(meta, samples)
 
@@ -131,3 +136,28 @@ def test_a_campaign_without_repeats_or_directions_says_so() -> None:
         for r in (1, 2)
     ]
     assert judge_campaign(runs) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"feed_mm_min": 1000.0}, "feed.differs"),
+        ({"radius_mm": 100.0 * 25.4}, "feed.differs"),
+        ({"radius_mm": 100.0 / 25.4}, "radius.implausible"),
+    ],
+)
+def test_a_wrong_feed_or_a_radius_in_inches_is_an_error(
+    change: dict[str, float], code: str
+) -> None:
+    run = made()
+    wrong = replace(run, meta=replace(run.meta, **change))  # type: ignore[arg-type]
+    assert found(judge_run(wrong), code).severity == "error"
+
+
+def test_millimetres_in_a_column_of_micrometres_are_an_error() -> None:
+    run = made(deviation_um=0.005 * np.sin(np.arange(400) / 7.0))
+    assert found(judge_run(run), "reading.too_small").severity == "error"
+
+
+def test_a_copy_of_a_run_is_no_repeat() -> None:
+    assert judge_copies({"a": "1", "b": "2", "c": "1"}).keys() == {"c"}

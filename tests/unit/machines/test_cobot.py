@@ -139,7 +139,14 @@ def test_offset_is_latched_by_sequence_limited_delayed_and_released(cobot: Virtu
     assert offsets[50, 1] == pytest.approx(-20.0, abs=0.1)
     assert np.all(offsets[:, 2] == 0.0)
     np.testing.assert_allclose(offsets[-1], 0.0, atol=0.5)
-    assert controller.state()[layout.APPLIED_SEQUENCE] == 50
+    assert controller.state()[layout.APPLIED_SEQUENCE] == 0, "none is in force"
+    # What was dropped comes back only from zero.
+    for sequence, offset_um in ((51, 80.0), (52, 80.0), (53, 0.0)):
+        controller.step(layout.correction_registers(sequence, (offset_um, 0.0, 0.0)))
+        assert not controller.commanded_um.any()
+    assert controller.state()[layout.APPLIED_SEQUENCE] == 53
+    controller.step(layout.correction_registers(54, (10.0, 0.0, 0.0)))
+    assert controller.commanded_um[0] == pytest.approx(10.0)
 
 
 def test_old_sequence_number_does_nothing_after_a_restart(cobot: VirtualCobot) -> None:
@@ -148,7 +155,10 @@ def test_old_sequence_number_does_nothing_after_a_restart(cobot: VirtualCobot) -
     for sequence in (77, 77, 77, 77, 77, 77):
         controller.step(layout.correction_registers(sequence, (50.0, 0.0, 0.0)))
     assert not controller.state()[layout.APPLIED : layout.APPLIED + 3].any()
-    for sequence in range(78, 98):
+    controller.step(layout.correction_registers(78, (50.0, 0.0, 0.0)))
+    assert not controller.commanded_um.any(), "a jump: this client began before the program did"
+    controller.step(layout.correction_registers(79))
+    for sequence in range(80, 100):
         controller.step(layout.correction_registers(sequence, (50.0, 0.0, 0.0)))
     assert controller.state()[layout.APPLIED] > 40.0
 

@@ -354,3 +354,59 @@ def test_only_a_rising_sequence_is_sent(cobot: VirtualCobot) -> None:
     link.send = lambda offset, sequence: numbers.append(sequence)  # type: ignore[method-assign]
     loop.run(5.0, priority=0)
     assert numbers[:3] == [layout.SEQUENCE_LIMIT, 1, 2]
+
+
+class LossyLink:
+    """A machine's end that holds what arrives, and loses whole stretches of what is sent."""
+
+    def __init__(self, state: np.ndarray, lost: list[range]) -> None:
+        self.state, self.lost, self.sent, self.held = state.copy(), lost, 0, np.zeros(3)
+        self.received_s, self._silent, self.steps = 0.0, 0, [0.0]
+        self._let_go = False
+
+    def wait_state(self, timeout_s: float) -> np.ndarray | None:
+        self.state[layout.TIMESTAMP] += 0.002
+        self.received_s = time.monotonic()
+        self._silent += 1
+        if self._silent > 20 and self.held.any():
+            self.held, self._let_go = np.zeros(3), True
+            self.state[layout.APPLIED_SEQUENCE] = 0
+        return self.state
+
+    def send(self, offset_um: np.ndarray, sequence: int) -> None:
+        self.sent += 1
+        if any(self.sent in stretch for stretch in self.lost) or (self._let_go and offset_um.any()):
+            return
+        self.steps.append(float(np.linalg.norm(offset_um - self.held)))
+        self.held, self._let_go, self._silent = offset_um.copy(), False, 0
+        self.state[layout.APPLIED_SEQUENCE] = sequence
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [[range(1, 4)], [range(2, 40)], [range(3, 40)], [range(9, 60), range(80, 81), range(90, 300)]],
+)
+def test_lost_corrections_neither_jump_nor_end_it(cobot: VirtualCobot, lost: list[range]) -> None:
+    link = LossyLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), lost)
+    limits = SafetyLimits(clamp_um=30.0, slew_um_s=2000.0, stale_s=0.02, trips_to_latch=99)
+    g = GraphBuilder()
+    bundle = path_bundle(
+        safety=limits, states=(),
+        tick_graph=g.graph({"radial_error_um": 20.0 + 0.0 * g.input("path_angle_rad")}),
+    )  # fmt: skip
+    loop = ServingLoop(Decision(CompiledBundle(bundle), TCP_MM), link)  # type: ignore[arg-type]
+    seen: list[float] = []
+    until_s = time.monotonic() + 60.0
+
+    def stop() -> bool:
+        time.sleep(0.001)
+        seen.append(float(np.linalg.norm(link.held)))
+        # Corrected again after the last loss.
+        done = link.sent > lost[-1].stop + 20 and seen[-1] > 19.9
+        return done or time.monotonic() > until_s
+
+    status = loop.run(60.0, stop=stop, priority=0)
+    assert status.ended == "stopped"
+    assert seen[-1] > 19.9
+    assert max(link.steps) <= 2000.0 * 0.002 * (1 + 1e-9)
+    assert not link.held.any()

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,7 +13,8 @@ from bundles import path_bundle
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
-from dtwin.serve.bundle_file import load_bundle, save_bundle
+from dtwin.serve.barred import BarredWatch, bar, barred_why
+from dtwin.serve.bundle_file import load_bundle, save_bundle, write_json
 from dtwin.serve.pointer import (
     clear_trial,
     machine_folder,
@@ -20,6 +24,7 @@ from dtwin.serve.pointer import (
     write_machine,
     write_pointer,
 )
+from dtwin.serve.sealed import BARRED, CHAMPION, SEAL, write_sealed
 
 
 @pytest.fixture
@@ -192,3 +197,126 @@ def test_unusable_geometry_is_not_written(home: Home, geometry: dict[str, object
     with pytest.raises(InputError, match="nothing is known of the tool") as caught:
         read_machine("cobot-a", home)
     assert "dtwin promote" in (caught.value.hint or "")
+
+
+def test_a_pointer_of_another_version_than_its_bundle_is_refused(home: Home) -> None:
+    path = save_bundle(path_bundle(), machine_folder("cobot-a", home) / "v3.json")
+    with pytest.raises(InputError, match="another version"):
+        write_pointer("cobot-a", home, path, 99, "champion")
+    pointer = promoted(home)
+    # Written under the seal, as only a program could.
+    write_sealed(pointer.parent, CHAMPION, json.loads(pointer.read_text()) | {"version": 99})
+    with pytest.raises(GateRefusal, match="another version") as refused:
+        resolve("latest", "cobot-a", home, harmless=True)
+    assert refused.value.code == "pointer.version"
+
+
+def test_a_withdrawn_version_stays_so_whatever_becomes_of_the_list(home: Home) -> None:
+    pointer = promoted(home)
+    bar("cobot-a", home, 3, "worse")
+    with pytest.raises(GateRefusal, match="barred"):
+        resolve("latest", "cobot-a", home)
+    listed = pointer.with_name(BARRED)
+    for spoil in (
+        listed.unlink,
+        lambda: listed.write_text("{}"),
+        lambda: listed.write_text('{"30": "worse"}'),
+    ):
+        spoil()
+        with pytest.raises(GateRefusal) as refused:
+            resolve("latest", "cobot-a", home)
+        assert refused.value.code == "seal.differs"
+    watch = BarredWatch("cobot-a", home, 3)
+    listed.unlink()
+    watch._next_s = 0.0
+    assert watch() == "the list of withdrawn versions cannot be read"
+
+
+def test_a_tool_that_was_moved_is_refused(home: Home) -> None:
+    promoted(home)
+    path = write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
+    path.write_text(path.read_text().replace("158.3", "159.3"))
+    with pytest.raises(GateRefusal) as refused:
+        read_machine("cobot-a", home)
+    assert refused.value.code == "seal.differs"
+    # The cure that the refusal names.
+    path.with_name(SEAL).unlink()
+    with pytest.raises(GateRefusal, match="missing"):
+        resolve("latest", "cobot-a", home)
+    write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
+    promoted(home)
+    assert resolve("latest", "cobot-a", home).version == 3
+    assert read_machine("cobot-a", home).tcp_mm[2] == 158.3
+
+
+def test_a_writer_that_dies_at_any_moment_leaves_what_is_valid(home: Home) -> None:
+    promoted(home)
+    bar("cobot-a", home, 1, "first")
+    folder = machine_folder("cobot-a", home)
+
+    class Died(Exception):
+        pass
+
+    def dies_at(step: int) -> None:
+        count = 0
+
+        def write(path: Path, content: dict[str, object]) -> None:
+            nonlocal count
+            count += 1
+            if count > step:
+                raise Died
+            write_json(path, content)
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("dtwin.serve.sealed.write_json", write)
+            with contextlib.suppress(Died):
+                bar("cobot-a", home, 2, f"died at {step}")
+
+    for step in range(4):
+        dies_at(step)
+        assert barred_why("cobot-a", home, 1) == "first"
+        assert resolve("latest", "cobot-a", home).version == 3
+        assert (barred_why("cobot-a", home, 2) != "") is (step > 1)
+    assert {p.name for p in folder.glob("*.json")} == {CHAMPION, BARRED, SEAL, "v3.json"}
+
+
+def test_many_writers_at_once_lose_nothing(home: Home) -> None:
+    promoted(home)
+    code = (
+        "import sys; from pathlib import Path; from dtwin.config import Home\n"
+        "from dtwin.serve.barred import bar\n"
+        "for k in range(10): bar('cobot-a', Home(Path(sys.argv[1])), 100 * int(sys.argv[2]) + k, 'x')\n"
+    )
+    writers = [
+        subprocess.Popen([sys.executable, "-c", code, str(home.root), str(n)]) for n in range(1, 4)
+    ]
+    while any(w.poll() is None for w in writers):
+        assert resolve("latest", "cobot-a", home).version == 3
+    assert [w.returncode for w in writers] == [0, 0, 0]
+    for n in range(1, 4):
+        for k in range(10):
+            assert barred_why("cobot-a", home, 100 * n + k) == "x"
+
+
+@pytest.mark.parametrize("name", [CHAMPION, "trial.json", "machine.json", BARRED, SEAL])
+@pytest.mark.parametrize("how", ["gone", "cut", "empty", "folder"])
+def test_a_file_that_is_lost_or_cut_is_missed(home: Home, name: str, how: str) -> None:
+    write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
+    bar("cobot-a", home, 1, "worse")
+    promoted(home)
+    promoted(home, "trial")
+    path = machine_folder("cobot-a", home) / name
+    raw = path.read_bytes()
+    path.unlink()
+    if how == "folder":
+        path.mkdir()
+    elif how != "gone":
+        path.write_bytes(raw[: len(raw) // 2] if how == "cut" else b"")
+
+    def everything() -> None:
+        resolve("latest", "cobot-a", home)
+        resolve("trial", "cobot-a", home)
+        read_machine("cobot-a", home)
+
+    with pytest.raises(DtwinError):
+        everything()

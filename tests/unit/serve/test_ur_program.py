@@ -28,6 +28,10 @@ def tick(state: list[Any], sequence: int, *offset: float) -> list[Any]:
 SCRIPT = URScript(correction_functions(LIMIT_UM, SLEW_UM_S, WATCHDOG_S))
 
 
+def in_force(state: list[Any]) -> int:
+    return int(SCRIPT.functions["dtwin_in_force"](state))
+
+
 def start(sequence: int = 7) -> list[Any]:
     return [*IDLE, sequence, round(WATCHDOG_S * TICK_HZ)]
 
@@ -55,8 +59,32 @@ def test_silence_leads_back_to_zero_at_the_slew_rate() -> None:
     assert seen[round(WATCHDOG_S * TICK_HZ) - 1] == 200.0
     assert seen[-1] == 0.0
     assert all(a - b <= STEP_UM + 1e-9 for a, b in itertools.pairwise(seen))
-    again = tick(state, 30, 10.0, 0.0, 0.0)
-    assert again[0] == 10.0
+    assert in_force(state) == 0
+
+
+def test_what_was_dropped_comes_back_only_from_zero() -> None:
+    state = start()
+    for sequence in range(8, 30):
+        state = tick(state, sequence, 200.0, 0.0, 0.0)
+    assert in_force(state) == 29
+    for _ in range(round(WATCHDOG_S * TICK_HZ) + 1):
+        state = tick(state, 29, 200.0, 0.0, 0.0)
+    # While it still ramps, and long after: a full vector would be a jump.
+    for sequence in range(30, 100):
+        before, state = state, tick(state, sequence, 200.0, 0.0, 0.0)
+        assert state[0] == max(before[0] - STEP_UM, 0.0)
+        assert in_force(state) == 0
+    state = tick(state, 100, 0.0, 0.0, 0.0)
+    assert in_force(state) == 100
+    assert tick(state, 101, 10.0, 0.0, 0.0)[0] == 10.0
+
+
+def test_a_client_that_left_at_zero_may_come_back_as_it_likes() -> None:
+    state = tick(start(), 8, 0.0, 0.0, 0.0)
+    for _ in range(50):
+        state = tick(state, 8, 0.0, 0.0, 0.0)
+    assert in_force(state) == 8
+    assert tick(state, 9, 10.0, 0.0, 0.0)[0] == 10.0
 
 
 finite = st.floats(-1e6, 1e6, allow_nan=False)

@@ -9,6 +9,7 @@ from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
+from dtwin.train.evidence import Evidence
 from dtwin.train.gates import Verdict, evidence_gate, offline_gates
 
 GOOD = {
@@ -84,22 +85,20 @@ def test_changed_test_vectors_break_the_contract() -> None:
     }
 
 
-def evidence(**changes: object) -> dict[str, object]:
+def evidence(**changes: object) -> Evidence:
     condition = {
         "plane": "XY",
         "radius_mm": 100.0,
         "feed_mm_min": 1000.0,
         "before_um": 50.0,
-        "after_um": 10.0,
-        "before_ci_um": 2.0,
-        "after_ci_um": 1.0,
+        "floor_um": 2.0,
+        "better": True,
         "worse": False,
     } | changes
-    return {"kind": "virtual", "bundle_sha256": bundle_sha(), "conditions": [condition]}
-
-
-def bundle_sha() -> str:
-    return SOUND.sha256
+    return Evidence(
+        "virtual", SOUND.machine, SOUND.model_sha256, {"without": ("a",), "with": ("a",)},
+        (condition,), (), 5,
+    )  # fmt: skip
 
 
 SOUND = bundle()
@@ -115,7 +114,12 @@ def test_evidence_must_belong_to_bundle_and_machine() -> None:
 
 
 def test_one_worse_condition_or_no_gain_refuses() -> None:
-    worse = evidence(after_um=60.0, worse=True)
+    worse = evidence(better=False, worse=True)
     assert failed(evidence_gate(worse, SOUND, real=False)) == {"no condition worse", "error falls"}
-    within_noise = evidence(after_um=49.0)
-    assert failed(evidence_gate(within_noise, SOUND, real=False)) == {"error falls"}
+    assert failed(evidence_gate(evidence(better=False), SOUND, real=False)) == {"error falls"}
+
+
+def test_what_lies_near_the_noise_floor_need_not_fall() -> None:
+    quiet = evidence(better=False, floor_um=20.0)
+    both = dataclasses.replace(quiet, conditions=(*quiet.conditions, *evidence().conditions))
+    assert failed(evidence_gate(both, SOUND, real=False)) == set()

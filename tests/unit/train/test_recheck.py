@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.train.recheck import CheckedRun, judge, read_runs
+from dtwin.train.recheck import CheckedRun, judge
 
 CONDITIONS = (("XY", 100.0, 2000.0), ("YZ", 150.0, 5000.0), ("ZX", 100.0, 5000.0))
 
@@ -52,12 +52,3 @@ def test_every_run_needs_its_partner_and_an_interval_needs_pairs() -> None:
         judge(whole[1:])
     with pytest.raises(InputError, match="too few pairs"):
         judge(runs({}, blocks=1))
-
-
-def test_runs_of_a_real_machine_are_read_and_nonsense_is_refused() -> None:
-    rows = [vars(run) for run in runs({-1: 5.0})]
-    assert judge(read_runs(rows, "file")).verdict == "worse"
-    for bad in ([], {}, None, [{**rows[0], "rms_um": float("nan")}], [{"plane": "XY"}], [3]):
-        with pytest.raises(InputError) as refused:
-            read_runs(bad, "file")
-        assert refused.value.code == "recheck.runs"

@@ -85,8 +85,16 @@ def test_a_damaged_archive_is_said(tmp_path: Path) -> None:
     assert caught.value.code == "upload.zip"
 
 
-def test_loose_tables_name_what_is_wanted(tmp_path: Path) -> None:
-    (tmp_path / "r001.csv").write_text("t_s")
+def test_loose_files_name_what_is_wanted(tmp_path: Path) -> None:
+    (tmp_path / "r001.txt").write_text("t_s")
     with pytest.raises(InputError, match="nothing here") as caught:
         uploads.sources(tmp_path)
-    assert caught.value.got == "r001.csv"
+    assert caught.value.got == "r001.txt"
+
+
+def test_a_table_is_taken_alone_but_not_beside_a_campaign(tmp_path: Path) -> None:
+    (tmp_path / "r001.csv").write_text("t_s")
+    assert [path.name for path in uploads.sources(tmp_path)] == ["r001.csv"]
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "campaign.toml").write_text("")
+    assert [path.name for path in uploads.sources(tmp_path)] == ["c"]

@@ -1,0 +1,253 @@
+"""What was stated wrongly is stated anew, and runs are left out: as records, never in place."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Any
+
+from dtwin.acquire import stated
+from dtwin.acquire.quality import judge_run
+from dtwin.errors import InputError
+from dtwin.run_rows import findings_fields
+from dtwin.schema import Finding, require_name, standard_plane
+from dtwin.store import Lake
+
+# Tables of a row, by the name that a setting begins with; the first two are of the campaign.
+_TABLES = {
+    "instrument": "instrument_json",
+    "machine_geometry": "geometry_json",
+    "condition": "condition_json",
+    "covariates": "covariates_json",
+}
+_OF_CAMPAIGN = ("machine", "instrument", "machine_geometry")
+_OF_RUN = ("plane", "direction", "radius_mm", "feed_mm_min", "repeat", "setup", "started")
+_ALLOWED = ", ".join(["machine", *_OF_RUN, *(f"{name}.KEY" for name in _TABLES)])
+_LONGEST = 500
+AMENDED, LEFT_OUT = "campaign.amended", "campaign.left_out"
+
+
+def amend(
+    lake: Lake,
+    campaign: str,
+    settings: Sequence[str],
+    because: str,
+    *,
+    runs: Sequence[str] = (),
+    who: str = "",
+) -> dict[str, dict[str, Any]]:
+    """State anew what was stated wrongly of runs; their quality is judged again.
+
+    Parameters
+    ----------
+    lake : Lake
+        Where the campaign is.
+    campaign : str
+        Its name.
+    settings : sequence of str
+        ``FIELD=VALUE``, named as in ``campaign.toml``; ``condition.KEY=`` takes a key away.
+    because : str
+        Why.
+    runs : sequence of str
+        Only these; what belongs to the campaign is stated of all.
+    who : str
+        Who says so; the user of this computer by default.
+
+    Returns
+    -------
+    dict of str to dict
+        Changed fields of the row by run.
+
+    Raises
+    ------
+    InputError
+        When a field is not one of a run, a value is not usable, or nothing would change.
+    """
+    told = [_setting(text) for text in settings]
+    campaign_wide = [name for name, _ in told if name.split(".")[0] in _OF_CAMPAIGN]
+    if runs and campaign_wide:
+        raise InputError(
+            "this belongs to the campaign, not to single runs", code="amend.runs",
+            where=f"campaign {campaign}", got=", ".join(campaign_wide), hint="leave --run away",
+        )  # fmt: skip
+    changes: dict[str, dict[str, Any]] = {}
+    for row in _rows(lake, campaign, runs):
+        where = f"campaign {campaign}, run {row['run_id']}"
+        now = dict(row)
+        for name, value in told:
+            now |= _changed(now, name, value, where)
+        different = {name: value for name, value in now.items() if row[name] != value}
+        if different:
+            changes[row["run_id"]] = different | _judged_again(lake, row, now)
+    if not changes:
+        raise InputError(
+            "nothing would change", code="amend.same", where=f"campaign {campaign}",
+            got=", ".join(settings) or "no setting", allowed=_ALLOWED,
+            hint=f"dtwin amend {campaign} --set instrument.calibrated_mm=100.015 --because WHY",
+        )  # fmt: skip
+    _record(lake, campaign, changes, because, who)
+    return changes
+
+
+def leave_out(
+    lake: Lake, campaign: str, runs: Sequence[str], because: str, *, out: bool = True, who: str = ""
+) -> None:
+    """Leave runs out of every figure, twin, report and training, or bring them back.
+
+    Parameters
+    ----------
+    lake, campaign, because, who
+        As in :func:`amend`.
+    runs : sequence of str
+        Which.
+    out : bool
+        False brings them back.
+
+    Raises
+    ------
+    InputError
+        When a run is not there, or is left out, or in, already.
+    """
+    wrong = [r["run_id"] for r in _rows(lake, campaign, runs) if (r["left_out"] is not None) is out]
+    if wrong:
+        raise InputError(
+            "the run is left out already" if out else "the run is not left out",
+            code="amend.same", where=f"campaign {campaign}", got=", ".join(wrong),
+        )  # fmt: skip
+    _record(lake, campaign, {run: {"left_out": out} for run in runs}, because, who)
+
+
+def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
+    """Return in words what was stated anew of a campaign, and which runs are left out, and why.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+        Rows of the campaign, those left out too.
+    """
+    by_version: dict[int, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        for record in row["amendments"]:
+            by_version.setdefault(record["version"], []).append(record)
+    found = []
+    for version, records in sorted(by_version.items()):
+        first = records[0]
+        names = [record["run_id"] for record in records]
+        changed = json.loads(first["changes_json"])
+        code = LEFT_OUT if "left_out" in changed else AMENDED
+        if code == LEFT_OUT:
+            what = "left out" if changed["left_out"] else "taken in again"
+        else:
+            fields = sorted({n for r in records for n in json.loads(r["changes_json"])})
+            what = ", ".join(n.removesuffix("_json") for n in fields if n not in _JUDGED)
+            what = f"{what} stated anew"
+        shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+        found.append(
+            Finding(
+                code,
+                "info",
+                f"metadata version {version} ({first['when'][:16]}, {first['who']}): {shown} {what}, "
+                f"because {first['because']}",
+                {"version_1": float(version), "runs_1": float(len(names))},
+            )
+        )
+    return found
+
+
+_JUDGED = ("findings_json", "n_errors")
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    name, equals, written = text.partition("=")
+    if not equals:
+        raise InputError(
+            "this is no setting", code="amend.setting", got=text[:80], allowed="FIELD=VALUE"
+        )
+    try:
+        value = tomllib.loads(f"value = {written}")["value"]
+    except (tomllib.TOMLDecodeError, RecursionError):
+        value = written
+    return name.strip(), value
+
+
+def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[str, Any]:
+    """Return the fields of a row that one setting states."""
+    table, dot, key = name.partition(".")
+    if dot and key and table in _TABLES:
+        field = _TABLES[table]
+        there = json.loads(row[field])
+        if value == "":
+            there.pop(key, None)
+        else:
+            check = {"condition": stated.condition, "covariates": stated.covariates}.get(table)
+            one = {key: value}
+            there |= stated.table(one, table, where) if check is None else check(one, where)
+        return {field: json.dumps(there, default=str)}
+    if name == "machine":
+        return {name: require_name(value, "the machine name")}
+    if name == "setup":
+        return {name: require_name(value, "the set-up")}
+    if name == "repeat":
+        return {name: stated.count(value, name, where)}
+    if name == "started":
+        return {name: stated.iso_time(value, name, where)}
+    if name in ("radius_mm", "feed_mm_min"):
+        return {name: stated.positive(value, name, where)}
+    if name == "direction" and value in ("CCW", "CW"):
+        return {name: value}
+    if name == "plane" and row["direction"] is not None:
+        plane, direction = standard_plane(str(value), row["direction"])
+        return {"plane": plane, "direction": direction}
+    raise InputError(
+        "this cannot be stated of a run", code="amend.setting", where=where,
+        got=f"{name}={value}"[:120], allowed=_ALLOWED + "; direction CCW or CW",
+    )  # fmt: skip
+
+
+def _judged_again(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the findings of a run under what is stated now; those of its reader stay."""
+    was, run = lake.load(row), lake.load(now)
+    before = judge_run(replace(was, findings=()))
+    kept = [finding for finding in was.findings if finding not in before]
+    fields = findings_fields([*kept, *judge_run(replace(run, findings=()))])
+    return {name: value for name, value in fields.items() if row[name] != value}
+
+
+def _rows(lake: Lake, campaign: str, runs: Sequence[str]) -> list[dict[str, Any]]:
+    lake.campaign(campaign)
+    rows = lake.runs(campaign, left_out=True)
+    there = {row["run_id"] for row in rows}
+    unknown = sorted(set(runs) - there)
+    if unknown:
+        raise InputError(
+            "no such run in the campaign", code="run.unknown", where=f"campaign {campaign}",
+            got=", ".join(unknown)[:200], allowed=", ".join(sorted(there))[:400],
+        )  # fmt: skip
+    return [row for row in rows if not runs or row["run_id"] in runs]
+
+
+def _record(
+    lake: Lake, campaign: str, changes: Mapping[str, Mapping[str, Any]], because: str, who: str
+) -> None:
+    reason = " ".join(because.split())
+    if not reason or len(reason) > _LONGEST or not reason.isprintable():
+        raise InputError(
+            "say why", code="amend.because", got=repr(because[:60]),
+            allowed=f"1 to {_LONGEST} printable characters", hint='--because "wrong master entered"',
+        )  # fmt: skip
+    said = {"who": who or _user(), "when": datetime.now(UTC).isoformat(timespec="seconds")}
+    lake.amend(
+        campaign,
+        [{"run_id": r, "because": reason, "changes": c, **said} for r, c in changes.items()],
+    )
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):
+        return "unknown"

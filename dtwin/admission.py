@@ -1,0 +1,99 @@
+"""Which runs may enter the lake: names, doubles, and what contradicts what is there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.errors import InputError
+from dtwin.run_rows import OF_CAMPAIGN, differences, run_row
+from dtwin.schema import Campaign, Run, require_name
+
+Rows = Mapping[str, dict[str, Any]]
+
+
+def accepted(campaign: Campaign, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
+    """Return the rows of runs by id.
+
+    Raises
+    ------
+    InputError
+        When a name is unfit for a path, or a run id or the name of a signal group occurs twice.
+    """
+    require_name(campaign.name, "the campaign name")
+    require_name(campaign.machine, "the machine name")
+    rows = {}
+    for run in runs:
+        require_name(run.meta.run_id, "the run id")
+        names = [require_name(group.name, "the name of a signal group") for group in run.signals]
+        if len(set(names)) < len(names):
+            raise InputError(
+                "two groups of signals of a run have one name",
+                code="signals.same_name",
+                where=f"campaign {campaign.name}, run {run.meta.run_id}",
+                got=", ".join(names),
+                hint="name the devices apart: the group's name is the last dotted part of the "
+                "file's name, or stands in the file's header",
+            )
+        rows[run.meta.run_id] = run_row(campaign, run)
+    if len(rows) == len(runs):
+        return rows
+    raise InputError(
+        "a run id occurs twice",
+        code="ingest.duplicate_run",
+        where=campaign.name,
+        hint="give every run of the campaign its own id",
+    )
+
+
+def fresh(campaign: str, known: Rows, rows: Rows) -> dict[str, dict[str, Any]]:
+    """Return the rows that are not in the lake.
+
+    Parameters
+    ----------
+    campaign : str
+        Name of the campaign.
+    known : mapping of str to dict
+        Its rows in the lake by run id, as they are stated now.
+    rows : mapping of str to dict
+        As :func:`accepted` returned them.
+
+    Raises
+    ------
+    InputError
+        When one is there with other content, or the campaign with another machine, kind,
+        geometry or instrument; the message says what differs.
+    """
+    changed = {}
+    for name, row in rows.items():
+        stored = known.get(name)
+        if stored is None or stored["raw_sha256"] == row["content_sha256"]:
+            continue
+        told = differences(stored, row)
+        if told:
+            changed[name] = ", ".join(told)
+    if changed:
+        shown = [f"{name} ({told})" for name, told in list(changed.items())[:5]]
+        raise InputError(
+            f"{len(changed)} run(s) are in the lake with other content",
+            code="ingest.duplicate_run",
+            where=f"campaign {campaign}",
+            got="; ".join(shown)[:600],
+            allowed="new run ids; raw values are never changed",
+            hint=f"what was stated wrongly: dtwin amend {campaign} --set …; other "
+            "measurements: another campaign name or other run ids",
+        )
+    new = {name: row for name, row in rows.items() if name not in known}
+    if known and new:
+        stored, row = next(iter(known.values())), next(iter(new.values()))
+        told = differences(stored, {**stored, **{name: row[name] for name in OF_CAMPAIGN}})
+        if told:
+            raise InputError(
+                "the campaign is in the lake with another machine, kind, geometry or instrument",
+                code="campaign.differs",
+                where=f"campaign {campaign}",
+                got="; ".join(told)[:600],
+                hint="another machine or instrument: another campaign name; a mistake: "
+                f"dtwin amend {campaign} --set …",
+            )
+    return new

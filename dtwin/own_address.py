@@ -1,0 +1,41 @@
+"""Whether a request to a server on this computer comes from one of its own pages."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+
+# host:port as a browser sends it; anything else, a path behind it for example, is no host.
+_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[A-Za-z0-9.-]+)(?::\d{1,5})?")
+
+
+def names_this_computer(host: str | None, *, also: str = "", any_address: bool = False) -> bool:
+    """Tell whether a Host header names this computer.
+
+    A page of another site can point its own name at this computer (DNS rebinding); then the
+    header holds that name.
+
+    Parameters
+    ----------
+    host : str or None
+        The header.
+    also : str
+        Another name that is ours.
+    any_address : bool
+        Whether every numeric address is: for servers that listen on more than loopback.
+    """
+    found = _HOST.fullmatch(host or "")
+    if found is None:
+        return False
+    name = found[1].strip("[]").lower()
+    if name in ("localhost", also.lower()):
+        return True
+    try:
+        return ipaddress.ip_address(name).is_loopback or any_address
+    except ValueError:
+        return False
+
+
+def is_foreign(origin: str | None, host: str) -> bool:
+    """Tell whether an Origin header names another page than one of ``host``; none does not."""
+    return origin is not None and origin != f"http://{host}"

@@ -1,0 +1,165 @@
+"""What a campaign on a machine needs besides its plan: programs, head of its file, the journal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from dtwin.acquire.ingest import ingest
+from dtwin.acquire.instruments import recorders
+from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError
+from dtwin.pipeline.campaign_steps import Step, by_turns, circle_steps
+from dtwin.pipeline.desk import Desk, enter_desk
+from dtwin.pipeline.evidence import compute
+from dtwin.pipeline.machine_campaign import Job, measure_campaign
+from dtwin.pipeline.modelling import geometry_of
+from dtwin.plan import Plan
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.controller_kind import is_virtual
+from dtwin.serve.pointer import on_trial
+from dtwin.serve.served_time import correction_in_force, serving_now
+from dtwin.store import Lake
+from dtwin.train.registry import RegisteredVersion, Registry
+
+
+@dataclass(frozen=True)
+class CampaignRequest:
+    """What to measure, and where.
+
+    Attributes
+    ----------
+    plan : Plan
+        Tests in order.
+    inbox : Path
+        Folder that the reference instrument's program writes to.
+    out : Path, optional
+        Campaign folder; by default below ``DTWIN_HOME/campaigns``.
+    sensors : Path, optional
+        Channel file of the accelerometers.
+    robot : str, optional
+        Address of a UR controller to record.
+    version : str, optional
+        Version whose correction is measured by turns with and without, or its alias.
+    settle_s : float
+        Time for which a file must stand still.
+    """
+
+    plan: Plan
+    inbox: Path
+    out: Path | None = None
+    sensors: Path | None = None
+    robot: str | None = None
+    version: str | None = None
+    settle_s: float = 10.0
+
+
+def run_request(
+    home: Home, request: CampaignRequest, desk_of: Callable[[Path], Desk],
+    asked: Callable[[], bool],
+) -> dict[str, Any]:  # fmt: skip
+    """Measure a campaign, bring it into the lake, and with a version compute its evidence.
+
+    Parameters
+    ----------
+    home : Home
+        Where everything is kept.
+    request : CampaignRequest
+        What to measure.
+    desk_of : callable
+        Returns the operator's desk for a campaign folder.
+    asked : callable
+        Whether to stop.
+
+    Returns
+    -------
+    dict
+        JSON-ready: what :func:`measure_campaign` returns, ``added`` runs, and ``evidence``.
+    """
+    plan = request.plan
+    version = _version(home, request)
+    name = plan.name if version is None else f"{plan.name}-v{version.version}"
+    job = Job(
+        name=name,
+        machine=plan.machine,
+        folder=request.out or home.campaigns / name,
+        inbox=request.inbox,
+        steps=circle_steps(plan) if version is None else _by_turns(home, plan, version),
+        head=campaign_head(home, plan.machine, request.robot, version),
+        instruments=partial(recorders, request.sensors, request.robot),
+        in_force=correction_in_force(home, plan.machine),
+        serving_now=partial(serving_now, home, plan.machine),
+        settle_s=request.settle_s,
+    )
+    if job.inbox.resolve().is_relative_to(job.folder.resolve()):
+        raise InputError(
+            "the instrument must not write into the campaign folder itself", code="campaign.inbox",
+            where=str(job.inbox), hint="let it write somewhere else; its files are copied",
+        )  # fmt: skip
+    enter_desk(home, job.folder)
+    found = measure_campaign(job, desk_of(job.folder), asked)
+    report = ingest(job.folder, Lake(home.lake))
+    found |= {"added": len(report.added), "unchanged": len(report.unchanged), "evidence": None}
+    if version is not None:
+        evidence = compute(home, version, [name], [name])
+        found |= {"version": version.version, "evidence": evidence.as_dict()}
+    return found
+
+
+def campaign_head(
+    home: Home, machine: str, robot: str | None = None, version: RegisteredVersion | None = None
+) -> dict[str, Mapping[str, Any]]:
+    """Return what the campaign file says of machine and instrument, as far as it is known.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    machine : str
+        The machine.
+    robot : str, optional
+        Address of its controller, which is asked whether it is a real one.
+    version : RegisteredVersion, optional
+        Says most; else the newest campaign of the machine.
+    """
+    head: dict[str, dict[str, Any]] = {}
+    if version is not None:
+        head["machine_geometry"] = geometry_of(Registry(home), version)
+    else:
+        lake = Lake(home.lake)
+        rows = [row for row in lake.runs() if row["machine"] == machine]
+        if rows:
+            known = lake.campaign(max(rows, key=lambda row: str(row["ingested"]))["campaign"])
+            head = {"machine_geometry": dict(known.machine_geometry),
+                    "instrument": dict(known.instrument)}  # fmt: skip
+    geometry = head.setdefault("machine_geometry", {})
+    geometry.pop("corrected", None)
+    if robot is not None and is_virtual(robot):
+        geometry["virtual"] = True
+    return {name: content for name, content in head.items() if content}
+
+
+def _version(home: Home, request: CampaignRequest) -> RegisteredVersion | None:
+    if request.version is None:
+        return None
+    return Registry(home).version(request.plan.machine, request.version)
+
+
+def _by_turns(home: Home, plan: Plan, version: RegisteredVersion) -> tuple[Step, ...]:
+    """Return the steps for a version that may be served."""
+    if on_trial(plan.machine, home) == int(version.version):
+        model = "trial"
+    elif "champion" in version.aliases:
+        model = "latest"
+    else:
+        raise GateRefusal(
+            "the version is neither on trial nor champion: nothing would serve it",
+            code="campaign.version", where=f"machine {plan.machine}", got=version.version,
+            hint=f"dtwin promote {version.version} --machine {plan.machine} --trial",
+        )  # fmt: skip
+    bundle = Bundle.from_dict(Registry(home).bundle(version))
+    serve = f"dtwin serve --machine {plan.machine} --model {model}, with the options of its link"
+    return by_turns(plan, bundle.model_sha256, serve)

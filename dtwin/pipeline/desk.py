@@ -1,0 +1,191 @@
+"""Where an operator reads what to do next, and answers: in the terminal, or in the browser.
+
+The question lies in a file of the campaign folder, the answer in another, so that whoever sees the
+folder can answer, also after a restart of one or the other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from dtwin.atomic import write_text
+from dtwin.config import Home
+from dtwin.errors import InputError
+
+QUESTION, ANSWER = "desk.json", "desk.answer.json"
+DONE, REPEAT, KEEP = "done", "repeat", "keep"
+
+
+@dataclass(frozen=True)
+class Question:
+    """What an operator is asked to do or to say.
+
+    Attributes
+    ----------
+    run : str
+        Run that it is about.
+    text : str
+        In words.
+    answers : tuple of str
+        What may be answered, the usual one first.
+    programs : tuple of str
+        Programs that were handed out.
+    step, steps : int
+        Which one of how many.
+    id : str
+        Its own.
+    pid : int
+        Process that asks.
+    """
+
+    run: str
+    text: str
+    answers: tuple[str, ...]
+    programs: tuple[str, ...] = ()
+    step: int = 0
+    steps: int = 0
+    id: str = field(default_factory=lambda: secrets.token_hex(6))
+    pid: int = field(default_factory=os.getpid)
+
+
+class Desk:
+    """Asks one question at a time.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    show : callable
+        Shows a line to the operator.
+    typed : callable
+        Returns what was typed since the last time, None when nothing was; an empty line means the
+        usual answer.
+    """
+
+    def __init__(
+        self, folder: Path, show: Callable[[str], None], typed: Callable[[], str | None]
+    ) -> None:
+        self._folder, self.show, self._typed = folder, show, typed
+        self._question: Question | None = None
+
+    def ask(self, question: Question) -> None:
+        """Put a question, in place of the one before."""
+        self._question = question
+        text = json.dumps(asdict(question), indent=1)
+        write_text(self._folder / QUESTION, text, "what the operator is asked")
+        self.show(question.text)
+
+    def answer(self) -> str | None:
+        """Return the answer to the question, None while there is none."""
+        question = self._question
+        if question is None:
+            return None
+        given = _answer_file(self._folder, question)
+        if given is None and (typed := self._typed()) is not None:
+            given = _meant(typed, question.answers)
+            if given is None:
+                self.show(f"not understood; one of: {', '.join(question.answers)}")
+        return given
+
+    def again(self) -> None:
+        """Forget an answer that led nowhere: the question stays."""
+        (self._folder / ANSWER).unlink(missing_ok=True)
+
+    def clear(self) -> None:
+        """Take the question away."""
+        self._question = None
+        for name in (QUESTION, ANSWER):
+            (self._folder / name).unlink(missing_ok=True)
+
+
+def open_question(folder: Path) -> Mapping[str, Any] | None:
+    """Return what is asked in a campaign folder, None when nothing is."""
+    try:
+        found: dict[str, Any] = json.loads((folder / QUESTION).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found
+
+
+def enter_desk(home: Home, folder: Path) -> None:
+    """Remember where a campaign is measured, so that the browser finds its desk.
+
+    Parameters
+    ----------
+    home : Home
+        Whose workbench shows it.
+    folder : Path
+        Campaign folder.
+    """
+    place = str(folder.resolve())
+    name = hashlib.sha256(place.encode()).hexdigest()[:16]
+    write_text(home.root / "desks" / name, place, "where the campaign is measured")
+
+
+def desks(home: Home) -> dict[str, tuple[Path, Mapping[str, Any]]]:
+    """Return folder and question of every campaign that is being measured, by the desk's name."""
+    found = {}
+    for entry in sorted((home.root / "desks").glob("*")):
+        try:
+            folder = Path(entry.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            continue
+        question = open_question(folder)
+        if question is not None and _alive(question.get("pid")):
+            found[entry.name] = folder, question
+    return found
+
+
+def _alive(pid: object) -> bool:
+    return isinstance(pid, int) and pid > 1 and Path(f"/proc/{pid}").exists()
+
+
+def give_answer(folder: Path, question_id: str, answer: str) -> None:
+    """Answer a question.
+
+    Parameters
+    ----------
+    folder : Path
+        Campaign folder.
+    question_id : str
+        Of the question that is answered.
+    answer : str
+        One of its answers.
+
+    Raises
+    ------
+    InputError
+        When this is not asked now, or not answered so.
+    """
+    asked = open_question(folder)
+    if asked is None or asked["id"] != question_id or answer not in asked["answers"]:
+        raise InputError(
+            "this is not asked now", code="campaign.answer", where=str(folder), got=answer[:40],
+            allowed=", ".join(asked["answers"]) if asked else "nothing is asked",
+            hint="look again: the campaign has gone on",
+        )  # fmt: skip
+    text = json.dumps({"question": question_id, "answer": answer})
+    write_text(folder / ANSWER, text, "the operator's answer")
+
+
+def _answer_file(folder: Path, question: Question) -> str | None:
+    try:
+        found = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
+        answer = found["answer"] if found["question"] == question.id else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return answer if answer in question.answers else None
+
+
+def _meant(typed: str, answers: Sequence[str]) -> str | None:
+    word = typed.strip().lower()
+    if not word:
+        return answers[0]
+    return next((answer for answer in answers if answer.startswith(word)), None)

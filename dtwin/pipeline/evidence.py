@@ -1,0 +1,325 @@
+"""Closed-loop evidence of a version: measured, computed from the lake, computed again to promote."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.errors import GateRefusal, InputError
+from dtwin.pipeline.modelling import CONDITIONS_FILE, geometry_of, markdown_table
+from dtwin.report.campaign import evidence_section, evidence_table
+from dtwin.report.html import page
+from dtwin.schema import Campaign
+from dtwin.serve.bundle import Bundle
+from dtwin.store import Lake
+from dtwin.train.evidence import WITH, WITHOUT, Evidence, evidence_of_runs
+from dtwin.train.evidence_record import keep, newest, require_same
+from dtwin.train.evidence_runs import gathered
+from dtwin.train.promotion import promote
+from dtwin.train.registry import RegisteredVersion, Registry
+
+if TYPE_CHECKING:
+    from dtwin.train.circle_evidence import EvidencePlan
+    from dtwin.train.measured_ways import MeasuredWays
+
+Progress = Callable[[int, int, str], None]
+
+
+def compute(
+    home: Home, version: RegisteredVersion, without: Sequence[str], with_: Sequence[str],
+    *, notes: Mapping[str, Any] | None = None,
+) -> Evidence:  # fmt: skip
+    """Compute evidence from campaigns in the lake and keep it with the version.
+
+    Parameters
+    ----------
+    home : Home
+        Lake, registry, and the journal of the serving sessions.
+    version : RegisteredVersion
+        Whose correction is judged.
+    without, with_ : sequence of str
+        Campaigns that were measured without and with it; one that holds both ways is named twice.
+    notes : mapping, optional
+        As for :class:`Evidence`.
+
+    Raises
+    ------
+    InputError
+        When a campaign is unknown, or of another machine.
+    GateRefusal
+        When the runs do not fit what they are named for, are too few, or do not take turns.
+    """
+    evidence = _computed(home, version, without, with_, notes or {})
+    _keep(Registry(home), version, evidence)
+    return evidence
+
+
+def measure(
+    home: Home, version: RegisteredVersion, *, seed: int, plan: EvidencePlan | None = None,
+    progress: Progress | None = None,
+) -> Evidence:  # fmt: skip
+    """Measure a virtual machine with and without a version, and compute evidence from the runs.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    version : RegisteredVersion
+        What to serve.
+    seed : int
+        Seed of the machine.
+    plan : EvidencePlan, optional
+        Circles, for machines that run circles; without, one radius of every plane that was
+        trained, at feeds that were and were not.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When the machine is real: it has to be measured on it.
+    """
+    registry = Registry(home)
+    geometry = geometry_of(registry, version)
+    if not geometry.get("virtual", False):
+        raise InputError(
+            "what a correction does to a real machine has to be measured on it",
+            code="evidence.real",
+            where=f"machine {version.machine}",
+            hint=f"dtwin campaign --with {version.version} measures by turns with and without the "
+            "trial; dtwin evidence computes from any campaigns",
+        )
+    machine_type = str(geometry.get("type"))
+    if machine_type == "volumetric":
+        evidence = _predicted(home, version, progress)
+        _keep(registry, version, evidence)
+        return evidence
+    bundle = Bundle.from_dict(registry.bundle(version))
+    measured = _MEASURED.get(machine_type, _cobot)(
+        registry, version, bundle, geometry, plan, seed, progress
+    )
+    return compute_measured(home, version, measured)
+
+
+def compute_measured(home: Home, version: RegisteredVersion, measured: MeasuredWays) -> Evidence:
+    """Bring the runs of a virtual machine into the lake, and compute evidence from them.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    version : RegisteredVersion
+        Whose correction was in force in the runs that say so.
+    measured : MeasuredWays
+        The runs.
+    """
+    lake, first = Lake(home.lake), measured.runs[0].meta
+    name = _fresh_name(lake, f"evidence-{version.machine}-v{version.version}")
+    geometry = geometry_of(Registry(home), version) | {"virtual": True}
+    campaign = Campaign(name, version.machine, first.kind, first.started, geometry)
+    lake.commit(campaign, measured.runs)
+    return compute(home, version, [name], [name], notes=measured.notes())
+
+
+def proven(home: Home, version: RegisteredVersion) -> Evidence | None:
+    """Return the newest evidence of a version, computed again from its runs; None without any.
+
+    Raises
+    ------
+    GateRefusal
+        When the runs do not say what is on record.
+    """
+    registry = Registry(home)
+    record = newest(registry, version)
+    if record is None:
+        return None
+    campaigns = {way: tuple(record.content["campaigns"].get(way, ())) for way in (WITHOUT, WITH)}
+    notes = record.content["notes"]
+    predicted = geometry_of(registry, version).get("type") == "volumetric" and not campaigns[WITH]
+    evidence = (
+        _predicted(home, version, None)
+        if predicted
+        else _computed(home, version, campaigns[WITHOUT], campaigns[WITH], notes)
+    )
+    require_same(record, evidence)
+    return evidence
+
+
+def proven_or_measured(
+    home: Home, version: RegisteredVersion, *, seed: int, progress: Progress | None = None
+) -> Evidence:
+    """Return the evidence of a version; a virtual machine without any is measured.
+
+    Parameters
+    ----------
+    home, version, seed, progress
+        As for :func:`measure`.
+    """
+    return proven(home, version) or measure(home, version, seed=seed, progress=progress)
+
+
+def promote_proven(
+    home: Home,
+    version: RegisteredVersion,
+    comment: str = "",
+    despite: Sequence[str] = (),
+    valid_days: float = 0.0,
+) -> Path:
+    """Make a version champion by its evidence, computed again from its runs.
+
+    Parameters
+    ----------
+    home : Home
+        Lake, registry and bundles.
+    version : RegisteredVersion
+        The version.
+    comment : str
+        Why; kept in the history.
+    despite : sequence of str
+        Names of all evidence that speaks against the version.
+    valid_days : float
+        How long the evidence holds; 0 for ever.
+
+    Returns
+    -------
+    Path
+        The served bundle.
+
+    Raises
+    ------
+    GateRefusal
+        When a gate says no, or the evidence is not what its runs say.
+    """
+    registry = Registry(home)
+    return promote(
+        registry, home, version, geometry=geometry_of(registry, version),
+        evidence=proven(home, version), despite=despite, comment=comment, valid_days=valid_days,
+    )  # fmt: skip
+
+
+def make_champion(
+    home: Home,
+    version: RegisteredVersion,
+    comment: str = "",
+    despite: Sequence[str] = (),
+    valid_days: float = 0.0,
+) -> tuple[Path | None, str]:
+    """Return what :func:`promote_proven` does, or None and why it refuses."""
+    try:
+        return promote_proven(home, version, comment, despite, valid_days), ""
+    except GateRefusal as refusal:
+        return None, refusal.render()
+
+
+def _computed(
+    home: Home, version: RegisteredVersion, without: Sequence[str], with_: Sequence[str],
+    notes: Mapping[str, Any],
+) -> Evidence:  # fmt: skip
+    registry = Registry(home)
+    bundle = Bundle.from_dict(registry.bundle(version))
+    campaigns = {WITHOUT: tuple(dict.fromkeys(without)), WITH: tuple(dict.fromkeys(with_))}
+    virtual = bool(geometry_of(registry, version).get("virtual", False))
+    found = gathered(home, version.machine, bundle.model_sha256, campaigns, virtual=virtual)
+    return evidence_of_runs(
+        found.runs, kind=found.kind, machine=version.machine, model_sha256=bundle.model_sha256,
+        campaigns=campaigns, notes=notes, told=found.told,
+    )  # fmt: skip
+
+
+def _predicted(home: Home, version: RegisteredVersion, progress: Progress | None) -> Evidence:
+    from dtwin.pipeline.volumetric_evidence import volumetric_evidence
+
+    return volumetric_evidence(home, version, progress=progress)
+
+
+def _keep(registry: Registry, version: RegisteredVersion, evidence: Evidence) -> None:
+    keep(registry, version, evidence)
+    found = evidence.as_dict()
+    section = evidence_section(found, evidence.profiles)
+    content = page("Closed-loop evidence", f"version {version.version}", [section])
+    registry.attach(version, {"evidence.html": content})
+    text = f"Closed-loop evidence ({evidence.kind}, {found['clock']}):\n\n"
+    text += markdown_table(*evidence_table(found))
+    registry.mark(version, {}, description=f"{registry.description(version)}\n\n{text}")
+
+
+def _fresh_name(lake: Lake, name: str) -> str:
+    taken = set(lake.campaigns())
+    names = (name if n == 1 else f"{name}-{n}" for n in range(1, 10_000))
+    return next(n for n in names if n not in taken)
+
+
+def _cobot(
+    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
+    plan: EvidencePlan | None, seed: int, progress: Progress | None,
+) -> MeasuredWays:  # fmt: skip
+    from dtwin.train.circle_evidence import measured_circles
+
+    return measured_circles(
+        bundle,
+        seed=seed,
+        tcp_mm=np.asarray(geometry.get("tcp_mm", [0.0, 0.0, 0.0]), float),
+        plan=plan or _plan_of(registry, version),
+        progress=progress,
+    )
+
+
+def _mill(
+    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
+    plan: EvidencePlan | None, seed: int, progress: Progress | None,
+) -> MeasuredWays:  # fmt: skip
+    from dtwin.acquire.virtual_mill import virtual_mill
+    from dtwin.train.mill_evidence import measured_mill
+
+    if "hidden" not in geometry:
+        raise InputError(
+            "no virtual mill of this machine can be moved from here",
+            code="evidence.mill",
+            got=f"machine_geometry {', '.join(geometry)}",
+            allowed="a campaign of dtwin simulate --machine mill",
+            hint="dtwin demo mill measures its own evidence; else: dtwin campaign --with VERSION",
+        )
+    chosen = plan or _plan_of(registry, version)
+    return measured_mill(
+        bundle,
+        partial(virtual_mill, str(geometry["hidden"])),
+        seed=seed,
+        plan=replace(chosen, repeats=max(chosen.repeats, 3)),
+        delay_s=float(geometry["correction_delay_s"]),
+        progress=progress,
+    )
+
+
+def _lathe(
+    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
+    plan: EvidencePlan | None, seed: int, progress: Progress | None,
+) -> MeasuredWays:  # fmt: skip
+    from dtwin.pipeline.lathe_evidence import measured_days
+
+    logged = registry.metrics(version)
+    return measured_days(bundle, logged, str(geometry.get("truth", "")), seed, progress)
+
+
+def _turning(
+    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
+    plan: EvidencePlan | None, seed: int, progress: Progress | None,
+) -> MeasuredWays:  # fmt: skip
+    from dtwin.pipeline.turning_evidence import measured_tones
+
+    return measured_tones(bundle, str(geometry.get("truth", "")), seed=seed, progress=progress)
+
+
+_MEASURED = {"mill": _mill, "lathe": _lathe, "turning": _turning}
+
+
+def _plan_of(registry: Registry, version: RegisteredVersion) -> EvidencePlan:
+    from dtwin.train.circle_evidence import plan_within
+
+    trained = registry.read_json(version, CONDITIONS_FILE)
+    return plan_within([(p, float(r), float(f)) for p, r, f in trained])

@@ -1,0 +1,211 @@
+"""Bring into the lake what arrives in a folder, and say what does not belong there."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from dtwin.acquire.arrivals import Arrival, Arrivals
+from dtwin.acquire.ingest import ingest, open_source, worst
+from dtwin.atomic import write_text
+from dtwin.config import Home
+from dtwin.errors import DtwinError, StoreError
+from dtwin.store import Lake
+
+Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
+SETTLE_S = 10.0
+_ALONE = (".b5r",)
+
+
+@dataclass(frozen=True)
+class WatchEvent:
+    """What became of something that arrived.
+
+    Attributes
+    ----------
+    path : str
+        What arrived.
+    outcome : str
+        ``ingested``, ``unchanged`` (the same content was there), ``unknown machine`` (left where it
+        is), ``not accepted`` (the reader says no), ``not reachable`` (the folder cannot be read).
+    message : str
+        For people.
+    campaign : str
+        Campaign in the lake, empty when nothing was ingested.
+    """
+
+    path: str
+    outcome: Outcome
+    message: str
+    campaign: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return asdict(self)
+
+
+class FolderWatch:
+    """Ingests what arrives in a folder, each thing once; goes on after a restart.
+
+    Parameters
+    ----------
+    folder : Path
+        What is watched.
+    home : Home
+        Lake, and what is known of the folder's files.
+    machines : collection of str
+        Machines that may be ingested, besides those that the lake knows already.
+    settle_s : float
+        Time for which a file must stand still before it is read.
+    """
+
+    def __init__(
+        self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = SETTLE_S
+    ) -> None:
+        self._arrivals = Arrivals(folder, settle_s, lambda path: path.suffix.lower() in _ALONE)
+        self._home, self._named = home, frozenset(machines)
+        self._file = _state_file(home, folder)
+        self._known: dict[str, dict[str, Any]] = _read(self._file)
+        self._gone = False
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing that was seen is still being written."""
+        return not self._arrivals.moving
+
+    def look(self) -> list[WatchEvent]:
+        """Look once, and return what is new since the last look."""
+        try:
+            arrived = self._arrivals.look()
+        except OSError as error:
+            told = not self._gone
+            self._gone = True
+            reason = f"the folder cannot be read now: {error.strerror or error}; looking again"
+            return [WatchEvent(str(self._arrivals.folder), "not reachable", reason)] * told
+        self._gone = False
+        return [event for arrival in arrived if (event := self._taken(arrival)) is not None]
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the folder against a second watch of this home."""
+        lock = self._file.with_suffix(".lock")
+        lock.parent.mkdir(parents=True, exist_ok=True)
+        with lock.open("w") as handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise StoreError(
+                    "the folder is watched already", code="watch.busy",
+                    where=str(self._arrivals.folder), hint="one dtwin watch is enough",
+                ) from error  # fmt: skip
+            yield
+
+    def _taken(self, arrival: Arrival) -> WatchEvent | None:
+        """Ingest an arrival unless its look is known; None when there is nothing to say."""
+        name = str(arrival.path)
+        before = self._known.get(name)
+        stamp = [list(part) for part in arrival.stamp]
+        if before is not None and before["stamp"] == stamp and not self._now_known(before):
+            return None
+        try:
+            digest = arrival.sha256
+            event, machine = self._judged(arrival, digest)
+        except (OSError, StoreError) as error:
+            if isinstance(error, StoreError) and error.code != "store.busy":
+                raise
+            # Gone, locked by who writes it, or another ingest goes on: the next look tells.
+            return None
+        self._known[name] = {
+            "stamp": stamp, "sha256": digest, "outcome": event.outcome, "machine": machine,
+            "campaign": event.campaign,
+        }  # fmt: skip
+        write_text(self._file, json.dumps(self._known, indent=1), "the state of the watch")
+        return event
+
+    def _judged(self, arrival: Arrival, digest: str) -> tuple[WatchEvent, str]:
+        name = str(arrival.path)
+        for other, known in self._known.items():
+            if known["sha256"] == digest and known["outcome"] in ("ingested", "unchanged"):
+                said = "nothing in it has changed" if other == name else f"the same as {other}"
+                event = WatchEvent(name, "unchanged", said, known["campaign"])
+                return event, known["machine"]
+        try:
+            campaign, _, _ = open_source(arrival.path)
+            if campaign.machine not in self._machines():
+                said = (
+                    f"nothing is known of a machine {campaign.machine!r}: left where it is; to take "
+                    f"it in: dtwin watch {self._arrivals.folder} --machine {campaign.machine}"
+                )
+                return WatchEvent(name, "unknown machine", said), campaign.machine
+            report = ingest(arrival.path, Lake(self._home.lake))
+        except DtwinError as error:
+            if isinstance(error, StoreError):
+                raise
+            said = f"{error.render()}\n  left where it is; read again when it changes"
+            return WatchEvent(name, "not accepted", said), ""
+        counts = f"{len(report.added)} runs added, {len(report.unchanged)} unchanged"
+        said = f"{counts}, worst finding: {worst(report.findings)}"
+        outcome: Outcome = "ingested" if report.added else "unchanged"
+        return WatchEvent(name, outcome, said, report.campaign), campaign.machine
+
+    def _now_known(self, before: dict[str, Any]) -> bool:
+        """Tell whether what was left aside is of a machine that has become known since."""
+        return before["outcome"] == "unknown machine" and before["machine"] in self._machines()
+
+    def _machines(self) -> frozenset[str]:
+        rows = Lake(self._home.lake).runs()
+        return self._named | {row["machine"] for row in rows}
+
+
+def watch(
+    folder_watch: FolderWatch, tell: Callable[[WatchEvent], None],
+    wait: Callable[[float], bool], *, every_s: float, once: bool = False,
+) -> None:  # fmt: skip
+    """Look again and again.
+
+    Parameters
+    ----------
+    folder_watch : FolderWatch
+        What is watched.
+    tell : callable
+        Is told of everything that happened.
+    wait : callable
+        Waits so many seconds; true ends the watch.
+    every_s : float
+        Time between two looks.
+    once : bool
+        End when everything that is there has been taken or refused.
+    """
+    with folder_watch.alone():
+        first = True
+        while True:
+            for event in folder_watch.look():
+                tell(event)
+            if once and not first and folder_watch.idle:
+                return
+            first = False
+            if wait(every_s):
+                return
+
+
+def _state_file(home: Home, folder: Path) -> Path:
+    resolved = str(folder.resolve())
+    digest = hashlib.sha256(resolved.encode()).hexdigest()[:16]
+    return home.root / "watch" / f"{digest}.json"
+
+
+def _read(path: Path) -> dict[str, dict[str, Any]]:
+    """Return what an earlier watch knew; a damaged file only costs work: the lake knows its runs."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        wanted = {"stamp", "sha256", "outcome", "machine", "campaign"}
+        good = isinstance(found, dict) and all(set(known) == wanted for known in found.values())
+    except (OSError, ValueError, TypeError):
+        return {}
+    return found if good else {}

@@ -1,0 +1,33 @@
+"""Which process did something, and whether it is still there."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+
+def process(pid: int | None = None) -> str:
+    """Return host, number and start of a process, this one by default.
+
+    The start tells a process from a later one with the same number; it is 0 for one that is gone.
+    """
+    number = os.getpid() if pid is None else pid
+    try:
+        stat = Path(f"/proc/{number}/stat").read_text(encoding="utf-8")
+        start = stat.rpartition(")")[2].split()[19]
+    except (OSError, IndexError):
+        start = "0"
+    return f"{socket.gethostname().replace(' ', '-')} {number} {start}"
+
+
+def is_gone(stated: str) -> bool:
+    """Return whether a process of this computer, as :func:`process` stated it, has ended.
+
+    Of another computer, or of none, nothing is known: False.
+    """
+    host, _, rest = stated.partition(" ")
+    number = rest.partition(" ")[0]
+    if host != process(0).partition(" ")[0] or not number.isdigit():
+        return False
+    return process(int(number)) != stated

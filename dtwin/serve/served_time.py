@@ -1,0 +1,185 @@
+"""When which correction was in force, as the journal of the serving sessions has it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.errors import InputError, StoreError
+from dtwin.schema import MIXED_CORRECTION, require_name
+from dtwin.serve.journal import (
+    ENDED,
+    KILLED,
+    LINK_LOST,
+    NOT_RELEASED,
+    RECONNECTED,
+    RELEASED,
+    SERVING,
+)
+
+_ENDS = (RELEASED, NOT_RELEASED, ENDED, KILLED)
+_FOREVER = datetime.max.replace(tzinfo=UTC)
+
+
+@dataclass(frozen=True)
+class ServedStretch:
+    """A stretch of time in which one model corrected a machine without a break.
+
+    Attributes
+    ----------
+    begin, end : datetime
+        From the first correction that could be sent to the release; ``end`` is in the year 9999
+        while a session goes on.
+    model_sha256 : str
+        ``Bundle.model_sha256`` of what was served.
+    device : {"real", "virtual"}
+        What answered.
+    trial : bool
+        Whether the clamp was a trial's.
+    """
+
+    begin: datetime
+    end: datetime
+    model_sha256: str
+    device: str
+    trial: bool
+
+
+def events_path(home: Home, machine: str) -> Path:
+    """Return the file of the events of a machine's sessions."""
+    return home.logs / f"serve-{require_name(machine, 'the machine')}.events.jsonl"
+
+
+def served_stretches(home: Home, machine: str) -> list[ServedStretch]:
+    """Return when a machine was corrected live, oldest first.
+
+    A session that looked on or sent zeros corrected nothing. While a link was lost nothing is
+    known to have been corrected.
+
+    Parameters
+    ----------
+    home : Home
+        Where the journal lies.
+    machine : str
+        The machine.
+
+    Raises
+    ------
+    StoreError
+        When the journal cannot be read.
+    """
+    path = events_path(home, machine)
+    try:
+        lines = path.read_bytes().splitlines() if path.exists() else []
+    except OSError as error:
+        raise StoreError(
+            "the journal of the serving sessions cannot be read", code="served.journal",
+            where=str(path), got=error.strerror or str(error),
+        ) from error  # fmt: skip
+    return _stretches(_events(lines))
+
+
+def served_during(
+    stretches: Iterable[ServedStretch], begin: datetime, end: datetime, where: str
+) -> ServedStretch | None:
+    """Return what was in force throughout a time, None when nothing was at any moment of it.
+
+    Parameters
+    ----------
+    stretches : iterable of ServedStretch
+        From :func:`served_stretches`.
+    begin, end : datetime
+        The time, with its zone.
+    where : str
+        What it is the time of, for error messages.
+
+    Raises
+    ------
+    InputError
+        When the correction began or ended within it.
+    """
+    touched = [s for s in stretches if s.begin < end and begin < s.end]
+    if not touched:
+        return None
+    first = touched[0]
+    if len(touched) == 1 and first.begin <= begin and end <= first.end:
+        return first
+    raise InputError(
+        "a correction was in force during a part of the run only", code="served.partly",
+        where=where, got=", ".join(_told(s) for s in touched[:4]),
+        allowed=f"one correction or none from {begin.isoformat()} to {end.isoformat()}",
+        hint="measure it again; start dtwin serve before the recording and end it afterwards",
+    )  # fmt: skip
+
+
+def correction_in_force(home: Home, machine: str) -> Callable[[datetime, datetime], str]:
+    """Return a function that tells which model corrected a machine between two times.
+
+    It returns the model's checksum, nothing when there was no correction, and ``mixed`` when one
+    was in force during a part of the time only.
+
+    Parameters
+    ----------
+    home, machine
+        As for :func:`served_stretches`.
+    """
+
+    def between(begin: datetime, end: datetime) -> str:
+        try:
+            found = served_during(served_stretches(home, machine), begin, end, machine)
+        except InputError:
+            return MIXED_CORRECTION
+        return found.model_sha256 if found else ""
+
+    return between
+
+
+def serving_now(home: Home, machine: str) -> str:
+    """Return the checksum of the model that corrects a machine at this moment, empty without."""
+    return next((s.model_sha256 for s in served_stretches(home, machine) if s.end == _FOREVER), "")
+
+
+def _told(stretch: ServedStretch) -> str:
+    until = "now" if stretch.end == _FOREVER else stretch.end.isoformat(timespec="seconds")
+    return f"{stretch.begin.isoformat(timespec='seconds')} to {until}"
+
+
+def _events(lines: Iterable[bytes]) -> Iterable[Mapping[str, Any]]:
+    for line in lines:
+        try:
+            found = json.loads(line)
+            yield found | {"at": datetime.fromisoformat(found["time"])}
+        except (ValueError, KeyError, TypeError):
+            # The end of a line that a full disk cut off.
+            continue
+
+
+def _stretches(events: Iterable[Mapping[str, Any]]) -> list[ServedStretch]:
+    done: list[ServedStretch] = []
+    going: dict[Any, ServedStretch] = {}
+    lost: dict[Any, ServedStretch] = {}
+    for event in events:
+        session, what = event.get("session"), event.get("event")
+        if what == SERVING and event.get("mode") == "live":
+            # One session at a time holds the lease: another that never ended is dead.
+            done += [replace(left, end=event["at"]) for left in going.values()]
+            going.clear()
+            going[session] = ServedStretch(
+                event["at"], _FOREVER, str(event.get("model_sha256", "")),
+                str(event.get("device", "real")), bool(event.get("trial", False)),
+            )  # fmt: skip
+        elif what == LINK_LOST and session in going:
+            lost[session] = replace(going.pop(session), end=event["at"])
+            done.append(lost[session])
+        elif what == RECONNECTED and session in lost:
+            going[session] = replace(lost.pop(session), begin=event["at"], end=_FOREVER)
+        elif what in _ENDS:
+            lost.pop(session, None)
+            if session in going:
+                done.append(replace(going.pop(session), end=event["at"]))
+    return sorted([*done, *going.values()], key=lambda s: s.begin)

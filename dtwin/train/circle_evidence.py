@@ -1,0 +1,161 @@
+"""Circles of the virtual cobot with a correction, without it and with an oracle, interleaved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.virtual import EPOCH, run_of
+from dtwin.machines.cobot import CircleCondition, VirtualCobot
+from dtwin.schema import Floats, Plane, Run
+from dtwin.serve.bundle import Bundle
+from dtwin.train.circles import TICK_S, run_circle
+from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.results import condition_name
+
+Progress = Callable[[int, int, str], None]
+WAYS = ("uncompensated", "compensated", "oracle")
+_APART = timedelta(minutes=5)
+
+
+@dataclass(frozen=True)
+class EvidencePlan:
+    """Which circles are measured.
+
+    Attributes
+    ----------
+    conditions : tuple of (plane, radius_mm, feed_mm_min)
+        Each is run in both directions.
+    repeats : int
+        Repeats per condition, direction and way.
+    trained_feeds : tuple of float
+        For the report: the others were never trained.
+    """
+
+    conditions: tuple[tuple[Plane, float, float], ...]
+    repeats: int = 2
+    trained_feeds: tuple[float, ...] = (2000.0, 4000.0, 6000.0)
+
+    def trained(self, condition: Mapping[str, Any]) -> bool:
+        """Tell whether the feed of a condition was trained."""
+        return condition["feed_mm_min"] in self.trained_feeds
+
+
+_PLANES: tuple[tuple[Plane, float], ...] = (("XY", 100.0), ("YZ", 150.0), ("ZX", 100.0))
+DEFAULT_PLAN = EvidencePlan(
+    tuple(
+        (plane, radius, feed)
+        for plane, radius in _PLANES
+        for feed in (1000.0, 2000.0, 3000.0, 6000.0)
+    )
+)
+
+
+def plan_within(conditions: Sequence[tuple[Plane, float, float]], repeats: int = 2) -> EvidencePlan:
+    """Return circles in the planes that were trained, at feeds that were and were not.
+
+    Parameters
+    ----------
+    conditions : sequence of (plane, radius_mm, feed_mm_min)
+        What was trained.
+    repeats : int
+        Repeats per condition, direction and way.
+    """
+    feeds = sorted({feed for _, _, feed in conditions})
+    between = [0.5 * (feeds[0] + feeds[1])] if len(feeds) > 1 else []
+    wanted = sorted({0.5 * feeds[0], feeds[0], *between, feeds[-1]})
+    circles = []
+    for plane in sorted({plane for plane, _, _ in conditions}):
+        radii = sorted({radius for p, radius, _ in conditions if p == plane})
+        circles += [(plane, radii[(len(radii) - 1) // 2], feed) for feed in wanted]
+    return EvidencePlan(tuple(circles), repeats, tuple(feeds))
+
+
+def measured_circles(
+    bundle: Bundle, *, seed: int, tcp_mm: Floats, plan: EvidencePlan = DEFAULT_PLAN,
+    workers: int = 2, progress: Progress | None = None,
+) -> MeasuredWays:  # fmt: skip
+    """Measure compensated, uncompensated and oracle circles on the virtual cobot.
+
+    Runs in lock-step on the machine clock: the controller advances a tick when that tick's
+    correction has arrived. The three ways alternate inside every set-up, which is not one of
+    those that were trained in. The oracle knows the machine's repeatable error exactly and is
+    subject to the same guard, delay and lag as the bundle.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        What to serve.
+    seed : int
+        Seed of the machine that was trained on.
+    tcp_mm : ndarray, shape (3,)
+        Tool centre point.
+    plan : EvidencePlan
+        Circles.
+    workers : int
+        Processes side by side.
+    progress : callable, optional
+        Called with (done, total, what).
+    """
+    jobs = [
+        (bundle.to_dict(), seed, tcp_mm.tolist(), condition, plan.repeats)
+        for condition in plan.conditions
+    ]
+    ways: dict[str, list[Run]] = {"measured": [], "oracle": []}
+    acted: dict[str, dict[str, float]] = {}
+    with ProcessPoolExecutor(workers) as pool:
+        for done, found in enumerate(pool.map(_measure_condition, jobs), start=1):
+            plane, radius, feed = plan.conditions[done - 1]
+            condition = {"plane": plane, "radius_mm": radius, "feed_mm_min": feed}
+            counts = []
+            for way, run, guard in found:
+                ways["oracle" if way == "oracle" else "measured"].append(run)
+                counts += [guard] if way == "compensated" else []
+            acted[condition_name(condition)] = guard_shares(counts)
+            if progress is not None:
+                progress(done, len(jobs), f"{plane} R{radius:g} F{feed:g}")
+    controller = VirtualCobot(seed=seed).parameters.controller
+    return MeasuredWays(
+        runs=numbered(
+            replace(r, meta=replace(r.meta, started=(EPOCH + number * _APART).isoformat()))
+            for number, r in enumerate(ways["measured"], start=1)
+        ),
+        clock="machine clock (lock-step, 500 Hz)",
+        delays={
+            "actuator_delay_s": controller.actuator_delay_s,
+            "actuator_lag_s": controller.actuator_lag_s,
+            "transport_s": TICK_S,
+        },
+        oracle=tuple(ways["oracle"]),
+        acted=acted,
+        trained=plan.trained,
+    )
+
+
+def _measure_condition(job: tuple[Any, ...]) -> list[tuple[str, Run, dict[str, int]]]:
+    content, seed, tcp, (plane, radius, feed), repeats = job
+    bundle = Bundle.from_dict(content)
+    cobot = VirtualCobot(seed=seed)
+    found: list[tuple[str, Run, dict[str, int]]] = []
+    setup = f"evidence-{plane}-{radius:g}"
+    for _ in range(repeats):
+        for way in WAYS:
+            for direction in ("CCW", "CW"):
+                condition = CircleCondition(plane, radius, feed, direction)
+                recording, acted = run_circle(
+                    cobot, bundle, np.array(tcp), condition, setup, 101 + len(found), way
+                )
+                run = run_of(recording, "e", plane, EPOCH)
+                samples = dict(run.samples)
+                if direction == "CW" and plane != "XY":
+                    # Half a turn back goes over the same half.
+                    samples["angle_deg"] = samples["angle_deg"] + 180.0
+                correction = bundle.model_sha256 if way == "compensated" else ""
+                meta = replace(run.meta, correction=correction)
+                found.append((way, replace(run, meta=meta, samples=samples, signals=()), acted))
+    return found

@@ -1,0 +1,44 @@
+"""Page of the campaigns that are being measured: what the operator is asked, and the answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.responses import JSONResponse, Response
+
+from dtwin.errors import InputError
+from dtwin.pipeline.desk import desks, give_answer
+from dtwin.workbench.bench import bench_of
+from dtwin.workbench.pages import rendered
+
+router = APIRouter()
+
+
+@router.get("/measuring")
+def measuring_page(request: Request) -> Response:
+    """Show what is asked now."""
+    found = [
+        {"id": name, "name": folder.name, "folder": str(folder), "question": question}
+        for name, (folder, question) in desks(bench_of(request).home).items()
+    ]
+    return rendered(request, "measuring.html", title="Measuring", desks=found)
+
+
+@router.get("/api/measuring")
+def measuring(request: Request) -> dict[str, Any]:
+    """Return the questions that are open, by the desk's name."""
+    return {name: dict(asked) for name, (_, asked) in desks(bench_of(request).home).items()}
+
+
+@router.post("/api/measuring/{desk}/{question}/{answer}")
+def answered(request: Request, desk: str, question: str, answer: str) -> JSONResponse:
+    """Answer a question."""
+    found = desks(bench_of(request).home).get(desk)
+    if found is None:
+        raise InputError(
+            "no campaign is measured there now", code="campaign.answer", got=desk[:40],
+            hint="reload the page",
+        )  # fmt: skip
+    give_answer(found[0], question, answer)
+    return JSONResponse({"answered": answer})

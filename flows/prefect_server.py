@@ -1,0 +1,79 @@
+"""Prefect's server behind a guard: ``python -m flows.prefect_server --port 4200``.
+
+Prefect answers every Host and every Origin unless told otherwise. Here only this computer's own
+names and the server's own page are answered; the auth string is Prefect's own check.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import uvicorn
+from prefect.server.api.server import create_app
+from prefect.settings import get_current_settings
+from starlette.datastructures import Headers
+from starlette.responses import HTMLResponse, PlainTextResponse
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from dtwin.own_address import is_foreign, names_this_computer
+
+HOST = "127.0.0.1"
+ENTER = "/enter"
+# The part of the address behind # stays in the browser: the page keeps it where Prefect's own
+# page keeps what is typed into it.
+_ENTER_PAGE = (
+    '<!doctype html><html lang="en"><meta charset="utf-8"><title>Prefect</title><script>'
+    "if (location.hash.length > 1) localStorage.setItem('prefect-password', location.hash.slice(1));"
+    "location.replace('/dashboard');</script>"
+)
+
+
+class OwnPagesOnly:
+    """An application that answers this computer's own names and its own pages only.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What is guarded.
+    """
+
+    def __init__(self, app: ASGIApp) -> None:
+        self.app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or refuse it."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        foreign = (
+            not names_this_computer(host)
+            or is_foreign(headers.get("origin"), host)
+            or headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
+        )
+        if foreign and scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008})
+        elif foreign:
+            refusal = PlainTextResponse("refused: another site asks, or another name\n", 403)
+            await refusal(scope, receive, send)
+        elif scope["type"] == "http" and scope["path"] == ENTER:
+            await HTMLResponse(_ENTER_PAGE)(scope, receive, send)
+        else:
+            await self.app(scope, receive, send)
+
+
+def main() -> None:
+    """Serve until told to stop."""
+    parser = argparse.ArgumentParser(prog="python -m flows.prefect_server")
+    parser.add_argument("--port", type=int, required=True)
+    port = parser.parse_args().port
+    settings = get_current_settings().server.api
+    options: dict[str, Any] = {"timeout_keep_alive": settings.keepalive_timeout}
+    app = OwnPagesOnly(create_app(final=True))
+    uvicorn.run(app, host=HOST, port=port, log_level="warning", **options)
+
+
+if __name__ == "__main__":
+    main()

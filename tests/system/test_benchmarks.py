@@ -1,0 +1,97 @@
+"""Every benchmark in its short form: it runs, and says what it is to say. No time is judged here."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from virtual_robot import free_address
+
+FOLDER = Path(__file__).parents[2] / "benchmarks"
+pytestmark = [pytest.mark.system, pytest.mark.timeout(280)]
+
+
+def short(script: str, *options: str) -> Any:
+    done = subprocess.run(
+        [sys.executable, str(FOLDER / script), "--short", "--json", *options],
+        env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    return json.loads(done.stdout)
+
+
+def test_none_is_left_out() -> None:
+    there = {p.name for p in FOLDER.glob("*.py")}
+    assert there == {
+        "bench_analogue.py", "bench_decision.py", "bench_equation.py", "bench_features.py",
+        "bench_fit.py", "bench_flips.py", "bench_help.py", "bench_ingest.py", "bench_loop.py",
+        "bench_tone_tick.py", "bench_workbench.py", "mechanism_bias.py",
+    }  # fmt: skip
+    # test_freezes and test_exam_short run these.
+    assert {p.parent.name for p in FOLDER.glob("*/run.py")} == {"freezes", "hidden_effect"}
+    listed = (FOLDER / "README.md").read_text(encoding="utf-8")
+    for name in [*there, "freezes/run.py", "hidden_effect/run.py"]:
+        assert f"`{name}`" in listed, f"{name} is not described"
+
+
+def test_loop() -> None:
+    found = short("bench_loop.py", f"--host={free_address()}")
+    assert set(found["clients"]) == {"naive", "loop", "loop with priority"}
+    for one in found["clients"].values():
+        assert one["ticks"] > 0
+        assert 0.0 <= one["late_share"] <= 1.0
+    assert found["clients"]["loop"]["own_status"]["fault"] is None
+
+
+def test_flips() -> None:
+    found = short("bench_flips.py")
+    assert set(found) == {"lake", "twins", "reduced", "bundles"}
+    for counts in found.values():
+        assert set(counts) <= {"noticed", "harmless"}
+        assert sum(counts.values()) == 30
+    assert found["bundles"] == {"noticed": 30}
+
+
+@pytest.mark.parametrize(
+    ("script", "ratios"),
+    [
+        ("bench_help.py", ["ratio"]),
+        ("bench_decision.py",
+         ["as any process.usual_script_over_features_and_equation",
+          "as the loop, by default.usual_script_over_features_and_equation"]),
+        ("bench_equation.py", ["ratio_of_p50.pyfunc", "ratio_of_p50.forest"]),
+        ("bench_features.py", ["ratio_to_usual_script", "ratio_to_tsfel"]),
+        ("bench_fit.py", ["times_faster"]),
+        ("bench_ingest.py", ["steps.lake.x_plain", "steps.commit.x_plain"]),
+        ("bench_tone_tick.py", ["calls"]),
+        ("bench_workbench.py", ["runs"]),
+    ],
+)  # fmt: skip
+def test_what_is_timed(script: str, ratios: list[str]) -> None:
+    if script == "bench_features.py":
+        pytest.importorskip("tsfel")
+    found = short(script)
+    for ratio in ratios:
+        value = found
+        for name in ratio.split("."):
+            value = value[name]
+        assert float(value) > 0.0
+    if script == "bench_ingest.py":
+        assert found["bit_flips"]["silent"] == 0
+
+
+def test_analogue() -> None:
+    if not (shutil.which("avr-gcc") and Path("/usr/include/simavr").exists()):
+        pytest.skip("avr-gcc or simavr is not installed")
+    assert [one["output"] for one in short("bench_analogue.py")["measured"]] == ["dac"] * 2 + ["pwm"] * 2  # fmt: skip
+
+
+def test_mechanism_bias() -> None:
+    (rows,) = short("mechanism_bias.py").values()
+    assert all({"parameter", "set", "found", "bias"} <= set(row) for row in rows)

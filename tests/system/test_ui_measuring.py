@@ -1,0 +1,68 @@
+"""An operator is asked, and answers, in the browser."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from chromium import chromium
+from playwright.sync_api import expect
+from test_ui import PATIENCE_MS
+from workbench_server import Workbench, running_workbench
+
+from dtwin.config import Home
+from dtwin.pipeline.desk import DONE, KEEP, REPEAT, Desk, Question, enter_desk
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Workbench]:
+    with running_workbench(tmp_path / "home") as started:
+        yield started
+
+
+def test_what_is_asked_is_shown_and_answered(bench: Workbench, tmp_path: Path) -> None:
+    assert "No campaign is being measured" in bench.ask("/measuring")[1]
+    folder = tmp_path / "shop"
+    folder.mkdir()
+    shown: list[str] = []
+    desk = Desk(folder, shown.append, lambda: None)
+    enter_desk(Home(bench.home), folder)
+    first = Question("t001", "t001: run <b>the program</b>", (DONE,), ("t001.nc",), 1, 2)
+    desk.ask(first)
+    (name,) = json.loads(bench.ask("/api/measuring")[1])
+    address = f"/api/measuring/{name}/{first.id}"
+    assert bench.ask(f"{address}/done", method="POST", body=b"{}")[0] == 403
+    assert bench.act(f"{address}/keep")[0] == 400
+    assert bench.act(f"/api/measuring/{name}/other/done")[0] == 400
+    assert bench.act(f"/api/measuring/0123/{first.id}/done")[0] == 400
+    assert desk.answer() is None
+    with chromium() as browser:
+        page = browser.new_page()
+        page.set_default_timeout(PATIENCE_MS)
+        page.goto(bench.address)
+        page.wait_for_url("**/campaigns")
+        page.goto(f"{bench.base}/measuring")
+        expect(page.locator("main")).to_contain_text("t001: run <b>the program</b>")
+        page.get_by_role("button", name="Done").click()
+        expect(page.get_by_role("button", name="Done")).to_be_disabled()
+        assert _answered(desk) == DONE
+        # The next question comes by itself.
+        desk.ask(Question("t001", "t001 is spoilt", (REPEAT, KEEP)))
+        page.get_by_role("button", name="Keep").click()
+        assert _answered(desk) == KEEP
+        desk.clear()
+        expect(page.locator("main")).to_contain_text("No campaign is being measured")
+    assert shown[-1] == "t001 is spoilt"
+
+
+def _answered(desk: Desk) -> str:
+    until = time.monotonic() + 30
+    while (found := desk.answer()) is None:
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return found

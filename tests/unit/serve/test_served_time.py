@@ -1,0 +1,108 @@
+"""What the journal says of which correction was in force, and when."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.serve.served_time import (
+    correction_in_force,
+    events_path,
+    served_during,
+    served_stretches,
+    serving_now,
+)
+
+BEGIN = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
+A, B = "a" * 64, "b" * 64
+
+
+def at(seconds: float) -> datetime:
+    return BEGIN + timedelta(seconds=seconds)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Home:
+    return Home(tmp_path)
+
+
+def journal(
+    home: Home, *events: tuple[float, str, str] | tuple[float, str, str, dict[str, Any]]
+) -> None:
+    path = events_path(home, "m")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        for seconds, session, what, *more in events:
+            line = {"time": at(seconds).isoformat(), "session": session, "event": what}
+            file.write(json.dumps(line | (more[0] if more else {})) + "\n")
+
+
+def live(model: str = A, device: str = "real") -> dict[str, Any]:
+    return {"mode": "live", "model_sha256": model, "device": device, "trial": True}
+
+
+def test_a_session_is_in_force_from_its_beginning_to_its_release(home: Home) -> None:
+    journal(home, (10, "s", "serving", live()), (60, "s", "released"), (61, "s", "ended"))
+    between = correction_in_force(home, "m")
+    assert between(at(20), at(50)) == A
+    assert between(at(61), at(90)) == between(at(0), at(9)) == ""
+    assert between(at(0), at(20)) == between(at(50), at(70)) == "mixed"
+    (stretch,) = served_stretches(home, "m")
+    assert (stretch.device, stretch.trial, stretch.end) == ("real", True, at(60))
+    assert serving_now(home, "m") == ""
+
+
+def test_a_lost_link_ends_it_and_a_link_that_comes_back_begins_it(home: Home) -> None:
+    journal(
+        home, (0, "s", "serving", live()), (20, "s", "link_lost"), (25, "s", "still_lost"),
+        (30, "s", "reconnected"), (60, "s", "released"),
+    )  # fmt: skip
+    between = correction_in_force(home, "m")
+    assert between(at(1), at(19)) == between(at(31), at(59)) == A
+    assert between(at(21), at(29)) == ""
+    assert between(at(10), at(40)) == "mixed"
+
+
+def test_one_model_after_the_other_within_a_run_is_mixed(home: Home) -> None:
+    journal(
+        home, (0, "s", "serving", live()), (20, "s", "released"),
+        (20, "t", "serving", live(B)), (60, "t", "released"),
+    )  # fmt: skip
+    between = correction_in_force(home, "m")
+    assert between(at(10), at(40)) == "mixed"
+    assert between(at(21), at(40)) == B
+    with pytest.raises(InputError, match="a part of the run"):
+        served_during(served_stretches(home, "m"), at(10), at(40), "r1")
+
+
+def test_who_looks_on_or_sends_zeros_corrects_nothing(home: Home) -> None:
+    journal(
+        home, (0, "s", "serving", live()), (5, "looks", "serving", live(B) | {"mode": "shadow"}),
+        (8, "looks", "released"), (9, "looks", "ended"), (12, "z", "serving", live(B) | {"mode": "dry-run"}),
+    )  # fmt: skip
+    assert correction_in_force(home, "m")(at(1), at(30)) == A
+    assert serving_now(home, "m") == A
+
+
+def test_a_killed_session_and_one_that_never_ended_are_over(home: Home) -> None:
+    journal(home, (0, "s", "serving", live()), (20, "s", "killed"))
+    assert correction_in_force(home, "m")(at(30), at(40)) == ""
+    # A power cut leaves no line at all; the next session holds the lease.
+    journal(home, (50, "t", "serving", live()), (100, "u", "serving", live(B)))
+    assert correction_in_force(home, "m")(at(110), at(120)) == B
+    assert serving_now(home, "m") == B
+
+
+def test_a_cut_line_and_a_session_of_an_older_version_are_no_evidence(home: Home) -> None:
+    journal(home, (0, "s", "serving", {"mode": "live"}), (20, "s", "released"))
+    with events_path(home, "m").open("a") as file:
+        file.write('{"time": "2026-05-04T08:0')
+    (stretch,) = served_stretches(home, "m")
+    assert stretch.model_sha256 == ""
+    assert served_stretches(home, "other") == []
