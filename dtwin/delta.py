@@ -210,7 +210,7 @@ class DeltaFiles:
         """
         path, digest = self._path(name)
 
-        def verify(data: bytes) -> None:
+        def verify(data: memoryview) -> None:
             if not content_hash(data).startswith(digest):
                 raise OSError("its content is not the one that was written")
 

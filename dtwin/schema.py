@@ -118,13 +118,13 @@ class Encoded:
 
     Attributes
     ----------
-    data : bytes
+    data : bytes or memoryview
         The file.
     columns : mapping of str to ndarray
         What it holds: the object itself, by which its owner knows that nothing was replaced.
     """
 
-    data: bytes
+    data: bytes | memoryview
     columns: Mapping[str, NDArray[Any]]
 
 

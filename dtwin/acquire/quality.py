@@ -20,6 +20,8 @@ MAX_DEVIATION_UM = 2_500.0
 MIN_SPREAD_UM = 0.02
 _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
+# More than this share of a recording lost is a link that does not keep up, not a hiccup.
+_MOST_LOST = 0.05
 
 
 def judge_run(run: Run) -> list[Finding]:
@@ -46,8 +48,9 @@ def _of_kind(run: Run) -> list[Finding]:
         return clock if judge is None else [*clock, *judge(run)]
     clock = _clock(run.samples["t_s"])
     findings = [*clock, *_reading(run), *_angles(run), *_radius(run)]
+    told = any(finding.code == "recording.gap" for finding in run.findings)
     for group in run.signals:
-        findings += _signals(group)
+        findings += _signals(group, gaps_told=told)
     if not any(finding.severity == "error" for finding in findings):
         findings += judge_motion(run)
     return findings
@@ -264,11 +267,18 @@ def _angles(run: Run) -> list[Finding]:
     return findings
 
 
-def _signals(group: SignalGroup) -> list[Finding]:
+def _signals(group: SignalGroup, *, gaps_told: bool) -> list[Finding]:
+    """Judge signals; samples without any value are lost ones when the recorder told of gaps."""
     findings = []
-    for name, values in group.columns.items():
-        if values.dtype.kind != "f":
-            continue
+    floats = {n: v for n, v in group.columns.items() if v.dtype.kind == "f"}
+    lost = np.zeros(group.n_samples, dtype=bool)
+    if gaps_told and floats:
+        lost = np.logical_and.reduce([np.isnan(values) for values in floats.values()])
+        if lost.mean() > _MOST_LOST:
+            text = f"{lost.sum()} of {lost.size} samples of {group.name} are lost"
+            findings.append(Finding("signal.lost", "error", text, {"share_1": float(lost.mean())}))
+    for name, whole in floats.items():
+        values = whole[~lost]
         bad = int(np.count_nonzero(~np.isfinite(values)))
         if bad:
             findings.append(
@@ -285,6 +295,8 @@ def _signals(group: SignalGroup) -> list[Finding]:
 
 
 def _accelerometer(group: str, name: str, values: Floats) -> list[Finding]:
+    if not values.size:
+        return []
     top = float(np.max(np.abs(values)))
     clipped = int(np.count_nonzero(np.abs(values) >= 0.999 * top))
     if top > 0 and clipped > 20 and clipped > 1e-4 * values.size:

@@ -84,7 +84,7 @@ def read_signals(path: Path) -> list[SignalGroup]:
 
 
 def _from_header(
-    header: bytes, columns: dict[str, NDArray[Any]], data: bytes | None, path: Path
+    header: bytes, columns: dict[str, NDArray[Any]], data: memoryview | None, path: Path
 ) -> SignalGroup:
     try:
         head = json.loads(header)

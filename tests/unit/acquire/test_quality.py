@@ -126,6 +126,27 @@ def test_faults_of_signals_are_named() -> None:
         assert code in codes(run)
 
 
+@pytest.mark.parametrize(
+    ("lost", "told", "code"),
+    [(12, True, ""), (12, False, "signal.not_finite"), (600, True, "signal.lost")],
+)
+def test_samples_that_a_recorder_told_as_lost_spoil_a_run_only_in_number(
+    lost: int, told: bool, code: str
+) -> None:
+    rng = np.random.default_rng(1)
+    gone = np.arange(5000) < lost
+    columns = {
+        n: np.where(gone, np.nan, rng.normal(size=5000)) for n in ("target_x_mm", "wrist_x_g")
+    }
+    columns["segment_id"] = np.where(gone, -1, 1)
+    findings = (Finding("recording.gap", "warning", "lost"),) if told else ()
+    run = replace(made(), signals=(SignalGroup("controller", 125.0, columns),), findings=findings)
+    assert {f.code for f in judge_run(run) if f.severity == "error"} == ({code} if code else set())
+    # One value alone is no lost sample.
+    columns["wrist_x_g"][-1] = np.nan
+    assert "signal.not_finite" in codes(run)
+
+
 def test_a_campaign_without_repeats_or_directions_says_so() -> None:
     one = made()
     found_codes = {f.code for f in judge_campaign([one])}
