@@ -12,6 +12,10 @@ from dtwin.errors import InputError
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
+# No machine that anyone would measure has a fault of more times its ordinary size.
+_LARGEST = 200.0
+_BEYOND_GRID = 10.0
+
 Per = Literal["machine", "axis", "machine_and_axis", "plane", "plane_or_axis", "joint"]
 Shape = Mapping[str, float]
 Regressors = Callable[[State, str, Shape], Floats]
@@ -33,6 +37,11 @@ class Parameter:
     unit: str
     typical: float
 
+    @property
+    def largest(self) -> float:
+        """Size beyond which no machine is: such a value is a finding, not a result."""
+        return _LARGEST * self.typical
+
 
 @dataclass(frozen=True)
 class ShapeParameter:
@@ -45,13 +54,23 @@ class ShapeParameter:
     start : float
         Where the search begins.
     grid : tuple of float
-        Values that diagnosis tries; the fit refines between the outermost.
+        Values that diagnosis tries, refined between the outermost.
+    limits : tuple of float, optional
+        What is physically possible, which no fit leaves; without them a tenth of the smallest
+        and ten times the largest value of the grid, or of the start.
     """
 
     name: str
     unit: str
     start: float
     grid: tuple[float, ...]
+    limits: tuple[float, float] | None = None
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Smallest and largest value that a fit may give."""
+        tried = self.grid or (self.start,)
+        return self.limits or (min(tried) / _BEYOND_GRID, max(tried) * _BEYOND_GRID)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches, probes
 from dtwin.physics.observations import Observations
+from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import (
     Problem,
     Term,
@@ -51,7 +52,8 @@ class Estimate:
     uncertainty : float
         Expanded, k = 2 (95 %), unit of replication: the run. NaN without repeats.
     identifiable : bool
-        False when these runs do not determine it; the value is then the smallest that fits.
+        False when these runs do not determine it (the value is then the smallest that fits), or
+        when it or a shape of its effect is not plausible.
     """
 
     effect: str
@@ -283,9 +285,11 @@ def _estimates(
 ) -> tuple[Estimate, ...]:
     out = []
     number = 0
+    doubted = implausible(terms, values)
     for term in terms:
         for parameter in term.instance.effect.parameters:
             shown = bool(np.isfinite(expanded[number])) or not np.isfinite(expanded).any()
+            shown = shown and term.label not in doubted
             out.append(
                 Estimate(
                     effect=term.instance.effect.name,

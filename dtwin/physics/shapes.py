@@ -25,8 +25,9 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     term : Term
         Effect and the shape to start from.
     bounded : bool
-        Stay within the grid of the effect. Beyond it many effects turn into others: friction
-        without travel and a spike without end are backlash.
+        Stay within the grid of the effect, as diagnosis does. Beyond it many effects turn into
+        others: friction without travel and a spike without end are backlash. Otherwise within
+        what is physically possible.
 
     Returns
     -------
@@ -49,7 +50,7 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     found = least_squares(
         left,
         begun,
-        bounds=_bounds(term, begun) if bounded else (-np.inf, np.inf),
+        bounds=_bounds(term, begun, bounded),
         method="trf",
         x_scale=0.1,
         max_nfev=_MOST_TRIES,
@@ -60,11 +61,11 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     return replace(term, shape=dict(zip(names, np.exp(found.x).tolist(), strict=True)))
 
 
-def _bounds(term: Term, begun: Floats) -> tuple[Floats, Floats]:
-    """Return the range of each shape's grid in logarithms; the solver wants a start inside."""
-    low, high = np.full(len(begun), -np.inf), np.full(len(begun), np.inf)
-    for i, shape in enumerate(term.instance.effect.shapes):
-        if shape.grid:
-            low[i] = min(np.log(min(shape.grid)), begun[i]) - _MARGIN
-            high[i] = max(np.log(max(shape.grid)), begun[i]) + _MARGIN
-    return low, high
+def _bounds(term: Term, begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:
+    """Return the range of each shape in logarithms; the solver wants a start inside."""
+    ranges = [
+        (min(shape.grid), max(shape.grid)) if within_grid and shape.grid else shape.bounds
+        for shape in term.instance.effect.shapes
+    ]
+    low, high = np.log(np.array(ranges)).T
+    return np.minimum(low, begun) - _MARGIN, np.maximum(high, begun) + _MARGIN

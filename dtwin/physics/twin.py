@@ -14,6 +14,7 @@ from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.fit import Estimate, Fit
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
+from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term
 from dtwin.schema import Floats
 
@@ -118,6 +119,15 @@ class Twin:
     def labels(self) -> tuple[str, ...]:
         """Labels of its effects."""
         return tuple(term.label for term in self.terms)
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Effects whose values or shapes are not plausible, in words."""
+        values = np.array([e.value for e in self.estimates])
+        return tuple(
+            f"{label} is not told by these runs: {why}"
+            for label, why in implausible(self.terms, values).items()
+        )
 
     def values(self, term: Term) -> Floats:
         """Return the fitted parameters of an effect, shape (parameters,)."""

@@ -75,7 +75,7 @@ ARC_DIP = Effect(
     reference="[D] description, not a mechanism",
     needs=(ARC_SHARE, ARC_SIGN),
     shapes=(
-        ShapeParameter("place_1", "1", 0.5, tuple(n / 40.0 for n in range(2, 39))),
+        ShapeParameter("place_1", "1", 0.5, tuple(n / 40.0 for n in range(2, 39)), (0.005, 0.995)),
         ShapeParameter("width_1", "1", 0.03, (0.015, 0.03, 0.06)),
     ),
     confusables=("reversal_spike", "joint_reversal"),

@@ -92,6 +92,7 @@ def twin_text(twin: Twin) -> str:
     )
     shown = parameter_table(twin)
     lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
+    lines += [f"warning: {doubt}" for doubt in twin.doubts]
     lines += [f"cannot be told apart: {_alias(alias)}" for alias in twin.aliases]
     lines += [f"warning: {line}" for line in data_lines(twin.data)]
     return "\n".join(lines)
@@ -271,7 +272,8 @@ def twin_section(twin: Twin) -> Section:
         f"{micrometres(figures['rms_after_um'])} um RMS, noise floor {number(figures['noise_floor_um'])} um. "
         "Uncertainties are expanded (k = 2); the unit of replication is the run."
     )
-    warnings = [("warning", f"cannot be told apart: {_alias(alias)}") for alias in twin.aliases]
+    warnings = [("warning", doubt) for doubt in twin.doubts]
+    warnings += [("warning", f"cannot be told apart: {_alias(alias)}") for alias in twin.aliases]
     return Section("The twin", [said], warnings, [parameter_table(twin)])
 
 

@@ -35,7 +35,7 @@ EFFECT = Effect(
     separate_by="Change the feed by 10 %: lobes locked to position stay, vibration moves.",
     remedy="Align screw and bearing, check the encoder coupling; a pitch table.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
-    shapes=(ShapeParameter("pitch_mm", "mm", 10.0, ()),),
+    shapes=(ShapeParameter("pitch_mm", "mm", 10.0, (), (0.5, 300.0)),),
     confusables=(
         "cyclic_error_by_direction",
         "structural_resonance",

@@ -34,7 +34,7 @@ EFFECT = Effect(
     separate_by="Run slowly in both directions along a straight line with a laser interferometer.",
     remedy="As for the cyclic error; the table must be by direction.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
-    shapes=(ShapeParameter("pitch_mm", "mm", 10.0, ()),),
+    shapes=(ShapeParameter("pitch_mm", "mm", 10.0, (), (0.5, 300.0)),),
     confusables=("cyclic_error",),
     correctable="Pitch tables for each direction.",
 )

@@ -38,8 +38,8 @@ EFFECT = Effect(
     reference="ISO 230-2: reversal error by position",
     kinds=("linear",),
     shapes=(
-        ShapeParameter("place_of_travel", "1", 0.5, (0.1, 0.25, 0.4, 0.55, 0.7, 0.85)),
-        ShapeParameter("reach_of_travel", "1", 0.2, (0.08, 0.2, 0.4)),
+        ShapeParameter("place_of_travel", "1", 0.5, (0.1, 0.25, 0.4, 0.55, 0.7, 0.85), (0.01, 1.0)),
+        ShapeParameter("reach_of_travel", "1", 0.2, (0.08, 0.2, 0.4), (0.01, 1.0)),
     ),
     confusables=("backlash_taper", "backlash"),
     correctable="A table of backlash by position.",

@@ -1,0 +1,48 @@
+"""Fitted values that no machine can have, and shapes that the runs do not tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dtwin.physics.problem import Term
+from dtwin.schema import Floats
+
+# Nearer to a limit than this share counts as at it.
+_AT_LIMIT = 0.01
+
+
+def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
+    """Return what is wrong with fitted effects, by label.
+
+    Parameters
+    ----------
+    terms : sequence of Term
+        Effects with their shapes.
+    values : ndarray, shape (parameters,)
+        Their parameters, in the order of the terms.
+    """
+    out = {}
+    first = 0
+    for term in terms:
+        effect = term.instance.effect
+        own = values[first : first + len(effect.parameters)]
+        first += len(effect.parameters)
+        said = []
+        for shape in effect.shapes:
+            at, (low, high) = term.shape[shape.name], shape.bounds
+            if not low * (1.0 + _AT_LIMIT) < at < high / (1.0 + _AT_LIMIT):
+                said.append(
+                    f"its {shape.name} of {at:.3g} {shape.unit} lies at a limit of what is possible "
+                    f"({low:.3g} to {high:.3g})"
+                )
+        for parameter, value in zip(effect.parameters, own, strict=True):
+            if not np.abs(value) <= parameter.largest:
+                said.append(
+                    f"its {parameter.name} of {value:.3g} {parameter.unit} is more than "
+                    f"{parameter.largest:.3g}"
+                )
+        if said:
+            out[term.label] = "; ".join(said)
+    return out
