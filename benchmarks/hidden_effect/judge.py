@@ -22,7 +22,7 @@ NAMING = ("missing_effect", "ambiguous")
 ALARMS = (*NAMING, "unknown_effect")
 LIBRARY = Library()
 # As many as `dtwin twin discover` adds at most.
-RUNGS = 12
+RUNGS = 24
 
 
 def answer(case: Case) -> dict[str, Any]:
@@ -94,17 +94,16 @@ def _discovered(
     """Return the groups that the loop of diagnose and add names, one after the other."""
     named: list[list[str]] = []
     terms = list(known)
-    while found.verdict in NAMING and found.group and len(named) < RUNGS:
-        named.append([s.label for s in found.group])
+    while found.verdict in NAMING and found.found and len(named) < RUNGS:
+        named += [[s.label for s in group] for group in found.found]
         terms = _with_added(obs, terms, found)
         found = diagnose(obs, terms, LIBRARY, seed=case.number)
     return named
 
 
 def _with_added(obs: Observations, terms: Sequence[Term], found: Diagnosis) -> list[Term]:
-    best = found.group[0]
-    name = f"{best.effect}:{best.axis}" if best.axis else best.effect
-    return list(fit(obs, [*terms, *chosen_terms([name], LIBRARY, obs)]).terms)
+    names = [f"{b.effect}:{b.axis}" if b.axis else b.effect for b, *_ in found.found]
+    return list(fit(obs, [*terms, *chosen_terms(names, LIBRARY, obs)]).terms)
 
 
 def _held_out(obs: Observations, known: Sequence[Term], found: Diagnosis) -> list[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
@@ -63,7 +63,9 @@ class Candidates:
     instances: Sequence[Instance]
     _columns: dict[tuple[str, tuple[tuple[str, float], ...]], Floats] = field(default_factory=dict)
 
-    def tested(self, problem: Problem, level: NoiseLevel) -> tuple[list[Candidate], list[str]]:
+    def tested(
+        self, problem: Problem, level: NoiseLevel, but: Collection[str] = ()
+    ) -> tuple[list[Candidate], list[str]]:
         """Test every effect against what the known ones leave.
 
         Parameters
@@ -72,6 +74,8 @@ class Candidates:
             Whitened campaign with its known effects.
         level : NoiseLevel
             Shared noise level.
+        but : collection of str
+            Labels that are not tested.
 
         Returns
         -------
@@ -80,19 +84,20 @@ class Candidates:
         invisible : list of str
             Labels of the effects that the set-up or the known effects absorb.
         """
-        residual = problem.residual
         found, invisible = [], []
-        for instance in self.instances:
-            candidate = self._test(problem, instance, residual, level)
+        for instance in (i for i in self.instances if i.label not in but):
+            candidate = self.tested_instance(problem, instance, level)
             if candidate is None:
                 invisible.append(instance.label)
             else:
                 found.append(candidate)
         return found, invisible
 
-    def _test(
-        self, problem: Problem, instance: Instance, residual: Floats, level: NoiseLevel
+    def tested_instance(
+        self, problem: Problem, instance: Instance, level: NoiseLevel
     ) -> Candidate | None:
+        """Test an effect in the shape that suits best; None when it cannot be seen."""
+        residual = problem.residual
         shapes = list(self._shapes(instance, residual))
         tried = [self._visible(problem, Term(instance, shape)) for shape in shapes]
         gains = [
@@ -111,6 +116,19 @@ class Candidates:
         p_value = float(-np.expm1(n_tried * np.log1p(-min(score.p_value, 1.0 - 1e-12))))
         score = Score(p_value, score.gain, score.expected, score.dof)
         return Candidate(Term(instance, shapes[best]), visible, share, score)
+
+    def tested_term(self, problem: Problem, term: Term, level: NoiseLevel) -> Candidate | None:
+        """Test an effect in one shape; None when it cannot be seen beside what is known."""
+        visible, share = self._visible(problem, term)
+        if not visible.shape[1]:
+            return None
+        within = term.instance.effect.within_condition
+        score = score_test(problem, visible, problem.residual, level, within=within)
+        return Candidate(term, visible, share, score)
+
+    def forget(self) -> None:
+        """Drop the columns that are kept."""
+        self._columns.clear()
 
     def at(
         self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel

@@ -1,8 +1,9 @@
 """Name the effect that a twin lacks, or say that it cannot be named.
 
-The order: runs that are not like their repeats, logged channels, every effect of the library one
-by one until nothing significant is left, the laws of what was found, and at last the scaling law
-of what nothing explains. The unit of replication is always the run.
+The order: runs that are not like their repeats, logged channels, the set of effects of the library
+that explains most for what it costs, each tested beside all the others, their laws, and at last the
+scaling law of what nothing explains. What was found stays, whatever is left beside it. The unit of
+replication is always the run.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.cross_validation import left_out_gain
-from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Verdict
+from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Unresolved, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.law_search import search_laws
 from dtwin.physics.laws import LawTest, law_tests
@@ -23,8 +24,9 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.outliers import odd_runs
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
 from dtwin.physics.screen import Channel, screen_channels
-from dtwin.physics.search import IMMATERIAL, Search, search
+from dtwin.physics.search import IMMATERIAL, Found, Search, search
 from dtwin.physics.spread import spread_of
+from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 
 LACK_OF_FIT = 0.003
@@ -34,6 +36,8 @@ _EXPLAINED = 0.93
 _LEFT = 0.3
 _LITTLE = 0.2
 _SHOWN = 8
+# An effect so many times larger than what moves like it and is not resolved is itself.
+_LARGER = 3.0
 
 
 def diagnose(
@@ -89,7 +93,7 @@ def diagnose(
     problem = _with_foreign(problem, channels, library)
     candidates = Candidates(obs, tried)
     plain = unweighted(obs, known)
-    found = search(problem, plain, candidates, seed=seed, shown_by_channel=bool(channels))
+    found = search(problem, plain, candidates, known, seed=seed, shown_by_channel=bool(channels))
     moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
     return _concluded(blank, found, candidates, known, channels, moving, residual, library)
 
@@ -107,47 +111,105 @@ def _concluded(
     obs = found.last.obs
     words = localise.headline(obs, residual)
     fit_p = found.lack_of_fit[0]
-    blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=found.invisible)
-    foreign = tuple(c for c in channels if _is_foreign(c.name, library))
-    left_um = found.systematic_um[0]
-    if not found.steps:
-        if left_um < IMMATERIAL * blank.noise_floor_um and not channels:
-            shown = _suspects(found, candidates, known, (), {})
-            said = f"what repeats agree on ({left_um:.2g} um) is small beside the noise floor"
-            return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
-        laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
-        shown = _suspects(found, candidates, known, (), {})
-        unexplained = [c.name for c in channels]
-        if fit_p > LACK_OF_FIT and not laws and not unexplained:
-            said = "residual is at the noise floor"
-            if blank.spread:
-                said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
-            return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
-        return replace(
-            blank, verdict="unknown_effect", headline=_unexplained(words, unexplained),
-            suspects=shown, laws=laws, closest=_closest(found.tested),
-        )  # fmt: skip
-    step = found.steps[0]
-    tests = {c.term.label: _laws_of(found, candidates, c) for c in step.group[:_SHOWN]}
-    group = [c for c in step.group if not _broken(tests.get(c.term.label, []))]
-    shown = _suspects(found, candidates, known, group, tests)
+    invisible = found.first.invisible
+    blank = replace(blank, lack_of_fit_p=fit_p, channels=tuple(channels), invisible=invisible)
+    foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
+    if not found.found:
+        return _nothing_found(blank, found, candidates, known, channels, words)
+    tests = {f.label: _laws_of(f, candidates) for f in found.found}
     # A channel of the library's own that still moves with what is left has not been explained.
-    wrong_law = not group or any(not _is_foreign(name, library) for name in moving)
-    if wrong_law or _much_left(found, blank.noise_floor_um):
+    late = any(not _is_foreign(name, library) for name in moving)
+    much = _much_left(found, blank.noise_floor_um)
+    kept = [
+        f
+        for f in found.found
+        if _survivors(f, tests[f.label])
+        and not (late and f.top.term.instance.effect.within_condition)
+        and not (much and _may_imitate(f, found))
+    ]
+    unresolved = _unresolved(found) if much or len(kept) < len(found.found) else None
+    groups = tuple(_group(f, tests[f.label], found, candidates, known) for f in kept)
+    shown = _suspects(found, candidates, known, groups)
+    if not kept:
         return replace(
             blank,
             verdict="unknown_effect",
             headline=_unexplained(words, [c.name for c in channels]),
-            suspects=tuple(replace(s, in_group=False) for s in shown),
-            laws=tuple(search_laws(step.problem)),
-            closest=step.top.term.label,
+            suspects=shown,
+            unresolved=unresolved,
+            laws=tuple(search_laws(found.first.problem)),
+            closest=found.found[0].label,
         )
-    verdict: Verdict = "missing_effect" if len(group) == 1 else "ambiguous"
-    names = " or ".join(c.term.label for c in group)
-    said = f"{names} is missing: {words}" if len(group) == 1 else f"{names}: {words}"
+    single = all(len(group) == 1 for group in groups)
+    verdict: Verdict = "missing_effect" if len(groups[0]) == 1 else "ambiguous"
+    names = "; ".join(" or ".join(s.label for s in group) for group in groups)
+    said = f"{names} {'is' if len(groups) == 1 else 'are'} missing" if single else names
+    said += f": {words}"
+    if unresolved is not None:
+        said += f"; besides, {unresolved.systematic_rms_um:.2g} um is not resolved"
     if foreign:
-        said += f"; besides, something moves with {', '.join(c.name for c in foreign)}"
-    return replace(blank, verdict=verdict, headline=said, suspects=shown)
+        said += f"; besides, something moves with {', '.join(foreign)}"
+    laws = tuple(search_laws(found.last)) if unresolved is not None else ()
+    return replace(
+        blank, verdict=verdict, headline=said, suspects=shown, found=groups,
+        unresolved=unresolved, laws=laws,
+    )  # fmt: skip
+
+
+def _nothing_found(
+    blank: Diagnosis,
+    found: Search,
+    candidates: Candidates,
+    known: Sequence[Term],
+    channels: Sequence[Channel],
+    words: str,
+) -> Diagnosis:
+    fit_p, left_um = found.lack_of_fit[0], found.systematic_um[0]
+    shown = _suspects(found, candidates, known, ())
+    if left_um < IMMATERIAL * blank.noise_floor_um and not channels:
+        said = f"what repeats agree on ({left_um:.2g} um) is small beside the noise floor"
+        return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
+    laws = tuple(search_laws(found.last)) if fit_p <= _FIT_IS_DOUBTFUL else ()
+    if fit_p > LACK_OF_FIT and not laws and not channels:
+        said = "residual is at the noise floor"
+        if blank.spread:
+            said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
+        return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
+    return replace(
+        blank, verdict="unknown_effect", suspects=shown, laws=laws, unresolved=_unresolved(found),
+        headline=_unexplained(words, [c.name for c in channels]),
+        closest=_closest(found.first.candidates),
+    )  # fmt: skip
+
+
+def _unresolved(found: Search) -> Unresolved:
+    left = localise.in_angle(found.plain)
+    obs = found.plain.obs
+    return Unresolved(
+        systematic_rms_um=found.systematic_um[1],
+        share=max(0.0, 1.0 - found.explained),
+        p_value=found.lack_of_fit[1],
+        words=localise.headline(obs, left),
+        where=localise.worst_places(obs, left),
+    )
+
+
+def _may_imitate(effect: Found, found: Search) -> bool:
+    """Tell whether an effect may be a part of what is not resolved that looks like it.
+
+    What is left then moves with the condition as the effect does. An effect much larger than that
+    part is itself.
+    """
+    obs = found.plain.obs
+    left = localise.condition_means(obs, localise.in_angle(found.plain))
+    does = localise.condition_means(obs, from_harmonics(effect.fitted_um) * obs.mask)
+    sense = np.array([c.sense for c in obs.conditions])
+    amplitude = np.sqrt((does**2).mean(axis=1))
+    if effect.top.term.instance.effect.law.direction == "odd":
+        amplitude = amplitude * sense
+    along = amplitude @ left / np.linalg.norm(amplitude)
+    same = float((along**2).sum() / max(float((left**2).sum()), 1e-300))
+    return effect.size_um < _LARGER * np.sqrt(same) * found.systematic_um[1]
 
 
 def _unexplained(words: str, moving: Sequence[str]) -> str:
@@ -167,83 +229,118 @@ def _quiet(blank: Diagnosis) -> Verdict:
     return "variance_effect" if blank.spread else "nothing_missing"
 
 
-def _laws_of(found: Search, candidates: Candidates, candidate: Candidate) -> list[LawTest]:
-    """Test the law of a candidate with all later effects taken out."""
-    first = found.steps[0]
-    problem = first.problem
-    for step in found.steps[1:]:
-        term = step.top.term
-        visible = candidates.visible(problem, term)
-        problem = problem.extended(visible, candidates.whitened(problem, term))
-    visible = candidates.visible(problem, candidate.term)
-    if not visible.shape[1]:
-        return []
-    return law_tests(problem, candidates, replace(candidate, visible=visible), first.level)
+def _laws_of(effect: Found, candidates: Candidates) -> Mapping[str, list[LawTest]]:
+    """Test the laws of an effect and its rivals with all other effects taken out, by label."""
+    return {
+        c.term.label: law_tests(effect.problem, candidates, c, effect.level)
+        for c in effect.group[:_SHOWN]
+    }
+
+
+def _survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:
+    """Return the members of a group whose laws hold."""
+    return [c for c in effect.group if not _broken(tests.get(c.term.label, ()))]
 
 
 def _broken(tests: Sequence[LawTest]) -> bool:
     return any(test.broken for test in tests)
 
 
-def _grade(candidate: Candidate, tests: Sequence[LawTest], group: Sequence[Candidate]) -> Grade:
-    """Grade a name: its law counts as confirmed when every variable of it was tested."""
+def _variables(candidate: Candidate, tests: Sequence[LawTest]) -> tuple[list[str], list[str]]:
+    """Return the variables of a law that were confirmed, and those that were not."""
     law = candidate.term.instance.effect.law
-    wanted = {"feed"} if law.feed is not None else set()
-    wanted |= {"direction"} if law.direction != "mixed" else set()
-    by_variable = {test.variable: test for test in tests}
-    enough = (
-        law.feed is not None
-        and not _broken(tests)
-        and all(name in by_variable and by_variable[name].confirmed for name in wanted)
-        and ("radius" not in by_variable or by_variable["radius"].confirmed)
-    )
-    return "law-confirmed" if enough and len(group) == 1 else "shape-consistent"
+    wanted = [
+        name
+        for name, exponent in (("feed", law.feed), ("radius", law.radius))
+        if exponent is not None
+    ]
+    wanted += ["direction"] if law.direction != "mixed" else []
+    confirmed = {test.variable for test in tests if test.confirmed}
+    return [n for n in wanted if n in confirmed], [n for n in wanted if n not in confirmed]
+
+
+def _grade(candidate: Candidate, tests: Sequence[LawTest], alone: bool) -> Grade:
+    """Grade a name: its law counts as confirmed when every variable of it was."""
+    law = candidate.term.instance.effect.law
+    enough = law.feed is not None and not _broken(tests) and not _variables(candidate, tests)[1]
+    return "law-confirmed" if enough and alone else "shape-consistent"
+
+
+def _group(
+    effect: Found,
+    tests: Mapping[str, Sequence[LawTest]],
+    found: Search,
+    candidates: Candidates,
+    known: Sequence[Term],
+) -> tuple[Suspect, ...]:
+    """Return an effect that was found and what cannot be told from it."""
+    members = _survivors(effect, tests)
+    labels = [c.term.label for c in effect.group]
+    bare = unweighted(found.last.obs, known)
+    out = []
+    for candidate in members[:_SHOWN]:
+        own = tests.get(candidate.term.label, ())
+        tested, untested = _variables(candidate, own)
+        suspect = _suspect(candidate, bare, found, candidates, effect.gain)
+        out.append(
+            replace(
+                suspect, in_group=True, grade=_grade(candidate, own, len(members) == 1),
+                confounded_with=tuple(sorted(set(labels) - {candidate.term.label})),
+                laws=tuple(own), size_um=effect.size_um, tested=tuple(tested),
+                untested=tuple(untested),
+            )
+        )  # fmt: skip
+    return tuple(out)
 
 
 def _suspects(
     found: Search,
     candidates: Candidates,
     known: Sequence[Term],
-    group: Sequence[Candidate],
-    tests: Mapping[str, Sequence[LawTest]],
+    groups: Sequence[Sequence[Suspect]],
 ) -> tuple[Suspect, ...]:
-    step = found.steps[0] if found.steps else None
-    tested = step.tested if step else found.tested
-    p_values = step.p_values if step else found.p_values
-    problem = step.problem if step else found.last
-    members = [c.term.label for c in group]
-    rivals = {c.term.label for c in step.group} if step else set()
-    rest = sorted((c for c in tested if c.term.label not in members), key=lambda c: -c.score.gain)
-    total = max(found.systematic_um[0] ** 2 * float(problem.obs.mask.sum()), 1e-300)
-    plain = unweighted(problem.obs, known)
-    out = []
-    for candidate in [*group, *rest][:_SHOWN]:
-        label = candidate.term.label
-        effect = candidate.term.instance.effect
-        whitened = candidates.whitened(plain, candidate.term)
-        visible = candidates.visible(plain, candidate.term)
-        after = plain.extended(visible, whitened)
-        gain = (step.gains if step else {}).get(label)
-        if gain is None:
-            gain = left_out_gain(problem, candidates.whitened(problem, candidate.term))
-        own = tests.get(label, ())
-        inside = label in members
-        out.append(
-            Suspect(
-                effect=effect.name,
-                axis=candidate.term.instance.axis,
-                rms_after_um=problem.obs.rms(localise.in_angle(after)),
-                cv_gain=gain,
-                p_value=p_values[label],
-                in_group=inside,
-                grade=_grade(candidate, own, group) if inside else None,
-                confounded_with=tuple(sorted(rivals - {label})) if label in rivals else (),
-                laws=tuple(own),
-                share=min(1.0, float(((visible.T @ plain.residual.ravel()) ** 2).sum()) / total),
-                remedy=effect.remedy,
-            )
-        )
-    return tuple(out)
+    """Return the largest effect that was found with its rivals, the other ones, and the nearest misses."""
+    named = [suspect for group in groups for suspect in group]
+    labels = {suspect.label for suspect in named}
+    first = [replace(s, in_group=True) for s in (groups[0] if groups else ())]
+    others = [replace(s, in_group=False) for group in groups[1:] for s in group]
+    rest = sorted(
+        (c for c in found.first.candidates if c.term.label not in labels),
+        key=lambda c: -c.score.gain,
+    )
+    room = max(0, _SHOWN - len(named))
+    bare = unweighted(found.last.obs, known)
+    return (*first, *others, *(_suspect(c, bare, found, candidates, None) for c in rest[:room]))
+
+
+def _suspect(
+    candidate: Candidate,
+    bare: Problem,
+    found: Search,
+    candidates: Candidates,
+    gain: float | None,
+) -> Suspect:
+    """Return an effect as it stands beside what the twin knows."""
+    effect = candidate.term.instance.effect
+    visible = candidates.visible(bare, candidate.term)
+    after = bare.extended(visible, candidates.whitened(bare, candidate.term))
+    problem = found.first.problem
+    if gain is None:
+        gain = left_out_gain(problem, candidates.whitened(problem, candidate.term))
+    total = max(found.systematic_um[0] ** 2 * float(bare.obs.mask.sum()), 1e-300)
+    return Suspect(
+        effect=effect.name,
+        axis=candidate.term.instance.axis,
+        rms_after_um=bare.obs.rms(localise.in_angle(after)),
+        cv_gain=gain,
+        p_value=found.first.p_values.get(candidate.term.label, candidate.score.p_value),
+        in_group=False,
+        grade=None,
+        confounded_with=(),
+        laws=(),
+        share=min(1.0, float(((visible.T @ bare.residual.ravel()) ** 2).sum()) / total),
+        remedy=effect.remedy,
+    )
 
 
 def _with_foreign(

@@ -47,6 +47,10 @@ class Suspect:
         Share of the systematic error that it explains.
     remedy : str
         What to do about it.
+    size_um : float
+        RMS of what it explains beside all others that were found; NaN for what was not found.
+    tested, untested : tuple of str
+        Variables of its law that the runs confirmed, and those that they did not test.
     """
 
     effect: str
@@ -60,18 +64,57 @@ class Suspect:
     laws: tuple[LawTest, ...]
     share: float
     remedy: str
+    size_um: float = float("nan")
+    tested: tuple[str, ...] = ()
+    untested: tuple[str, ...] = ()
 
     @property
     def label(self) -> str:
         """Name with axis."""
         return f"{self.effect} {self.axis}".rstrip()
 
+    @property
+    def found(self) -> bool:
+        """Whether it is one of the effects that explain the campaign together."""
+        return self.size_um == self.size_um
+
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         out = dict(vars(self))
-        out["confounded_with"] = list(self.confounded_with)
+        for name in ("confounded_with", "tested", "untested"):
+            out[name] = list(out[name])
+        out["size_um"] = self.size_um if self.found else None
         out["laws"] = [law.as_dict() for law in self.laws]
         return out
+
+
+@dataclass(frozen=True)
+class Unresolved:
+    """What repeats agree on and nothing found explains.
+
+    Attributes
+    ----------
+    systematic_rms_um : float
+        Its RMS.
+    share : float
+        Its share of the systematic mean square.
+    p_value : float
+        Of the hypothesis that repeats agree on nothing more.
+    words : str
+        Direction, harmonic, feed and radius.
+    where : tuple of dict
+        Conditions and angles where it is largest.
+    """
+
+    systematic_rms_um: float
+    share: float
+    p_value: float
+    words: str
+    where: tuple[Mapping[str, Any], ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {**vars(self), "where": [dict(place) for place in self.where]}
 
 
 @dataclass(frozen=True)
@@ -113,6 +156,10 @@ class Diagnosis:
         Of the hypothesis that repeats agree on nothing more.
     suspects : tuple of Suspect
         Best first.
+    found : tuple of tuple of Suspect
+        Every effect that was found, the largest first, each with those that cannot be told from it.
+    unresolved : Unresolved or None
+        What repeats agree on besides; None when it is not significant.
     where : tuple of dict
         Conditions and angles where the residual is largest.
     channels : tuple of Channel
@@ -143,6 +190,8 @@ class Diagnosis:
     floor_kind: Literal["repeats", "within_run", "none"]
     lack_of_fit_p: float
     suspects: tuple[Suspect, ...] = ()
+    found: tuple[tuple[Suspect, ...], ...] = ()
+    unresolved: Unresolved | None = None
     where: tuple[Mapping[str, Any], ...] = ()
     channels: tuple[Channel, ...] = ()
     laws: tuple[ScalingLaw, ...] = ()
@@ -170,6 +219,8 @@ class Diagnosis:
             "floor_kind": self.floor_kind,
             "lack_of_fit_p": self.lack_of_fit_p,
             "candidates": [suspect.as_dict() for suspect in self.suspects],
+            "found": [[suspect.as_dict() for suspect in group] for group in self.found],
+            "unresolved": self.unresolved.as_dict() if self.unresolved else None,
             "where": [dict(place) for place in self.where],
             "channels": [channel.as_dict() for channel in self.channels],
             "laws": [law.as_dict() for law in self.laws],

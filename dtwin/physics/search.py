@@ -1,63 +1,94 @@
-"""Find effects one by one until what is left is not significant."""
+"""Find the effects that repeats agree on, all together, until what is left is not significant."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
+from dtwin.physics.dictionary import Dictionary, Entry
+from dtwin.physics.hunt import best_set
 from dtwin.physics.localise import in_angle, systematic_rms_um
-from dtwin.physics.problem import Problem
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Problem, Term, least_visible, unweighted
 from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
 from dtwin.physics.shapes import refined
+from dtwin.schema import Floats
 from dtwin.statistics import holm
 
 ALPHA = 0.03
-_MOST_STEPS = 4
-# A travel has more to show at once than a circle: most of its errors keep their own places.
-_MOST_STEPS_ALONG = 8
 _LEADING = 6
 _GROUP_GAIN = 0.5
 _GROUP_P = 0.05
 _FIT_IS_FINE = 0.05
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
+_INEXACT = 0.05
+# p-values so small stay significant whatever the number of tests.
+_BEYOND_DOUBT = 1e-6
 
 
 @dataclass(frozen=True)
-class Step:
+class Found:
     """One effect that was found, with its rivals.
 
     Attributes
     ----------
-    problem : Problem
-        The campaign before it was added.
-    level : NoiseLevel
-        Shared noise level at that point.
     top : Candidate
-        The effect with the largest gain.
+        The effect, tested against what all the others leave.
     group : tuple of Candidate
         It, and what these runs cannot tell from it, best first.
+    problem : Problem
+        The campaign with all the other effects that were found.
+    level : NoiseLevel
+        Shared noise level there.
+    gain : float
+        Gain on conditions that were left out.
+    size_um : float
+        RMS of what it explains beside all the others.
+    fitted_um : ndarray, shape (rows, n)
+        What it does.
+    """
+
+    top: Candidate
+    group: tuple[Candidate, ...]
+    problem: Problem
+    level: NoiseLevel
+    gain: float
+    size_um: float
+    fitted_um: Floats
+
+    @property
+    def label(self) -> str:
+        """Name with axis."""
+        return self.top.term.label
+
+
+@dataclass(frozen=True)
+class Test:
+    """Every effect of the library against what a set of effects leaves.
+
+    Attributes
+    ----------
+    problem : Problem
+        The campaign with the set.
+    level : NoiseLevel
+        Shared noise level.
+    candidates : tuple of Candidate
+        Visible effects.
     p_values : dict of str to float
         After Holm, by label.
-    tested : tuple of Candidate
-        Everything that was tested.
-    gains : dict of str to float
-        Gain on left-out conditions of the leading candidates, by label.
     invisible : tuple of str
         Labels of the effects that nothing here can show.
     """
 
     problem: Problem
     level: NoiseLevel
-    top: Candidate
-    group: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
     p_values: Mapping[str, float]
-    tested: tuple[Candidate, ...]
-    gains: Mapping[str, float]
     invisible: tuple[str, ...]
 
 
@@ -67,34 +98,29 @@ class Search:
 
     Attributes
     ----------
-    steps : tuple of Step
-        Effects found, in order.
-    last : Problem
-        The campaign with all of them.
-    tested : tuple of Candidate
-        What was tested at the end, against what was left.
-    p_values : dict of str to float
-        Their p-values after Holm.
-    invisible : tuple of str
-        Labels of the effects that nothing here can show, at the start.
+    found : tuple of Found
+        Effects, the one that explains most first.
+    first : Test
+        The library against what was known before.
+    last, plain : Problem
+        The campaign with all of them, whitened and without weights.
     lack_of_fit : tuple of float
-        p-value at the start and after every step.
+        p-value at the start and at the end.
     systematic_um : tuple of float
-        RMS of what repeats agree on, at the start and after every step.
+        RMS of what repeats agree on, at the start and at the end.
     """
 
-    steps: tuple[Step, ...]
+    found: tuple[Found, ...]
+    first: Test
     last: Problem
-    tested: tuple[Candidate, ...]
-    p_values: Mapping[str, float]
-    invisible: tuple[str, ...]
-    lack_of_fit: tuple[float, ...]
-    systematic_um: tuple[float, ...]
+    plain: Problem
+    lack_of_fit: tuple[float, float]
+    systematic_um: tuple[float, float]
 
     @property
     def explained(self) -> float:
         """Share of the systematic mean square, in um^2, that the effects found explain."""
-        first, last = self.systematic_um[0], self.systematic_um[-1]
+        first, last = self.systematic_um
         return 1.0 - (last / first) ** 2 if first > 0.0 else 1.0
 
 
@@ -102,11 +128,12 @@ def search(
     problem: Problem,
     plain: Problem,
     candidates: Candidates,
+    known: Sequence[Term],
     *,
     seed: int,
     shown_by_channel: bool = False,
 ) -> Search:
-    """Add effects until nothing is significant or nothing is left to explain.
+    """Find the set of effects that explains a campaign, and test each beside all the others.
 
     Parameters
     ----------
@@ -116,49 +143,33 @@ def search(
         The same without weights.
     candidates : Candidates
         The library.
+    known : sequence of Term
+        What the twin knows.
     seed : int
         Seed of permutations.
     shown_by_channel : bool
         A logged channel was shown to move with the error: effects that act inside conditions
         are then compared among themselves only.
     """
-    steps: list[Step] = []
-    fits = [lack_of_fit(problem, problem.residual, seed)]
-    systematic = [systematic_rms_um(problem.obs, in_angle(plain))]
-    most = _MOST_STEPS_ALONG if problem.obs.grid.kind == "linear" else _MOST_STEPS
-    while True:
-        level = noise_level(problem, probes(problem))
-        tested, invisible = candidates.tested(problem, level)
-        p_values = adjusted(tested)
-        if shown_by_channel:
-            within = [c for c in tested if c.term.instance.effect.within_condition]
-            p_values |= adjusted(within)
-        significant = [
-            c
-            for c in tested
-            if p_values[c.term.label] <= ALPHA and _is_material(plain, candidates, c, problem)
-        ]
-        step = _step(problem, candidates, level, tested, significant, p_values, tuple(invisible))
-        if step is None or len(steps) == most:
-            break
-        steps.append(step)
-        whitened = candidates.whitened(problem, step.top.term)
-        problem = problem.extended(step.top.visible, whitened)
-        unweighted = candidates.whitened(plain, step.top.term)
-        plain = plain.extended(candidates.visible(plain, step.top.term), unweighted)
-        fits.append(lack_of_fit(problem, problem.residual, seed))
-        systematic.append(systematic_rms_um(problem.obs, in_angle(plain)))
-        shown_by_channel = False
-        if fits[-1] > _FIT_IS_FINE:
-            tested, p_values = list(step.tested), dict(step.p_values)
-            break
-    first = steps[0].invisible if steps else tuple(invisible)
-    return Search(
-        tuple(steps), problem, tuple(tested), p_values, first, tuple(fits), tuple(systematic)
-    )
+    first = _tested(problem, candidates, shown_by_channel)
+    fit = lack_of_fit(problem, problem.residual, seed)
+    before_um = systematic_rms_um(problem.obs, in_angle(plain))
+    top = _leading(first, plain, candidates)
+    terms: list[Term] = []
+    if top is not None or fit <= _FIT_IS_FINE:
+        terms, told = best_set(problem, candidates, known)
+        terms = _material(terms, told, known, candidates, problem)
+        terms = _significant(terms or ([top.term] if top else []), problem, candidates, first)
+        if not terms and top is not None:
+            terms = [top.term]
+    last, plain_last = _given(problem, terms, candidates), _given(plain, terms, candidates)
+    found = _described(terms, problem, plain, candidates)
+    end = lack_of_fit(last, last.residual, seed) if terms else fit
+    left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
+    return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
 
 
-def adjusted(tested: list[Candidate]) -> dict[str, float]:
+def adjusted(tested: Sequence[Candidate]) -> dict[str, float]:
     """Return Holm's adjusted p-values by label.
 
     Effects that these runs cannot tell apart are one test, not several: the number of tests is
@@ -169,32 +180,42 @@ def adjusted(tested: list[Candidate]) -> dict[str, float]:
     return dict(zip((c.term.label for c in ordered), p_values.tolist(), strict=True))
 
 
-def _step(
-    problem: Problem,
-    candidates: Candidates,
-    level: NoiseLevel,
-    tested: list[Candidate],
-    significant: list[Candidate],
-    p_values: Mapping[str, float],
-    invisible: tuple[str, ...],
-) -> Step | None:
+def _given(problem: Problem, terms: Sequence[Term], candidates: Candidates) -> Problem:
+    """Return a problem with further effects known."""
+    for term in terms:
+        visible = candidates.visible(problem, term)
+        problem = problem.extended(visible, candidates.whitened(problem, term))
+    return problem
+
+
+def _tested(problem: Problem, candidates: Candidates, shown_by_channel: bool) -> Test:
+    level = noise_level(problem, probes(problem))
+    tested, invisible = candidates.tested(problem, level)
+    p_values = adjusted(tested)
+    if shown_by_channel:
+        within = [c for c in tested if c.term.instance.effect.within_condition]
+        p_values |= adjusted(within)
+    return Test(problem, level, tuple(tested), p_values, tuple(invisible))
+
+
+def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | None:
+    """Return the significant effect that is worth most and foretells conditions left out."""
+    problem = test.problem
+    significant = [
+        c
+        for c in test.candidates
+        if test.p_values[c.term.label] <= ALPHA and _is_material(plain, candidates, c.term, problem)
+    ]
     runs = int(problem.obs.run_of.max()) + 1
-    leading = sorted(significant, key=lambda c: -_worth(c, runs))[:_LEADING]
-    gains: dict[str, float] = {}
-    top = None
-    for found in leading:
+    for found in sorted(significant, key=lambda c: -_worth(c, runs))[:_LEADING]:
         gain = left_out_gain(problem, candidates.whitened(problem, found.term))
-        if top is None:
-            # Between the shapes of the grid, what rings comes out of step at the other feeds.
-            best = _refined(problem, candidates, found, level)
-            if gain <= 0.0 and best is not found:
-                gain = left_out_gain(problem, candidates.whitened(problem, best.term))
-            top = best if gain > 0.0 else None
-        gains[found.term.label] = gain
-    if top is None:
-        return None
-    group = _group(problem, candidates, level, top, tested)
-    return Step(problem, level, top, group, p_values, tuple(tested), gains, invisible)
+        # Between the shapes of the grid, what rings comes out of step at the other feeds.
+        best = _refined(problem, candidates, found, test.level)
+        if gain <= 0.0 and best is not found:
+            gain = left_out_gain(problem, candidates.whitened(problem, best.term))
+        if gain > 0.0:
+            return best
+    return None
 
 
 def _worth(candidate: Candidate, runs: int) -> float:
@@ -204,14 +225,113 @@ def _worth(candidate: Candidate, runs: int) -> float:
     return candidate.score.gain - candidate.score.expected / k * free * float(np.log(runs))
 
 
-def _is_material(
-    plain: Problem, candidates: Candidates, candidate: Candidate, problem: Problem
-) -> bool:
+def _is_material(plain: Problem, candidates: Candidates, term: Term, problem: Problem) -> bool:
     """Tell whether an effect would change the reading by more than a share of the noise floor."""
-    floor_um = problem.noise.floor_um if problem.noise is not None else 0.0
-    visible = candidates.visible(plain, candidate.term)
+    return _size_um(plain, candidates, term) >= IMMATERIAL * _floor_um(problem)
+
+
+def _floor_um(problem: Problem) -> float:
+    return problem.noise.floor_um if problem.noise is not None else 0.0
+
+
+def _size_um(plain: Problem, candidates: Candidates, term: Term) -> float:
+    """Return the RMS of what an effect would explain."""
+    visible = candidates.visible(plain, term)
     total = float(((visible.T @ plain.residual.ravel()) ** 2).sum())
-    return float((total / plain.obs.mask.sum()) ** 0.5) >= IMMATERIAL * floor_um
+    return float((total / plain.obs.mask.sum()) ** 0.5)
+
+
+def _material(
+    terms: Sequence[Term],
+    obs: Observations,
+    known: Sequence[Term],
+    candidates: Candidates,
+    problem: Problem,
+) -> list[Term]:
+    """Return the effects without those that are no more than how far the laws of others are off.
+
+    An effect that explains less than a twentieth of what all explain is dropped, the smallest
+    first; one that a simpler effect stands in for, at no more than such a loss, is replaced.
+    """
+    if not terms:
+        return []
+    dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
+    chosen = dictionary.add(terms)
+    n = float(obs.mask.sum())
+    floor = (IMMATERIAL * _floor_um(problem)) ** 2 * n
+    while True:
+        explained = dictionary.explained(chosen)
+        least = max(floor, _INEXACT**2 * explained)
+        smaller = _simplified(dictionary, chosen, explained - least)
+        if smaller is None:
+            return [entry.term for entry in chosen]
+        chosen = smaller
+
+
+def _simplified(dictionary: Dictionary, chosen: list[Entry], enough: float) -> list[Entry] | None:
+    """Return a set with fewer free numbers that still explains enough, the best of them."""
+    best: tuple[float, list[Entry]] | None = None
+    have = {entry.label for entry in chosen}
+    for number, entry in enumerate(chosen):
+        rest = chosen[:number] + chosen[number + 1 :]
+        alone = dictionary.explained(rest)
+        if alone > enough:
+            best = max(best or (alone, rest), (alone, rest), key=lambda pair: pair[0])
+            continue
+        gains = dictionary.gains(rest)
+        for gain, other in zip(gains, dictionary.entries, strict=True):
+            simpler = other.free < entry.free and other.label not in have
+            if simpler and alone + gain > enough and best is None:
+                best = alone + float(gain), [*rest, other]
+    return None if best is None else best[1]
+
+
+def _significant(
+    terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test
+) -> list[Term]:
+    """Return the effects without those that are not significant beside all the others."""
+    terms = list(terms)
+    many = independent([c.visible for c in first.candidates])
+    while terms:
+        p_values = []
+        for term in terms:
+            given = _given(problem, [t for t in terms if t is not term], candidates)
+            level = noise_level(given, probes(given))
+            candidate = candidates.tested_term(given, term, level)
+            p_value = 1.0 if candidate is None else candidate.score.p_value
+            if _BEYOND_DOUBT < p_value < ALPHA:
+                shapes = candidates.tested_instance(given, term.instance, level)
+                p_value = min(1.0, many * (1.0 if shapes is None else shapes.score.p_value))
+            p_values.append(p_value)
+        worst = int(np.argmax(p_values))
+        if p_values[worst] <= ALPHA:
+            break
+        del terms[worst]
+    return terms
+
+
+def _described(
+    terms: Sequence[Term], problem: Problem, plain: Problem, candidates: Candidates
+) -> tuple[Found, ...]:
+    """Return effects with their rivals, the one that explains most first."""
+    out = []
+    for term in terms:
+        others = [t for t in terms if t is not term]
+        given = _given(problem, others, candidates)
+        level = noise_level(given, probes(given))
+        top = candidates.tested_term(given, term, level)
+        if top is None:
+            continue
+        rivals, _ = candidates.tested(given, level, but={t.label for t in terms})
+        group = _group(given, candidates, level, top, rivals)
+        group += _sets(problem, candidates, terms, term, rivals, group)
+        gain = left_out_gain(given, candidates.whitened(given, term))
+        bare = _given(plain, others, candidates)
+        visible = candidates.visible(bare, term)
+        fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
+        size_um = _size_um(bare, candidates, term)
+        out.append(Found(top, group, given, level, gain, size_um, fitted))
+    return tuple(sorted(out, key=lambda f: -f.size_um))
 
 
 def _group(
@@ -219,19 +339,51 @@ def _group(
     candidates: Candidates,
     level: NoiseLevel,
     top: Candidate,
-    tested: list[Candidate],
+    tested: Sequence[Candidate],
 ) -> tuple[Candidate, ...]:
     """Return what leaves the top one nothing significant to explain: a 95 % confidence set."""
     group = [top]
     for found in sorted(tested, key=lambda c: -c.score.gain):
-        if found.term.label == top.term.label:
-            continue
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
         if _adds_nothing(problem, top, other, candidates, level):
             group.append(other)
     return tuple(group)
+
+
+def _sets(
+    problem: Problem,
+    candidates: Candidates,
+    terms: Sequence[Term],
+    term: Term,
+    rivals: Sequence[Candidate],
+    group: Sequence[Candidate],
+) -> tuple[Candidate, ...]:
+    """Return what only together with its like on other axes is a rival of an effect, or of its likes.
+
+    Three lobes of a cup are two bowed guideways at one radius: neither bow alone is its rival, nor is
+    the cup one of either bow alone.
+    """
+    name = term.instance.effect.name
+    own = [t for t in terms if t.instance.effect.name == name]
+    given = _given(problem, [t for t in terms if t not in own], candidates)
+    level = noise_level(given, probes(given))
+    have = {c.term.label for c in group}
+    out: list[Candidate] = []
+    for other in term.instance.effect.confusables:
+        like = [c for c in rivals if c.term.instance.effect.name == other]
+        if not like or len(like) + len(own) < 3 or all(c.term.label in have for c in like):
+            continue
+        with_them = _given(given, [c.term for c in like], candidates)
+        whitened = np.concatenate([candidates.whitened(given, t) for t in own], axis=1)
+        left, _ = with_them.visible(whitened, least=least_visible(term))
+        within = term.instance.effect.within_condition
+        if not left.shape[1] or (
+            score_test(with_them, left, with_them.residual, level, within=within).p_value > _GROUP_P
+        ):
+            out += [c for c in like if c.term.label not in have]
+    return tuple(out)
 
 
 def _refined(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from dtwin.physics.candidates import Candidates
-from dtwin.physics.problem import Problem, Term
+from dtwin.physics.problem import Problem, Term, orthonormal
 from dtwin.schema import Floats
 
 _MOST_TRIES = 12
+_MOST_TOGETHER = 8
 _MARGIN = 1e-3
 
 
@@ -59,6 +61,71 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
         return term
     return replace(term, shape=dict(zip(names, np.exp(found.x).tolist(), strict=True)))
+
+
+def refined_together(
+    problem: Problem, candidates: Candidates, terms: Sequence[Term]
+) -> tuple[Term, ...]:
+    """Return terms with the shapes, within their grids, that leave least when all are fitted.
+
+    Parameters
+    ----------
+    problem : Problem
+        Campaign with what is known besides.
+    candidates : Candidates
+        The library.
+    terms : sequence of Term
+        Effects with the shapes to start from.
+    """
+    shaped = [term for term in terms if term.instance.effect.shapes]
+    if not shaped:
+        return tuple(terms)
+    for term in terms:
+        if not term.instance.effect.shapes:
+            visible = candidates.visible(problem, term)
+            problem = problem.extended(visible, candidates.whitened(problem, term))
+    residual = problem.residual.ravel()
+    sizes = [len(term.instance.effect.shapes) for term in shaped]
+    ends = np.cumsum(sizes)
+    # Its own cache, dropped afterwards: hardly any shape is asked for twice.
+    own = Candidates(problem.obs, [])
+    kept: dict[int, tuple[bytes, Floats]] = {}
+
+    def columns(number: int, logs: Floats) -> Floats:
+        key = logs.tobytes()
+        if number not in kept or kept[number][0] != key:
+            whitened = own.whitened(problem, _at(shaped[number], logs))
+            own.forget()
+            left = whitened - problem.basis @ (problem.basis.T @ whitened)
+            kept[number] = key, left
+        return kept[number][1]
+
+    def left(logs: Floats) -> Floats:
+        parts = [
+            columns(n, logs[end - size : end])
+            for n, (size, end) in enumerate(zip(sizes, ends, strict=True))
+        ]
+        visible = orthonormal(np.concatenate(parts, axis=1))
+        return np.asarray(residual - visible @ (visible.T @ residual))
+
+    begun = np.log([term.shape[s.name] for term in shaped for s in term.instance.effect.shapes])
+    bounds = [
+        _bounds(t, begun[e - n : e], True) for t, n, e in zip(shaped, sizes, ends, strict=True)
+    ]
+    low, high = np.concatenate([b[0] for b in bounds]), np.concatenate([b[1] for b in bounds])
+    found = least_squares(
+        left, begun, bounds=(low, high), method="trf", x_scale=0.1, max_nfev=_MOST_TOGETHER,
+        diff_step=[1e-4] * len(begun), ftol=1e-4,
+    )  # fmt: skip
+    if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
+        return tuple(terms)
+    new = {t.label: _at(t, found.x[e - n : e]) for t, n, e in zip(shaped, sizes, ends, strict=True)}
+    return tuple(new.get(term.label, term) for term in terms)
+
+
+def _at(term: Term, logs: Floats) -> Term:
+    names = [shape.name for shape in term.instance.effect.shapes]
+    return replace(term, shape=dict(zip(names, np.exp(logs).tolist(), strict=True)))
 
 
 def _bounds(term: Term, begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:

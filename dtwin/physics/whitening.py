@@ -140,9 +140,7 @@ def pure_error(
         return None
     power = (deviation[repeated] ** 2).mean(axis=0) * full_dof / (full_dof - lost)
     floor_um = float(np.sqrt(power.sum() / (n_bins * mask_share)))
-    smooth = _smoothed(power)
-    weights = 1.0 / np.sqrt(np.maximum(smooth, _FLOOR * np.median(smooth)))
-    weights /= np.sqrt(np.mean(weights**2))
+    weights = inverse_root(smoothed(power))
     white = deviation * weights
     variance = np.full(int(condition_of.max()) + 1, np.nan)
     for condition in sorted(set(condition_of[repeated].tolist())):
@@ -157,7 +155,13 @@ def _used_up(fitted: Floats, condition_of: Indices) -> Floats:
     return np.asarray(np.einsum("n,nqk->q", share, inside**2))
 
 
-def _smoothed(power: Floats) -> Floats:
+def inverse_root(power: Floats) -> Floats:
+    """Return the weights, of RMS one, that make coefficients of this power white, shape (n,)."""
+    weights = 1.0 / np.sqrt(np.maximum(power, _FLOOR * np.median(power)))
+    return np.asarray(weights / np.sqrt(np.mean(weights**2)))
+
+
+def smoothed(power: Floats) -> Floats:
     """Average over neighbouring harmonics; the lowest keep their own level."""
     harmonic = harmonic_numbers(len(power))
     level = np.bincount(harmonic, power) / np.bincount(harmonic)
