@@ -124,7 +124,7 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
     Parameters
     ----------
     candidates : sequence of mapping
-        With ``name``, ``r2``, ``p50_us`` (may be None) and ``promotable``.
+        With ``name``, ``r2``, ``r2_text``, ``p50_us`` (may be None) and ``promotable``.
     """
     figure = go.Figure()
     for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
@@ -132,9 +132,9 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
         figure.add_trace(
             go.Scatter(
                 x=[c["p50_us"] for c in chosen], y=[max(c["r2"], _LOWEST_R2) for c in chosen],
-                customdata=[c["r2"] for c in chosen],
+                customdata=[c["r2_text"] for c in chosen],
                 text=[c["name"] for c in chosen], mode="markers",
-                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata:.3g}<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata}<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={
                     "size": 12, "color": colour, "symbol": "circle" if promotable else "square"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -80,6 +80,27 @@ class Rows:
             )[0]
             result[inside] -= basis @ (basis.T @ result[inside])
         return result
+
+    def folds(self, group: str) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Yield (training, held-out) row masks, one value of a condition's field left out in turn."""
+        label = self.label(group)
+        for value in np.unique(label):
+            yield label != value, label == value
+
+    def only(self, chosen: NDArray[np.bool_]) -> Rows:
+        """Return the rows of the runs of which rows are chosen, with their set-ups taken out anew."""
+        return gather([self.runs[i] for i in np.unique(self.of_run[chosen])])
+
+    def blind(self, inside: NDArray[np.bool_]) -> Rows:
+        """Return all rows with the targets of whole runs hidden (NaN): for fits that must not see them.
+
+        Centre and radius of a set-up are those of the rows that remain.
+        """
+        target = np.full(self.n, np.nan)
+        target[inside] = self.only(inside).target_um
+        return replace(
+            self, measured_um=np.where(inside, self.measured_um, np.nan), target_um=target
+        )
 
     def rms_um(self, values: Floats) -> float:
         """Return the RMS over the scored rows."""
