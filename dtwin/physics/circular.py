@@ -10,7 +10,6 @@ from scipy.optimize import least_squares, linprog
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-
 _LARGEST_GAP_DEG = 2.0
 
 

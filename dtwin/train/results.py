@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from dtwin.schema import Floats
+from dtwin.statistics import deviation_interval
 
 # Rounding is no harm.
 _SAME = 1.0 + 1e-6
@@ -161,6 +162,8 @@ class TrainingReport:
         What the data show before any model, for the reviewer.
     floor_is : str
         What the noise floor is made of.
+    noise_floor_dof : int
+        Degrees of freedom of the noise floor; 0 when nobody counted them.
     """
 
     machine: str
@@ -175,13 +178,19 @@ class TrainingReport:
     seed: int
     told: tuple[str, ...] = ()
     floor_is: str = "what repeats of the same condition disagree by (unit of replication: the run)"
+    noise_floor_dof: int = 0
 
     @property
     def noise_floor_text(self) -> str:
-        """The noise floor with its unit, or that nobody knows it."""
+        """The noise floor with its unit and 95 % interval, or that nobody knows it."""
         if math.isnan(self.noise_floor_um):
             return "unknown without repeats"
-        return f"{self.noise_floor_um:.{1 if self.noise_floor_um >= 1.0 else 4}f} um"
+        digits = 1 if self.noise_floor_um >= 1.0 else 4
+        floor = f"{self.noise_floor_um:.{digits}f} um"
+        if not self.noise_floor_dof:
+            return floor
+        low, high = deviation_interval(self.noise_floor_um, self.noise_floor_dof)
+        return f"{floor}, {low:.{digits}f} to {high:.{digits}f} at 95 %"
 
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""

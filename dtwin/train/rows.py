@@ -134,11 +134,12 @@ def thinned(rows: Rows, every: int) -> Rows:
 
 
 def noise_floor_um(rows: Rows) -> tuple[float, int]:
-    """Return what repeats of the same condition disagree by, and the number of conditions.
+    """Return what repeats of the same condition disagree by, and its degrees of freedom.
 
     The unit of replication is the run: profiles over the path angle are averaged per run
     first, repeats of a condition in the same set-up are compared, and their pooled standard
-    deviation is the floor that no model's held-out error may go below.
+    deviation is the floor that no model's held-out error may go below. Its degrees of freedom count
+    each run once.
 
     Parameters
     ----------
@@ -149,7 +150,7 @@ def noise_floor_um(rows: Rows) -> tuple[float, int]:
     place = (np.degrees(rows.angle_rad) % 360.0 * bins / 360.0).astype(int) % bins
     turn = np.floor(np.degrees(rows.angle_rad) / 360.0).astype(int)
     conditions = rows.condition()
-    squares, freedom, used = 0.0, 0, 0
+    squares, freedom = 0.0, 0
     for condition in np.unique(conditions):
         inside = (conditions == condition) & rows.scored
         profiles = []
@@ -170,5 +171,4 @@ def noise_floor_um(rows: Rows) -> tuple[float, int]:
             spread = stack[:, known] - stack[:, known].mean(axis=0)
             squares += float(np.sum(spread**2) / known.sum())
             freedom += len(stack) - 1
-            used += 1
-    return (float(np.sqrt(squares / freedom)) if freedom else float("nan")), used
+    return (float(np.sqrt(squares / freedom)) if freedom else float("nan")), freedom

@@ -141,12 +141,13 @@ def train_campaign(
             found.append(job.result())
             tell("comparison models", done, len(usable), recipe.name)
     found.sort(key=lambda c: c.held_out.rms_um)
-    floor, _ = noise_floor_um(rows)
+    floor, freedom = noise_floor_um(rows)
     report = TrainingReport(
         machine=campaign.machine,
         campaign=name,
         table_versions=versions,
         noise_floor_um=floor,
+        noise_floor_dof=freedom,
         rms_before_um=rows.rms_um(rows.target_um),
         n_runs=len(runs),
         n_rows=rows.n,
