@@ -186,11 +186,11 @@ class TrainingReport:
         if math.isnan(self.noise_floor_um):
             return "unknown without repeats"
         digits = 1 if self.noise_floor_um >= 1.0 else 4
-        floor = f"{self.noise_floor_um:.{digits}f} um"
+        floor = f"{self.noise_floor_um:z.{digits}f} um"
         if not self.noise_floor_dof:
             return floor
         low, high = deviation_interval(self.noise_floor_um, self.noise_floor_dof)
-        return f"{floor}, {low:.{digits}f} to {high:.{digits}f} at 95 %"
+        return f"{floor}, {low:z.{digits}f} to {high:z.{digits}f} at 95 %"
 
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""
