@@ -105,9 +105,10 @@ def training_section(report: TrainingReport) -> Section:
         }
         for c in report.candidates
     ]
-    figures = [comparison_figure(points, report.noise_floor_um)]
+    floor = report.noise_floor_um, report.noise_floor_dof
+    figures = [comparison_figure(points, *floor)]
     if proposed.front and "terms" in proposed.front[0]:
-        figures.append(front_figure(proposed.front, report.noise_floor_um))
+        figures.append(front_figure(proposed.front, *floor))
     return Section(
         "Candidates",
         [

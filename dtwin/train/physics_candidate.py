@@ -17,14 +17,14 @@ from dtwin.train.dataset import TICK_HZ
 from dtwin.train.latency import bundle_latency
 from dtwin.train.library import Library, equation_text, weighted_sum
 from dtwin.train.physics_fit import DEAD_SHARE, PhysicsFit
-from dtwin.train.results import Candidate, Scores
+from dtwin.train.results import FRESH_RUN, Candidate, Scores
 from dtwin.train.rows import Rows
 
 _BOX_MARGIN = 0.02
 
 
 def physics_candidate(
-    fit: PhysicsFit, scores: Mapping[str, Scores], machine: str, *, horizon_s: float,
+    fit: PhysicsFit, scores: Mapping[str, Scores], fresh_run_um: float, machine: str, *, horizon_s: float,
     table_versions: dict[str, int],
 ) -> Candidate:  # fmt: skip
     """Return the proposed equation of a physics fit.
@@ -35,6 +35,8 @@ def physics_candidate(
         Fitted library.
     scores : dict of str to Scores
         Of equations that were found and fitted without what they predict.
+    fresh_run_um : float
+        Error to expect of a fresh run of a trained condition.
     machine : str
         Machine that the bundle is for.
     horizon_s : float
@@ -71,6 +73,7 @@ def physics_candidate(
         front=tuple(vars(point) for point in fit.front),
         numbers={
             "terms": float(len(fit.chosen)),
+            FRESH_RUN: fresh_run_um,
             "alignment_shift_ms": 1000.0 * fit.lag_shift_s,
             "horizon_ms": 1000.0 * horizon_s,
         },

@@ -145,6 +145,28 @@ def predicted_left_out(
     return predicted
 
 
+def predicted_fresh(fit: PhysicsFit) -> Floats:
+    """Predict every run by coefficients that were fitted without it, orders and terms as they are.
+
+    What to expect of a fresh run of a trained condition; not a nested figure.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        In um, centre and radius of the set-ups not taken out.
+    """
+    rows, chosen = fit.rows, list(fit.chosen)
+    design, absorbed = fit.design[:, chosen], fit.absorbed[:, chosen]
+    scored = [np.flatnonzero((rows.of_run == i) & rows.scored) for i in range(len(rows.runs))]
+    sums = [sums_of(design[i], rows.target_um[i], absorbed[i]) for i in scored]
+    predicted = np.zeros(rows.n)
+    for number in range(len(sums)):
+        weights = solve(total([*sums[:number], *sums[number + 1 :]]), RIDGE)
+        here = rows.of_run == number
+        predicted[here] = (design[here] + absorbed[here]) @ weights
+    return predicted
+
+
 def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> Cells:
     """Return sums over the scored rows by (feed, radius), by run where there is one such pair."""
     labels = rows.label("feed_mm_min"), rows.label("radius_mm")

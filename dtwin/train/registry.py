@@ -414,7 +414,11 @@ def _report_params(report: TrainingReport) -> dict[str, Any]:
 
 
 def _report_metrics(report: TrainingReport) -> dict[str, float]:
-    return {"noise_floor_um": report.noise_floor_um, "rms_before_um": report.rms_before_um}
+    return {
+        "noise_floor_um": report.noise_floor_um,
+        "noise_floor_dof": float(report.noise_floor_dof),
+        "rms_before_um": report.rms_before_um,
+    }
 
 
 def candidate_metrics(candidate: Candidate) -> dict[str, float]:

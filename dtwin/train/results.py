@@ -10,6 +10,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
 
+FRESH_RUN = "fresh_run.rms_um"
+"""Metric: RMS error on runs that only the coefficients were fitted without, in um."""
 # Rounding is no harm.
 _SAME = 1.0 + 1e-6
 

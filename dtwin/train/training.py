@@ -23,7 +23,7 @@ from dtwin.train.candidates import (
 from dtwin.train.dataset import load_ticks
 from dtwin.train.inputs import generic_inputs
 from dtwin.train.physics_candidate import physics_candidate
-from dtwin.train.physics_fit import PhysicsFit, fit_physics, predicted_left_out
+from dtwin.train.physics_fit import PhysicsFit, fit_physics, predicted_fresh, predicted_left_out
 from dtwin.train.results import Candidate, TrainingReport
 from dtwin.train.rows import gather, noise_floor_um, thinned
 from dtwin.train.symbolic import Engine, OperonEngine
@@ -121,7 +121,12 @@ def train_campaign(
     }
     found = [
         physics_candidate(
-            fit, scores, campaign.machine, horizon_s=horizon_s, table_versions=versions
+            fit,
+            scores,
+            score(rows, predicted_fresh(fit), "run_id").rms_um,
+            campaign.machine,
+            horizon_s=horizon_s,
+            table_versions=versions,
         )
     ]
     compared = thinned(rows, _COMPARED_EVERY)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.statistics import deviation_interval
 from flows.reach import running
 
 if TYPE_CHECKING:
@@ -33,8 +34,9 @@ class Judged:
         ``r2``, ``r2_text``, ``rms_um``, ``radius_rms_um``, ``worst``, ``p50_us``, ``p99_us``.
     front : tuple of dict
         Accuracy over complexity; empty when it was not kept.
-    floor_um, before_um : float
-        Noise floor, and error without a model; NaN when not logged.
+    floor_um, floor_dof, before_um : float
+        Noise floor, its degrees of freedom, 0 when not counted, and error without a model; NaN when
+        not logged.
     verdicts : tuple of Verdict
         Offline gates, as they judge now.
     evidence : dict or None
@@ -45,9 +47,15 @@ class Judged:
     candidates: tuple[Mapping[str, Any], ...]
     front: tuple[Mapping[str, Any], ...]
     floor_um: float
+    floor_dof: float
     before_um: float
     verdicts: tuple[Verdict, ...]
     evidence: Mapping[str, Any] | None
+
+    @property
+    def floor_band_um(self) -> tuple[float, float] | None:
+        """95 % interval of the noise floor, None while its degrees of freedom are not known."""
+        return deviation_interval(self.floor_um, self.floor_dof) if self.floor_dof else None
 
 
 def registry_of(home: Home) -> Registry | None:
@@ -103,6 +111,7 @@ def judged(registry: Registry, machine: str, wanted: str) -> Judged:
         candidates=tuple(sorted(rows, key=lambda row: row["rms_um"])),
         front=_front(registry, version),
         floor_um=training.get("noise_floor_um", math.nan),
+        floor_dof=training.get("noise_floor_dof", 0.0),
         before_um=training.get("rms_before_um", math.nan),
         verdicts=tuple(verdicts),
         evidence=record.content if record else None,
