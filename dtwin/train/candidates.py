@@ -24,6 +24,7 @@ from dtwin.train.results import Candidate, Scores
 from dtwin.train.rows import Rows
 
 FIT_ROWS = 6000
+# Share of an input's size below which its spread is that of rounding and of numerical derivatives.
 _ROUNDING = 1e-4
 HELD_OUT = ("feed_mm_min", "radius_mm")
 _PENALTIES = np.logspace(0.0, 5.0, 6)
