@@ -94,8 +94,11 @@ def _flank(q: Floats) -> Floats:
 
 def _explained(residual: Floats, q: Floats, lever: Floats, flank: Floats, orders: Floats) -> Floats:
     """Return the sum of squares that the four terms of each order of a joint take, shape (orders,)."""
-    phase = orders[:, None] * q
-    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1) * lever
+    # The orders lie evenly: each wave is the one before, turned further.
+    turns = np.empty((orders.size, q.size), dtype=complex)
+    turns[0], turns[1:] = np.exp(1j * orders[0] * q), np.exp(1j * (orders[1] - orders[0]) * q)
+    spun = np.multiply.accumulate(turns, axis=0)
+    waves = np.stack([spun.real, spun.imag], axis=1) * lever
     terms = np.concatenate([waves, waves * flank], axis=1)
     gram = terms @ terms.transpose(0, 2, 1)
     size = np.trace(gram, axis1=1, axis2=2)
