@@ -78,6 +78,25 @@ def chi2_tail(chi2: float, dof: float) -> float:
     return float(special.chdtrc(dof, chi2))
 
 
+def deviation_interval(deviation: float, dof: float) -> tuple[float, float]:
+    """Return the 95 % interval of a standard deviation that was estimated from a sample.
+
+    Parameters
+    ----------
+    deviation : float
+        The estimate, of normal values.
+    dof : float
+        Its degrees of freedom, above 0.
+
+    Returns
+    -------
+    low, high : float
+        From the quantiles of chi-squared.
+    """
+    low, high = (deviation * np.sqrt(dof / special.chdtri(dof, tail)) for tail in (0.025, 0.975))
+    return float(low), float(high)
+
+
 def holm(p_values: ArrayLike, tests: float | None = None) -> Floats:
     """Return p-values after Holm's correction for many tests, in the same order.
 

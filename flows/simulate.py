@@ -30,7 +30,7 @@ def simulate_flow(
     plan_file : Path, optional
         Plan; without it the 81-test plan.
     quick : bool
-        Without a plan file: eight tests instead.
+        Without a plan file: twelve tests instead.
     out : Path, optional
         Campaign folder; by default below ``DTWIN_HOME/campaigns``.
     seed : int

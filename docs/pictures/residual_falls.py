@@ -18,9 +18,11 @@ from dtwin.physics.twin import frozen_residual_um
 from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twins import Twins
 from dtwin.schema import Floats
+from dtwin.statistics import deviation_interval
 
 PANEL, RADIUS, PX_PER_UM = 300, 88, 11.0
 HEADER, FOOTER = 62, 50
+GREYS = ("#eee", "#ddd", "#ccc")
 COLOURS = {"CCW": "#0072B2", "CW": "#D55E00"}
 ANGLE_RAD = np.deg2rad(np.arange(360) + 0.5)
 
@@ -53,9 +55,12 @@ def residual_picture(name: str) -> str:
     )
     titles = ["as measured", f"fitted: {known}", *(r["action"] for r in rungs[1:])]
     rms_um = [rungs[0]["rms_before_um"], *(r["rms_after_um"] for r in rungs)]
-    floor_um = float(rungs[-1]["noise_floor_um"])
+    floor_um = float(newest.figures["noise_floor_um"])
+    band_um = deviation_interval(floor_um, newest.figures["noise_floor_dof"])
     panels = [
-        _panel(column, title, rms, floor_um, {str(d): field[i] for d, i in shown.items()})
+        _panel(
+            column, title, rms, (floor_um, *band_um), {str(d): field[i] for d, i in shown.items()}
+        )
         for column, (title, rms, field) in enumerate(zip(titles, rms_um, fields, strict=True))
     ]
     width, height = PANEL * len(panels), HEADER + PANEL + FOOTER
@@ -70,7 +75,7 @@ def residual_picture(name: str) -> str:
             f'aria-label="The error falls: {", ".join(f"{r:.2f}" for r in rms_um)} um RMS">',
             f'<rect width="{width}" height="{height}" fill="white"/>',
             *panels,
-            *_legend(height - FOOTER + 14, floor_um),
+            *_legend(height - FOOTER + 14, floor_um, band_um),
             f'<text x="16" y="{height - 12}" font-size="12" fill="#555">{escape(note)}</text>',
             "</svg>\n",
         ]
@@ -78,7 +83,7 @@ def residual_picture(name: str) -> str:
 
 
 def _panel(
-    column: int, title: str, rms_um: float, floor_um: float, curves: dict[str, Floats]
+    column: int, title: str, rms_um: float, floors_um: tuple[float, ...], curves: dict[str, Floats]
 ) -> str:
     middle, down = PANEL * column + PANEL / 2, HEADER + PANEL / 2
     centre = f'cx="{middle:g}" cy="{down:g}"'
@@ -87,8 +92,11 @@ def _panel(
         f"{escape(title)}</text>",
         f'<text x="{middle:g}" y="52" font-size="22" font-weight="bold" text-anchor="middle">'
         f"{rms_um:.2f} µm RMS</text>",
-        f'<circle {centre} r="{RADIUS}" fill="none" stroke="#ddd" '
-        f'stroke-width="{2 * floor_um * PX_PER_UM:.1f}"/>',
+        *(
+            f'<circle {centre} r="{RADIUS}" fill="none" stroke="{colour}" '
+            f'stroke-width="{2 * width_um * PX_PER_UM:.1f}"/>'
+            for colour, width_um in zip(GREYS, sorted(floors_um, reverse=True), strict=True)
+        ),
         f'<circle {centre} r="{RADIUS}" fill="none" stroke="#888" stroke-width="0.8"/>',
     ]
     for direction, curve in sorted(curves.items()):
@@ -103,7 +111,7 @@ def _panel(
     return "\n".join(parts)
 
 
-def _legend(y: float, floor_um: float) -> list[str]:
+def _legend(y: float, floor_um: float, band_um: tuple[float, float]) -> list[str]:
     text = f'y="{y + 4:g}" font-size="12" fill="#333"'
     line = f'y1="{y:g}" y2="{y:g}" stroke-width="2"'
     scale = 5.0 * PX_PER_UM
@@ -113,9 +121,9 @@ def _legend(y: float, floor_um: float) -> list[str]:
         f'<line x1="176" x2="204" {line} stroke="{COLOURS["CW"]}" stroke-dasharray="7 3"/>',
         f'<text x="210" {text}>clockwise</text>',
         f'<line x1="290" x2="318" y1="{y:g}" y2="{y:g}" stroke="#ddd" stroke-width="11"/>',
-        f'<text x="324" {text}>noise floor, ±{floor_um:.2f} µm</text>',
-        f'<line x1="490" x2="{490 + scale:g}" {line} stroke="#333"/>',
-        f'<text x="{498 + scale:g}" {text}>5 µm of error</text>',
+        f'<text x="324" {text}>noise floor {floor_um:.2f} µm, {band_um[0]:.2f} to {band_um[1]:.2f} at 95 %</text>',
+        f'<line x1="590" x2="{590 + scale:g}" {line} stroke="#333"/>',
+        f'<text x="{598 + scale:g}" {text}>5 µm of error</text>',
     ]
 
 

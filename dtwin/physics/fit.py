@@ -120,6 +120,8 @@ class Fit:
         RMS of what repeats agree on; NaN without repeats.
     noise_floor_um : float
         RMS of one run about the mean of its condition; NaN without repeats.
+    noise_floor_dof : int
+        Degrees of freedom of the floor, each run counted once; 0 without repeats.
     rank, n_columns : int
         Independent columns, of how many.
     condition : float
@@ -136,6 +138,7 @@ class Fit:
     rms_after_um: float
     systematic_rms_um: float
     noise_floor_um: float
+    noise_floor_dof: int
     rank: int
     n_columns: int
     condition: float
@@ -188,6 +191,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
         rms_after_um=obs.rms(residual),
         systematic_rms_um=localise.systematic_rms_um(obs, residual),
         noise_floor_um=problem.noise.floor_um if problem.noise else float("nan"),
+        noise_floor_dof=problem.noise.dof if problem.noise else 0,
         rank=solution.rank,
         n_columns=columns.shape[1],
         condition=solution.condition,

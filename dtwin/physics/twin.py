@@ -211,6 +211,7 @@ def twin_of(
             "rms_after_um": fit.rms_after_um,
             "systematic_rms_um": fit.systematic_rms_um,
             "noise_floor_um": fit.noise_floor_um,
+            "noise_floor_dof": fit.noise_floor_dof,
             "condition_number": fit.condition,
             "rank": fit.rank,
             "columns": fit.n_columns,

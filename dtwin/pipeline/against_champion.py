@@ -125,7 +125,7 @@ def _leave_for_reviewer(
         [
             found.verdict + ".",
             "Both errors are on the same runs after centre and radius of each set-up. The "
-            "candidate is scored with every feed left out of its fit in turn; the champion is "
+            "candidate is scored with every feed left out of its search and fit in turn; the champion is "
             "its frozen bundle, zero outside its validity box as when served.",
             "Nothing was promoted: dtwin promote does that, after trial and evidence.",
             *verdict_lines(registered.verdicts),

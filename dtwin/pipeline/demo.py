@@ -69,9 +69,12 @@ def full_size() -> DemoSize:
 
 
 def quick_size() -> DemoSize:
-    """Return a demo for tests: one plane, two radii, two feeds."""
+    """Return a demo for tests: one plane, three radii, two feeds.
+
+    Three radii: without one of them two must remain, or orders cannot be told from each other.
+    """
     plan = training_plan(
-        radii_mm=(100.0, 150.0),
+        radii_mm=(100.0, 150.0, 300.0),
         feeds_mm_min=(4000.0, 6000.0),
         planes=("YZ",),
         repeats=2,
@@ -191,8 +194,9 @@ def _train(work: Work, screen: Screen, size: DemoSize, sections: list[Section]) 
     screen.say(table(head, rows))
     screen.say(
         f"error without a model {report.rms_before_um:z.1f} um RMS, noise floor "
-        f"{report.noise_floor_um:z.1f} um (unit of replication: the run)\n"
-        f"proposed: {report.proposed}, registered as version {registered.version.version}"
+        f"{report.noise_floor_text} (unit of replication: the run)\n"
+        + "".join(f"{line}\n" for line in report.told)
+        + f"proposed: {report.proposed}, registered as version {registered.version.version}"
     )
     sections.append(training_section(report))
     return registered

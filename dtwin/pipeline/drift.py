@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,11 +19,10 @@ from dtwin.store import TABLES, Lake
 from dtwin.train.candidates import score
 from dtwin.train.dataset import TICK_HZ, TickRun, load_ticks
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.rows import Rows, gather, noise_floor_um
+from dtwin.train.results import FRESH_RUN
+from dtwin.train.rows import gather, noise_floor_um
 
 DRIFT = "champion.drift"
-# How far the bar's clock may be moved to where the equation fits best, as in training.
-_LAG_RANGE_S, _LAG_STEP_S, _LAG_ROUNDS = 0.040, 0.002, 2
 
 
 @dataclass(frozen=True)
@@ -146,10 +145,10 @@ def check_drift(
     """Judge the champion on those runs of a campaign that it was never trained on.
 
     Mean squares add: what the champion's error has grown by is the root of the difference of
-    squares of its error now and of its registered held-out error. It has drifted when that
-    exceeds what repeats of the same condition disagree by. Planes that it was never trained on
-    say nothing about drift; for radii it was never trained on its registered radius-out error
-    is what to expect.
+    squares of its error now and of the error that was registered as to be expected: on a fresh run
+    of a trained condition, or, for radii or feeds that it was never trained on, with these left
+    out. It has drifted when that exceeds what repeats of the same condition disagree by. Planes
+    that it was never trained on say nothing about drift.
 
     Parameters
     ----------
@@ -177,9 +176,11 @@ def check_drift(
     if strange:
         return silent(f"the champion was never trained on {', '.join(sorted(strange))}")
     error = champion_error(registry, champion, lake, fresh, progress)
-    new_radius = {r["radius_mm"] for r in fresh} - {r["radius_mm"] for r in known}
-    left_out = "radius_mm" if new_radius else "feed_mm_min"
-    expected = registry.metrics(champion).get(f"leave_{left_out}_out.rms_um", float("nan"))
+    new = [g for g in ("radius_mm", "feed_mm_min") if {r[g] for r in fresh} - {r[g] for r in known}]
+    left_out = new[0] if new else "run"
+    expected = registry.metrics(champion).get(
+        f"leave_{left_out}_out.rms_um" if new else FRESH_RUN, float("nan")
+    )
     if np.isnan(expected):
         return silent("no held-out error was registered with the champion", error)
     if np.isnan(error.noise_floor_um):
@@ -232,11 +233,10 @@ def champion_error(
     found = gather(load_ticks(lake, campaign, rows, progress))
     parts = [predicted_um(bundle, run, horizon_s) for run in found.runs]
     predicted = np.concatenate([values for values, _ in parts])
-    aligned = _aligned(found, predicted)
     return ChampionError(
-        rms_um=score(aligned, predicted, "run_id").rms_um,
-        before_um=aligned.rms_um(aligned.target_um),
-        noise_floor_um=noise_floor_um(aligned)[0],
+        rms_um=score(found, predicted, "run_id").rms_um,
+        before_um=found.rms_um(found.target_um),
+        noise_floor_um=noise_floor_um(found)[0],
         outside_box_share=float(np.mean(np.concatenate([outside for _, outside in parts]))),
         n_runs=len(found.runs),
     )
@@ -288,28 +288,3 @@ def _require_path_only(bundle: Bundle) -> None:
             got=", ".join(missing + [f for f in frames if f != "path_radial"]),
             allowed="inputs of the path, one radial output",
         )
-
-
-def _aligned(rows: Rows, predicted: Floats) -> Rows:
-    """Shift each run's clock to where the prediction fits best, keeping the mean shift zero.
-
-    The registered held-out error was stated after the same was done in training.
-    """
-    bounds = np.cumsum([0, *(run.arc.size for run in rows.runs)])
-    steps = np.arange(-_LAG_RANGE_S, _LAG_RANGE_S + 1e-9, _LAG_STEP_S)
-    shape = rows.without_setups(predicted)
-    for _ in range(_LAG_ROUNDS):
-        wanted = rows.measured_um - rows.target_um + shape
-        moved = np.zeros(len(rows.runs))
-        for i, run in enumerate(rows.runs):
-            here = wanted[bounds[i] : bounds[i + 1]]
-            apart = [np.mean((run.target_um(run.lag_s + step) - here) ** 2) for step in steps]
-            moved[i] = steps[int(np.argmin(apart))]
-        moved -= moved.mean()
-        rows = gather(
-            [
-                replace(run, lag_s=run.lag_s + float(shift))
-                for run, shift in zip(rows.runs, moved, strict=True)
-            ]
-        )
-    return rows

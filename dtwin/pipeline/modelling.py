@@ -18,6 +18,7 @@ from dtwin.store import Lake
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import check_version, trial, verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.results import worse_in_sample
 
 if TYPE_CHECKING:
     from dtwin.train.symbolic import Engine
@@ -79,7 +80,8 @@ def train(
     require_uncorrected(known)
     training = _training_of(known.kind)(lake, campaign, seed=seed, engine=engine, progress=progress)
     amended = [f.message for f in amendment_findings(lake.runs(campaign, left_out=True))]
-    report = replace(training.report, told=(*training.report.told, *amended))
+    told = *training.report.told, *worse_in_sample(training.report.candidates), *amended
+    report = replace(training.report, told=told)
     training = replace(training, report=report)
     if progress is not None:
         progress("log and register", 0, 1, "")

@@ -16,7 +16,7 @@ from dtwin.physics import localise
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
-from dtwin.physics.whitening import pure_error, to_harmonics
+from dtwin.physics.whitening import PureError, pure_error, to_harmonics
 from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
 from dtwin.pipeline.measuring import in_lake
 from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
@@ -90,6 +90,7 @@ class Comparison:
         """
         obs = self.obs
         parts = encoder_split(obs, self.controller_um, cutoff)
+        floor = _pure_error(obs, self.residual_um)
         return {
             "twin": self.twin.name,
             "version": self.twin.version,
@@ -98,7 +99,8 @@ class Comparison:
             "rms_before_um": obs.rms(self.before_um),
             "residual_rms_um": obs.rms(self.residual_um),
             "systematic_rms_um": localise.systematic_rms_um(obs, self.residual_um),
-            "noise_floor_um": pure_rms_um(obs, self.residual_um),
+            "noise_floor_um": float("nan") if floor is None else floor.floor_um,
+            "noise_floor_dof": 0 if floor is None else floor.dof,
             "conditions": list(by_condition(obs, self.before_um, self.residual_um)),
             "where": [dict(w) for w in localise.worst_places(obs, self.residual_um)],
             "headline": localise.headline(obs, self.residual_um),
@@ -109,8 +111,12 @@ class Comparison:
 
 def pure_rms_um(obs: Observations, residual_um: Floats) -> float:
     """Return the RMS of one run about the mean of its condition; NaN without repeats."""
-    found = pure_error(to_harmonics(residual_um), obs.condition_of, float(obs.mask.mean()))
+    found = _pure_error(obs, residual_um)
     return float("nan") if found is None else found.floor_um
+
+
+def _pure_error(obs: Observations, residual_um: Floats) -> PureError | None:
+    return pure_error(to_harmonics(residual_um), obs.condition_of, float(obs.mask.mean()))
 
 
 def load(home: Home, campaign: str) -> Loaded:

@@ -15,7 +15,13 @@ from dtwin.report.html import Section, Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
 from dtwin.report.plots import error_figure, magnification_for, polar_figure
 from dtwin.schema import Floats, Run
-from dtwin.train.results import Candidate, TrainingReport, condition_name
+from dtwin.train.results import (
+    Candidate,
+    TrainingReport,
+    condition_name,
+    r2_text,
+    without_correction,
+)
 
 THESIS_REDUCTION = (
     "The source thesis reports 55.35 % less mean error over its XYZ circles (table 7-2). It is "
@@ -99,9 +105,10 @@ def training_section(report: TrainingReport) -> Section:
         }
         for c in report.candidates
     ]
-    figures = [comparison_figure(points, report.noise_floor_um)]
+    floor = report.noise_floor_um, report.noise_floor_dof
+    figures = [comparison_figure(points, *floor)]
     if proposed.front and "terms" in proposed.front[0]:
-        figures.append(front_figure(proposed.front, report.noise_floor_um))
+        figures.append(front_figure(proposed.front, *floor))
     return Section(
         "Candidates",
         [
@@ -144,12 +151,17 @@ def comparison_table(
         "complexity",
         "promotable",
     ]
+    zero = without_correction(candidates)
     rows = []
     for c in candidates:
+        scores = []
+        for group, s in c.scores.items():
+            zero_um = zero.scores[group].rms_um if zero else None
+            scores += [r2_text(s.r2, s.rms_um, zero_um), _um(s.rms_um)]
         rows.append(
             [
                 c.name,
-                *(text for s in c.scores.values() for text in (f"{s.r2:z.3f}", _um(s.rms_um))),
+                *scores,
                 f"{c.latency.p50_us:z.2f}" if c.latency else "-",
                 f"{c.latency.p99_us:z.2f}" if c.latency else "-",
                 str(c.complexity),

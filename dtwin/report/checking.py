@@ -228,9 +228,11 @@ def render_check(result: dict[str, Any]) -> str:
         lines += ["", *_render_rest(runs[MAX_DETAILED:])]
     for pair in result["bidirectional"][:MAX_DETAILED]:
         lines.append(
-            f"\n{' and '.join(pair['runs'])}: bidirectional circular deviation "
-            f"{pair['circular_deviation_um']:z.1f} um, hysteresis {pair['hysteresis_um']:z.1f} um "
-            f"at {pair['hysteresis_angle_deg']:z.0f} deg, as the file's indices say"
+            f"\n{' and '.join(pair['runs'])}: circular deviation G(b) of both directions "
+            f"{pair['circular_deviation_common_centre_um']:z.1f} um about a common centre, "
+            f"{pair['circular_deviation_own_centres_um']:z.1f} um about their own; hysteresis H "
+            f"{pair['hysteresis_um']:z.1f} um at {pair['hysteresis_angle_deg']:z.0f} deg, between samples; "
+            "as the file's indices say"
         )
     if result["kind"] == "sinusoidal":
         lines += ["", *tone_lines(runs), ""]

@@ -167,22 +167,23 @@ def _thesis(found: Mapping[str, Any]) -> str:
     rows = [
         (
             f"{r['feed_mm_min']:g}",
+            r["model"],
             "{:z.2f}, {:z.2f}".format(*r["r2"]),
-            "{:+z.1f} %, {:+z.1f} %".format(*r["printed"]),
-            "{:+z.1f} %, {:+z.1f} %".format(*r["follows"]),
+            f"{r['printed']:+z.1f} %",
+            f"{r['follows']:+z.1f} %",
         )
         for r in found["thesis"]
     ]
     head = (
         "feed, mm/min",
-        "R² of its regression, X, Y",
+        "model",
+        "its R² on the fourth data, X, Y",
         "table 6-6 as printed",
         "what its table 6-5 gives",
     )
     return "\n".join(
         [
-            "what the thesis measured: change of the error by its regression and by its symbolic "
-            "equation (+ is better)",
+            "what the thesis measured: change of the error by each of its models (+ is better)",
             table(head, rows),
             "not comparable: another machine, X and Y errors against the scales instead of a radius "
             "against a ball bar, no set-up error taken out, runs not interleaved, spread not given; "

@@ -9,6 +9,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.report.plots import COLOURS, styled
+from dtwin.statistics import deviation_interval
 from dtwin.train.results import condition_name
 
 _LOWEST_R2 = -0.5
@@ -73,15 +74,17 @@ def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Fig
     return styled(figure)
 
 
-def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
+def comparison_figure(
+    candidates: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0
+) -> go.Figure:
     """Return held-out error against latency, one point per candidate.
 
     Parameters
     ----------
     candidates : sequence of mapping
         With ``name``, ``rms_um``, ``p50_us`` (may be None) and ``promotable``.
-    floor_um : float
-        Noise floor.
+    floor_um, floor_dof : float
+        Noise floor, drawn with its 95 % interval where its degrees of freedom are known.
     """
     figure = go.Figure()
     for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
@@ -105,6 +108,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float) 
     axis = _range_of([c["rms_um"] for c in candidates])
     if not np.isnan(floor_um):
         figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"])
+        _draw_band(figure, floor_um, floor_dof)
         figure.add_annotation(
             text="noise floor", xref="paper", x=1.0, xanchor="right", yanchor="bottom",
             # Shapes take the value itself, annotations its logarithm.
@@ -124,7 +128,7 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
     Parameters
     ----------
     candidates : sequence of mapping
-        With ``name``, ``r2``, ``p50_us`` (may be None) and ``promotable``.
+        With ``name``, ``r2``, ``r2_text``, ``p50_us`` (may be None) and ``promotable``.
     """
     figure = go.Figure()
     for promotable, colour in ((True, COLOURS["second"]), (False, COLOURS["measured"])):
@@ -132,9 +136,9 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
         figure.add_trace(
             go.Scatter(
                 x=[c["p50_us"] for c in chosen], y=[max(c["r2"], _LOWEST_R2) for c in chosen],
-                customdata=[c["r2"] for c in chosen],
+                customdata=[c["r2_text"] for c in chosen],
                 text=[c["name"] for c in chosen], mode="markers",
-                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata:.3g}<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata}<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={
                     "size": 12, "color": colour, "symbol": "circle" if promotable else "square"
@@ -152,21 +156,23 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
     return styled(figure)
 
 
-def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figure:
-    """Return held-out error over the size of the equation.
+def front_figure(
+    front: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0
+) -> go.Figure:
+    """Return the error that chose the size of the equation, over that size.
 
     Parameters
     ----------
     front : sequence of mapping
         With ``terms``, ``held_out_rms_um`` and ``radius_out_rms_um``.
-    floor_um : float
-        Noise floor.
+    floor_um, floor_dof : float
+        Noise floor, drawn with its 95 % interval where its degrees of freedom are known.
     """
     figure = go.Figure()
     terms = [point["terms"] for point in front]
     for name, key, colour in (
-        ("feeds left out", "held_out_rms_um", COLOURS["measured"]),
-        ("radii left out", "radius_out_rms_um", COLOURS["second"]),
+        ("coefficients without the feed", "held_out_rms_um", COLOURS["measured"]),
+        ("coefficients without the radius", "radius_out_rms_um", COLOURS["second"]),
     ):
         figure.add_trace(
             go.Scatter(
@@ -180,12 +186,19 @@ def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float) -> go.Figu
     figure.add_hline(
         y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
     )
+    _draw_band(figure, floor_um, floor_dof)
     figure.update_layout(
-        title="Accuracy and complexity of the physics library",
+        title="Accuracy and complexity of the physics library (orders and modes found on all runs)",
         xaxis_title="terms",
         yaxis={"title": "RMS, um", "rangemode": "tozero"},
     )
     return styled(figure)
+
+
+def _draw_band(figure: go.Figure, floor_um: float, floor_dof: float) -> None:
+    if floor_dof:
+        low, high = deviation_interval(floor_um, floor_dof)
+        figure.add_hrect(y0=low, y1=high, fillcolor=COLOURS["floor"], opacity=0.15, line_width=0)
 
 
 def _range_of(values: Sequence[float]) -> dict[str, str]:

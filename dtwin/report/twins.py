@@ -25,6 +25,7 @@ from dtwin.report.twin_plots import (
     waterfall_figure,
 )
 from dtwin.schema import Floats
+from dtwin.statistics import deviation_interval
 
 _OVERLAYS = 4
 _COORDINATES = ("angle_deg", "position_mm", "phase_deg")
@@ -88,7 +89,7 @@ def twin_text(twin: Twin) -> str:
         f"campaign {twin.campaign}\n"
         f"error {micrometres(figures['rms_before_um'])} -> {micrometres(figures['rms_after_um'])} um RMS, of which "
         f"repeats agree on {number(figures['systematic_rms_um'])} um; noise floor "
-        f"{number(figures['noise_floor_um'])} um (unit of replication: the run)\n"
+        f"{floor_words(figures)} (unit of replication: the run)\n"
     )
     shown = parameter_table(twin)
     lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
@@ -96,6 +97,21 @@ def twin_text(twin: Twin) -> str:
     lines += [f"cannot be told apart: {_alias(alias)}" for alias in twin.aliases]
     lines += [f"warning: {line}" for line in data_lines(twin.data)]
     return "\n".join(lines)
+
+
+def floor_words(figures: Mapping[str, Any]) -> str:
+    """Return the noise floor with its 95 % interval, each run counted once.
+
+    Parameters
+    ----------
+    figures : mapping
+        With ``noise_floor_um``, and ``noise_floor_dof`` where it is known.
+    """
+    floor_um, dof = figures["noise_floor_um"], figures.get("noise_floor_dof", 0)
+    if not dof:
+        return f"{number(floor_um)} um"
+    low, high = deviation_interval(floor_um, dof)
+    return f"{number(floor_um)} um, {number(low)} to {number(high)} at 95 %"
 
 
 def comparison_text(result: Mapping[str, Any]) -> str:
@@ -115,8 +131,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         f"{result['campaign']} ({result['runs']} runs)",
         table(head, rows),
         f"residual {micrometres(result['residual_rms_um'])} um RMS, of which repeats agree on "
-        f"{number(result['systematic_rms_um'])} um; noise floor "
-        f"{number(result['noise_floor_um'])} um",
+        f"{number(result['systematic_rms_um'])} um; noise floor {floor_words(result)}",
         f"in words: {result['headline']}",
         "largest:",
         *(f"  {place_words(place)}" for place in result["where"]),

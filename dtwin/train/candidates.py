@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.ensemble import GradientBoostingRegressor, RandomForestRegressor
-from sklearn.linear_model import HuberRegressor, Ridge
+from sklearn.linear_model import HuberRegressor, RidgeCV
+from sklearn.model_selection import GroupKFold
 from sklearn.neighbors import KNeighborsRegressor
 from sklearn.neural_network import MLPRegressor
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.pipeline import Pipeline, make_pipeline
+from sklearn.preprocessing import MinMaxScaler, StandardScaler
 from sklearn.tree import DecisionTreeRegressor
 
 from dtwin.schema import Floats
@@ -23,7 +24,12 @@ from dtwin.train.results import Candidate, Scores
 from dtwin.train.rows import Rows
 
 FIT_ROWS = 6000
+# Share of an input's size below which its spread is that of rounding and of numerical derivatives.
+_ROUNDING = 1e-4
 HELD_OUT = ("feed_mm_min", "radius_mm")
+_PENALTIES = np.logspace(0.0, 5.0, 6)
+_SPLITS = 4
+Splits = list[tuple[NDArray[Any], NDArray[Any]]]
 Family = Literal["baseline", "linear", "neighbours", "tree", "neural", "symbolic"]
 
 
@@ -36,78 +42,104 @@ class Recipe:
     name, family : str
         Identity.
     make : callable
-        Given a seed, returns an unfitted scikit-learn regressor.
+        Given a seed and splits of the rows by which a penalty can be chosen, returns an unfitted
+        scikit-learn regressor.
     columns : {"all", "sensor"}
         Inputs that it may use.
     """
 
     name: str
     family: Family
-    make: Callable[[int], Any]
+    make: Callable[[int, Splits], Any]
     columns: Literal["all", "sensor"] = "all"
 
 
 RECIPES: tuple[Recipe, ...] = (
-    Recipe("linear", "linear", lambda s: make_pipeline(StandardScaler(), Ridge(1.0))),
+    Recipe("linear", "linear", lambda s, splits: RidgeCV(_PENALTIES, cv=splits)),
     Recipe(
-        "robust",
-        "linear",
-        lambda s: make_pipeline(StandardScaler(), HuberRegressor(max_iter=1000, tol=1e-3)),
+        "robust", "linear", lambda s, splits: HuberRegressor(alpha=1.0, max_iter=1000, tol=1e-3)
     ),
     Recipe(
-        "accelerometers-only",
-        "linear",
-        lambda s: make_pipeline(StandardScaler(), Ridge(1.0)),
-        "sensor",
+        "accelerometers-only", "linear", lambda s, splits: RidgeCV(_PENALTIES, cv=splits), "sensor"
     ),
-    Recipe(
-        "k-nearest", "neighbours", lambda s: make_pipeline(StandardScaler(), KNeighborsRegressor(5))
-    ),
+    Recipe("k-nearest", "neighbours", lambda s, splits: KNeighborsRegressor(5)),
     Recipe(
         "tree",
         "tree",
-        lambda s: DecisionTreeRegressor(max_depth=12, min_samples_leaf=5, random_state=s),
+        lambda s, splits: DecisionTreeRegressor(max_depth=12, min_samples_leaf=5, random_state=s),
     ),
     Recipe(
         "forest",
         "tree",
-        lambda s: RandomForestRegressor(
+        lambda s, splits: RandomForestRegressor(
             20, max_depth=14, max_features=0.4, min_samples_leaf=3, random_state=s
         ),
     ),
     Recipe(
         "boosting",
         "tree",
-        lambda s: GradientBoostingRegressor(
+        lambda s, splits: GradientBoostingRegressor(
             n_estimators=50, max_depth=4, subsample=0.5, max_features=0.4, random_state=s
         ),
     ),
     Recipe(
         "neural-net",
         "neural",
-        lambda s: make_pipeline(
-            StandardScaler(),
-            MLPRegressor(
-                hidden_layer_sizes=(32, 32), max_iter=60, early_stopping=True, random_state=s
-            ),
+        lambda s, splits: MLPRegressor(
+            hidden_layer_sizes=(32, 32), max_iter=60, early_stopping=True, random_state=s
         ),
     ),
 )
 
 
-def folds(rows: Rows, group: str) -> Iterator[tuple[NDArray[Any], NDArray[Any]]]:
-    """Yield (training, held-out) row masks, one group value left out in turn.
+@dataclass(frozen=True)
+class Regressor:
+    """A fitted comparison model with what is done to its inputs.
+
+    Attributes
+    ----------
+    model : sklearn.pipeline.Pipeline
+        Clips inputs to the range that it was fitted on, scales them, predicts.
+    used : ndarray of bool, shape (k,)
+        Inputs that varied beyond rounding where it was fitted; the others are left out.
+    """
+
+    model: Pipeline
+    used: NDArray[np.bool_]
+
+    def predict(self, x: Floats) -> Floats:
+        """Return the prediction for rows of inputs (n, k), shape (n,)."""
+        return np.asarray(self.model.predict(x[:, self.used].astype(np.float32)), dtype=float)
+
+
+def fitted(
+    recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, group: NDArray[np.int64]
+) -> Regressor:
+    """Fit a comparison model.
 
     Parameters
     ----------
-    rows : Rows
-        Rows of a campaign.
-    group : str
-        A field of the condition, such as ``feed_mm_min``.
+    recipe : Recipe
+        Which.
+    seed : int
+        Its seed.
+    x, target : ndarray, shapes (n, k) and (n,)
+        Rows to fit to.
+    size : ndarray, shape (k,)
+        Largest size of each input: spreads below a ten-thousandth of it are rounding.
+    group : ndarray of int, shape (n,)
+        What a row belongs to, such as its run: the penalty is chosen by groups left out.
     """
-    label = rows.label(group)
-    for value in np.unique(label):
-        yield label != value, label == value
+    used = np.std(x, axis=0) > _ROUNDING * size
+    parts = min(_SPLITS, np.unique(group).size)
+    splits = list(GroupKFold(parts).split(x, groups=group))
+    model = make_pipeline(MinMaxScaler(clip=True), StandardScaler(), recipe.make(seed, splits))
+    return Regressor(model.fit(x[:, used].astype(np.float32), target), used)
+
+
+def held_out_groups(rows: Rows) -> list[str]:
+    """Return the fields of ``HELD_OUT`` that have at least two values: one cannot be left out."""
+    return [group for group in HELD_OUT if np.unique(rows.label(group)).size > 1]
 
 
 def score(rows: Rows, predicted: Floats, group: str) -> Scores:
@@ -166,19 +198,21 @@ def train_recipe(rows: Rows, inputs: GenericInputs, recipe: Recipe, seed: int) -
     """
     x = inputs.values if recipe.columns == "all" else inputs.values[:, inputs.sensor]
     scores = {}
-    for group in HELD_OUT:
+    for group in held_out_groups(rows):
         predicted = np.zeros(rows.n)
-        for inside, outside in folds(rows, group):
-            predicted[outside] = _fit(recipe, x, rows, inside, seed).predict(x[outside])
+        for inside, outside in rows.folds(group):
+            predicted[outside] = _fit(recipe, x, rows.blind(inside), inside, seed).predict(
+                x[outside]
+            )
         scores[group] = score(rows, predicted, group)
     final = _fit(recipe, x, rows, np.ones(rows.n, dtype=bool), seed)
     rest = rows.without_setups(rows.target_um - final.predict(x))
-    onnx, latency = onnx_latency(final, x)
+    onnx, latency = onnx_latency(final.model, x[:, final.used])
     return Candidate(
         name=recipe.name,
         family=recipe.family,
         promotable=False,
-        complexity=_size(final),
+        complexity=_size(final.model[-1]),
         scores=scores,
         train_rms_um=rows.rms_um(rest),
         latency=latency,
@@ -201,40 +235,39 @@ def baselines(rows: Rows) -> list[Candidate]:
     angle = rows.angle_rad
     one = np.ones_like(angle)
     harmonic = np.column_stack([one, np.cos(angle), np.sin(angle)])
-    makers: Mapping[str, tuple[Callable[[Any, Any], Floats], int]] = {
-        "zero": (lambda i, o: np.zeros(rows.n), 0),
-        "constant": (lambda i, o: one * rows.target_um[i].mean(), 1),
-        "first-harmonic": (lambda i, o: _linear(harmonic, rows.target_um, i), 3),
-        "look-up": (lambda i, o: _lookup(rows, i), 72),
+    makers: Mapping[str, tuple[Callable[[Rows, NDArray[np.bool_]], Floats], int]] = {
+        "zero": (lambda r, i: np.zeros(r.n), 0),
+        "constant": (lambda r, i: one * r.target_um[i].mean(), 1),
+        "first-harmonic": (lambda r, i: _linear(harmonic, r.target_um, i), 3),
+        "look-up": (_lookup, 72),
     }
     found = []
     for name, (make, size) in makers.items():
         scores = {}
-        for group in HELD_OUT:
+        for group in held_out_groups(rows):
             predicted = np.zeros(rows.n)
-            for inside, outside in folds(rows, group):
-                predicted[outside] = make(inside, outside)[outside]
+            for inside, outside in rows.folds(group):
+                predicted[outside] = make(rows.blind(inside), inside)[outside]
             scores[group] = score(rows, predicted, group)
         everything = np.ones(rows.n, dtype=bool)
-        rest = rows.without_setups(rows.target_um - make(everything, everything))
+        rest = rows.without_setups(rows.target_um - make(rows, everything))
         found.append(Candidate(name, "baseline", False, size, scores, rows.rms_um(rest)))
     return found
 
 
-def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed: int) -> Any:
+def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed: int) -> Regressor:
     rng = np.random.default_rng(seed)
     usable = np.flatnonzero(inside & rows.scored)
     chosen = rng.choice(usable, min(FIT_ROWS, usable.size), replace=False)
-    model = recipe.make(seed)
-    model.fit(x[chosen].astype(np.float32), rows.target_um[chosen])
-    return model
+    size = np.abs(x[inside]).max(axis=0)
+    return fitted(recipe, seed, x[chosen], rows.target_um[chosen], size, rows.of_run[chosen])
 
 
-def _linear(design: Floats, target: Floats, inside: Floats) -> Floats:
+def _linear(design: Floats, target: Floats, inside: NDArray[np.bool_]) -> Floats:
     return np.asarray(design @ np.linalg.lstsq(design[inside], target[inside], rcond=None)[0])
 
 
-def _lookup(rows: Rows, inside: Floats) -> Floats:
+def _lookup(rows: Rows, inside: NDArray[np.bool_]) -> Floats:
     """Return the mean error by plane, direction and five-degree bin of the path angle."""
     planes, directions = rows.label("plane"), rows.label("direction")
     bins = (np.degrees(rows.angle_rad) % 360.0 // 5.0).astype(int)
@@ -251,13 +284,12 @@ def _lookup(rows: Rows, inside: Floats) -> Floats:
 
 def _size(model: Any) -> int:
     """Return the number of fitted numbers or nodes of a model."""
-    last = model[-1] if hasattr(model, "steps") else model
-    if hasattr(last, "estimators_"):
-        return int(sum(tree.tree_.node_count for tree in np.ravel(last.estimators_)))
-    if hasattr(last, "tree_"):
-        return int(last.tree_.node_count)
-    if hasattr(last, "coefs_"):
-        return int(sum(c.size for c in last.coefs_) + sum(i.size for i in last.intercepts_))
-    if hasattr(last, "coef_"):
-        return int(last.coef_.size + 1)
-    return int(getattr(last, "n_samples_fit_", 0))
+    if hasattr(model, "estimators_"):
+        return int(sum(tree.tree_.node_count for tree in np.ravel(model.estimators_)))
+    if hasattr(model, "tree_"):
+        return int(model.tree_.node_count)
+    if hasattr(model, "coefs_"):
+        return int(sum(c.size for c in model.coefs_) + sum(i.size for i in model.intercepts_))
+    if hasattr(model, "coef_"):
+        return int(model.coef_.size + 1)
+    return int(getattr(model, "n_samples_fit_", 0))

@@ -110,7 +110,10 @@ def _held_out(metrics: Mapping[str, float]) -> Verdict:
         group: metrics.get(f"leave_{group}_out.r2", float("nan"))
         for group in ("feed_mm_min", "radius_mm")
     }
-    told = ", ".join(f"{group} out: R2 {r2:z.3f}" for group, r2 in found.items())
+    told = ", ".join(
+        f"{group} out: " + ("not tested" if np.isnan(r2) else f"R2 {r2:z.3f}")
+        for group, r2 in found.items()
+    )
     passed = all(np.isnan(r2) or r2 >= MIN_R2 for r2 in found.values())
     passed = passed and found["feed_mm_min"] >= MIN_R2
     return Verdict("held-out conditions", passed, f"{told}; at least {MIN_R2}")

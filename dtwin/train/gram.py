@@ -123,14 +123,16 @@ def forward_order(sums: Sums, groups: Sequence[Sequence[int]], ridge: float) -> 
     order: list[int] = []
     # Orthogonalise in place: after each step gram and moment are those of the residual.
     while left:
-        gains = []
-        for g in left:
-            index = list(groups[g])
-            block = gram[np.ix_(index, index)] + 1e-12 * np.eye(len(index))
-            gains.append(float(moment[index] @ np.linalg.solve(block, moment[index])))
+        gains = np.zeros(len(left))
+        for size in {len(groups[g]) for g in left}:
+            places = [i for i, g in enumerate(left) if len(groups[g]) == size]
+            index = np.array([groups[left[i]] for i in places])
+            block = gram[index[:, :, None], index[:, None, :]] + 1e-12 * np.eye(size)
+            taken = np.linalg.solve(block, moment[index][:, :, None])[:, :, 0]
+            gains[places] = np.sum(moment[index] * taken, axis=1)
         best = left.pop(int(np.argmax(gains)))
         order.append(best)
-        index = list(groups[best])
+        index = np.array(groups[best])
         block = gram[np.ix_(index, index)] + 1e-12 * np.eye(len(index))
         across = gram[:, index]
         moment = moment - across @ np.linalg.solve(block, moment[index])

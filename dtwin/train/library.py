@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from math import prod
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.features.motion import PATH_INPUTS
-from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.tape import Tape
 from dtwin.train.dataset import TICK_HZ, TickRun
@@ -18,6 +18,7 @@ JOINTS = range(1, 7)
 # Wider than any play worth modelling, far narrower than any motion: gives the loaded flank.
 FLANK_RAD = 1e-4
 MOVING_MM_S = 0.5
+RIPPLE, RINGING = "transmission ripple", "ringing after stops"
 _ECCENTRICITIES = (1.0, 2.0, 3.0)
 
 
@@ -87,7 +88,8 @@ class Library:
     def __init__(
         self, gears: Sequence[Gear], modes: Sequence[Mode], *, horizon_s: float = 0.0
     ) -> None:
-        self.gears, self.modes, self.horizon_s = tuple(gears), tuple(modes), horizon_s
+        self.gears = tuple(dict.fromkeys(gears))
+        self.modes, self.horizon_s = tuple(modes), horizon_s
         self.builder = GraphBuilder()
         self.atoms: dict[Atom, tuple[Expression, ...]] = {}
         self.initial: dict[str, float] = {}
@@ -100,7 +102,7 @@ class Library:
         self._waves: dict[tuple[int, float], tuple[Expression, Expression]] = {}
         self._calibration()
         self._compliance()
-        for gear in gears:
+        for gear in self.gears:
             self._transmission(gear)
         events = self._events() if modes else {}
         for mode in modes:
@@ -111,25 +113,41 @@ class Library:
         """Readable names of the terms, in order."""
         return [atom.name for atom in self.atoms]
 
-    def columns(self, run: TickRun, only: Sequence[int] | None = None) -> Floats:
-        """Return terms at the rows of a run, shape (rows, terms).
+    def columns(
+        self, runs: Sequence[TickRun], only: Sequence[int] | None = None
+    ) -> list[NDArray[np.float32]]:
+        """Return terms at the rows of each run, shape (rows, terms) each.
 
-        The terms run through every tick of the run, because some remember.
+        The terms run through every tick of a run, because some remember.
 
         Parameters
         ----------
-        run : TickRun
-            A run on the controller's clock.
+        runs : sequence of TickRun
+            Runs on the controller's clock.
         only : sequence of int, optional
             Numbers of the wanted terms; all by default.
         """
         terms = list(self.atoms.values())
         wanted = range(len(terms)) if only is None else only
         outputs = {f"t{i}": prod(terms[i][1:], start=terms[i][0]) for i in wanted}
-        graph = self.builder.graph(outputs, self.updates)
-        tape = Tape(graph, PATH_INPUTS, self.initial, list(outputs))
-        values = tape.run_many(run.inputs.astype(float))[run.arc]
-        return np.asarray(values, dtype=np.float32).astype(float)
+        live = self.live_states(outputs)
+        graph = self.builder.graph(outputs, {k: self.updates[k] for k in live})
+        tape = Tape(graph, PATH_INPUTS, {k: self.initial[k] for k in live}, list(outputs))
+        found = []
+        for run in runs:
+            tape.reset()
+            found.append(tape.run_many(run.inputs.astype(float))[run.arc].astype(np.float32))
+        return found
+
+    def live_states(self, outputs: Mapping[str, Expression]) -> list[str]:
+        """Return the states that outputs read, directly or through other states, sorted."""
+        wanted: set[str] = set()
+        while True:
+            graph = self.builder.graph(outputs, {k: self.updates[k] for k in wanted})
+            read = {n.name for n in graph.nodes if n.op == "state"}
+            if read <= wanted:
+                return sorted(wanted)
+            wanted |= read
 
     def _ahead(self, joint: int) -> Expression:
         q = self.builder.input(f"q{joint}_rad")
@@ -191,12 +209,12 @@ class Library:
                     self._atom(name, "mm/rad", "gravity", *term)
 
     def _transmission(self, gear: Gear) -> None:
-        j, cause = gear.joint, "transmission ripple"
+        j = gear.joint
         lever, flank = self._lever[j], self._flank[j]
         for function, wave in zip(("cos", "sin"), self._wave(j, gear.order), strict=True):
             name = f"lever{j}*{function}({gear.order:g}*q{j})"
-            self._atom(name, "mm/rad", cause, lever, wave)
-            self._atom(f"{name}*flank{j}", "mm/rad", cause, lever, flank, wave)
+            self._atom(name, "mm/rad", RIPPLE, lever, wave)
+            self._atom(f"{name}*flank{j}", "mm/rad", RIPPLE, lever, flank, wave)
 
     def _structure(self, mode: Mode, events: Mapping[str, Expression]) -> None:
         """Add a mode that rings after each start and stop, seen in the frame of joint 1.
@@ -228,9 +246,8 @@ class Library:
                 self.updates |= {place: moved, speed: moving}
                 for show, toward in zip("rtz", seen, strict=True):
                     name = f"mode{mode.frequency_hz:g}Hz_{event}_{push}->{show}"
-                    cause = "ringing after stops"
-                    self._atom(f"{name}_sin", "m/min", cause, toward, moved)
-                    self._atom(f"{name}_cos", "m/min", cause, toward, moving)
+                    self._atom(f"{name}_sin", "m/min", RINGING, toward, moved)
+                    self._atom(f"{name}_cos", "m/min", RINGING, toward, moving)
 
     def _events(self) -> dict[str, Expression]:
         """Return what is 1 for the one tick in which the path starts, or stops."""

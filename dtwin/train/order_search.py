@@ -50,28 +50,18 @@ def find_gears(
     """
     some = np.arange(0, rows.n, every)
     q, lever, flank = (part[some] for part in _joint_state(rows))
+
+    def best(part: Floats, joint: int, orders: Floats) -> tuple[float, Gear]:
+        j = joint - 1
+        gains = _explained(part, q[:, j], lever[:, j], flank[:, j], orders)
+        return float(gains.max()), Gear(joint, float(orders[int(np.argmax(gains))]))
+
     found: list[Gear] = []
     residual = rows.target_um - explained(found)
     for step in range(most):
         part = residual[some]
-        gain, gear = max(
-            (
-                (_explained(part, q, lever, flank, Gear(j, float(k))), Gear(j, float(k)))
-                for j in range(1, 7)
-                for k in _COARSE
-            ),
-            key=lambda pair: pair[0],
-        )
-        gain, gear = max(
-            (
-                (
-                    _explained(part, q, lever, flank, Gear(gear.joint, gear.order + d)),
-                    Gear(gear.joint, float(gear.order + d)),
-                )
-                for d in _FINE
-            ),
-            key=lambda pair: pair[0],
-        )
+        coarse = max((best(part, j, _COARSE) for j in range(1, 7)), key=lambda pair: pair[0])[1]
+        gain, gear = best(part, coarse.joint, coarse.order + _FINE)
         if gain < _SMALLEST_GAIN * float(part @ part):
             break
         found.append(gear)
@@ -102,15 +92,18 @@ def _flank(q: Floats) -> Floats:
     return np.asarray(np.take_along_axis(moved, np.maximum.accumulate(index, axis=0), axis=0))
 
 
-def _explained(residual: Floats, q: Floats, lever: Floats, flank: Floats, gear: Gear) -> float:
-    """Return the sum of squares that an order's four terms take from a residual."""
-    j = gear.joint - 1
-    phase = gear.order * q[:, j]
-    waves = np.column_stack([np.cos(phase), np.sin(phase)]) * lever[:, [j]]
-    terms = np.column_stack([waves, waves * flank[:, [j]]])
-    gram = terms.T @ terms
-    size = float(np.trace(gram))
-    if size <= 1e-12 * len(residual):
-        return 0.0
-    moment = terms.T @ residual
-    return float(moment @ np.linalg.solve(gram + 1e-6 * size * np.eye(4), moment))
+def _explained(residual: Floats, q: Floats, lever: Floats, flank: Floats, orders: Floats) -> Floats:
+    """Return the sum of squares that the four terms of each order of a joint take, shape (orders,)."""
+    # The orders lie evenly: each wave is the one before, turned further.
+    turns = np.empty((orders.size, q.size), dtype=complex)
+    turns[0], turns[1:] = np.exp(1j * orders[0] * q), np.exp(1j * (orders[1] - orders[0]) * q)
+    spun = np.multiply.accumulate(turns, axis=0)
+    waves = np.stack([spun.real, spun.imag], axis=1) * lever
+    terms = np.concatenate([waves, waves * flank], axis=1)
+    gram = terms @ terms.transpose(0, 2, 1)
+    size = np.trace(gram, axis1=1, axis2=2)
+    still = size <= 1e-12 * len(residual)
+    gram += np.where(still, 1.0, 1e-6 * size)[:, None, None] * np.eye(4)
+    moment = terms @ residual
+    taken = np.linalg.solve(gram, moment[:, :, None])[:, :, 0]
+    return np.where(still, 0.0, np.sum(moment * taken, axis=1))

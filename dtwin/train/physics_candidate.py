@@ -2,37 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from dtwin import __version__
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.schema import Floats
-from dtwin.serve.builder import Expression
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.export import to_c, to_latex, to_python
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
-from dtwin.train.candidates import HELD_OUT, score
 from dtwin.train.dataset import TICK_HZ
-from dtwin.train.gram import solve, sums_of
 from dtwin.train.latency import bundle_latency
 from dtwin.train.library import Library, equation_text, weighted_sum
-from dtwin.train.physics_fit import DEAD_SHARE, RIDGE, PhysicsFit
-from dtwin.train.results import Candidate
+from dtwin.train.physics_fit import DEAD_SHARE, PhysicsFit
+from dtwin.train.results import FRESH_RUN, Candidate, Scores
 from dtwin.train.rows import Rows
 
 _BOX_MARGIN = 0.02
 
 
 def physics_candidate(
-    fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]
-) -> Candidate:
+    fit: PhysicsFit, scores: Mapping[str, Scores], fresh_run_um: float, machine: str, *, horizon_s: float,
+    table_versions: dict[str, int],
+) -> Candidate:  # fmt: skip
     """Return the proposed equation of a physics fit.
 
     Parameters
     ----------
     fit : PhysicsFit
         Fitted library.
+    scores : dict of str to Scores
+        Of equations that were found and fitted without what they predict.
+    fresh_run_um : float
+        Error to expect of a fresh run of a trained condition.
     machine : str
         Machine that the bundle is for.
     horizon_s : float
@@ -42,7 +46,6 @@ def physics_candidate(
         Versions of the lake's tables, for the bundle's provenance.
     """
     design = fit.design[:, list(fit.chosen)]
-    scores = {g: score(fit.rows, _left_out(fit, design, g), g) for g in HELD_OUT}
     rest = fit.rows.target_um - design @ fit.weights
     names = [fit.library.names[i] for i in fit.chosen]
     weights = dict(zip(names, fit.weights.tolist(), strict=True))
@@ -70,6 +73,7 @@ def physics_candidate(
         front=tuple(vars(point) for point in fit.front),
         numbers={
             "terms": float(len(fit.chosen)),
+            FRESH_RUN: fresh_run_um,
             "alignment_shift_ms": 1000.0 * fit.lag_shift_s,
             "horizon_ms": 1000.0 * horizon_s,
         },
@@ -96,7 +100,7 @@ def physics_bundle(
     terms = list(library.atoms.values())
     chosen = zip(fit.weights.tolist(), (terms[i] for i in fit.chosen), strict=True)
     outputs = {"radial_um": weighted_sum(library.builder, list(chosen))}
-    live = _live_states(library, outputs)
+    live = library.live_states(outputs)
     graph = library.builder.graph(outputs, {k: library.updates[k] for k in live})
     low, high = _box(fit.rows)
     used = set(graph.inputs)
@@ -119,35 +123,10 @@ def physics_bundle(
     )
 
 
-def _live_states(library: Library, outputs: dict[str, Expression]) -> list[str]:
-    """Return the states that the outputs read, directly or through other states."""
-    wanted: set[str] = set()
-    while True:
-        graph = library.builder.graph(outputs, {k: library.updates[k] for k in wanted})
-        read = {n.name for n in graph.nodes if n.op == "state"}
-        if read <= wanted:
-            return sorted(wanted)
-        wanted |= read
-
-
 def _state_unit(name: str) -> str:
     if name.startswith("flank"):
         return "rad"
     return "1" if name.startswith("was") else "m/min"
-
-
-def _left_out(fit: PhysicsFit, design: Floats, group: str) -> Floats:
-    rows, absorbed = fit.rows, fit.absorbed[:, list(fit.chosen)]
-    label = rows.label(group)
-    predicted = np.zeros(rows.n)
-    for value in np.unique(label):
-        inside = (label != value) & rows.scored
-        outside = label == value
-        if inside.any():
-            sums = sums_of(design[inside], rows.target_um[inside], absorbed[inside])
-            weights = solve(sums, RIDGE)
-            predicted[outside] = design[outside] @ weights
-    return predicted
 
 
 def _box(rows: Rows) -> tuple[Floats, Floats]:

@@ -1,18 +1,20 @@
-"""Fit the physics library: orders, alignment, terms, and the front over their number."""
+"""Fit the physics library: orders, modes, alignment, terms, and the front over their number."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.errors import InputError
 from dtwin.schema import Floats
 from dtwin.train.gram import Sums, forward_order, solve, sums_of, total
-from dtwin.train.library import Gear, Library, Mode
+from dtwin.train.library import Gear, Library
 from dtwin.train.mode_search import find_modes
 from dtwin.train.order_search import find_gears
 from dtwin.train.rows import Rows, gather, thinned
+from dtwin.train.term_columns import TermColumns
 
 RIDGE = 1e-3
 # Within this of the best held-out error the smaller equation wins.
@@ -22,6 +24,7 @@ _NEVER_MOVES = 1e-9
 DEAD_SHARE = 1e-3
 _LAG_RANGE_S, _LAG_STEP_S, _LAG_ROUNDS = 0.040, 0.002, 2
 Progress = Callable[[int, int, str], None]
+Cells = Mapping[tuple[float, float], Sums]
 
 
 @dataclass(frozen=True)
@@ -32,10 +35,9 @@ class FrontPoint:
     ----------
     terms : int
         Number of terms.
-    held_out_rms_um : float
-        Error on feeds that were left out as a whole.
-    radius_out_rms_um : float
-        Error on radii that were left out as a whole: extrapolation.
+    held_out_rms_um, radius_out_rms_um : float
+        Error on feeds, and on radii, that only the coefficients were fitted without: it chooses the
+        size. What is reported of the chosen one is :func:`predicted_left_out`.
     """
 
     terms: int
@@ -75,56 +77,113 @@ class PhysicsFit:
     lag_shift_s: float
 
 
-def fit_physics(rows: Rows, progress: Progress | None = None) -> PhysicsFit:
+def fit_physics(
+    rows: Rows, columns: TermColumns | None = None, progress: Progress | None = None
+) -> PhysicsFit:
     """Fit the library to a campaign.
 
     Parameters
     ----------
     rows : Rows
         Rows of all runs, aligned by motion.
+    columns : TermColumns, optional
+        Terms of these runs, or of more, that other fits use too.
     progress : callable, optional
         Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When there is a single run: nothing can be left out to choose the number of terms.
     """
-    gears, modes = _search(thinned(rows, _SEARCH_EVERY), progress)
-    library = Library(gears, modes)
-    columns = np.concatenate([library.columns(run) for run in rows.runs])
-    rows, shift_s = _realigned(rows, columns)
-    design = rows.without_setups(columns)
-    absorbed = columns - design
-    cells = cell_sums(rows, design, absorbed)
-    chosen, front = _front(rows, library, cells)
+    columns = columns or TermColumns(rows.runs)
+    library = _search(thinned(rows, _SEARCH_EVERY), columns, progress)
+    terms = columns.of(library, rows.runs)
+    rows, shift_s = _realigned(rows, terms)
+    design = rows.without_setups(terms)
+    absorbed = terms - design
+    cells = _cell_sums(rows, design, absorbed)
+    chosen, front = _front(library, cells)
     weights = solve(total(list(cells.values())).take(chosen), RIDGE)
     return PhysicsFit(
         rows, library, design, absorbed, tuple(chosen), weights, tuple(front), shift_s
     )
 
 
-def cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> dict[tuple[float, float], Sums]:
-    """Return sums by (feed, radius), over the scored rows."""
-    feeds, radii = rows.label("feed_mm_min"), rows.label("radius_mm")
-    cells = {}
-    for feed in np.unique(feeds):
-        for radius in np.unique(radii):
-            inside = (feeds == feed) & (radii == radius) & rows.scored
-            if inside.any():
-                cells[(float(feed), float(radius))] = sums_of(
-                    design[inside], rows.target_um[inside], absorbed[inside]
-                )
-    return cells
+def predicted_left_out(
+    rows: Rows, group: str, columns: TermColumns, progress: Progress | None = None
+) -> Floats:
+    """Predict every row by an equation that saw nothing of the row's group.
 
-
-def held_out_rms(cells: dict[tuple[float, float], Sums], axis: int, chosen: Sequence[int]) -> float:
-    """Return the RMS error over groups left out in turn.
+    Orders, modes, alignment of the runs, number of terms and coefficients are all found again
+    without the group. The rows that are predicted keep the alignment by motion.
 
     Parameters
     ----------
-    cells : dict
-        Sums by (feed, radius).
-    axis : {0, 1}
-        Leave feeds, or radii, out.
-    chosen : sequence of int
-        Columns of the equation.
+    rows : Rows
+        Rows of all runs, aligned by motion.
+    group : str
+        A field of the condition, left out by value.
+    columns : TermColumns
+        Terms of all runs.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        In um, centre and radius of the set-ups not taken out.
     """
+    predicted = np.zeros(rows.n)
+    values = np.unique(rows.label(group))
+    for done, (inside, outside) in enumerate(rows.folds(group), start=1):
+        fit = fit_physics(rows.only(inside), columns)
+        terms = columns.of(fit.library, rows.only(outside).runs, fit.chosen)
+        predicted[outside] = terms @ fit.weights
+        if progress is not None:
+            progress(done, values.size, f"without {group} {values[done - 1]:g}")
+    return predicted
+
+
+def predicted_fresh(fit: PhysicsFit) -> Floats:
+    """Predict every run by coefficients that were fitted without it, orders and terms as they are.
+
+    What to expect of a fresh run of a trained condition; not a nested figure.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        In um, centre and radius of the set-ups not taken out.
+    """
+    rows, chosen = fit.rows, list(fit.chosen)
+    design, absorbed = fit.design[:, chosen], fit.absorbed[:, chosen]
+    scored = [np.flatnonzero((rows.of_run == i) & rows.scored) for i in range(len(rows.runs))]
+    sums = [sums_of(design[i], rows.target_um[i], absorbed[i]) for i in scored]
+    predicted = np.zeros(rows.n)
+    for number in range(len(sums)):
+        weights = solve(total([*sums[:number], *sums[number + 1 :]]), RIDGE)
+        here = rows.of_run == number
+        predicted[here] = (design[here] + absorbed[here]) @ weights
+    return predicted
+
+
+def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> Cells:
+    """Return sums over the scored rows by (feed, radius), by run where there is one such pair."""
+    labels = rows.label("feed_mm_min"), rows.label("radius_mm")
+    if all(np.unique(label).size == 1 for label in labels):
+        labels = rows.of_run, rows.of_run
+    cells = {}
+    for first, second in sorted({*zip(*(label.tolist() for label in labels), strict=True)}):
+        inside = (labels[0] == first) & (labels[1] == second) & rows.scored
+        if inside.any():
+            cells[(float(first), float(second))] = sums_of(
+                design[inside], rows.target_um[inside], absorbed[inside]
+            )
+    return cells
+
+
+def _coefficients_out_rms(cells: Cells, axis: int, chosen: Sequence[int]) -> float:
+    """Return the RMS error over feeds (axis 0) or radii (1) that coefficients are fitted without."""
     squares, rows = 0.0, 0
     for value in sorted({key[axis] for key in cells}):
         inside = [s for key, s in cells.items() if key[axis] != value]
@@ -136,26 +195,16 @@ def held_out_rms(cells: dict[tuple[float, float], Sums], axis: int, chosen: Sequ
     return float(np.sqrt(max(squares, 0.0) / rows))
 
 
-def _search(rows: Rows, progress: Progress | None) -> tuple[list[Gear], list[Mode]]:
-    base = Library((), ())
-    fixed = np.concatenate([base.columns(run) for run in rows.runs])
-    kept: dict[Gear, Floats] = {}
+def _search(rows: Rows, columns: TermColumns, progress: Progress | None) -> Library:
+    """Return the library with the orders and modes that the rows, thinned ones, show."""
 
     def explained(gears: Sequence[Gear]) -> Floats:
-        for gear in gears:
-            if gear not in kept:
-                kept[gear] = _gear_columns(rows, gear)
-        design = rows.without_setups(np.column_stack([fixed, *(kept[g] for g in gears)]))
+        terms = columns.of(Library(gears, ()), rows.runs, every=_SEARCH_EVERY)
+        design = rows.without_setups(terms)
         return design @ solve(sums_of(design, rows.target_um), RIDGE)
 
     gears = find_gears(rows, explained, progress=progress)
-    return gears, find_modes(rows, rows.target_um - explained(gears))
-
-
-def _gear_columns(rows: Rows, gear: Gear) -> Floats:
-    library = Library((gear,), ())
-    mine = [i for i, a in enumerate(library.atoms) if a.cause == "transmission ripple"]
-    return np.concatenate([library.columns(run, mine) for run in rows.runs])
+    return Library(gears, find_modes(rows, rows.target_um - explained(gears)))
 
 
 def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
@@ -180,9 +229,13 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
     return rows, float(np.sqrt(np.mean((lags - start) ** 2)))
 
 
-def _front(
-    rows: Rows, library: Library, cells: dict[tuple[float, float], Sums]
-) -> tuple[list[int], list[FrontPoint]]:
+def _front(library: Library, cells: Cells) -> tuple[list[int], list[FrontPoint]]:
+    if len(cells) < 2:
+        raise InputError(
+            "the size of an equation cannot be chosen from a single run",
+            code="train.grid",
+            allowed="two runs at least with any one feed or radius left out",
+        )
     everything = total(list(cells.values()))
     groups = _pairs(library, everything)
     order = forward_order(everything, groups, RIDGE)
@@ -193,18 +246,12 @@ def _front(
         chosen = [*chosen, *groups[group]]
         if place in (1, 2, 3, 5) or place % 4 == 0 or place == len(order):
             sets.append(sorted(chosen))
-            front.append(
-                FrontPoint(
-                    len(chosen), held_out_rms(cells, 0, sets[-1]), held_out_rms(cells, 1, sets[-1])
-                )
-            )
-    worst_of_both = [
-        p.held_out_rms_um
-        if np.isnan(p.radius_out_rms_um)
-        else float(np.hypot(p.held_out_rms_um, p.radius_out_rms_um))
-        for p in front
-    ]
-    limit = ELBOW * min(worst_of_both)
+            errors = [_coefficients_out_rms(cells, axis, sets[-1]) for axis in (0, 1)]
+            front.append(FrontPoint(len(chosen), *errors))
+    judged = np.array([[p.held_out_rms_um, p.radius_out_rms_um] for p in front])
+    # A single feed, or radius, cannot be left out: its column is NaN.
+    worst_of_both = np.sqrt(np.nansum(judged**2, axis=1))
+    limit = ELBOW * worst_of_both.min()
     best = next(i for i, error in enumerate(worst_of_both) if error <= limit)
     return sets[best], front
 

@@ -22,7 +22,7 @@ from dtwin import __version__
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.processes import is_gone, process
-from dtwin.train.results import Candidate, TrainingReport
+from dtwin.train.results import Candidate, TrainingReport, held_out_text
 
 EXPERIMENT = "dtwin"
 BUNDLE_FOLDER = "bundle"
@@ -317,7 +317,11 @@ class Registry:
             "complexity": candidate.complexity,
             **_report_params(report),
         }
-        tags = {"mlflow.parentRunId": parent, "dtwin.candidate": candidate.name}
+        tags = {
+            "mlflow.parentRunId": parent,
+            "dtwin.candidate": candidate.name,
+            "dtwin.held_out": held_out_text(candidate, report.candidates),
+        }
         if candidate.equation:
             tags["mlflow.note.content"] = f"```\n{candidate.equation[:4000]}\n```"
         self.log(run_id, params, candidate_metrics(candidate), tags)
@@ -410,7 +414,11 @@ def _report_params(report: TrainingReport) -> dict[str, Any]:
 
 
 def _report_metrics(report: TrainingReport) -> dict[str, float]:
-    return {"noise_floor_um": report.noise_floor_um, "rms_before_um": report.rms_before_um}
+    return {
+        "noise_floor_um": report.noise_floor_um,
+        "noise_floor_dof": float(report.noise_floor_dof),
+        "rms_before_um": report.rms_before_um,
+    }
 
 
 def candidate_metrics(candidate: Candidate) -> dict[str, float]:

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Protocol, runtime_checkable
 
 from dtwin.schema import Floats
+from dtwin.statistics import deviation_interval
+
+FRESH_RUN = "fresh_run.rms_um"
+"""Metric: RMS error on runs that only the coefficients were fitted without, in um."""
+# Rounding is no harm.
+_SAME = 1.0 + 1e-6
 
 
 @runtime_checkable
@@ -28,7 +34,8 @@ class Scores:
     group : str
         What was left out as a whole: ``run``, ``feed_mm_min``, ``radius_mm`` ...
     r2 : float
-        Share of the held-out variance explained, pooled over the held-out groups.
+        Share of the held-out variance explained, pooled over the held-out groups; finite, and
+        negative where the model does harm.
     rms_um, mae_um : float
         Held-out error after the set-up's centre and radius are removed.
     worst_slice_ratio : float
@@ -157,6 +164,8 @@ class TrainingReport:
         What the data show before any model, for the reviewer.
     floor_is : str
         What the noise floor is made of.
+    noise_floor_dof : int
+        Degrees of freedom of the noise floor; 0 when nobody counted them.
     """
 
     machine: str
@@ -171,17 +180,66 @@ class TrainingReport:
     seed: int
     told: tuple[str, ...] = ()
     floor_is: str = "what repeats of the same condition disagree by (unit of replication: the run)"
+    noise_floor_dof: int = 0
 
     @property
     def noise_floor_text(self) -> str:
-        """The noise floor with its unit, or that nobody knows it."""
+        """The noise floor with its unit and 95 % interval, or that nobody knows it."""
         if math.isnan(self.noise_floor_um):
             return "unknown without repeats"
-        return f"{self.noise_floor_um:.{1 if self.noise_floor_um >= 1.0 else 4}f} um"
+        digits = 1 if self.noise_floor_um >= 1.0 else 4
+        floor = f"{self.noise_floor_um:z.{digits}f} um"
+        if not self.noise_floor_dof:
+            return floor
+        low, high = deviation_interval(self.noise_floor_um, self.noise_floor_dof)
+        return f"{floor}, {low:z.{digits}f} to {high:z.{digits}f} at 95 %"
 
     def candidate(self, name: str) -> Candidate:
         """Return a candidate by name."""
         return next(c for c in self.candidates if c.name == name)
+
+
+def without_correction(candidates: Iterable[Candidate]) -> Candidate | None:
+    """Return the candidate that corrects nothing, None when it was not among them."""
+    return next((c for c in candidates if c.name == "zero"), None)
+
+
+def r2_text(r2: float, rms_um: float, zero_um: float | None) -> str:
+    """Return R2 to three decimals, or that the model does harm where it was held out.
+
+    Parameters
+    ----------
+    r2, rms_um : float
+        Of the model, held out.
+    zero_um : float, optional
+        Error without a correction on the same rows.
+    """
+    worse = zero_um is not None and round(1.0 - (rms_um / zero_um) ** 2, 3) < 0.0
+    return "worse than no correction" if worse else f"{r2:z.3f}"
+
+
+def held_out_text(candidate: Candidate, others: Iterable[Candidate]) -> str:
+    """Return R2 by what was left out, or that the candidate does harm there."""
+    zero = without_correction(others)
+    told = (
+        f"{group} out: " + r2_text(s.r2, s.rms_um, zero.scores[group].rms_um if zero else None)
+        for group, s in candidate.scores.items()
+    )
+    return ", ".join(told)
+
+
+def worse_in_sample(candidates: Sequence[Candidate]) -> list[str]:
+    """Say which candidates do harm on the very rows that they were fitted to."""
+    zero = without_correction(candidates)
+    if zero is None:
+        return []
+    return [
+        f"{c.name} is worse than no correction on the rows that it was fitted to "
+        f"({c.train_rms_um:.3g} against {zero.train_rms_um:.3g} um): it was not fitted soundly, and "
+        "being better than it means nothing"
+        for c in candidates
+        if not c.train_rms_um <= _SAME * zero.train_rms_um
+    ]
 
 
 def condition_name(condition: Mapping[str, Any]) -> str:

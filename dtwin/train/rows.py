@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -81,6 +81,27 @@ class Rows:
             result[inside] -= basis @ (basis.T @ result[inside])
         return result
 
+    def folds(self, group: str) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Yield (training, held-out) row masks, one value of a condition's field left out in turn."""
+        label = self.label(group)
+        for value in np.unique(label):
+            yield label != value, label == value
+
+    def only(self, chosen: NDArray[np.bool_]) -> Rows:
+        """Return the rows of the runs of which rows are chosen, with their set-ups taken out anew."""
+        return gather([self.runs[i] for i in np.unique(self.of_run[chosen])])
+
+    def blind(self, inside: NDArray[np.bool_]) -> Rows:
+        """Return all rows with the targets of whole runs hidden (NaN): for fits that must not see them.
+
+        Centre and radius of a set-up are those of the rows that remain.
+        """
+        target = np.full(self.n, np.nan)
+        target[inside] = self.only(inside).target_um
+        return replace(
+            self, measured_um=np.where(inside, self.measured_um, np.nan), target_um=target
+        )
+
     def rms_um(self, values: Floats) -> float:
         """Return the RMS over the scored rows."""
         return float(np.sqrt(np.mean(values[self.scored] ** 2)))
@@ -113,11 +134,12 @@ def thinned(rows: Rows, every: int) -> Rows:
 
 
 def noise_floor_um(rows: Rows) -> tuple[float, int]:
-    """Return what repeats of the same condition disagree by, and the number of conditions.
+    """Return what repeats of the same condition disagree by, and its degrees of freedom.
 
     The unit of replication is the run: profiles over the path angle are averaged per run
     first, repeats of a condition in the same set-up are compared, and their pooled standard
-    deviation is the floor that no model's held-out error may go below.
+    deviation is the floor that no model's held-out error may go below. Its degrees of freedom count
+    each run once.
 
     Parameters
     ----------
@@ -128,7 +150,7 @@ def noise_floor_um(rows: Rows) -> tuple[float, int]:
     place = (np.degrees(rows.angle_rad) % 360.0 * bins / 360.0).astype(int) % bins
     turn = np.floor(np.degrees(rows.angle_rad) / 360.0).astype(int)
     conditions = rows.condition()
-    squares, freedom, used = 0.0, 0, 0
+    squares, freedom = 0.0, 0
     for condition in np.unique(conditions):
         inside = (conditions == condition) & rows.scored
         profiles = []
@@ -149,5 +171,4 @@ def noise_floor_um(rows: Rows) -> tuple[float, int]:
             spread = stack[:, known] - stack[:, known].mean(axis=0)
             squares += float(np.sum(spread**2) / known.sum())
             freedom += len(stack) - 1
-            used += 1
-    return (float(np.sqrt(squares / freedom)) if freedom else float("nan")), used
+    return (float(np.sqrt(squares / freedom)) if freedom else float("nan")), freedom

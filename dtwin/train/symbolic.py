@@ -248,7 +248,8 @@ def _refitted(
 
     def residual(constants: Floats) -> Floats:
         rest = np.broadcast_to(formula.values(inputs, constants), target.shape) - target
-        return np.nan_to_num(rest, nan=1e6, posinf=1e6, neginf=-1e6)
+        # Larger ones would overflow when they are squared and summed.
+        return np.clip(np.nan_to_num(rest, nan=1e6), -1e6, 1e6)
 
     before = float(np.sum(residual(start) ** 2))
     solved = least_squares(residual, start, x_scale="jac", max_nfev=30)

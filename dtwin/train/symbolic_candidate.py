@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin import __version__
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
@@ -12,7 +15,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.export import to_c, to_latex, to_python, to_text
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
-from dtwin.train.candidates import HELD_OUT, folds, score
+from dtwin.train.candidates import held_out_groups, score
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.formula import unit_findings
 from dtwin.train.latency import bundle_latency
@@ -39,12 +42,17 @@ INPUTS = (
     "radial_z_1",
 )
 _REFIT_ROWS = 6000
+# Of the largest prediction: what the bundle clamps to, and what a formula is judged with.
+_CLAMP_MARGIN = 1.25
 
 
 def symbolic_candidate(
     rows: Rows, engine: Engine, machine: str, *, seed: int, table_versions: dict[str, int]
 ) -> Candidate:
     """Search on a subsample, refit every constant, and propose the formula of the front's elbow.
+
+    The scores are those of formulas that were searched, chosen and refitted without what they
+    predict.
 
     Parameters
     ----------
@@ -59,29 +67,17 @@ def symbolic_candidate(
     table_versions : dict of str to int
         Versions of the lake's tables.
     """
-    rng = np.random.default_rng(seed)
-    scored = np.flatnonzero(rows.scored)
-    some = rng.choice(scored, min(SUBSAMPLE, scored.size), replace=False)
-    more = rng.choice(scored, min(_REFIT_ROWS, scored.size), replace=False)
     columns = _columns(rows)
-    found = engine.search({n: c[some] for n, c in columns.items()}, rows.target_um[some], seed)
-    fitted = refit(found, {n: c[more] for n, c in columns.items()}, rows.target_um[more])
+    fitted = _searched(rows, columns, np.ones(rows.n, dtype=bool), engine, seed)
     best = _elbow(fitted)
     scores = {}
-    for group in HELD_OUT:
+    for group in held_out_groups(rows):
         predicted = np.zeros(rows.n)
-        for inside, outside in folds(rows, group):
-            train = more[inside[more]]
-            again = refit(
-                [f for f in found if f.complexity == found[fitted.index(best)].complexity][:1],
-                {n: c[train] for n, c in columns.items()},
-                rows.target_um[train],
-            )
-            model = again[0] if again else best
-            values = model.formula.values(
-                {n: c[outside] for n, c in columns.items()}, model.constants
-            )
-            predicted[outside] = np.nan_to_num(values)
+        for inside, outside in rows.folds(group):
+            again = _elbow(_searched(rows.blind(inside), columns, inside, engine, seed))
+            values = again.formula.values(columns, again.constants) + np.zeros(rows.n)
+            most = _CLAMP_MARGIN * np.abs(values[inside & rows.scored]).max()
+            predicted[outside] = np.clip(np.nan_to_num(values[outside]), -most, most)
         scores[group] = score(rows, predicted, group)
     rest = rows.target_um - np.broadcast_to(best.formula.values(columns, best.constants), rows.n)
     bundle = _bundle(rows, best, engine.name, machine, table_versions)
@@ -106,6 +102,18 @@ def symbolic_candidate(
         findings=tuple(f"units: {finding}" for finding in units),
         front=tuple({"nodes": f.complexity, "rms_um": f.rms} for f in fitted),
     )
+
+
+def _searched(
+    rows: Rows, columns: Mapping[str, Floats], inside: NDArray[np.bool_], engine: Engine, seed: int
+) -> list[FittedFormula]:
+    """Return the front of a search over some rows, constants refitted on more of them."""
+    rng = np.random.default_rng(seed)
+    usable = np.flatnonzero(inside & rows.scored)
+    some = rng.choice(usable, min(SUBSAMPLE, usable.size), replace=False)
+    more = rng.choice(usable, min(_REFIT_ROWS, usable.size), replace=False)
+    found = engine.search({n: c[some] for n, c in columns.items()}, rows.target_um[some], seed)
+    return refit(found, {n: c[more] for n, c in columns.items()}, rows.target_um[more])
 
 
 def _columns(rows: Rows) -> dict[str, Floats]:
@@ -138,6 +146,6 @@ def _bundle(
         inputs=inputs,
         outputs=[Output("radial_um", "path_radial", "error")],
         tick_graph=graph,
-        safety=SafetyLimits(clamp_um=max(1.0, min(500.0, 1.25 * float(predicted.max())))),
+        safety=SafetyLimits(clamp_um=max(1.0, min(500.0, _CLAMP_MARGIN * float(predicted.max())))),
         provenance=Provenance(code_version=__version__, table_versions=dict(table_versions)),
     )

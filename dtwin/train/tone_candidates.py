@@ -13,7 +13,7 @@ from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
-from dtwin.train.candidates import RECIPES, Recipe
+from dtwin.train.candidates import RECIPES, Recipe, fitted
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores
 from dtwin.train.symbolic import Engine
@@ -132,22 +132,20 @@ def searched_candidate(
     groups: ToneGroups, machine: str, engine: Engine | None, seed: int,
     table_versions: dict[str, int], action: Action = "inverse",
 ) -> Candidate:  # fmt: skip
-    """Return the candidate of the free search; parameters as for :func:`law_candidates`."""
+    """Return the candidate of the free search; parameters as for :func:`law_candidates`.
+
+    Its scores are those of searches without what is predicted: form, features and constants.
+    """
     amplitude, phase, front = searched(groups, engine, seed)
 
     def again(train: ToneGroups, test: ToneGroups) -> Predicted:
-        return _values(
-            (amplitude.refitted(train.columns, train.amplitude_error_um),
-             phase.refitted(train.columns, train.phase_error_deg)), test,
-        )  # fmt: skip
+        return _values(searched(train, engine, seed)[:2], test)
 
     name = f"symbolic-{engine.name if engine else 'operon'}"
     made = _law_candidate(
         groups, (amplitude, phase), name, judged(groups, again), machine, table_versions, action
     )
-    note = "the form was found on all groups; only its constants were fitted without those left out"
-    front_rows = tuple({"nodes": p["nodes"], "rms_um": p["rms"]} for p in front)
-    return replace(made, front=front_rows, findings=(*made.findings, note))
+    return replace(made, front=tuple({"nodes": p["nodes"], "rms_um": p["rms"]} for p in front))
 
 
 def _values(laws: tuple[Law, Law], groups: ToneGroups) -> Predicted:
@@ -222,12 +220,13 @@ def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Pr
 
 def _regressor(recipe: Recipe, seed: int) -> Predict:
     def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
-        found = []
-        for target in (train.amplitude_error_um, train.phase_error_deg):
-            model = recipe.make(seed)
-            model.fit(train.features, target)
-            found.append(np.asarray(model.predict(test.features), dtype=float))
-        return found[0], found[1]
+        size = np.abs(train.features).max(axis=0)
+        tone = np.unique(train.frequency_hz, return_inverse=True)[1]
+        amplitude, phase = (
+            fitted(recipe, seed, train.features, target, size, tone).predict(test.features)
+            for target in (train.amplitude_error_um, train.phase_error_deg)
+        )
+        return amplitude, phase
 
     return predict
 

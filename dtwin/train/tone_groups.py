@@ -180,8 +180,10 @@ def heard_groups(everything: ToneGroups) -> ToneGroups:
     return groups
 
 
-def noise_floor_um(groups: ToneGroups) -> float:
-    """Return what repeats of a tone disagree by in the amplitude error, NaN without repeats.
+def noise_floor_um(groups: ToneGroups) -> tuple[float, int]:
+    """Return what repeats of a tone disagree by in the amplitude error, and its degrees of freedom.
+
+    NaN and 0 without repeats.
 
     Parameters
     ----------
@@ -193,7 +195,8 @@ def noise_floor_um(groups: ToneGroups) -> float:
     error = groups.amplitude_error_um
     mean = (np.bincount(place, weights=error) / np.bincount(place))[place]
     freedom = groups.n - int(place.max()) - 1
-    return float(np.sqrt(np.sum((error - mean) ** 2) / freedom)) if freedom else float("nan")
+    floor = float(np.sqrt(np.sum((error - mean) ** 2) / freedom)) if freedom else float("nan")
+    return floor, freedom
 
 
 def _group(run: Run) -> Mapping[str, Any] | None:

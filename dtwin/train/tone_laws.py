@@ -150,7 +150,7 @@ def searched(
     seed : int
         Of the search.
     """
-    search = engine or OperonEngine(60, 500, 20, SYMBOLS)
+    search = engine or OperonEngine(max_length=20, symbols=SYMBOLS)
     scales, dead = scales_of(groups), dead_features(groups)
     offered = {name: values for name, values in groups.columns.items() if name not in dead}
     columns = _scaled(offered, scales)

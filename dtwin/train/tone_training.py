@@ -53,7 +53,7 @@ def train_tones(
     others = compared_candidates(groups, seed)
     tell("comparison models", 1, 1, "")
     found = sorted([*laws, *others], key=lambda c: c.held_out.rms_um)
-    floor, told = noise_floor_um(groups), what_was_seen(everything)
+    (floor, freedom), told = noise_floor_um(groups), what_was_seen(everything)
     if not np.isnan(floor):
         told.append(
             "the accelerometer hears part of what makes repeats differ: an equation may leave less than "
@@ -61,7 +61,7 @@ def train_tones(
         )
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=floor, rms_before_um=_rms(groups.amplitude_error_um),
+        noise_floor_um=floor, noise_floor_dof=freedom, rms_before_um=_rms(groups.amplitude_error_um),
         n_runs=groups.n, n_rows=groups.n, candidates=tuple(found),
         proposed=proposed(found, MOST_RADIUS), seed=seed, told=tuple(told),
     )  # fmt: skip

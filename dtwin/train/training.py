@@ -12,15 +12,23 @@ from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.errors import InputError
 from dtwin.store import Lake
-from dtwin.train.candidates import RECIPES, Recipe, baselines, train_recipe
+from dtwin.train.candidates import (
+    RECIPES,
+    Recipe,
+    baselines,
+    held_out_groups,
+    score,
+    train_recipe,
+)
 from dtwin.train.dataset import load_ticks
 from dtwin.train.inputs import generic_inputs
 from dtwin.train.physics_candidate import physics_candidate
-from dtwin.train.physics_fit import PhysicsFit, fit_physics
+from dtwin.train.physics_fit import PhysicsFit, fit_physics, predicted_fresh, predicted_left_out
 from dtwin.train.results import Candidate, TrainingReport
 from dtwin.train.rows import gather, noise_floor_um, thinned
 from dtwin.train.symbolic import Engine, OperonEngine
 from dtwin.train.symbolic_candidate import symbolic_candidate
+from dtwin.train.term_columns import TermColumns
 
 Progress = Callable[[str, int, int, str], None]
 # Comparison models look at fewer rows than the physics library, to be ready in seconds.
@@ -101,9 +109,27 @@ def train_campaign(
     geometry = campaign.machine_geometry
     horizon_s = float(geometry.get("correction_delay_s", 0.0))
     runs = load_ticks(lake, campaign, rows_, lambda d, n, w: tell("align runs", d, n, w))
-    fit = fit_physics(gather(runs), lambda d, n, w: tell("search joint orders", d, n, w))
-    found = [physics_candidate(fit, campaign.machine, horizon_s=horizon_s, table_versions=versions)]
-    compared = thinned(fit.rows, _COMPARED_EVERY)
+    rows, columns = gather(runs), TermColumns(runs)
+    fit = fit_physics(rows, columns, lambda d, n, w: tell("search joint orders", d, n, w))
+
+    def again(done: int, of: int, what: str) -> None:
+        tell("the same search without what is predicted", done, of, what)
+
+    scores = {
+        g: score(rows, predicted_left_out(rows, g, columns, again), g)
+        for g in held_out_groups(rows)
+    }
+    found = [
+        physics_candidate(
+            fit,
+            scores,
+            score(rows, predicted_fresh(fit), "run_id").rms_um,
+            campaign.machine,
+            horizon_s=horizon_s,
+            table_versions=versions,
+        )
+    ]
+    compared = thinned(rows, _COMPARED_EVERY)
     found += baselines(compared)
     found.append(
         symbolic_candidate(
@@ -120,15 +146,16 @@ def train_campaign(
             found.append(job.result())
             tell("comparison models", done, len(usable), recipe.name)
     found.sort(key=lambda c: c.held_out.rms_um)
-    floor, _ = noise_floor_um(fit.rows)
+    floor, freedom = noise_floor_um(rows)
     report = TrainingReport(
         machine=campaign.machine,
         campaign=name,
         table_versions=versions,
         noise_floor_um=floor,
-        rms_before_um=fit.rows.rms_um(fit.rows.target_um),
+        noise_floor_dof=freedom,
+        rms_before_um=rows.rms_um(rows.target_um),
         n_runs=len(runs),
-        n_rows=fit.rows.n,
+        n_rows=rows.n,
         candidates=tuple(found),
         proposed=_proposed(found),
         seed=seed,

@@ -63,9 +63,9 @@ def model_figure(request: Request, machine: str, version: str, kind: str) -> Res
     """Return a figure of a version: front, latency, r2 or evidence."""
     found = _judged(bench_of(request), machine, version)
     if kind == "front" and found.front:
-        return drawn(front_figure(found.front, found.floor_um))
+        return drawn(front_figure(found.front, found.floor_um, found.floor_dof))
     if kind == "latency":
-        return drawn(comparison_figure(found.candidates, found.floor_um))
+        return drawn(comparison_figure(found.candidates, found.floor_um, found.floor_dof))
     if kind == "r2":
         return drawn(r2_figure(found.candidates))
     if kind == "evidence" and found.evidence:

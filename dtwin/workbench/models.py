@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.statistics import deviation_interval
 from flows.reach import running
 
 if TYPE_CHECKING:
@@ -30,11 +31,12 @@ class Judged:
         The version.
     candidates : tuple of dict
         Candidates of its training, best first: ``name``, ``promotable``, ``complexity``,
-        ``r2``, ``rms_um``, ``radius_rms_um``, ``worst``, ``p50_us``, ``p99_us``.
+        ``r2``, ``r2_text``, ``rms_um``, ``radius_rms_um``, ``worst``, ``p50_us``, ``p99_us``.
     front : tuple of dict
         Accuracy over complexity; empty when it was not kept.
-    floor_um, before_um : float
-        Noise floor, and error without a model; NaN when not logged.
+    floor_um, floor_dof, before_um : float
+        Noise floor, its degrees of freedom, 0 when not counted, and error without a model; NaN when
+        not logged.
     verdicts : tuple of Verdict
         Offline gates, as they judge now.
     evidence : dict or None
@@ -45,9 +47,15 @@ class Judged:
     candidates: tuple[Mapping[str, Any], ...]
     front: tuple[Mapping[str, Any], ...]
     floor_um: float
+    floor_dof: float
     before_um: float
     verdicts: tuple[Verdict, ...]
     evidence: Mapping[str, Any] | None
+
+    @property
+    def floor_band_um(self) -> tuple[float, float] | None:
+        """95 % interval of the noise floor, None while its degrees of freedom are not known."""
+        return deviation_interval(self.floor_um, self.floor_dof) if self.floor_dof else None
 
 
 def registry_of(home: Home) -> Registry | None:
@@ -95,12 +103,15 @@ def judged(registry: Registry, machine: str, wanted: str) -> Judged:
     logged = training_candidates(registry, version)
     training = training_metrics(registry, version)
     record = newest(registry, version)
-    rows = [_row(c) for c in logged if f"{_FEED}.rms_um" in c["metrics"]]
+    scored = {c["name"]: c for c in logged if f"{_FEED}.rms_um" in c["metrics"]}
+    zero_um = scored["zero"]["metrics"][f"{_FEED}.rms_um"] if "zero" in scored else None
+    rows = [_row(c, zero_um) for c in scored.values()]
     return Judged(
         version=version,
         candidates=tuple(sorted(rows, key=lambda row: row["rms_um"])),
         front=_front(registry, version),
         floor_um=training.get("noise_floor_um", math.nan),
+        floor_dof=training.get("noise_floor_dof", 0.0),
         before_um=training.get("rms_before_um", math.nan),
         verdicts=tuple(verdicts),
         evidence=record.content if record else None,
@@ -113,14 +124,18 @@ def mlflow_page(home: Home, model: str, version: str) -> str | None:
     return f"{address}/#/models/{model}/versions/{version}" if address else None
 
 
-def _row(logged: Mapping[str, Any]) -> dict[str, Any]:
+def _row(logged: Mapping[str, Any], zero_um: float | None) -> dict[str, Any]:
+    from dtwin.train.results import r2_text
+
     metrics: Mapping[str, float] = logged["metrics"]
+    r2, rms_um = metrics[f"{_FEED}.r2"], metrics[f"{_FEED}.rms_um"]
     return {
         "name": logged["name"],
         "promotable": logged["params"].get("promotable") == "True",
         "complexity": metrics.get("complexity"),
-        "r2": metrics[f"{_FEED}.r2"],
-        "rms_um": metrics[f"{_FEED}.rms_um"],
+        "r2": r2,
+        "r2_text": r2_text(r2, rms_um, zero_um),
+        "rms_um": rms_um,
         "radius_rms_um": metrics.get(f"{_RADIUS}.rms_um"),
         "worst": metrics.get(f"{_FEED}.worst_slice_ratio"),
         "p50_us": metrics.get("latency_p50_us"),

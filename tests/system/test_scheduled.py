@@ -72,7 +72,7 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
     champion = champion_of(registry, MACHINE)
     assert champion is not None
     before = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
-    assert len(before) == 16
+    assert len(before) == 24
     # More runs of the same campaign come in later: they are new, and the champion's are not.
     plan = training_plan(
         radii_mm=(100.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="grown"
@@ -118,7 +118,7 @@ def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home) -> None:
     found = done.comparison
     assert found is not None
     assert (found.champion, found.candidate) == ("1", "2")
-    assert (found.n_runs, found.seen_by_champion) == (16, 0)
+    assert (found.n_runs, found.seen_by_champion) == (24, 0)
     assert found.champion_um == pytest.approx(done.drift[0].error.rms_um)
     assert found.candidate_um < found.before_um
 

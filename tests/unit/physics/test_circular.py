@@ -74,15 +74,45 @@ def test_too_short_an_arc_is_refused() -> None:
         fit_circle(ANGLE[:100], np.zeros(100), 100.0)
 
 
-def test_hysteresis_is_the_difference_of_the_directions() -> None:
+def test_hysteresis_is_the_largest_difference_of_samples_at_one_angle() -> None:
+    nothing = (-ANGLE, np.zeros_like(ANGLE))
     step = 8.0 * np.sign(np.sin(THETA)) * np.cos(THETA)
-    figures = bidirectional_figures((ANGLE, step), (-ANGLE, -step[::-1] * 0), 100.0)
-    assert figures.hysteresis_um == pytest.approx(8.0, rel=0.35)
+    figures = bidirectional_figures((ANGLE, step), nothing, 100.0)
+    assert figures.hysteresis_um == pytest.approx(8.0, rel=0.01)
+    # A spike of one sample is not averaged away, and is found at its angle.
+    spike = np.zeros_like(ANGLE)
+    spike[ANGLE.size // 3] = 30.0
+    figures = bidirectional_figures((ANGLE, spike), nothing, 100.0)
+    assert figures.hysteresis_um == pytest.approx(30.0, rel=0.01)
+    assert figures.hysteresis_angle_deg == pytest.approx(ANGLE[ANGLE.size // 3] % 360.0)
     both = bidirectional_figures(
         (ANGLE, np.full_like(ANGLE, 3.0)), (-ANGLE, np.ones_like(ANGLE)), 100.0
     )
     assert both.mean_bidirectional_radius_um == pytest.approx(2.0, abs=1e-6)
     assert both.hysteresis_um == pytest.approx(2.0, abs=1e-6)
+
+
+def test_noise_adds_to_hysteresis_as_it_is_documented() -> None:
+    noise = np.random.default_rng(0).normal(0.0, 0.5, (2, ANGLE.size))
+    found = bidirectional_figures((ANGLE, noise[0]), (-ANGLE, noise[1]), 100.0).hysteresis_um
+    assert found == pytest.approx(0.5 * np.sqrt(2.0) * np.sqrt(2.0 * np.log(ANGLE.size)), rel=0.2)
+
+
+def test_where_one_direction_was_not_measured_there_is_no_hysteresis() -> None:
+    part = ANGLE < 300.0
+    lump = np.where(ANGLE > 310.0, 50.0, 0.0)
+    figures = bidirectional_figures((ANGLE, lump), (ANGLE[part][::-1], np.zeros(part.sum())), 100.0)
+    assert figures.hysteresis_um < 1.0
+    with pytest.raises(InputError, match="no angle in common"):
+        bidirectional_figures((ANGLE[:400], lump[:400]), (ANGLE[600:], lump[600:]), 100.0)
+
+
+def test_common_and_own_centres_differ_by_what_the_centres_are_apart() -> None:
+    ccw, cw = (ANGLE, _eccentric(10, 0, 0, 100.0)), (-ANGLE, np.zeros_like(ANGLE))
+    figures = bidirectional_figures(ccw, cw, 100.0)
+    assert figures.circular_deviation_own_centres_um == pytest.approx(0.0, abs=1e-3)
+    assert figures.circular_deviation_common_centre_um == pytest.approx(10.0, rel=0.01)
+    assert figures.hysteresis_um == pytest.approx(10.0, rel=0.01)
 
 
 def test_real_file_agrees_with_the_vendor_within_0_3_um(real_recording: Path) -> None:

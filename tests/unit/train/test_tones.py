@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
@@ -20,8 +22,9 @@ from dtwin.pipeline.turning_loop import ToneCommand, run_loop
 from dtwin.pipeline.turning_trial import trial
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.train.symbolic import Found
 from dtwin.train.tone_bundle import AMPLITUDE, PHASE, SERVO_HZ
-from dtwin.train.tone_candidates import narx_candidate
+from dtwin.train.tone_candidates import narx_candidate, searched_candidate
 from dtwin.train.tone_gates import AnsweredWindow
 from dtwin.train.tone_groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
 
@@ -78,6 +81,30 @@ def test_the_free_search_keeps_to_three_features(groups: ToneGroups) -> None:
     made = fitted_tones("m", groups, "symbolic", "inverse", 1)
     assert not failed(made) - {"stable on its own correction"}
     assert made.candidate.front
+
+
+def test_the_free_search_is_repeated_without_what_it_predicts(groups: ToneGroups) -> None:
+    class Engine:
+        """Knows one formula, and remembers the targets that it was shown."""
+
+        name = "stub"
+
+        def __init__(self) -> None:
+            self.shown: list[np.ndarray] = []
+
+        def search(
+            self, inputs: Mapping[str, np.ndarray], target: np.ndarray, seed: int
+        ) -> list[Found]:
+            self.shown.append(target)
+            rms = next(name for name in inputs if name.endswith("_rms_g"))
+            return [Found(f"2.0 * {rms}", 3, 0.0)]
+
+    engine = Engine()
+    searched_candidate(groups, "m", engine, 1, {})
+    left_out = [len(np.unique(groups.label(name))) for name in ("frequency_hz", "amplitude_um")]
+    assert len(engine.shown) == 2 * (1 + sum(left_out))
+    assert [len(shown) for shown in engine.shown[:2]] == [groups.n, groups.n]
+    assert max(len(shown) for shown in engine.shown[2:]) < groups.n
 
 
 def test_a_correction_that_feeds_on_itself_is_refused(groups: ToneGroups) -> None:
