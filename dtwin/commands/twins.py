@@ -158,17 +158,17 @@ def restore_version(
 def discover_effects(
     name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False
 ) -> None:
-    """Diagnose and add until nothing is missing, or nothing known would help."""
+    """Find all effects that these runs can tell, and add them one by one."""
     from dtwin.report.every_twin import diagnosis_text
     from dtwin.report.twins import history_text
 
     twins = _twins_with(name, effects_path)
-    made, said = twins.discover(name, seed=seed)
-    last = said[-1].as_dict()
+    made, groups, said = twins.discover(name, seed=seed)
+    last = said.as_dict()
     payload = {
         "twin": name,
         "added": [twin.action.removeprefix("add ") for twin in made],
-        "groups": [[s.label for s in found.group] for found in said[: len(made)]],
+        "groups": [list(group) for group in groups],
         "history": twins.history(name),
         "final": last,
     }

@@ -218,7 +218,9 @@ class HeatTwins(TwinShelf):
         old = self.newest(name, version)
         return self._store(name, self._loaded(old), old.terms, f"restore v{version}")
 
-    def discover(self, name: str, *, seed: int = 0) -> tuple[list[HeatTwin], list[HeatDiagnosis]]:
+    def discover(
+        self, name: str, *, seed: int = 0
+    ) -> tuple[list[HeatTwin], list[tuple[str, ...]], HeatDiagnosis]:
         """Diagnose and add until nothing is missing, or nothing that was logged would help.
 
         Parameters
@@ -232,19 +234,23 @@ class HeatTwins(TwinShelf):
         -------
         twins : list of HeatTwin
             The versions that were made.
-        diagnoses : list of HeatDiagnosis
-            One before each of them, and the last word.
+        groups : list of tuple of str
+            For each of them what it was chosen from.
+        diagnosis : HeatDiagnosis
+            The last word.
         """
         twin = self.newest(name)
         loaded = self._loaded(twin)
         made: list[HeatTwin] = []
-        said = [self._diagnosed(twin, loaded)]
-        while said[-1].additions and len(made) < _MOST_RUNGS:
-            terms = _joined(twin, heat_terms(said[-1].additions[:1]))
+        groups: list[tuple[str, ...]] = []
+        said = self._diagnosed(twin, loaded)
+        while said.additions and len(made) < _MOST_RUNGS:
+            terms = _joined(twin, heat_terms(said.additions[:1]))
             twin = self._store(name, loaded, terms, _added(twin, terms))
             made.append(twin)
-            said.append(self._diagnosed(twin, loaded))
-        return made, said
+            groups.append(tuple(suspect.label for suspect in said.group))
+            said = self._diagnosed(twin, loaded)
+        return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> HeatTwin:
         """Return a version of a twin, the newest one without a number.

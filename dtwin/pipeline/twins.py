@@ -36,7 +36,7 @@ from dtwin.schema import require_name
 from dtwin.train.residual_formula import ResidualFormula
 from dtwin.train.symbolic import Engine
 
-_MOST_RUNGS = 12
+_MOST_RUNGS = 40
 
 
 class Twins(TwinShelf):
@@ -200,8 +200,10 @@ class Twins(TwinShelf):
         """Add a formula for unknown structure; see :func:`dtwin.pipeline.twin_learning`."""
         return learn_formula(self, name, engine, seed)
 
-    def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[Diagnosis]]:
-        """Diagnose and add until nothing is missing, or nothing known would help.
+    def discover(
+        self, name: str, *, seed: int = 0
+    ) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
+        """Diagnose and add all that was found, until nothing more is found.
 
         Parameters
         ----------
@@ -213,20 +215,21 @@ class Twins(TwinShelf):
         Returns
         -------
         twins : list of Twin
-            The versions that were made.
-        diagnoses : list of Diagnosis
-            One before each of them, and the last word.
+            The versions that were made, one for every effect.
+        groups : list of tuple of str
+            For each of them the effect and what cannot be told from it.
+        diagnosis : Diagnosis
+            The last word.
         """
         made: list[Twin] = []
-        said: list[Diagnosis] = []
-        while len(made) < _MOST_RUNGS:
-            _, found = self.diagnose(name, seed=seed)
-            said.append(found)
-            if found.verdict not in ("missing_effect", "ambiguous"):
-                break
-            best = found.group[0]
-            made.append(self.add(name, best.effect, best.axis))
-        return made, said
+        groups: list[tuple[str, ...]] = []
+        _, said = self.diagnose(name, seed=seed)
+        while said.found and len(made) < _MOST_RUNGS:
+            for group in said.found:
+                made.append(self.add(name, group[0].effect, group[0].axis))
+                groups.append(tuple(suspect.label for suspect in group))
+            _, said = self.diagnose(name, seed=seed)
+        return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> Twin:
         """Return a version of a twin, the newest one without a number.

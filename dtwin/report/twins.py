@@ -163,6 +163,10 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
             for c in result["candidates"]
         ]
         lines.append(table(head, rows))
+    shown = found_table(result)
+    if shown.rows:
+        lines.append(table(shown.head, shown.rows))
+    lines += unresolved_lines(result)
     lines += [f"law: {law['equation']}" for law in result["laws"][:3]]
     lines += [
         f"channel: {c['name']} explains {100 * c['share']:z.0f} % of the spread between repeats "
@@ -180,6 +184,36 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         lines.append(f"next: {result['next_experiment']['text']}")
     lines.append(_advice(name, result))
     return "\n".join(lines)
+
+
+def found_table(result: Mapping[str, Any]) -> Table:
+    """Return every effect that was found, with what cannot be told from it and what was tested."""
+    rows = [
+        (
+            " or ".join(f"{c['effect']} {c['axis']}".strip() for c in group),
+            micrometres(group[0]["size_um"]),
+            f"{100 * group[0]['cv_gain']:z.1f} %",
+            group[0]["grade"] or "",
+            ", ".join(group[0]["tested"]) or "-",
+            ", ".join(group[0]["untested"]) or "-",
+        )
+        for group in result.get("found", [])
+    ]
+    head = ("found", "explains, um", "left-out gain", "grade", "law tested over", "not over")
+    return Table(head, rows)
+
+
+def unresolved_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return what is left beside what was found, and where."""
+    rest = result.get("unresolved")
+    if not rest:
+        return []
+    share = f"{100 * rest['share']:z.0f} % of what repeats agree on"
+    return [
+        f"not resolved: {micrometres(rest['systematic_rms_um'])} um RMS, {share} "
+        f"(p = {number(rest['p_value'], 2)}): {rest['words']}",
+        *(f"  {place_words(place)}" for place in rest["where"][:3]),
+    ]
 
 
 def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
@@ -325,7 +359,10 @@ def _advice(name: str, result: Mapping[str, Any]) -> str:
     if result["verdict"] == "missing_effect":
         best = group[0]
         axis = f" --axis {best['axis']}" if best["axis"] else ""
-        return f"try: dtwin twin add {name} {best['effect']}{axis}\nremedy: {best['remedy']}"
+        every = (
+            f"\nall of them: dtwin twin discover {name}" if len(result.get("found", [])) > 1 else ""
+        )
+        return f"try: dtwin twin add {name} {best['effect']}{axis}\nremedy: {best['remedy']}{every}"
     if result["verdict"] == "ambiguous":
         return "these runs cannot tell them apart; adding one would only be a guess"
     if result["verdict"] == "unknown_effect":

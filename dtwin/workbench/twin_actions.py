@@ -125,6 +125,22 @@ def diagnose(request: Request, name: str) -> JSONResponse:
     return accepted(bench.jobs.start(f"Diagnose {name}", work))
 
 
+@router.post("/api/twins/{name}/discover")
+def discover(request: Request, name: str) -> JSONResponse:
+    """Find all effects that the runs can tell, and add them one by one."""
+    bench = bench_of(request)
+    twins = bench.twins_with(name)
+    twins.newest(name)
+
+    def work(tell: Tell) -> str:
+        tell("search for the effects, add each, and diagnose what is left")
+        made = twins.discover(name)[0]
+        tell(f"{len(made)} effects were added")
+        return f"/twins/{name}/versions"
+
+    return accepted(bench.jobs.start(f"Find all that {name} lacks", work))
+
+
 @router.post("/api/twins/{name}/correct")
 def correct(request: Request, name: str, wanted: CorrectionRequest) -> JSONResponse:
     """Register the correction that a confirmed twin stands for, or say why not."""

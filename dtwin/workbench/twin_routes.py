@@ -23,7 +23,9 @@ from dtwin.report.twin_plots import (
 from dtwin.report.twins import (
     comparison_sections,
     diagnosis_section,
+    found_table,
     history_section,
+    found_table,
     parameter_table,
     twin_section,
 )
@@ -86,7 +88,7 @@ def diagnose_page(request: Request, name: str) -> Response:
     return rendered(
         request, "diagnose.html", title=f"Twin {name}: diagnose", name=name, tab="diagnose",
         twin=twin, diagnosis=diagnosis, grids=grids_of(experiment) if planned else [],
-        library=bench.library,
+        library=bench.library, found=found_table(diagnosis or {}),
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
     )  # fmt: skip
 

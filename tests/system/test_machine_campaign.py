@@ -244,7 +244,7 @@ def test_the_controller_is_recorded_meanwhile_and_its_failure_spoils_only_the_ru
         command = ("campaign", plan, "--inbox", inbox, "--out", folder, "--settle", "0.3",
                    "--robot", robot.host, "--json")  # fmt: skip
         process = started(*command)
-        asked(folder, "t001")
+        first = asked(folder, "t001")
         recorded(folder / "t001.controller.arrows")
     out, err = process.communicate(timeout=120)
     # The controller is gone: nothing more can be recorded, and the half run is put aside.
@@ -253,7 +253,8 @@ def test_the_controller_is_recorded_meanwhile_and_its_failure_spoils_only_the_ru
     assert (folder / "set-aside" / "t001-1" / "t001.controller.parquet").exists()
     with virtual_robot("--feed-mm-min=3000", host=robot.host):
         process = started(*command)
-        asked(folder, "t001")
+        # Neither the question nor the recording of the command before.
+        asked(folder, "t001", but=first["id"])
         recorded(folder / "t001.controller.arrows")
         ball_bar(inbox / "one.b5r", seed=1)
         found = ended(process)

@@ -157,10 +157,11 @@ def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None
 
 def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> None:
     twins.fit("mill-march", ["centre_offset"], "mill-a")
-    made, said = twins.discover("mill-a")
+    made, groups, said = twins.discover("mill-a")
     names = {label for twin in made for label in twin.labels}
     assert names == {"scale_mismatch XY", "squareness XY", "backlash X"}
-    assert said[-1].verdict == "nothing_missing"
+    assert len(made) == len(groups) == 3
+    assert said.verdict == "nothing_missing"
     before = made[-1].figures["rms_after_um"]
     assert twins.remove("mill-a", "backlash").figures["rms_after_um"] > 2 * before
     with pytest.raises(InputError, match="does not have"):
