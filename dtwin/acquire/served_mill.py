@@ -24,7 +24,6 @@ PERIOD_S = 0.02
 _TRAVEL, _REST = 50, 50
 _BALL = _TRAVEL + _REST
 _CYCLES, _QUICK_CYCLES = 24, 6
-_COOLANT = "coolant_tank_c"
 
 
 class ServedMill:
@@ -106,4 +105,4 @@ class ServedMill:
         return f"{len(readings)} cycles of the ball array"
 
     def _read(self, cycle: int) -> dict[str, Floats]:
-        return {**self._mill.thermocouples_c(cycle), _COOLANT: self._mill.coolant_c(cycle)}
+        return {**self._mill.thermocouples_c(cycle), **self._mill.control_c(cycle)}

@@ -157,7 +157,7 @@ def _write_cycle(folder: Path, cycle: int, readings: BallReadings, mill: Volumet
     write_parquet(folder / f"{stem}.parquet", table_of(_columns(readings)))
     for name, columns in (
         ("thermocouples", mill.thermocouples_c(cycle)),
-        ("control", {"coolant_tank_c": mill.coolant_c(cycle)}),
+        ("control", mill.control_c(cycle)),
     ):
         write_signals(
             folder / f"{stem}.{name}.parquet", SignalGroup(name, 1.0 / READING_S, columns)

@@ -145,10 +145,13 @@ def paper(
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published mill again: theirs, ours, whether they follow."""
+    from dataclasses import asdict
+
     from dtwin.pipeline.volumetric_paper import volumetric_paper
     from dtwin.report.papers import paper_table
 
-    lines = volumetric_paper(seed, ProgressLine("volumetric", quiet=as_json), quick=quick)
+    found = volumetric_paper(seed, ProgressLine("volumetric", quiet=as_json), quick=quick)
+    lines = [asdict(line) for line in found]
     emit({"lines": lines}, lambda: paper_table(lines), as_json=as_json)
 
 
