@@ -11,12 +11,13 @@ import numpy as np
 from dtwin.acquire.virtual_volumetric import (
     MACHINE,
     QUICK_EVERY,
+    parameters_of,
     planned_cycles,
     write_ball_campaign,
 )
 from dtwin.ball_plan import BallPlan
 from dtwin.machines.thermal_network import SCHEDULES
-from dtwin.machines.volumetric import CYCLE_S, READING_S, VolumetricMill, VolumetricParameters
+from dtwin.machines.volumetric import CYCLE_S, READING_S, VolumetricMill
 from dtwin.schema import Floats
 
 PERIOD_S = 0.02
@@ -35,6 +36,8 @@ class ServedMill:
     ----------
     plan : BallPlan or None
         Hours, and how often; three days, every third hour, without.
+    truth : {"surface", "pockets"}
+        Where its thermocouples sit.
     schedule : str
         As for :func:`dtwin.acquire.virtual_volumetric.simulate_volumetric`.
     seed : int
@@ -48,8 +51,10 @@ class ServedMill:
     axes = ("x", "y", "z")
     channels_hz = 0.0
 
-    def __init__(self, plan: BallPlan | None, schedule: str, seed: int, *, quick: bool) -> None:
-        self._mill = VolumetricMill(SCHEDULES[schedule], VolumetricParameters(), seed)
+    def __init__(
+        self, plan: BallPlan | None, truth: str, schedule: str, seed: int, *, quick: bool
+    ) -> None:
+        self._mill = VolumetricMill(SCHEDULES[schedule], parameters_of(truth), seed)
         self._machine = plan.machine if plan else MACHINE
         n = _QUICK_CYCLES if quick else _CYCLES
         self._cycles: Sequence[int] = (

@@ -32,6 +32,8 @@ from dtwin.schema import SignalGroup
 
 MACHINE = "virtual-volumetric-mill"
 QUICK_EVERY = 3
+# Where the thermocouples sit: stuck on the castings, or every second one sunk into them.
+TRUTHS = {"surface": VolumetricParameters(), "pockets": VolumetricParameters(pocket_1=0.85)}
 Progress = Callable[[int, int, str], None]
 
 
@@ -119,6 +121,21 @@ def write_ball_campaign(
         _write_cycle(folder, cycle, found, mill)
     text = _campaign_text(name, machine, list(cycles), mill, corrected=corrected)
     write_text(folder / "campaign.toml", text, "the campaign file")
+
+
+def parameters_of(truth: str) -> VolumetricParameters:
+    """Return what the virtual mill is like by name, ``surface`` or ``pockets``.
+
+    Raises
+    ------
+    InputError
+        When there is no such mill.
+    """
+    if truth not in TRUTHS:
+        raise InputError(
+            "no such virtual mill", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS)
+        )
+    return TRUTHS[truth]
 
 
 def planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:

@@ -76,9 +76,11 @@ def robot_equation(seed: int) -> dict[str, Any]:
     windows = np.concatenate([_windows(run) for run in made])
     peak, power, rms, kurt, bar_mm = windows.T
     ran = radial_error_mm(peak, power, rms, kurt, "the program that ran")
-    rows = np.array(WINDOWS)
+    first, second, third, fourth = np.array(WINDOWS).T
     return {
-        "at": {form: radial_error_mm(*rows.T, form).tolist() for form in FORMS},
+        "at": {
+            form: radial_error_mm(first, second, third, fourth, form).tolist() for form in FORMS
+        },
         "runs": len(made),
         "windows": len(windows),
         "decided_r2": float(r2_score(ran, 21.8 * power - 0.0209)),

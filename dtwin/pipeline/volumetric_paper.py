@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from dtwin.acquire.virtual_volumetric import simulate_volumetric
+from dtwin.acquire.virtual_volumetric import parameters_of, simulate_volumetric
 from dtwin.config import Home
 from dtwin.physics.volumetric.intervals import reduction_pct
 from dtwin.pipeline.paper_line import Line, by_what_is_left, worst, yes_or_no
@@ -36,7 +36,9 @@ def printed_agree() -> list[tuple[str, float, float, bool]]:
     ]  # fmt: skip
 
 
-def volumetric_paper(seed: int, progress: Progress, *, quick: bool = False) -> list[Line]:
+def volumetric_paper(
+    seed: int, progress: Progress, *, quick: bool = False, truth: str = "surface"
+) -> list[Line]:
     """Measure both campaigns of the virtual machine, fit to one, judge on the other.
 
     Parameters
@@ -47,6 +49,8 @@ def volumetric_paper(seed: int, progress: Progress, *, quick: bool = False) -> l
         Called with (done, total, what).
     quick : bool
         Every third cycle.
+    truth : {"surface", "pockets"}
+        Where the thermocouples sit.
 
     Returns
     -------
@@ -57,7 +61,10 @@ def volumetric_paper(seed: int, progress: Progress, *, quick: bool = False) -> l
         found = []
         for name in ("training", "validation"):
             folder = Path(scratch) / name
-            simulate_volumetric(folder, progress, schedule=name, seed=seed, quick=quick)
+            simulate_volumetric(
+                folder, progress, schedule=name, seed=seed, quick=quick,
+                parameters=parameters_of(truth),
+            )  # fmt: skip
             found.append(session(home, str(folder), progress))
         training, validation = found
         models, _ = models_of(training)
