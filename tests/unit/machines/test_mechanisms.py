@@ -41,7 +41,8 @@ def test_flanks_have_their_own_ripple_but_share_eccentricity() -> None:
 
     def ripple(flank: float, kept: np.ndarray) -> np.ndarray:
         rows = table[0] * np.where(kept, 1.0, 0.0)[:, None]
-        return np.array([transmission_kernel(a, flank, orders, rows) for a in angle])
+        joint = joint_table(PARAMETERS.joints)[0]
+        return np.array([transmission_kernel(a, flank, 0.0, orders, rows, joint) for a in angle])
 
     np.testing.assert_allclose(ripple(-1, low), ripple(1, low))
     assert abs(np.corrcoef(ripple(-1, ~low), ripple(1, ~low))[0, 1]) < 0.98
@@ -58,12 +59,12 @@ def test_stretched_arm_has_the_textbook_torque() -> None:
 
 
 def test_mode_rings_at_its_damped_frequency_and_settles_at_the_static_bend() -> None:
-    modes = mode_table(PARAMETERS.structure, TICK_S)[:1]
+    modes = mode_table(PARAMETERS.structure)[:1]
     state, history = np.zeros(2), []
     shape = modes[0, SHAPE : SHAPE + 3]
     for _ in range(5000):
         tcp, flange = np.zeros(3), np.zeros(3)
-        modes_kernel(modes, 0.0, shape * 100.0, np.zeros(3), state, tcp, flange)
+        modes_kernel(modes, TICK_S, 0.0, REACH_MM, shape * 100.0, np.zeros(3), state, tcp, flange)
         history.append(tcp @ shape)
     bend = np.array(history)
     omega = 2 * np.pi * PARAMETERS.structure.frequency_hz[0]
@@ -79,11 +80,13 @@ def test_mode_rings_at_its_damped_frequency_and_settles_at_the_static_bend() -> 
 
 
 def test_mode_shape_turns_with_joint_1() -> None:
-    modes = mode_table(PARAMETERS.structure, TICK_S)[:1]
+    modes = mode_table(PARAMETERS.structure)[:1]
     moved = []
     for angle, push in ((0.0, [1.0, 0.0, 0.0]), (np.pi / 2, [0.0, 1.0, 0.0])):
         tcp = np.zeros(3)
-        modes_kernel(modes, angle, np.array(push), np.zeros(3), np.zeros(2), tcp, np.zeros(3))
+        modes_kernel(
+            modes, TICK_S, angle, REACH_MM, np.array(push), np.zeros(3), np.zeros(2), tcp, np.zeros(3)
+        )  # fmt: skip
         moved.append(tcp)
     np.testing.assert_allclose(moved[1], [-moved[0][1], moved[0][0], moved[0][2]], atol=1e-18)
 
