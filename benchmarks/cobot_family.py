@@ -34,6 +34,8 @@ from dtwin.train.circle_evidence import WAYS
 from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
 from dtwin.train.registry import Registry
 
+# By what the amplitudes of the orders grew when the machine with another law was calibrated.
+_ORDERS_BY = (2.635, 0.338, 0.327, 0.531, 0.966, 0.855)
 Change = Callable[[CobotParameters], CobotParameters]
 
 
@@ -57,21 +59,36 @@ def _swapped(sound: CobotParameters) -> CobotParameters:
     )(sound)
 
 
-def _library_law(sound: CobotParameters) -> CobotParameters:
-    """Take away what the library has no term for."""
+def _first_shipped(sound: CobotParameters) -> CobotParameters:
+    """Take away what the library has no term for, and undo the calibration that followed."""
+    joints = sound.joints
     gears = _gears(
         orders_per_turn=(1.0, 2.0, 3.0, 100.0, 200.0, 400.0),
         flexspline_1=0.0, load_1=0.0, soft_1=0.0, hysteresis_nm=0.0,
+        order_amplitude_urad=tuple(
+            tuple(a / k for a, k in zip(row, _ORDERS_BY, strict=True))
+            for row in joints.order_amplitude_urad
+        ),
+        play_width_urad=tuple(width / 3.0 for width in joints.play_width_urad),
+        friction_urad=tuple(lost / 0.941 for lost in joints.friction_urad),
+        compliance_urad_nm=tuple(c / 0.371 for c in joints.compliance_urad_nm),
+        length_error_mm=joints.length_error_mm / 0.301,
+        zero_error_urad=joints.zero_error_urad / 0.301,
     )  # fmt: skip
-    return _modes(posture_1=0.0)(gears(sound))
+    first, *others = sound.structure.shape
+    modes = _modes(
+        posture_1=0.0, shape=((first[0] / 0.866, *first[1:]), *others),
+        jolt_participation=tuple(p / 1.047 for p in sound.structure.jolt_participation),
+    )  # fmt: skip
+    return modes(gears(sound))
 
 
 MEMBERS: dict[str, Change] = {
-    "the library's own law": _library_law,
-    "the same, other orders": lambda sound: _other_orders(_library_law(sound)),
-    "the same, participation swapped": lambda sound: _swapped(_library_law(sound)),
-    "as shipped": lambda sound: sound,
-    "as shipped, participation swapped": _swapped,
+    "as first shipped: the library's own law": _first_shipped,
+    "the same, other orders": lambda sound: _other_orders(_first_shipped(sound)),
+    "the same, participation swapped": lambda sound: _swapped(_first_shipped(sound)),
+    "as shipped: another law": lambda sound: sound,
+    "the same, participation swapped too": _swapped,
 }
 
 
@@ -157,7 +174,7 @@ def main() -> None:
     said = options.parse_args()
     names = [said.member] if said.member else list(MEMBERS)
     if said.short:
-        names = names[-1:]
+        names = names[-2:-1]
     found = [tried(name, said.seed, 1 if said.short else 2) for name in names]
     print(json.dumps(found) if said.json else text(found))
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 import numpy as np
 
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
-from dtwin.schema import Floats
+from dtwin.schema import Direction, Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.interface import SafetyLimits
@@ -18,6 +19,7 @@ from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.oracle import best_offsets, follow
 
+DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 Way = Literal["uncompensated", "compensated", "oracle"]
 
 
@@ -46,19 +48,23 @@ def run_circle(
     if way == "compensated":
         status = serve_lockstep(Decision(CompiledBundle(bundle), tcp_mm), controller)
         return controller.recording(), status.reasons
-    offsets = _best_offsets(cobot, condition, bundle.safety)
-    controller, acted = follow(controller, offsets, bundle.safety)
+    offsets = _best_of_both(cobot, replace(condition, direction="CCW"), bundle.safety)
+    found = offsets[0 if condition.direction == "CCW" else 1]
+    controller, acted = follow(controller, found, bundle.safety)
     return controller.recording(), acted
 
 
 @lru_cache(maxsize=8)
-def _best_offsets(cobot: VirtualCobot, condition: CircleCondition, safety: SafetyLimits) -> Floats:
-    """Return the oracle's offsets; they are the same for every mounting and repeat."""
-    return best_offsets(
-        lambda: cobot.controller(condition, setup="oracle", repeat=1),
-        cobot.parameters.controller,
-        safety,
-    )
+def _best_of_both(
+    cobot: VirtualCobot, condition: CircleCondition, safety: SafetyLimits
+) -> list[Floats]:
+    """Return the oracle's offsets of both directions; the same for every mounting and repeat."""
+    begun = [
+        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1)
+        for way in DIRECTIONS
+    ]
+    centre = cobot.centre_mm(condition.radius_mm)
+    return best_offsets(begun, centre, cobot.parameters.controller, safety)
 
 
 def evaluate_circle(recording: CobotRecording, direction: str) -> dict[str, Any]:

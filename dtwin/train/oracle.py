@@ -1,8 +1,8 @@
-"""The best correction that can be found when the truth is known, under a bundle's own limits."""
+"""The best correction that is found when the truth is known, under a bundle's own limits."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -19,24 +19,30 @@ from dtwin.units import UM_PER_MM
 
 TICK_S = 0.002
 Controller = TypeVar("Controller", bound=CobotController)
-_ROUNDS = 5
-# What is learned from a run is taken below this; above it the structure answers out of phase.
-_LEARNED_HZ = 20.0
+_ROUNDS = 6
+# What is learned from a run is taken below these: higher up the structure answers out of phase.
+_LEARNED_HZ = (30.0, 6.0)
+# A tick that is this near the commonest distance from the centre is on the circle, not in the in-feed.
+_ON_CIRCLE_MM = 0.1
 
 
 def best_offsets(
-    make: Callable[[], CobotController], motion: ControllerParameters, safety: SafetyLimits
-) -> Floats:
-    """Return the offsets that leave least of the true error, found by running again and again.
+    begun: Sequence[Callable[[], CobotController]], centre_mm: Floats,
+    motion: ControllerParameters, safety: SafetyLimits,
+) -> list[Floats]:  # fmt: skip
+    """Return the offsets that leave least of the true radial error, found by running again and again.
 
-    Begun with nothing and with the uncorrected error led ahead by delay and lag; then what is left of
-    the best run so far is learned, by half as much after a run that was worse. What is returned is
-    the best of these, so never worse than no correction; nobody proves that there is no better one.
+    Begun with nothing; then what is left of the best runs so far is led ahead by delay and lag and
+    taken off, and by less after a round that was worse. The best round is returned, so it is
+    never worse than no correction; nobody proves that there is no better one.
 
     Parameters
     ----------
-    make : callable
-        A new controller at the start of the program, which repeats exactly.
+    begun : sequence of callable
+        New controllers at the start of their programs, which repeat exactly; what is left is judged
+        about one centre and one radius for all of them, as the ball bar is.
+    centre_mm : ndarray, shape (3,)
+        About which they turn.
     motion : ControllerParameters
         For delay and lag.
     safety : SafetyLimits
@@ -44,21 +50,26 @@ def best_offsets(
 
     Returns
     -------
-    ndarray, shape (ticks, 3)
+    list of ndarray, each of shape (ticks, 3)
         um, before the guard.
     """
     ahead = round((motion.actuator_delay_s + motion.actuator_lag_s) / TICK_S)
-    low = butter(2, _LEARNED_HZ, fs=1.0 / TICK_S, output="sos")
-    best, left = np.zeros((1, 3)), _left_um(follow(make(), np.zeros((1, 3)), safety)[0])
-    wanted, gain = -_led(left, ahead), 1.0
+    still = [np.zeros((1, 3)) for _ in begun]
+    best, (left, least) = still, _left_um(begun, still, centre_mm, safety)
+    gain, hz = 1.0, iter(_LEARNED_HZ)
+    low = butter(2, next(hz), fs=1.0 / TICK_S, output="sos")
     for _ in range(_ROUNDS):
-        after = _left_um(follow(make(), wanted, safety)[0])
-        if np.mean(after**2) < np.mean(left**2):
-            best, left = wanted, after
+        tried = [
+            was[np.minimum(np.arange(len(rest)), len(was) - 1)]
+            - gain * sosfiltfilt(low, _led(rest, ahead), axis=0)
+            for was, rest in zip(best, left, strict=True)
+        ]
+        after, size = _left_um(begun, tried, centre_mm, safety)
+        if size < least:
+            best, left, least = tried, after, size
         else:
             gain *= 0.5
-        learned = gain * sosfiltfilt(low, _led(left, ahead), axis=0)
-        wanted = best[np.minimum(np.arange(len(learned)), len(best) - 1)] - learned
+            low = butter(2, next(hz, _LEARNED_HZ[-1]), fs=1.0 / TICK_S, output="sos")
     return best
 
 
@@ -86,9 +97,26 @@ def follow(
     return controller, guard.counted()
 
 
-def _left_um(controller: CobotController) -> Floats:
-    truths = controller.ticks().truths
-    return np.asarray(UM_PER_MM * (truths[:, m_.TCP : m_.TCP + 3] - truths[:, :3]))
+def _left_um(
+    begun: Sequence[Callable[[], CobotController]], offsets: Sequence[Floats], centre_mm: Floats,
+    safety: SafetyLimits,
+) -> tuple[list[Floats], float]:  # fmt: skip
+    """Return what is left along the radius, each of shape (ticks, 3), and its RMS on the circles."""
+    outward, error, counted = [], [], []
+    for make, offset in zip(begun, offsets, strict=True):
+        truths = follow(make(), offset, safety)[0].ticks().truths
+        away = truths[:, :3] - centre_mm
+        far = np.linalg.norm(away, axis=1)
+        outward.append(away / far[:, None])
+        vector_um = UM_PER_MM * (truths[:, m_.TCP : m_.TCP + 3] - truths[:, :3])
+        error.append(np.sum(vector_um * outward[-1], axis=1))
+        counted.append(np.abs(far - np.median(far)) < _ON_CIRCLE_MM)
+    on, unit, radial = np.concatenate(counted), np.concatenate(outward), np.concatenate(error)
+    basis = np.column_stack([np.ones(len(unit)), unit])
+    rest = radial - basis @ np.linalg.lstsq(basis[on], radial[on], rcond=None)[0]
+    rest[~on] = 0.0
+    parts = np.split(rest[:, None] * unit, np.cumsum([len(part) for part in error])[:-1])
+    return parts, float(np.sqrt(np.mean(rest[on] ** 2)))
 
 
 def _led(error_um: Floats, ahead: int) -> Floats:

@@ -14,6 +14,7 @@ from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import MotionPlan
 from dtwin.machines.recording import RunTicks
 from dtwin.machines.sphere_path import (
+    RADIUS_MM,
     SphereRun,
     sphere_controller,
     sphere_plan,
@@ -173,5 +174,6 @@ def _oracle(bundle: Bundle, cobot: VirtualCobot, plan: MotionPlan, feed: float) 
     def begun() -> CobotController:
         return sphere_controller(cobot, plan, feed)
 
-    offsets = best_offsets(begun, cobot.parameters.controller, bundle.safety)
+    centre = cobot.centre_mm(RADIUS_MM)
+    (offsets,) = best_offsets([begun], centre, cobot.parameters.controller, bundle.safety)
     return follow(begun(), offsets, bundle.safety)[0].ticks()

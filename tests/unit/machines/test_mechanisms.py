@@ -13,6 +13,7 @@ from dtwin.kinematics import UR10E
 from dtwin.machines.ballbar import drift_kernel, read_ballbar
 from dtwin.machines.joints import (
     gravity_torque_kernel,
+    joint_table,
     play_kernel,
     transmission_kernel,
     transmission_table,
@@ -22,7 +23,7 @@ from dtwin.machines.sensors import accelerometer_group, couple_kernel, resample_
 from dtwin.machines.structure import SHAPE, mode_table, modes_kernel
 
 PARAMETERS = load_parameters()
-TICK_S = 0.002
+TICK_S, REACH_MM = 0.002, 550.0
 
 
 def test_play_has_a_width_and_a_memory() -> None:
