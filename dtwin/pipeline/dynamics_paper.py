@@ -33,6 +33,8 @@ Progress = Callable[[int, int, str], None]
 PUBLISHED, LOW_PASS = "ukf, published Q/R", "low-pass 15 upr"
 _WITHIN_UM, _NEAR_UM = 1.7, 1.5
 _SLOW_MM_MIN = 1200.0
+# What the circular deviation is said to move by over the filter's alpha.
+_ALPHA_UM = 1.5
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,7 @@ def _alpha(seed: int) -> list[Line]:
             Line(
                 f"circular deviation over alpha, {model}",
                 paper, f"{width:.2g} um, relative {width / values.mean():.1e}",
-                yes_or_no(1.0 / FACTOR <= width / 1.5 <= FACTOR),
+                yes_or_no(1.0 / FACTOR <= width / _ALPHA_UM <= FACTOR),
                 "A5" if model == "random-walk" else "",
             )
         )  # fmt: skip
