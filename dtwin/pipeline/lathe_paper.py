@@ -13,7 +13,7 @@ from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import UM_PER_IN
 from dtwin.pipeline.lathe_compensation import Figures, measured
-from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
+from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
@@ -111,10 +111,7 @@ def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     tables = table_steps(network)
     progress(5, 5, "")
     if not size.judged:
-        lines = [
-            replace(line, answer="not judged") if line.target in _NEED_FULL else line
-            for line in lines
-        ]
+        lines = left_open(lines, _NEED_FULL)
     return {"size": asdict(size), "lines": [asdict(line) for line in lines], "tables": tables}
 
 

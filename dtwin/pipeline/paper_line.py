@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 Answer = Literal["follows", "does not", "easier here", "calibrated", "not judged"]
@@ -62,3 +62,20 @@ def by_what_is_left(ours: float, theirs: float) -> Answer:
 def worst(answers: Iterable[Answer]) -> Answer:
     """Return the answer for a line of several judged figures: that of the worst of them."""
     return min(answers, key=_WORST_FIRST.index)
+
+
+def left_open(lines: Iterable[Line], targets: Iterable[str] | None = None) -> list[Line]:
+    """Return lines with those not judged for which too little was computed.
+
+    Parameters
+    ----------
+    lines : iterable of Line
+        Comparisons.
+    targets : iterable of str, optional
+        Numbers of those lines; all without.
+    """
+    open_ = None if targets is None else set(targets)
+    return [
+        replace(line, answer="not judged") if open_ is None or line.target in open_ else line
+        for line in lines
+    ]

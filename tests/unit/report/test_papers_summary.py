@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 
-from dtwin.pipeline.paper_line import ANSWERS, Answer, by_what_is_left, worst
+from dtwin.pipeline import dynamics_paper, lathe_paper
+from dtwin.pipeline.paper_line import ANSWERS, Answer, Line, by_what_is_left, left_open, worst
 from dtwin.report.papers import counted, summary_text
 
 
@@ -38,3 +41,14 @@ def test_better_than_the_source_is_not_the_same(ours: float, answer: Answer) -> 
 def test_a_line_is_as_good_as_its_worst_figure() -> None:
     assert worst(["easier here", "follows"]) == "follows"
     assert worst(["follows", "does not", "easier here"]) == "does not"
+
+
+def test_what_too_little_was_computed_for_is_not_judged() -> None:
+    lines = [Line("networks", "yes", "no", "does not", t) for t in ("A1", "A8")]
+    assert [x.answer for x in left_open(lines, ("A8",))] == ["does not", "not judged"]
+    assert {x.answer for x in left_open(lines)} == {"not judged"}
+
+
+@pytest.mark.parametrize("paper", [lathe_paper, dynamics_paper])
+def test_quick_does_not_judge_what_may_flip(paper: Any) -> None:
+    assert (paper.FULL.judged, paper.QUICK.judged) == (True, False)
