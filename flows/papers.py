@@ -1,4 +1,4 @@
-"""The tables of the published systems, computed again: theirs, ours, what follows."""
+"""The tables of the published systems, computed again: theirs, ours, the answer."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import Any
 from prefect import Flow, flow
 
 from dtwin.pipeline.papers import PAPERS
+from dtwin.report.papers import counted
 from flows import _artifacts, _tasks
-
-_JUDGED = {True: "yes", False: "no", None: "not judged"}
 
 
 def _paper_flow(name: str) -> Flow[..., Any]:
@@ -18,22 +17,12 @@ def _paper_flow(name: str) -> Flow[..., Any]:
     @flow(name=f"{name}-paper", flow_run_name=name + "-paper seed {seed}")
     def paper_flow(seed: int = 0, quick: bool = False) -> dict[str, Any]:
         found = _tasks.paper(name, quick, seed)
-        rows = [
-            [
-                line.get("target", ""),
-                line["what"],
-                line["paper"],
-                line["ours"],
-                _JUDGED[line["follows"]],
-            ]
-            for line in found["lines"]
-        ]
-        follows = [line["follows"] for line in found["lines"]]
+        keys = ("target", "what", "paper", "ours", "answer")
         _artifacts.publish_table(
             f"{name}-paper",
-            ("target", "figure", "the paper", "ours", "follows"),
-            rows,
-            f"{PAPERS[name].source}: {follows.count(True)} figures follow, {follows.count(False)} do not",
+            ("target", "figure", "the paper", "ours", "answer"),
+            [[line[key] for key in keys] for line in found["lines"]],
+            f"{PAPERS[name].source}: {counted(found['lines'])}",
         )
         return found
 

@@ -11,12 +11,13 @@ import numpy as np
 from dtwin.acquire.virtual_volumetric import (
     MACHINE,
     QUICK_EVERY,
+    parameters_of,
     planned_cycles,
     write_ball_campaign,
 )
 from dtwin.ball_plan import BallPlan
 from dtwin.machines.thermal_network import SCHEDULES
-from dtwin.machines.volumetric import CYCLE_S, READING_S, VolumetricMill, VolumetricParameters
+from dtwin.machines.volumetric import CYCLE_S, READING_S, VolumetricMill
 from dtwin.schema import Floats
 
 PERIOD_S = 0.02
@@ -24,7 +25,6 @@ PERIOD_S = 0.02
 _TRAVEL, _REST = 50, 50
 _BALL = _TRAVEL + _REST
 _CYCLES, _QUICK_CYCLES = 24, 6
-_COOLANT = "coolant_tank_c"
 
 
 class ServedMill:
@@ -36,6 +36,8 @@ class ServedMill:
     ----------
     plan : BallPlan or None
         Hours, and how often; three days, every third hour, without.
+    truth : {"surface", "pockets"}
+        Where its thermocouples sit.
     schedule : str
         As for :func:`dtwin.acquire.virtual_volumetric.simulate_volumetric`.
     seed : int
@@ -49,8 +51,10 @@ class ServedMill:
     axes = ("x", "y", "z")
     channels_hz = 0.0
 
-    def __init__(self, plan: BallPlan | None, schedule: str, seed: int, *, quick: bool) -> None:
-        self._mill = VolumetricMill(SCHEDULES[schedule], VolumetricParameters(), seed)
+    def __init__(
+        self, plan: BallPlan | None, truth: str, schedule: str, seed: int, *, quick: bool
+    ) -> None:
+        self._mill = VolumetricMill(SCHEDULES[schedule], parameters_of(truth), seed)
         self._machine = plan.machine if plan else MACHINE
         n = _QUICK_CYCLES if quick else _CYCLES
         self._cycles: Sequence[int] = (
@@ -106,4 +110,4 @@ class ServedMill:
         return f"{len(readings)} cycles of the ball array"
 
     def _read(self, cycle: int) -> dict[str, Floats]:
-        return {**self._mill.thermocouples_c(cycle), _COOLANT: self._mill.coolant_c(cycle)}
+        return {**self._mill.thermocouples_c(cycle), **self._mill.control_c(cycle)}

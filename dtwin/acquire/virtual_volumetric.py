@@ -32,6 +32,8 @@ from dtwin.schema import SignalGroup
 
 MACHINE = "virtual-volumetric-mill"
 QUICK_EVERY = 3
+# Where the thermocouples sit: stuck on the castings, or every second one sunk into them.
+TRUTHS = {"surface": VolumetricParameters(), "pockets": VolumetricParameters(pocket_1=0.85)}
 Progress = Callable[[int, int, str], None]
 
 
@@ -121,6 +123,21 @@ def write_ball_campaign(
     write_text(folder / "campaign.toml", text, "the campaign file")
 
 
+def parameters_of(truth: str) -> VolumetricParameters:
+    """Return what the virtual mill is like by name, ``surface`` or ``pockets``.
+
+    Raises
+    ------
+    InputError
+        When there is no such mill.
+    """
+    if truth not in TRUTHS:
+        raise InputError(
+            "no such virtual mill", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS)
+        )
+    return TRUTHS[truth]
+
+
 def planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:
     """Return the hours at which cycles begin.
 
@@ -157,7 +174,7 @@ def _write_cycle(folder: Path, cycle: int, readings: BallReadings, mill: Volumet
     write_parquet(folder / f"{stem}.parquet", table_of(_columns(readings)))
     for name, columns in (
         ("thermocouples", mill.thermocouples_c(cycle)),
-        ("control", {"coolant_tank_c": mill.coolant_c(cycle)}),
+        ("control", mill.control_c(cycle)),
     ):
         write_signals(
             folder / f"{stem}.{name}.parquet", SignalGroup(name, 1.0 / READING_S, columns)

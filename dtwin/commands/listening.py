@@ -85,7 +85,8 @@ def _machine(
     from dtwin.acquire.served_mill import ServedMill
     from dtwin.ball_plan import read_ball_plan
 
-    return ServedMill(read_ball_plan(plan) if plan else None, schedule, seed, quick=quick)
+    balls = read_ball_plan(plan) if plan else None
+    return ServedMill(balls, truth or "surface", schedule, seed, quick=quick)
 
 
 def _announce(line: str) -> None:

@@ -36,7 +36,8 @@ def simulate(
     truth: Annotated[
         str | None,
         typer.Option(
-            help="Error of the lathe: published, mechanism; of turning: linear, hardening, friction."
+            help="Error of the lathe: published, mechanism; of turning: linear, hardening, friction; "
+            "thermocouples of the volumetric mill: surface, pockets."
         ),
     ] = None,
     schedule: Annotated[
@@ -76,7 +77,8 @@ def simulate(
     elif machine == "volumetric":
         from dtwin.commands.volumetric import simulate_heat
 
-        simulate_heat(out, plan, schedule, seed=seed, quick=quick, as_json=as_json)
+        heat = truth or "surface"
+        simulate_heat(out, plan, heat, schedule, seed=seed, quick=quick, as_json=as_json)
     elif machine == "lathe":
         from dtwin.commands.lathe import simulate_positioning
 

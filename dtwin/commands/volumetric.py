@@ -51,18 +51,26 @@ def plan_balls(file: Path, *, as_json: bool) -> None:
 
 
 def simulate_heat(
-    out: Path, plan: Path | None, schedule: str, *, seed: int, quick: bool, as_json: bool
+    out: Path,
+    plan: Path | None,
+    truth: str,
+    schedule: str,
+    *,
+    seed: int,
+    quick: bool,
+    as_json: bool,
 ) -> None:
     """Measure the virtual mill for days."""
-    from dtwin.acquire.virtual_volumetric import simulate_volumetric
+    from dtwin.acquire.virtual_volumetric import parameters_of, simulate_volumetric
     from dtwin.ball_plan import read_ball_plan
 
     progress = ProgressLine("measure", quiet=as_json)
     chosen = None if plan is None else read_ball_plan(plan)
     cycles = simulate_volumetric(
-        out, progress, schedule=schedule, seed=seed, quick=quick, plan=chosen
-    )
-    payload = {"folder": str(out), "schedule": schedule, "cycles": cycles}
+        out, progress, schedule=schedule, seed=seed, quick=quick, plan=chosen,
+        parameters=parameters_of(truth),
+    )  # fmt: skip
+    payload = {"folder": str(out), "truth": truth, "schedule": schedule, "cycles": cycles}
     text = f"{cycles} cycles in {out}\nnext: dtwin ingest {out}"
     emit(payload, lambda: text, as_json=as_json)
 
@@ -141,14 +149,21 @@ def paper(
     quick: Annotated[
         bool, typer.Option("--quick", help="Every third cycle, for a first look.")
     ] = False,
+    truth: Annotated[
+        str, typer.Option(help="Where the thermocouples sit: surface, or pockets.")
+    ] = "surface",
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published mill again: theirs, ours, whether they follow."""
+    from dataclasses import asdict
+
     from dtwin.pipeline.volumetric_paper import volumetric_paper
     from dtwin.report.papers import paper_table
 
-    lines = volumetric_paper(seed, ProgressLine("volumetric", quiet=as_json), quick=quick)
+    progress = ProgressLine("volumetric", quiet=as_json)
+    found = volumetric_paper(seed, progress, quick=quick, truth=truth)
+    lines = [asdict(line) for line in found]
     emit({"lines": lines}, lambda: paper_table(lines), as_json=as_json)
 
 

@@ -11,7 +11,7 @@ from dtwin.kinematics import UR10E, normal_unit, plane_axes
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
 from dtwin.machines.controller import CircleController
-from dtwin.machines.joints import gravity_torque_kernel, transmission_table
+from dtwin.machines.joints import gravity_torque_kernel, transmission_table, wind_up_kernel
 from dtwin.machines.mechanism import Mechanism, build_mechanism, run_kernel, start_memory
 from dtwin.machines.motion import (
     ANGLE0,
@@ -200,6 +200,7 @@ class VirtualCobot:
     def _static_position_mm(self, mechanism: Mechanism, q_rad: Floats) -> Floats:
         torque = np.zeros(6)
         gravity_torque_kernel(q_rad, UR10E.dh, mechanism.masses_kg, torque)
-        link = q_rad + 1e-6 * np.array(self.parameters.joints.compliance_urad_nm) * torque
+        wound = [wind_up_kernel(t, row) for t, row in zip(torque, mechanism.joints, strict=True)]
+        link = q_rad + np.array(wound)
         chain = replace(UR10E, name="true UR10e", dh=self._true_dh)
         return chain.forward(link, mechanism.geometry[0])[0]

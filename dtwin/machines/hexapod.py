@@ -155,7 +155,7 @@ class VirtualHexapod:
         follow_kernel(
             path_mm, legs.believed, legs.true,
             np.stack([legs.offset_mm, legs.scale_1, legs.feed_forward]),
-            constants, mode_table(p.structure, 1.0 / RATE_HZ), self._inverse(), p.tool_mm, out,
+            constants, mode_table(p.structure), self._inverse(), p.tool_mm, out,
         )  # fmt: skip
         return out
 
@@ -276,7 +276,7 @@ def follow_kernel(
         Zero in mm, relative scale error, feed-forward.
     constants : ndarray, shape (8,)
         Gain, play, friction (height, width, recovery), pitch, motor order, vibration.
-    modes : ndarray, shape (m, 12)
+    modes : ndarray, shape (m, 10)
         From ``mode_table``.
     inverse : ndarray, shape (6, 6)
         How the pose changes with the leg lengths in the centre; near it every round of the forward
@@ -324,6 +324,6 @@ def follow_kernel(
                 first[i], second[i] = rigid[i], rigid[i]
             bend[i] = (rigid[i] - 2.0 * first[i] + second[i]) / tick_s**2
             second[i], first[i] = first[i], rigid[i]
-        modes_kernel(modes, 0.0, bend, jolt, state, rigid, flange)
+        modes_kernel(modes, tick_s, 0.0, 1.0, bend, jolt, state, rigid, flange)
         for i in range(3):
             out_mm[n, i] = rigid[i]

@@ -1,8 +1,9 @@
 """Joint errors: what the link does when the encoder side is asked for an angle.
 
 Each joint has lost motion (a play operator), a strain-wave gear whose transmission error
-depends on the tooth flank that carries the load, friction that disturbs the position loop
-at reversals, and a gear spring that winds up under the weight of the links.
+depends on the tooth flank that carries the load and swells with load and with the turn of its
+flexspline, friction that disturbs the position loop at reversals, and a gear spring that winds up
+under the weight of the links: softer about zero torque, and with hysteresis.
 """
 
 from __future__ import annotations
@@ -14,19 +15,29 @@ from dtwin.machines.parameters import JointParameters
 from dtwin.schema import Floats
 
 PLAY_WIDTH, FRICTION, FRICTION_WIDTH, FRICTION_RECOVERY, COMPLIANCE = range(5)
+FLEXSPLINE, TURNED, LOAD, LOAD_NM, SOFT, HYSTERESIS_NM, GEAR_FROM = range(5, 12)
 AMPLITUDE, PHASE_FORWARD, PHASE_REVERSE = range(3)
+# The kernels' own names, so that numba sees plain integers.
+_COMPLIANCE, _FLEXSPLINE, _TURNED, _LOAD = COMPLIANCE, FLEXSPLINE, TURNED, LOAD
+_LOAD_NM, _SOFT, _GEAR_FROM = LOAD_NM, SOFT, GEAR_FROM
 _GRAVITY_M_S2 = 9.80665
 _URAD = 1e-6
 
 
 def joint_table(parameters: JointParameters) -> Floats:
-    """Return the constants of the six joints, shape (6, 5), in rad, s and rad/(N*m)."""
-    table = np.empty((6, 5))
+    """Return the constants of the six joints, shape (6, 12), in rad, s, N*m and rad/(N*m)."""
+    table = np.empty((6, 12))
     table[:, PLAY_WIDTH] = np.array(parameters.play_width_urad) * _URAD
     table[:, FRICTION] = np.array(parameters.friction_urad) * _URAD
     table[:, FRICTION_WIDTH] = parameters.friction_width_urad * _URAD
     table[:, FRICTION_RECOVERY] = parameters.friction_recovery_s
     table[:, COMPLIANCE] = np.array(parameters.compliance_urad_nm) * _URAD
+    table[:, FLEXSPLINE] = parameters.flexspline_1
+    # Where the flexsplines are thickest: assembled without regard to it.
+    table[:, TURNED] = 2.4 * np.arange(6)
+    table[:, LOAD], table[:, LOAD_NM] = parameters.load_1, parameters.load_nm
+    table[:, SOFT], table[:, HYSTERESIS_NM] = parameters.soft_1, parameters.hysteresis_nm
+    table[:, GEAR_FROM] = parameters.flank_orders_from
     return table
 
 
@@ -70,8 +81,9 @@ def gravity_torque_kernel(q_rad: Floats, dh: Floats, mass_kg: Floats, torque_nm:
 
 @kernel
 def transmission_kernel(
-    angle_rad: float, flank: float, orders: Floats, joint_orders: Floats
-) -> float:
+    angle_rad: float, flank: float, load_nm: float, orders: Floats, joint_orders: Floats,
+    joint: Floats,
+) -> float:  # fmt: skip
     """Return the transmission error of one gear in rad.
 
     Parameters
@@ -80,21 +92,36 @@ def transmission_kernel(
         Angle on the motor side, referred to the output.
     flank : float
         -1 when the reverse flank carries the load, +1 when the forward one does.
+    load_nm : float
+        Torque that the gear carries.
     orders : ndarray, shape (m,)
         Periods per turn of the output.
     joint_orders : ndarray, shape (m, 3)
         Rows of ``transmission_table``.
+    joint : ndarray, shape (12,)
+        Row of ``joint_table``.
     """
+    swollen = 1.0 + joint[_FLEXSPLINE] * np.cos(angle_rad - joint[_TURNED])
+    swollen *= 1.0 + joint[_LOAD] * np.tanh(abs(load_nm) / joint[_LOAD_NM])
     forward = 0.5 + 0.5 * flank
     error = 0.0
     for m in range(orders.shape[0]):
         amplitude = joint_orders[m, AMPLITUDE]
         if amplitude != 0.0:
+            if orders[m] >= joint[_GEAR_FROM]:
+                amplitude *= swollen
             turn = orders[m] * angle_rad
             ahead = np.sin(turn + joint_orders[m, PHASE_FORWARD])
             behind = np.sin(turn + joint_orders[m, PHASE_REVERSE])
             error += amplitude * (forward * ahead + (1.0 - forward) * behind)
     return error
+
+
+@kernel
+def wind_up_kernel(torque_nm: float, joint: Floats) -> float:
+    """Return how far a gear's spring winds up under a torque, in rad."""
+    soft = joint[_SOFT] * joint[_LOAD_NM] * np.tanh(torque_nm / joint[_LOAD_NM])
+    return joint[_COMPLIANCE] * (torque_nm + soft)
 
 
 @kernel

@@ -9,7 +9,12 @@ import numpy as np
 from dtwin.kinematics import UR10E, forward_kernel, inverse_kernel, kernel
 from dtwin.links import state as layout
 from dtwin.machines import joints as j_
-from dtwin.machines.joints import gravity_torque_kernel, play_kernel, transmission_kernel
+from dtwin.machines.joints import (
+    gravity_torque_kernel,
+    play_kernel,
+    transmission_kernel,
+    wind_up_kernel,
+)
 from dtwin.machines.motion import START_S, jolt_kernel, path_kernel
 from dtwin.machines.parameters import CobotParameters
 from dtwin.machines.structure import mode_table, modes_kernel
@@ -24,7 +29,7 @@ _RUNNING, _SAFE = layout.RUNTIME_RUNNING, layout.SAFETY_OK
 _SEGMENT_ID, _SEGMENT_TIME = layout.SEGMENT_ID, layout.SEGMENT_TIME
 _APPLIED_SEQUENCE, _APPLIED = layout.APPLIED_SEQUENCE, layout.APPLIED
 _PLAY_WIDTH, _FRICTION, _FRICTION_WIDTH = j_.PLAY_WIDTH, j_.FRICTION, j_.FRICTION_WIDTH
-_FRICTION_RECOVERY, _COMPLIANCE = j_.FRICTION_RECOVERY, j_.COMPLIANCE
+_FRICTION_RECOVERY, _HYSTERESIS_NM = j_.FRICTION_RECOVERY, j_.HYSTERESIS_NM
 
 # Truth row: nominal path, tool, flange, rigid tool, rotation.
 PATH, TCP, FLANGE, RIGID, ROTATION, TRUTH_N = 0, 3, 6, 9, 12, 21
@@ -35,7 +40,9 @@ _QA, _LAST_TARGET, _RIGID1, _RIGID2, _MODES = 27, 33, 36, 39, 42
 _LATCHED, _SLEWED, _LAGGED, _SEQUENCE, _AGE, _QUEUE = 50, 53, 56, 59, 60, 61
 _QUEUE_MAX = 32
 _LET_GO = _QUEUE + 3 * _QUEUE_MAX
-MEMORY_N = _LET_GO + 1
+# Torque behind the hysteresis of the six gears.
+_TORQUE = _LET_GO + 1
+MEMORY_N = _TORQUE + 6
 
 # Constants of the controller.
 _TICK_S, _LIMIT, _STEP, _DELAY_TICKS, _LAG, _WATCH_TICKS, _JOLTS = range(7)
@@ -48,13 +55,13 @@ class Mechanism(NamedTuple):
     ----------
     dh : ndarray, shape (2, 6, 4)
         Nominal and true kinematic parameters.
-    joints : ndarray, shape (6, 5)
+    joints : ndarray, shape (6, 12)
         From ``joint_table``.
     orders, transmission : ndarray, shapes (m,) and (6, m, 3)
         Orders per turn, and ``transmission_table``.
     masses_kg : ndarray, shape (3,)
         Moving masses.
-    modes : ndarray, shape (modes, 12)
+    modes : ndarray, shape (modes, 10)
         From ``mode_table``.
     control : ndarray, shape (9,)
         Tick, offset limit in mm, offset step per tick in mm, delay in ticks, lag factor,
@@ -104,7 +111,7 @@ def build_mechanism(
         np.array(parameters.joints.orders_per_turn),
         transmission,
         np.array(parameters.joints.mass_kg),
-        mode_table(parameters.structure, tick_s),
+        mode_table(parameters.structure),
         control,
         geometry,
     )
@@ -197,8 +204,12 @@ def _link_angles(
         memory[_PLAY + j] = behind
         half = 0.5 * table[_PLAY_WIDTH]
         flank = (angle - behind) / half if half > 0.0 else 0.0
-        ripple = transmission_kernel(angle, flank, machine.orders, machine.transmission[j])
-        link_rad[j] = behind + ripple + table[_COMPLIANCE] * torque[j]
+        felt = play_kernel(torque[j], memory[_TORQUE + j], table[_HYSTERESIS_NM])
+        memory[_TORQUE + j] = felt
+        ripple = transmission_kernel(
+            angle, flank, torque[j], machine.orders, machine.transmission[j], table
+        )
+        link_rad[j] = behind + ripple + wind_up_kernel(felt, table)
 
 
 @kernel
@@ -261,7 +272,9 @@ def tick_kernel(
             truth[ROTATION + 3 * i + k] = rotation[i, k]
         memory[_RIGID2 + i] = memory[_RIGID1 + i]
         memory[_RIGID1 + i] = rigid[i]
-    modes_kernel(machine.modes, q[0], shaken, jolt, memory[_MODES : _MODES + 8], true, flange)
+    reach = np.hypot(rigid[0], rigid[1])
+    place = memory[_MODES : _MODES + 8]
+    modes_kernel(machine.modes, tick_s, q[0], reach, shaken, jolt, place, true, flange)
     for i in range(3):
         truth[TCP + i] = true[i]
         truth[FLANGE + i] = flange[i]
@@ -328,7 +341,8 @@ def run_joints_kernel(machine: Mechanism, q_rad: Floats, memory: Floats, tool_mm
             memory[_RIGID2 + i] = memory[_RIGID1 + i]
             memory[_RIGID1 + i] = rigid[i]
         place = memory[_MODES : _MODES + 8]
-        modes_kernel(machine.modes, q_rad[n, 0], shaken, jolt, place, true, flange)
+        reach = np.hypot(rigid[0], rigid[1])
+        modes_kernel(machine.modes, tick_s, q_rad[n, 0], reach, shaken, jolt, place, true, flange)
         for j in range(6):
             memory[_Q + j] = q_rad[n, j]
         for i in range(3):

@@ -35,16 +35,46 @@ class MotionParameters:
 
 @dataclass(frozen=True)
 class JointParameters:
-    """What the gears, bearings and drives of the six joints do wrong."""
+    """What the gears, bearings and drives of the six joints do wrong.
+
+    Attributes
+    ----------
+    orders_per_turn, order_amplitude_urad : tuple
+        Transmission error: periods per turn of the joint, amplitudes by joint.
+    flank_orders_from : float
+        From this order on it belongs to the gear: a phase for each tooth flank, an amplitude that
+        the next three modulate.
+    flexspline_1 : float
+        Share by which the gear's amplitude swells and shrinks once a turn: the flexspline is not round.
+    load_1, load_nm : float
+        Share by which the load raises the gear's amplitude in the end, and where that saturates.
+    play_width_urad, friction_urad, friction_width_urad, friction_recovery_s
+        Lost motion; disturbance of the position loop at reversals.
+    compliance_urad_nm : tuple of float
+        Wind-up under a large torque.
+    soft_1 : float
+        Additional compliance about zero torque, as a share; it saturates at ``load_nm``.
+    hysteresis_nm : float
+        Width of the play between torque and wind-up.
+    length_error_mm, zero_error_urad : float
+        Standard deviations of the kinematics.
+    mass_kg : tuple of float
+        Upper arm, forearm, and everything beyond the wrist.
+    """
 
     orders_per_turn: tuple[float, ...]
     order_amplitude_urad: tuple[tuple[float, ...], ...]
     flank_orders_from: float
+    flexspline_1: float
+    load_1: float
+    load_nm: float
     play_width_urad: tuple[float, ...]
     friction_urad: tuple[float, ...]
     friction_width_urad: float
     friction_recovery_s: float
     compliance_urad_nm: tuple[float, ...]
+    soft_1: float
+    hysteresis_nm: float
     length_error_mm: float
     zero_error_urad: float
     mass_kg: tuple[float, ...]
@@ -52,7 +82,11 @@ class JointParameters:
 
 @dataclass(frozen=True)
 class StructureParameters:
-    """Lightly damped modes of arm and base."""
+    """Lightly damped modes of arm and base.
+
+    ``frequency_hz`` holds at a reach of ``posture_reach_mm`` from the axis of joint 1; elsewhere it is
+    multiplied by (reference / reach) to the power ``posture_1``: a long arm swings slowly.
+    """
 
     frequency_hz: tuple[float, ...]
     damping_ratio: tuple[float, ...]
@@ -64,6 +98,8 @@ class StructureParameters:
     jolt_s: float
     flange_share: tuple[float, ...]
     base_share: float
+    posture_1: float = 0.0
+    posture_reach_mm: float = 550.0
 
 
 @dataclass(frozen=True)

@@ -8,59 +8,45 @@ from dtwin.kinematics import kernel
 from dtwin.machines.parameters import StructureParameters
 from dtwin.schema import Floats
 
-FLANGE_SHARE, SHAPE, DRIVEN, JOLTED = 6, 7, 10, 11
-_COLUMNS = 12
+OMEGA, DAMPING, POSTURE, REACH_MM, FLANGE_SHARE, SHAPE, DRIVEN, JOLTED = 0, 1, 2, 3, 4, 5, 8, 9
+_COLUMNS = 10
 
 
-def mode_table(parameters: StructureParameters, tick_s: float) -> Floats:
-    """Return the exactly discretised modes, shape (modes, 12).
+def mode_table(parameters: StructureParameters) -> Floats:
+    """Return the constants of the modes, shape (modes, 10).
 
-    A mode obeys x'' + 2 z w x' + w^2 x = -s . (g a + h b), with shape s and
-    participations g in the arm's acceleration a and h in the jolts b, which are held over a tick, so that the transition matrix is exact (textbook zero-order hold).
+    A mode obeys x'' + 2 z w x' + w^2 x = -s . (g a + h b), with shape s and participations g in the
+    arm's acceleration a and h in the jolts b; w falls as the arm reaches out.
 
     Parameters
     ----------
     parameters : StructureParameters
         Frequencies, damping, shapes.
-    tick_s : float
-        Period of the controller.
 
     Returns
     -------
-    ndarray, shape (modes, 12)
-        Transition matrix by rows (4), forcing of position and speed (2), share seen at the
-        flange, shape vector in the frame that turns with joint 1 (3), the two participations.
+    ndarray, shape (modes, 10)
+        Angular frequency in rad/s, damping ratio, exponent of the posture and reach in mm at which the
+        frequency holds, share seen at the flange, shape vector in the frame that turns with joint 1
+        (3), the two participations.
     """
     table = np.empty((len(parameters.frequency_hz), _COLUMNS))
-    for row, hz, damping, shape, participation, jolted, share in zip(
-        table,
-        parameters.frequency_hz,
-        parameters.damping_ratio,
-        parameters.shape,
-        parameters.participation,
-        parameters.jolt_participation,
-        parameters.flange_share,
-        strict=True,
-    ):
-        omega = 2.0 * np.pi * hz
-        damped = omega * np.sqrt(1.0 - damping**2)
-        decay = np.exp(-damping * omega * tick_s)
-        c, s = decay * np.cos(damped * tick_s), decay * np.sin(damped * tick_s)
-        ratio = damping * omega / damped
-        row[0:2] = c + ratio * s, s / damped
-        row[2:4] = -(omega**2) * s / damped, c - ratio * s
-        row[4] = -(1.0 - row[0]) / omega**2
-        row[5] = row[2] / omega**2
-        row[FLANGE_SHARE] = share
-        row[SHAPE : SHAPE + 3] = np.array(shape) / np.linalg.norm(shape)
-        row[DRIVEN:] = participation, jolted
+    table[:, OMEGA] = 2.0 * np.pi * np.array(parameters.frequency_hz)
+    table[:, DAMPING] = parameters.damping_ratio
+    table[:, POSTURE], table[:, REACH_MM] = parameters.posture_1, parameters.posture_reach_mm
+    table[:, FLANGE_SHARE] = parameters.flange_share
+    shape = np.array(parameters.shape)
+    table[:, SHAPE:DRIVEN] = shape / np.linalg.norm(shape, axis=1)[:, None]
+    table[:, DRIVEN], table[:, JOLTED] = parameters.participation, parameters.jolt_participation
     return table
 
 
 @kernel
 def modes_kernel(
     modes: Floats,
+    tick_s: float,
     joint1_rad: float,
+    reach_mm: float,
     acceleration: Floats,
     jolt: Floats,
     state: Floats,
@@ -69,12 +55,18 @@ def modes_kernel(
 ) -> None:
     """Advance every mode by one tick and add its displacement to tool and flange.
 
+    Force and frequency are held over the tick, so that the step is exact (zero-order hold).
+
     Parameters
     ----------
-    modes : ndarray, shape (modes, 12)
+    modes : ndarray, shape (modes, 10)
         From ``mode_table``.
+    tick_s : float
+        Period of the controller.
     joint1_rad : float
         Angle of joint 1, with which the mode shapes turn.
+    reach_mm : float
+        How far the tool is from the axis of joint 1.
     acceleration : ndarray, shape (3,)
         Acceleration of the rigid arm at the tool, mm/s^2.
     jolt : ndarray, shape (3,)
@@ -86,6 +78,15 @@ def modes_kernel(
     """
     c, s = np.cos(joint1_rad), np.sin(joint1_rad)
     for m in range(modes.shape[0]):
+        omega, damping = modes[m, OMEGA], modes[m, DAMPING]
+        if modes[m, POSTURE] != 0.0:
+            omega *= (modes[m, REACH_MM] / max(reach_mm, 1.0)) ** modes[m, POSTURE]
+        root = np.sqrt(1.0 - damping**2)
+        decay = np.exp(-damping * omega * tick_s)
+        cosine = decay * np.cos(root * omega * tick_s)
+        sine = decay * np.sin(root * omega * tick_s)
+        stay, coast = cosine + damping / root * sine, sine / (root * omega)
+        pull, keep = -omega * sine / root, cosine - damping / root * sine
         x = c * modes[m, SHAPE] - s * modes[m, SHAPE + 1]
         y = s * modes[m, SHAPE] + c * modes[m, SHAPE + 1]
         z = modes[m, SHAPE + 2]
@@ -93,9 +94,10 @@ def modes_kernel(
         push = x * (driven * acceleration[0] + jolted * jolt[0])
         push += y * (driven * acceleration[1] + jolted * jolt[1])
         push += z * (driven * acceleration[2] + jolted * jolt[2])
-        place, speed = state[2 * m], state[2 * m + 1]
-        moved = modes[m, 0] * place + modes[m, 1] * speed + modes[m, 4] * push
-        state[2 * m + 1] = modes[m, 2] * place + modes[m, 3] * speed + modes[m, 5] * push
+        held = -push / omega**2
+        place, speed = state[2 * m] - held, state[2 * m + 1]
+        moved = held + stay * place + coast * speed
+        state[2 * m + 1] = pull * place + keep * speed
         state[2 * m] = moved
         share = modes[m, FLANGE_SHARE] * moved
         tcp_mm[0] += x * moved

@@ -146,7 +146,7 @@ def temperatures_c(
     step_s : float
         Time between two rows.
     pump : bool
-        Whether the coolant pump runs twelve hours in every thirty.
+        Whether the coolant pump runs, twelve hours in every thirty.
 
     Returns
     -------
@@ -171,6 +171,11 @@ def temperatures_c(
         out[i] = now
         now = moved @ now + gained @ powers[i]
     return hour, out
+
+
+def pumping(hour: Floats) -> Floats:
+    """Return 1 at hours at which the coolant pump runs, else 0."""
+    return np.where(hour % 30.0 < 12.0, 1.0, 0.0)
 
 
 def _network() -> tuple[Floats, Floats]:
@@ -198,6 +203,5 @@ def _power_w(segment: Segment, hour: float, *, pump: bool) -> Floats:
     for name, on in (("h1", segment.h1), ("h2", segment.h2)):
         for body, share in _VENTILATORS[name]:
             out[BODIES.index(body)] += _VENTILATOR_W * share * on
-    if pump and hour % 30.0 < 12.0:
-        out[BODIES.index("coolant_tank")] += _PUMP_W
+    out[BODIES.index("coolant_tank")] += _PUMP_W * pump * float(pumping(np.array(hour)))
     return out

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from dtwin.machines.thermal_network import BODIES, CASTINGS, Schedule, temperatures_c
+from dtwin.machines.thermal_network import BODIES, CASTINGS, Schedule, pumping, temperatures_c
 from dtwin.schema import Floats
 
 STROKES_MM = {"x": (30.0, 1460.0), "y": (50.0, 1200.0), "z": (460.0, 1490.0)}
@@ -32,7 +33,9 @@ _ALONG_MM = (180.0, 380.0, 580.0, 780.0, 980.0)
 _ROWS_MM = ((-210.0, 0.0), (210.0, 0.0), (0.0, 240.0))
 _CUBIC = 0.12
 _REFERENCE_C = 22.0
-_TOWARDS, _POCKET = 0.35, 0.85
+_TOWARDS = 0.35
+# What the control logs: sensors of the plant, slow and coarse.
+_LOGGED_LAG_S, _LOGGED_NOISE_C, _LOGGED_STEP_C = 600.0, 0.2, 0.1
 _SENSORS = {
     "table": 10, "bed": 10, "column_side": 6, "column_back": 5, "column_top": 5, "ram": 12,
     "front_air": 2, "back_air": 2,
@@ -81,6 +84,9 @@ class VolumetricParameters:
         the pose again.
     sensor_bias_c, sensor_noise_c, sensor_lag_s : float
         Of the thermocouples.
+    pocket_1 : float
+        Of every second thermocouple: the most that it feels of the casting's core, which is what
+        deforms. 0 for sensors stuck on the surface; 0.85 for sensors sunk into pockets.
     hidden : dict of str to dict
         More coefficients: name to um (um/m) per kelvin of each body, for example
         ``{"ECX1": {"bed": 2.0}}``.
@@ -94,6 +100,7 @@ class VolumetricParameters:
     sensor_bias_c: float = 0.25
     sensor_noise_c: float = 0.05
     sensor_lag_s: float = 120.0
+    pocket_1: float = 0.0
     hidden: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     pump: bool = True
 
@@ -229,33 +236,57 @@ class VolumetricMill:
 
     def thermocouples_c(self, cycle: int) -> dict[str, Floats]:
         """Return the readings of a cycle by name of the sensor, every 30 s."""
-        whole = self._sensed()
         n = round(CYCLE_S / READING_S)
-        return {name: values[cycle * n : (cycle + 1) * n] for name, values in whole.items()}
+        return {name: v[cycle * n : (cycle + 1) * n] for name, v in self._sensed.items()}
 
-    def coolant_c(self, cycle: int) -> Floats:
-        """Return what the control logs of the coolant tank, every 30 s."""
+    def control_c(self, cycle: int) -> dict[str, Floats]:
+        """Return what the control logs by channel, every 30 s; only the tank's moves the machine."""
         n = round(CYCLE_S / READING_S)
-        return self.bodies_c[cycle * n : (cycle + 1) * n, BODIES.index("coolant_tank")]
+        return {name: v[cycle * n : (cycle + 1) * n] for name, v in self._logged.items()}
 
+    @cached_property
+    def _logged(self) -> dict[str, Floats]:
+        """Return the control's channels: a slow, coarse sensor each, of the tank and of what is beside it.
+
+        The pump's motor warms in step with its tank, the oil by a duty of its own, cabinet and hall
+        with the season.
+        """
+        rng = np.random.default_rng([len(self.hour), 11])
+        tank, air = (self.bodies_c[:, BODIES.index(b)] for b in ("coolant_tank", "back_air"))
+        hall = np.array([self.schedule.hall_c(float(h)) for h in self.hour])
+        pump = _lagged(pumping(self.hour) * float(self.parameters.pump), _share(1500.0))
+        oil = _lagged(((self.hour + 5.0) % 17.0 < 9.0).astype(float), _share(5400.0))
+        true = {
+            "coolant_tank_c": tank, "coolant_pump_c": hall + 14.0 * pump,
+            "hydraulic_oil_c": hall + 9.0 * oil, "cabinet_c": air + 6.0, "hall_c": hall,
+        }  # fmt: skip
+        felt = {name: _lagged(values, _share(_LOGGED_LAG_S)) for name, values in true.items()}
+        return {
+            name: _LOGGED_STEP_C
+            * np.round((values + rng.normal(0, _LOGGED_NOISE_C, len(values))) / _LOGGED_STEP_C)
+            for name, values in felt.items()
+        }
+
+    @cached_property
     def _sensed(self) -> dict[str, Floats]:
-        if not hasattr(self, "_readings"):
-            rng = np.random.default_rng([len(self.hour), 7])
-            share = 1.0 - np.exp(-READING_S / self.parameters.sensor_lag_s)
-            self._readings: dict[str, Floats] = {}
-            for body, count in _SENSORS.items():
-                source = self.bodies_c[:, BODIES.index(body)]
-                neighbour = self.bodies_c[:, BODIES.index(_NEIGHBOUR[body])]
-                core = self.bodies_c[:, _deforming(body)]
-                for number in range(count):
-                    # Some sit on the skin towards a neighbour, some in pockets of the casting.
-                    other, most = (core, _POCKET) if number % 2 else (neighbour, _TOWARDS)
-                    part = most * (number + 1) / count
-                    felt = _lagged((1 - part) * source + part * other, share)
-                    felt = felt + rng.normal(0, self.parameters.sensor_noise_c, len(felt))
-                    felt = felt + self._bias_c[len(self._readings)]
-                    self._readings[f"{body}_{number + 1:02d}_c"] = felt
-        return self._readings
+        rng = np.random.default_rng([len(self.hour), 7])
+        share = _share(self.parameters.sensor_lag_s)
+        readings: dict[str, Floats] = {}
+        for body, count in _SENSORS.items():
+            source = self.bodies_c[:, BODIES.index(body)]
+            neighbour = self.bodies_c[:, BODIES.index(_NEIGHBOUR[body])]
+            core = self.bodies_c[:, _deforming(body)]
+            for number in range(count):
+                # Some sit on the skin towards a neighbour, some may sit in pockets of the casting.
+                other, most = (
+                    (core, self.parameters.pocket_1) if number % 2 else (neighbour, _TOWARDS)
+                )
+                part = most * (number + 1) / count
+                felt = _lagged((1 - part) * source + part * other, share)
+                felt = felt + rng.normal(0, self.parameters.sensor_noise_c, len(felt))
+                felt = felt + self._bias_c[len(readings)]
+                readings[f"{body}_{number + 1:02d}_c"] = felt
+        return readings
 
 
 _NEIGHBOUR = {
@@ -300,6 +331,10 @@ def _guideway(value: Mapping[str, Floats], axis: str, travel: Floats) -> tuple[F
             into[:, column] += value.get(f"E{letter}{axis}1", still) * travel
             into[:, column] += value.get(f"E{letter}{axis}2", still) * bent
     return moved, turned
+
+
+def _share(lag_s: float) -> float:
+    return float(1.0 - np.exp(-READING_S / lag_s))
 
 
 def _lagged(values: Floats, share: float) -> Floats:

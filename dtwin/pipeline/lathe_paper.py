@@ -13,7 +13,7 @@ from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import UM_PER_IN
 from dtwin.pipeline.lathe_compensation import Figures, measured
-from dtwin.pipeline.paper_line import Line
+from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
@@ -39,6 +39,8 @@ _PAPER_UM = {
 }  # fmt: skip
 _KEYS = ("max_average_error_um", "max_reversal_error_um", "max_repeat_um")
 _TITLES = ("max average error", "max reversal error", "max repeat")
+# 2 h against 1 min.
+_FASTER = 120.0
 # Median absolute deviation to standard deviation of a normal distribution.
 _MAD = 1.4826
 Progress = Callable[[int, int, str], None]
@@ -60,6 +62,8 @@ class Size:
         Of the comparison of trainings.
     single_epochs : int
         Of the single network.
+    judged : bool
+        Whether it is enough for lines that depend on the number of campaigns or epochs.
     """
 
     campaigns: int
@@ -67,10 +71,13 @@ class Size:
     seeds: int
     epochs: int
     single_epochs: int
+    judged: bool = True
 
 
+# Targets whose answer depends on how many campaigns and epochs there are.
+_NEED_FULL = ("A3", "A4", "A5", "A8", "A10")
 FULL = Size(campaigns=60, corrected=20, seeds=5, epochs=1000, single_epochs=1500)
-QUICK = Size(campaigns=12, corrected=4, seeds=3, epochs=300, single_epochs=150)
+QUICK = Size(campaigns=12, corrected=4, seeds=3, epochs=300, single_epochs=150, judged=False)
 
 
 def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
@@ -88,7 +95,7 @@ def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``lines`` (target, what, paper, ours, follows) and ``tables`` (figures by step of the table).
+        ``lines`` (fields of :class:`~dtwin.pipeline.paper_line.Line`) and ``tables`` (figures by step of the table).
     """
     network = read_network()
     exact = exact_averages(network, mapping_plan())
@@ -103,6 +110,8 @@ def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     progress(4, 5, "tables")
     tables = table_steps(network)
     progress(5, 5, "")
+    if not size.judged:
+        lines = left_open(lines, _NEED_FULL)
     return {"size": asdict(size), "lines": [asdict(line) for line in lines], "tables": tables}
 
 
@@ -151,8 +160,8 @@ def _golden(network: LatheNetwork) -> Line:
     found = -CompiledBundle(bundle).run(rows)[:, 0] / UM_PER_IN
     off = float(np.max(np.abs(found - [g["compensation_in"] for g in network.golden])))
     return Line(
-        "A1", "printed network in the serving runtime", f"{len(rows)} values of its program",
-        f"within {off:.1e} in", off <= 1e-12,
+        "printed network in the serving runtime", f"{len(rows)} values of its program",
+        f"within {off:.1e} in", yes_or_no(off <= 1e-12), "A1",
     )  # fmt: skip
 
 
@@ -192,11 +201,19 @@ def _scatter(
         middle = float(np.median(values))
         spread = _MAD * float(np.median(np.abs(values - middle)))
         theirs = told * UM_PER_IN
+        agrees = abs(theirs - middle) <= 2.0 * spread
+        if paper == "before":
+            # Drift and noise of the virtual lathe were set by these figures.
+            answer = calibrated(agrees)
+        elif middle < theirs and not agrees:
+            answer = "easier here"
+        else:
+            answer = yes_or_no(agrees)
         lines.append(
             Line(
-                target, f"{what}: {title}", f"{theirs:z.1f} um",
+                f"{what}: {title}", f"{theirs:z.1f} um",
                 f"{middle:z.1f} +- {spread:z.1f} um, worst {values.max():z.1f} ({len(values)} campaigns)",
-                abs(theirs - middle) <= 2.0 * spread,
+                answer, target,
             )
         )  # fmt: skip
     return lines
@@ -207,26 +224,29 @@ def _ratios(
 ) -> list[Line]:
     lines = []
     n = len(after["table"])
-    for key, title, paper in zip(
-        _KEYS[:2], _TITLES[:2], (("17.8", "16.7"), ("19.4", "14.7")), strict=True
-    ):
+    for key, title, paper in zip(_KEYS[:2], _TITLES[:2], ((17.8, 16.7), (19.4, 14.7)), strict=True):
         first = _column(before[:n], key)
         left = {name: 100.0 * np.median(_column(v, key) / first) for name, v in after.items()}
         lines.append(
             Line(
-                "A5", f"left of the {title}: table, pair, flanks",
+                f"left of the {title}: table, pair, flanks; the pair leaves less",
                 f"{paper[0]} %, {paper[1]} %, -",
                 f"{left['table']:z.1f} %, {left['network']:z.1f} %, {left['flanks']:z.1f} %",
-                bool(left["table"] <= 20.0 and left["network"] <= 20.0),
+                worst([
+                    yes_or_no(left["network"] < left["table"]),
+                    by_what_is_left(left["table"], paper[0]),
+                    by_what_is_left(left["network"], paper[1]),
+                ]),
+                "A5",
             )
         )  # fmt: skip
         both = np.median(_column(after["network"], key) / _column(after["table"], key))
         better = int(np.sum(_column(after["network"], key) < _column(after["table"], key)))
         lines.append(
             Line(
-                "A4", f"pair better than the table, {title}", "yes, from one run each",
+                f"pair better than the table, {title}", "yes, from one run each",
                 f"in {better} of {n} campaigns, median ratio {both:z.2f}",
-                better > n / 2 + np.sqrt(n),
+                yes_or_no(better > n / 2 + np.sqrt(n)), "A4",
             )
         )  # fmt: skip
     return lines
@@ -257,29 +277,30 @@ def _trainings(exact: Averages, size: Size) -> list[Line]:
     lm, bfgs, scg, rprop = (medians[a] for a in ALGORITHMS)
     lines.append(
         Line(
-            "A9", f"error after {size.epochs} epochs: LM, BFGS, SCG, RProp",
+            f"order of the errors after {size.epochs} epochs: LM, BFGS, SCG, RProp",
             "4.8e-8, 1.2e-7, 3.7e-4, 4.7e-4 in2", ", ".join(f"{v:.1e}" for v in medians.values()),
-            lm < bfgs < min(scg, rprop) and min(scg, rprop) > 1e3 * lm,
+            yes_or_no(lm < bfgs < scg < rprop), "A9",
         )
     )  # fmt: skip
     return lines
 
 
 def _reached(target: str, what: str, goal: float, epochs: int, found: Sequence[Trained]) -> Line:
-    done = [t for t in found if t.sse <= goal]
+    done = sum(t.sse <= goal and t.epochs < epochs for t in found)
     typical = float(np.median([t.epochs for t in found]))
     seconds = float(np.median([t.seconds for t in found]))
+    reached = 3 * done >= 2 * len(found)
     return Line(
-        target, f"{what} to {goal:g} in2", f"fewer than {epochs} epochs",
-        f"{len(done)} of {len(found)} seeds, median {typical:z.0f} epochs, {seconds:z.1f} s",
-        3 * len(done) >= 2 * len(found),
+        f"{what} to {goal:g} in2, targets without noise here", f"fewer than {epochs} epochs",
+        f"{done} of {len(found)} seeds, median {typical:z.0f} epochs, {seconds:z.1f} s",
+        by_what_is_left(typical, epochs) if reached else "does not", target,
     )  # fmt: skip
 
 
 def _single(exact: Averages, size: Size) -> list[Line]:
     single = fit_single(exact, PITCH_IN, 0, epochs=size.single_epochs)
     direction, position, error = exact.stacked()
-    worst = float(np.max(np.abs(single.error_in(direction, position) - error)))
+    worst_in = float(np.max(np.abs(single.error_in(direction, position) - error)))
     dual = fit_dual(exact, PITCH_IN, 0)
     dual_error = dual.error_in(direction, position) - error
     dual_s = sum(t.seconds for t in dual.trained)
@@ -289,15 +310,16 @@ def _single(exact: Averages, size: Size) -> list[Line]:
     same = equal.sse <= level
     return [
         Line(
-            "A8", f"single network of 40, {size.single_epochs} epochs: error, worst point",
-            "7.0e-7 in2, 1.3e-4 in after 7500", f"{single.trained.sse:.1e} in2, {worst:.1e} in",
-            single.trained.sse <= 2e-6 and worst < 1.5e-4,
+            f"single network of 40, {size.single_epochs} epochs: error, worst point",
+            "7.0e-7 in2, 1.3e-4 in after 7500", f"{single.trained.sse:.1e} in2, {worst_in:.1e} in",
+            worst([by_what_is_left(single.trained.sse, 7.0e-7), by_what_is_left(worst_in, 1.3e-4)]),
+            "A8",
         ),
         Line(
-            "A10", "pair trained faster than the single network, to equal error",
+            "pair trained faster than the single network, to equal error",
             "2 h against 1 min",
             f"{ratio:z.0f} times ({equal.seconds:z.1f} s against {dual_s:z.2f} s)"
             + ("" if same else "; the single one had not reached the pair's error"),
-            ratio >= 50.0,
+            by_what_is_left(1.0 / ratio, 1.0 / _FASTER), "A10",
         ),
     ]  # fmt: skip

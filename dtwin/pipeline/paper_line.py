@@ -1,8 +1,16 @@
-"""One figure of a source beside ours."""
+"""One figure of a source beside ours, and the answer to whether it comes out here."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+Answer = Literal["follows", "does not", "easier here", "calibrated", "not judged"]
+ANSWERS: tuple[Answer, ...] = get_args(Answer)
+# What is left (of an error, of a variance) agrees when it lies within this factor of theirs.
+FACTOR = 1.5
+_WORST_FIRST: tuple[Answer, ...] = ("does not", "follows", "easier here")
 
 
 @dataclass(frozen=True)
@@ -11,16 +19,63 @@ class Line:
 
     Attributes
     ----------
-    target : str
-        Number in the acceptance list, empty for what is no target.
     what, paper, ours : str
         The figure, theirs, ours.
-    follows : bool or None
-        None when it cannot be judged.
+    answer : {"follows", "does not", "easier here", "calibrated", "not judged"}
+        ``easier here``: better than theirs by more than the tolerance. ``calibrated``: agrees, and
+        constants were set so that it does. ``not judged``: not the same quantity, or too little was
+        computed.
+    target : str
+        Number in the acceptance list, empty for what is no target.
     """
 
-    target: str
     what: str
     paper: str
     ours: str
-    follows: bool | None
+    answer: Answer
+    target: str = ""
+
+
+def yes_or_no(agrees: object) -> Answer:
+    """Return the answer to a claim that is either met or not."""
+    return "follows" if agrees else "does not"
+
+
+def calibrated(agrees: object) -> Answer:
+    """Return the answer for a figure that constants were set by."""
+    return "calibrated" if agrees else "does not"
+
+
+def by_what_is_left(ours: float, theirs: float) -> Answer:
+    """Return the answer for a figure of which less is better.
+
+    Parameters
+    ----------
+    ours, theirs : float
+        What is left of an error or of a variance, in the same unit; ``theirs`` positive.
+    """
+    if ours > FACTOR * theirs:
+        return "does not"
+    return "follows" if FACTOR * ours >= theirs else "easier here"
+
+
+def worst(answers: Iterable[Answer]) -> Answer:
+    """Return the answer for a line of several judged figures: that of the worst of them."""
+    return min(answers, key=_WORST_FIRST.index)
+
+
+def left_open(lines: Iterable[Line], targets: Iterable[str] | None = None) -> list[Line]:
+    """Return lines with those not judged for which too little was computed.
+
+    Parameters
+    ----------
+    lines : iterable of Line
+        Comparisons.
+    targets : iterable of str, optional
+        Numbers of those lines; all without.
+    """
+    open_ = None if targets is None else set(targets)
+    return [
+        replace(line, answer="not judged") if open_ is None or line.target in open_ else line
+        for line in lines
+    ]

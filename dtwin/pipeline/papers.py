@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from dtwin.pipeline import dynamics_paper, lathe_paper, turning_paper, volumetric_paper
@@ -20,7 +20,7 @@ class Paper:
     source : str
         Who published it.
     compute : callable
-        Called with (quick, seed, progress); returns ``lines`` with what, paper, ours, follows.
+        Called with (quick, seed, progress); returns ``lines``, JSON-ready fields of ``Line``.
     """
 
     source: str
@@ -37,7 +37,8 @@ def _turning(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
 
 
 def _volumetric(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
-    return {"lines": volumetric_paper.volumetric_paper(seed, progress, quick=quick)}
+    lines = volumetric_paper.volumetric_paper(seed, progress, quick=quick)
+    return {"lines": [asdict(line) for line in lines]}
 
 
 def _dynamics(quick: bool, seed: int, progress: Progress) -> dict[str, Any]:

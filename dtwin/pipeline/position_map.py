@@ -17,6 +17,7 @@ from dtwin.acquire.virtual_mill import tutorial_mill
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest
 from dtwin.physics.circular import fit_circle
+from dtwin.pipeline.robot_equation import robot_equation
 from dtwin.schema import Direction, Floats, Run
 
 RADIUS_MM = 50.0
@@ -78,7 +79,8 @@ def position_map(
     dict
         ``influence``: total Sobol index of each input; ``at``: the equation at four points;
         ``sessions``: error before and after the map, R², and the same with centre and radius of
-        the mounting taken out. Unit of replication: the run.
+        the mounting taken out. Unit of replication: the run. ``robot``: what
+        :func:`~dtwin.pipeline.robot_equation.robot_equation` returns.
     """
     tell = progress or (lambda done, total, what: None)
     tell(0, 2, "influence of the inputs")
@@ -94,6 +96,7 @@ def position_map(
             for x, y in ((50.0, 0.0), (0.0, 50.0), (-50.0, 0.0), (0.0, -50.0))
         ],
         "sessions": sessions,
+        "robot": robot_equation(seed),
         "verdict": _verdict(influence, sessions),
     }
 

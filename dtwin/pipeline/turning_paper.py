@@ -1,11 +1,13 @@
-"""What the slow-tool-servo paper reports, computed again: each figure beside ours, and whether it follows."""
+"""What the slow-tool-servo paper reports, computed again: each figure beside ours, and the answer."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from sklearn.metrics import r2_score
 
 from dtwin.acquire.virtual_turning import (
     PUBLISHED,
@@ -16,14 +18,15 @@ from dtwin.acquire.virtual_turning import (
 )
 from dtwin.features.sine import ToneErrors, tone_errors
 from dtwin.machines.turning import Instruments, Slide
+from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
 from dtwin.pipeline.turning_fit import FittedTones, fitted_tones
 from dtwin.pipeline.turning_trial import trial
+from dtwin.schema import Floats
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.tone_candidates import narx_candidate
 from dtwin.train.tone_gates import features_used
 from dtwin.train.tone_groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
-from dtwin.train.tone_laws import MOST_FEATURES
 from dtwin.train.tone_training import what_was_seen
 from dtwin.units import UM_PER_MM
 
@@ -31,9 +34,15 @@ MACHINE = "virtual-turning"
 # Amplitude errors that the paper prints at 5 um: frequency in Hz, um.
 PRINTED_UM = {5.0: 0.12, 30.0: 2.29, 40.0: 4.35}
 _AMPLITUDE_UM = 5.0
-_CLOSE, _CLOSE_DEG = 0.05, 0.3
+# Tool lags that the paper prints at 5 um: frequency in Hz, degrees.
+PRINTED_DEG = {5.0: 0.42, 30.0: 4.13, 40.0: 8.41}
+# A mechanism agrees within this share, and half of the last digit printed.
+_CLOSE = 0.05
+# The three printed amplitude errors give exponents of 0.75 and 0.78.
+_EXPONENT, _EXPONENT_NEAR = 0.78, 0.03
+_R2, _PHASE_R2, _MEAN_UM = 0.989, 0.952, 0.0683
+_FORM_LEFT, _PHASE_LEFT = 0.31 / 2.42, 0.38 / 8.57
 Progress = Callable[[int, int, str], None]
-Line = dict[str, Any]
 
 
 def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
@@ -51,7 +60,7 @@ def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, An
     Returns
     -------
     dict
-        ``lines``, each with ``what``, ``paper``, ``ours`` and ``follows``; ``told``: what the groups show;
+        ``lines``: fields of :class:`~dtwin.pipeline.paper_line.Line`; ``told``: what the groups show;
         ``trial``: surfaces without and with.
     """
     steps = 5
@@ -67,13 +76,15 @@ def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, An
     printed = fitted_tones(MACHINE, groups, "printed-form", "inverse", seed)
     narx = narx_candidate(heard_groups(groups))
     lines += learning_lines(law, free, printed, narx)
+    lines.append(phase_line(groups))
     progress(3, steps, "equations")
     cut, _ = trial(law.bundle, seed=seed + 1)
     lines += surface_lines(cut)
     progress(4, steps, "surfaces")
     lines += action_lines(groups, seed)
     progress(5, steps, "the source's own correction")
-    return {"lines": lines, "told": what_was_seen(groups), "trial": cut, "groups": groups.n}
+    rows = [asdict(line) for line in lines]
+    return {"lines": rows, "told": what_was_seen(groups), "trial": cut, "groups": groups.n}
 
 
 def _groups(slide: Slide, quick: bool, seed: int) -> ToneGroups:
@@ -103,13 +114,14 @@ def calibration_lines(slide: Slide) -> list[Line]:
     ]  # fmt: skip
     lines = []
     for what, paper, ours, unit in rows:
-        off = abs(ours - paper)
-        close = off <= _CLOSE_DEG if unit == "deg" else off <= _CLOSE * paper
-        lines.append(_line(f"mechanism: {what}", f"{paper:g} {unit}", f"{ours:z.3f} {unit}", close))
+        # Every figure is printed to two decimals.
+        close = abs(ours - paper) <= _CLOSE * paper + 0.005
+        shown = f"{ours:z.3f} {unit}"
+        lines.append(Line(f"mechanism: {what}", f"{paper:g} {unit}", shown, calibrated(close)))
     vector = at[30.0].total_um
     lines.append(
-        _line("total error vector, 5 um at 30 Hz", "1.97 um, but its own figures make 2.33",
-              f"{vector:z.2f} um", None)
+        Line("total error vector, 5 um at 30 Hz", "1.97 um, but its own figures make 2.33",
+             f"{vector:z.2f} um", "not judged")
     )  # fmt: skip
     return lines
 
@@ -140,12 +152,13 @@ def exponent_lines(groups: ToneGroups, hardened: ToneGroups) -> list[Line]:
     slopes = np.diff(np.log(error)) / np.diff(np.log(felt))
     told = " and ".join(f"{s:z.2f}" for s in slopes)
     return [
-        _line("exponent beyond the encoder, linear slide", "1 by theory", f"{own:z.3f}",
-              abs(own - 1.0) <= 0.02),
-        _line("exponent of the amplitude error, linear slide", "0.78", f"{total:z.3f}",
-              0.7 <= total <= 0.9),
-        _line("the same, hardening joint", "0.78", f"{stiff:z.3f}", 0.7 <= stiff <= 0.9),
-        _line("the same, from the three printed amplitude errors", "0.78", told, None),
+        Line("exponent beyond the encoder, linear slide", "1 by theory", f"{own:z.3f}",
+             yes_or_no(abs(own - 1.0) <= 0.02)),
+        Line("exponent of the amplitude error, linear slide", "0.78", f"{total:z.3f}",
+             yes_or_no(abs(total - _EXPONENT) <= _EXPONENT_NEAR)),
+        Line("the same, hardening joint", "0.78", f"{stiff:z.3f}",
+             yes_or_no(abs(stiff - _EXPONENT) <= _EXPONENT_NEAR)),
+        Line("the same, from the three printed amplitude errors", "0.78", told, "not judged"),
     ]  # fmt: skip
 
 
@@ -173,28 +186,64 @@ def learning_lines(
         mean = ", ".join(f"{1000 * c.scores[g].mae_um:z.1f}" for g in HELD_OUT)
         used = [len(columns) for columns in features_used(made.bundle).values()]
         lines += [
-            _line(f"{name}: R2 of amplitude (frequency, amplitude out)", "0.989", r2,
-                  all(c.scores[g].r2 >= 0.98 for g in HELD_OUT)),
-            _line(f"{name}: R2 of phase", "0.952", phase,
-                  all(c.numbers[f"leave_{g}_out.phase_r2"] >= 0.95 for g in HELD_OUT)),
-            _line(f"{name}: mean amplitude error", "68.3 nm", f"{mean} nm",
-                  all(c.scores[g].mae_um <= 0.1 for g in HELD_OUT)),
-            _line(f"{name}: features", "3 and 2 of 12", f"{used[0]} and {used[1]}", max(used) <= MOST_FEATURES),
+            Line(f"{name}: R2 of amplitude (frequency, amplitude out)", f"{_R2}", r2,
+                 worst(by_what_is_left(1.0 - c.scores[g].r2, 1.0 - _R2) for g in HELD_OUT)),
+            Line(f"{name}: R2 of phase", f"{_PHASE_R2}", phase,
+                 worst(by_what_is_left(1.0 - c.numbers[f"leave_{g}_out.phase_r2"], 1.0 - _PHASE_R2)
+                       for g in HELD_OUT)),
+            Line(f"{name}: mean amplitude error", "68.3 nm", f"{mean} nm",
+                 worst(by_what_is_left(c.scores[g].mae_um, _MEAN_UM) for g in HELD_OUT)),
+            # The form, or the limit of the search, sets how many there can be.
+            Line(f"{name}: features", "3 and 2 of 12", f"{used[0]} and {used[1]}", "not judged"),
         ]  # fmt: skip
     dead = printed.candidate.numbers["dead_terms"]
     timing = bundle_latency(law.bundle)
     return [
         *lines,
-        _line("crest and shape factor matter", "both are in the equations",
-              f"no: {dead:g} of the features used are constants on clean sines", dead == 0.0),
-        _line("phase equation as printed", "R2 0.952", "bounded to 0.72-3.18 deg; 8.41 was measured", False),
-        _line("NARX, mean amplitude error", "similar, below 100 nm",
-              ", ".join(f"{1000 * narx.scores[g].mae_um:z.1f}" for g in HELD_OUT) + " nm",
-              all(narx.scores[g].mae_um <= 0.1 for g in HELD_OUT)),
-        _line("LSTM", "similar, slower", "not tried", None),
-        _line("evaluation", "below 0.15 s", f"tick {timing.p50_us:z.2f} us p50, {timing.p99_us:z.2f} p99",
-              timing.p99_us < 12.5),
+        Line("crest and shape factor matter", "both are in the equations",
+             f"{dead:g} of the features used are constants on clean sines", yes_or_no(dead == 0.0)),
+        Line("NARX, mean amplitude error", "similar, below 100 nm",
+             ", ".join(f"{1000 * narx.scores[g].mae_um:z.1f}" for g in HELD_OUT) + " nm",
+             worst(by_what_is_left(narx.scores[g].mae_um, _MEAN_UM) for g in HELD_OUT)),
+        Line("LSTM", "similar, slower", "not tried", "not judged"),
+        # Theirs holds window and features, ours one tick.
+        Line("evaluation", "below 0.15 s", f"tick {timing.p50_us:z.2f} us p50, {timing.p99_us:z.2f} p99",
+             "not judged"),
     ]  # fmt: skip
+
+
+def printed_phase_deg(frequency_hz: Floats, shape_factor: Floats) -> Floats:
+    """Return the phase error by the paper's equation 3, as printed, in degrees.
+
+    Parameters
+    ----------
+    frequency_hz, shape_factor : ndarray
+        Of the accelerometer.
+    """
+    return np.asarray(1.95 - 1.23 * np.tanh(-0.0441 * frequency_hz + 0.122 * shape_factor + 1.08))
+
+
+def phase_line(groups: ToneGroups) -> Line:
+    """Return what the phase equation does as printed, without fitting it anew.
+
+    Parameters
+    ----------
+    groups : ToneGroups
+        Of the linear slide, which has nearly the printed lags.
+    """
+    heard = heard_groups(groups)
+    said = printed_phase_deg(heard.feature("dominant_frequency"), heard.feature("shape_factor"))
+    r2 = r2_score(heard.phase_error_deg, said)
+    # Of a sine: the equation needs no slide to be held against the lags printed beside it.
+    sine = np.full(len(PRINTED_DEG), np.pi / np.sqrt(8.0))
+    at = printed_phase_deg(np.array(list(PRINTED_DEG)), sine)
+    low, high = printed_phase_deg(np.array([-1e3, 1e3]), np.zeros(2))
+    beside = ", ".join(f"{v:z.2f} for {p:g}" for v, p in zip(at, PRINTED_DEG.values(), strict=True))
+    return Line(
+        "phase equation as printed, on the linear slide", f"R2 {_PHASE_R2}",
+        f"R2 {r2:z.2f}; at the printed lags {beside} deg; never outside {low:z.2f} to {high:z.2f}",
+        by_what_is_left(1.0 - r2, 1.0 - _PHASE_R2),
+    )  # fmt: skip
 
 
 def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
@@ -208,15 +257,16 @@ def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
     row = next(r for r in cut["rows"] if r["frequency_hz"] == 40.0)
     before, after, less = row["before"], row["after"], row["reduction"]
     return [
-        _line("surface at 40 Hz: form error", "2.42 -> 0.31 um (-87 %)",
-              f"{before['form_um']:z.2f} -> {after['form_um']:z.3f} um (-{100 * less['form_um']:z.1f} %)",
-              less["form_um"] >= 0.85),
-        _line("surface at 40 Hz: phase error", "8.57 -> 0.38 deg (-95 %)",
-              f"{before['phase_deg']:z.2f} -> {after['phase_deg']:z.3f} deg "
-              f"(-{100 * less['phase_deg']:z.1f} %)", less["phase_deg"] >= 0.93),
-        _line("better at 5, 10, 20, 30, 40 Hz", "consistently",
-              "worse at " + ", ".join(f"{f:g} Hz" for f in cut["worse"]) if cut["worse"] else "at each",
-              not cut["worse"]),
+        Line("surface at 40 Hz: form error", "2.42 -> 0.31 um (-87 %)",
+             f"{before['form_um']:z.2f} -> {after['form_um']:z.3f} um (-{100 * less['form_um']:z.1f} %)",
+             by_what_is_left(1.0 - less["form_um"], _FORM_LEFT)),
+        Line("surface at 40 Hz: phase error", "8.57 -> 0.38 deg (-95 %)",
+             f"{before['phase_deg']:z.2f} -> {after['phase_deg']:z.3f} deg "
+             f"(-{100 * less['phase_deg']:z.1f} %)",
+             by_what_is_left(1.0 - less["phase_deg"], _PHASE_LEFT)),
+        Line("better at 5, 10, 20, 30, 40 Hz", "consistently",
+             "worse at " + ", ".join(f"{f:g} Hz" for f in cut["worse"]) if cut["worse"] else "at each",
+             yes_or_no(not cut["worse"])),
     ]  # fmt: skip
 
 
@@ -240,18 +290,12 @@ def action_lines(groups: ToneGroups, seed: int) -> list[Line]:
         radius = made.candidate.numbers["spectral_radius"]
         less = row["reduction"]
         lines.append(
-            _line(f"40 Hz, {what}", "-87 %, -95 %",
-                  f"form {-100 * less['form_um']:+z.0f} %, phase {-100 * less['phase_deg']:+z.0f} %; spectral "
-                  f"radius {radius:z.2f}; {'released by the alarm' if row['alarm'] else 'no alarm'}",
-                  less["form_um"] >= 0.85 and less["phase_deg"] >= 0.93)
+            Line(f"40 Hz, {what}", "-87 %, -95 %",
+                 f"form {-100 * less['form_um']:+z.0f} %, phase {-100 * less['phase_deg']:+z.0f} %; spectral "
+                 f"radius {radius:z.2f}; {'released by the alarm' if row['alarm'] else 'no alarm'}",
+                 "does not" if row["alarm"] else worst([
+                     by_what_is_left(1.0 - less["form_um"], _FORM_LEFT),
+                     by_what_is_left(1.0 - less["phase_deg"], _PHASE_LEFT),
+                 ]))
         )  # fmt: skip
     return lines
-
-
-def _line(what: str, paper: str, ours: str, follows: bool | None) -> Line:
-    return {
-        "what": what,
-        "paper": paper,
-        "ours": ours,
-        "follows": None if follows is None else bool(follows),
-    }

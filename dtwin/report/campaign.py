@@ -214,7 +214,7 @@ def _of_the_oracle(evidence: Mapping[str, Any]) -> list[str]:
         return []
     delays = ", ".join(f"{k} {1000 * v:z.0f} ms" for k, v in evidence["delays"].items())
     told = [
-        f"Modelled delays: {delays}. The oracle knows the repeatable error exactly and has the same "
+        f"Modelled delays: {delays}. The oracle is made with the truth known, under the same "
         "clamp, slew limit and delay."
     ]
     shares = {

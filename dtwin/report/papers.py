@@ -7,42 +7,59 @@ from typing import Any
 
 from dtwin.report.text import table
 
-_JUDGED = {True: "yes", False: "no", None: "-"}
+_HEADS = {
+    "follows": "follow", "does not": "do not", "easier here": "easier here",
+    "calibrated": "calibrated", "not judged": "not judged",
+}  # fmt: skip
+WHAT_IT_MEANS = (
+    "easier here: better than the source by more than the tolerance, so not the same. calibrated: "
+    "constants were set so that it comes out. not judged: not the same quantity, or too little computed."
+)
 
 
 def paper_table(lines: Sequence[Mapping[str, Any]], source: str = "the paper") -> str:
-    """Return what, theirs, ours and whether it follows, with target numbers where there are some.
+    """Return what, theirs, ours and the answer, with target numbers where there are some.
 
     Parameters
     ----------
     lines : sequence of dict
-        ``what``, ``paper``, ``ours``, ``follows``, perhaps ``target``.
+        Fields of :class:`dtwin.pipeline.paper_line.Line`.
     source : str
         Head of the column of theirs.
     """
-    numbered = any("target" in line for line in lines)
+    numbered = any(line["target"] for line in lines)
     rows = [
-        [line.get("target", "")] * numbered
-        + [line["what"], line["paper"], line["ours"], _JUDGED[line["follows"]]]
+        [line["target"]] * numbered + [line[key] for key in ("what", "paper", "ours", "answer")]
         for line in lines
     ]
-    return table(([""] * numbered) + ["figure", source, "ours", "follows"], rows)
+    head = ([""] * numbered) + ["figure", source, "ours", "answer"]
+    return "\n".join([table(head, rows), counted(lines)])
+
+
+def counted(lines: Sequence[Mapping[str, Any]]) -> str:
+    """Return how many figures have each answer, as one line."""
+    return ", ".join(f"{sum(line['answer'] == a for line in lines)} {a}" for a in _HEADS)
 
 
 def summary_text(found: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return for each source how many figures follow, and which do not.
+    """Return for each source how many figures have which answer, and what does not follow.
 
     Parameters
     ----------
     found : mapping
         ``source`` and ``lines`` by name; lines as for :func:`paper_table`.
     """
-    rows, absent = [], []
-    for name, paper in found.items():
-        judged = [_JUDGED[line["follows"]] for line in paper["lines"]]
-        rows.append([name, paper["source"], *(judged.count(value) for value in _JUDGED.values())])
-        for line, follows in zip(paper["lines"], judged, strict=True):
-            if follows == _JUDGED[False]:
-                absent.append(f"  {name}: {line['what']}: {line['paper']}; here {line['ours']}")
-    head = ("", "source", "figures follow", "do not", "not judged")
-    return "\n".join([table(head, rows), "", "what does not follow:", *absent])
+    rows = [
+        [name, paper["source"], *(sum(x["answer"] == a for x in paper["lines"]) for a in _HEADS)]
+        for name, paper in found.items()
+    ]
+    parts = [table(("", "source", *_HEADS.values()), rows), WHAT_IT_MEANS]
+    for answer, title in (("does not", "what does not follow:"), ("easier here", "easier here:")):
+        parts += ["", title]
+        parts += [
+            f"  {name}: {line['what']}: {line['paper']}; here {line['ours']}"
+            for name, paper in found.items()
+            for line in paper["lines"]
+            if line["answer"] == answer
+        ]
+    return "\n".join(parts)

@@ -49,7 +49,8 @@ def _sphere(sphere: Mapping[str, Any]) -> str:
             "reduction", "of oracle", "MAE before, um", "MAE after, um")  # fmt: skip
     return "\n".join(
         [
-            "1 of 3  three circles at three heights, R 150 mm, clockwise, a stop every quarter",
+            "1 of 3  three circles at three heights, R 150 mm, clockwise, a stop every quarter, by a table "
+            "of this one path",
             f"({sphere['clock']}; correction and oracle with {1e3 * sphere['delay_s']:z.0f} ms of "
             f"delay and lag, clamp {sphere['clamp_um']:z.0f} um, slew {sphere['slew_um_s']:z.0f} "
             "um/s; a mounting that the fit has not seen; RMS with one centre and one length for "
@@ -80,7 +81,8 @@ def _placements(found: Mapping[str, Any]) -> str:
                   "SD after, um")  # fmt: skip
     return "\n".join(
         [
-            "2 of 3  placements by MoveL and MoveJ; the target is rewritten before its move starts",
+            "2 of 3  placements by MoveL and MoveJ, by a constant for each, learned and tried at this one "
+            "place; the target is rewritten before its move starts",
             "(mean distance from where the block should lie, by a datum that was set before; the "
             "placement as unit, 95 % intervals; order drawn anew for every repeat; feeds "
             f"{', '.join(f'{f:g}' for f in found['trained_mm_min'])} mm/min were trained; clamp "

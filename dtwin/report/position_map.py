@@ -49,5 +49,31 @@ def position_map_text(found: Mapping[str, Any]) -> str:
                 sessions,
             ),
             f"verdict: {found['verdict']}",
+            "",
+            *_robot_lines(found["robot"]),
         ]
     )
+
+
+def _robot_lines(found: Mapping[str, Any]) -> list[str]:
+    quiet, ordinary, critical = zip(*found["at"].values(), strict=True)
+    said, measured = (
+        f"{v[0]:z.0f} to {v[2]:z.0f}, median {v[1]:z.0f} um"
+        for v in (found["said_um"], found["measured_um"])
+    )
+    return [
+        "equation 6-1, which corrected the robot, in its three forms: radial error in mm of a quiet "
+        "window, an ordinary one, and one at its critical RMS",
+        table(
+            ("form", "quiet", "ordinary", "critical"),
+            [
+                (form, *(f"{v:z.4g}" for v in values))
+                for form, *values in zip(found["at"], quiet, ordinary, critical, strict=True)
+            ],
+        ),
+        f"the program's form on {found['windows']} windows of {found['runs']} circles of the virtual "
+        f"cobot (unit: the window of 0.5 s): 21.8 times the mean square along Y alone gives it with R² "
+        f"{found['decided_r2']:z.4f}; it says {said}, the ball bar {measured}; R² against the bar "
+        f"{found['held_against_bar_r2']:z.3g}",
+        "equation 6-3 (error along Y) is not evaluated: what its F4 is, is not printed",
+    ]

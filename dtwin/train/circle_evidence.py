@@ -14,8 +14,9 @@ from dtwin.acquire.virtual import EPOCH, run_of
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.schema import Floats, Plane, Run
 from dtwin.serve.bundle import Bundle
-from dtwin.train.circles import TICK_S, run_circle
+from dtwin.train.circles import run_circle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.oracle import TICK_S
 from dtwin.train.results import condition_name
 
 Progress = Callable[[int, int, str], None]
@@ -84,7 +85,7 @@ def measured_circles(
 
     Runs in lock-step on the machine clock: the controller advances a tick when that tick's
     correction has arrived. The three ways alternate inside every set-up, which is not one of
-    those that were trained in. The oracle knows the machine's repeatable error exactly and is
+    those that were trained in. The oracle is the best correction found with the truth known,
     subject to the same guard, delay and lag as the bundle.
 
     Parameters

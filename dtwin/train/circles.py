@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.links import state as layout
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
-from dtwin.schema import Floats
+from dtwin.schema import Direction, Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
+from dtwin.serve.interface import SafetyLimits
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.serve.safety import Guard
+from dtwin.train.oracle import best_offsets, follow
 
+DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 Way = Literal["uncompensated", "compensated", "oracle"]
-TICK_S = 0.002
 
 
 def run_circle(
@@ -38,7 +40,7 @@ def run_circle(
     condition, setup, repeat
         What is run, in which mounting of the bar, which repeat.
     way : {"uncompensated", "compensated", "oracle"}
-        Nothing, the bundle, or the machine's repeatable error known exactly.
+        Nothing, the bundle, or the best that is found with the truth known (:mod:`dtwin.train.oracle`).
     """
     if way == "uncompensated":
         return cobot.measure(condition, setup=setup, repeat=repeat), {}
@@ -46,17 +48,23 @@ def run_circle(
     if way == "compensated":
         status = serve_lockstep(Decision(CompiledBundle(bundle), tcp_mm), controller)
         return controller.recording(), status.reasons
-    _, _, vector_um = cobot.repeatable_error_um(condition)
-    motion = cobot.parameters.controller
-    ahead = round((motion.actuator_delay_s + motion.actuator_lag_s) / TICK_S)
-    guard = Guard(bundle.safety, np.empty(0), np.empty(0))
-    tick = 0
-    while not controller.done:
-        place = min(tick + ahead, len(vector_um) - 1)
-        safe = guard.step(-vector_um[place], np.empty(0), age_s=0.0, elapsed_s=TICK_S, enabled=True)
-        controller.step(layout.correction_registers(tick + 1, safe))
-        tick += 1
-    return controller.recording(), guard.counted()
+    offsets = _best_of_both(cobot, replace(condition, direction="CCW"), bundle.safety)
+    found = offsets[0 if condition.direction == "CCW" else 1]
+    controller, acted = follow(controller, found, bundle.safety)
+    return controller.recording(), acted
+
+
+@lru_cache(maxsize=8)
+def _best_of_both(
+    cobot: VirtualCobot, condition: CircleCondition, safety: SafetyLimits
+) -> list[Floats]:
+    """Return the oracle's offsets of both directions; the same for every mounting and repeat."""
+    begun = [
+        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1)
+        for way in DIRECTIONS
+    ]
+    centre = cobot.centre_mm(condition.radius_mm)
+    return best_offsets(begun, centre, cobot.parameters.controller, safety)
 
 
 def evaluate_circle(recording: CobotRecording, direction: str) -> dict[str, Any]:

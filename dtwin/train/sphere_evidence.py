@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.links import state as layout
-from dtwin.machines import mechanism as m_
 from dtwin.machines.cobot import VirtualCobot
+from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import MotionPlan
 from dtwin.machines.recording import RunTicks
 from dtwin.machines.sphere_path import (
+    RADIUS_MM,
     SphereRun,
     sphere_controller,
     sphere_plan,
@@ -25,11 +25,9 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.serve.safety import Guard
 from dtwin.statistics import t_quantile
-from dtwin.train.circles import TICK_S
+from dtwin.train.oracle import best_offsets, follow
 from dtwin.train.sphere_model import mounting_terms
-from dtwin.units import UM_PER_MM
 
 WAYS = ("uncompensated", "compensated", "oracle")
 Progress = Callable[[int, int, str], None]
@@ -110,7 +108,7 @@ def sphere_evidence(
         plain = cobot.run(plan)
         served, acted = _served(bundle, cobot, plan, feed, tcp_mm)
         ticks = {"uncompensated": plain, "compensated": served,
-                 "oracle": _oracle(bundle, cobot, plan, feed, plain)}  # fmt: skip
+                 "oracle": _oracle(bundle, cobot, plan, feed)}  # fmt: skip
         rms: dict[str, list[float]] = {}
         raw: dict[str, list[float]] = {}
         for number, way in enumerate(WAYS):
@@ -170,20 +168,12 @@ def _served(
     return controller.ticks(), status.reasons
 
 
-def _oracle(
-    bundle: Bundle, cobot: VirtualCobot, plan: MotionPlan, feed: float, plain: RunTicks
-) -> RunTicks:
-    """Return the run of a correction that knows the repeatable error, under the same guard."""
-    controller = sphere_controller(cobot, plan, feed)
-    motion = cobot.parameters.controller
-    ahead = round((motion.actuator_delay_s + motion.actuator_lag_s) / TICK_S)
-    truths = plain.truths
-    vector_um = UM_PER_MM * (truths[:, m_.TCP : m_.TCP + 3] - truths[:, :3])
-    guard, nothing = Guard(bundle.safety, np.empty(0), np.empty(0)), np.empty(0)
-    tick = 0
-    while not controller.done:
-        wanted = -vector_um[min(tick + ahead, len(vector_um) - 1)]
-        safe = guard.step(wanted, nothing, age_s=0.0, elapsed_s=TICK_S, enabled=True)
-        controller.step(layout.correction_registers(tick + 1, safe))
-        tick += 1
-    return controller.ticks()
+def _oracle(bundle: Bundle, cobot: VirtualCobot, plan: MotionPlan, feed: float) -> RunTicks:
+    """Return the run of the best correction that is found with the truth known, under the same guard."""
+
+    def begun() -> CobotController:
+        return sphere_controller(cobot, plan, feed)
+
+    centre = cobot.centre_mm(RADIUS_MM)
+    (offsets,) = best_offsets([begun], centre, cobot.parameters.controller, bundle.safety)
+    return follow(begun(), offsets, bundle.safety)[0].ticks()

@@ -25,7 +25,6 @@ from dtwin.report.twins import (
     diagnosis_section,
     found_table,
     history_section,
-    found_table,
     parameter_table,
     twin_section,
 )

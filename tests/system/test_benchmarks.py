@@ -31,7 +31,7 @@ def test_none_is_left_out() -> None:
     assert there == {
         "bench_analogue.py", "bench_decision.py", "bench_equation.py", "bench_features.py",
         "bench_fit.py", "bench_flips.py", "bench_help.py", "bench_ingest.py", "bench_loop.py",
-        "bench_tone_tick.py", "bench_workbench.py", "mechanism_bias.py",
+        "bench_tone_tick.py", "bench_workbench.py", "cobot_family.py", "mechanism_bias.py",
     }  # fmt: skip
     # test_freezes and test_exam_short run these.
     assert {p.parent.name for p in FOLDER.glob("*/run.py")} == {"freezes", "hidden_effect"}
@@ -95,3 +95,12 @@ def test_analogue() -> None:
 def test_mechanism_bias() -> None:
     (rows,) = short("mechanism_bias.py").values()
     assert all({"parameter", "set", "found", "bias"} <= set(row) for row in rows)
+
+
+@pytest.mark.long
+def test_cobot_family() -> None:
+    (shipped,) = short("cobot_family.py")
+    assert shipped["passed"]
+    for condition in shipped["conditions"]:
+        before, after, best = (condition[k] for k in ("uncompensated", "compensated", "oracle"))
+        assert best < after < 0.5 * before

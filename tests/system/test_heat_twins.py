@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_volumetric import simulate_volumetric
+from dtwin.acquire.virtual_volumetric import TRUTHS, simulate_volumetric
 from dtwin.ball_plan import read_ball_plan
 from dtwin.cli import app
 from dtwin.config import home
@@ -29,7 +30,8 @@ EVERYTHING = (
     "carriage_turning"
 )
 NO_THERMOCOUPLE = ("foundation", "coolant_tank")
-# The same mill with a thermocouple on everything that deforms it.
+# The same mill with a thermocouple in everything that deforms it: cores through pockets. With
+# sensors on the surface a twin without memory does not come down to the floor.
 SEEN = {
     name: {body: k for body, k in of.items() if body not in NO_THERMOCOUPLE}
     for name, of in SENSITIVITY.items()
@@ -38,13 +40,12 @@ SEEN = {
 Said = Callable[..., dict[str, Any]]
 
 
-def measured(folder: Path, name: str, hidden: Mapping[str, Mapping[str, float]]) -> None:
+def measured(folder: Path, name: str, parameters: VolumetricParameters) -> None:
     """Measure 26 cycles and bring them into the lake."""
     plan = folder / f"{name}.toml"
     plan.write_text(
         f'[plan]\nkind = "volumetric"\nname = "{name}"\nmachine = "{name}-mill"\nhours = 234\nevery_h = 9\n'
     )
-    parameters = VolumetricParameters(hidden=hidden)
     simulate_volumetric(
         folder / name, lambda *_: None, parameters=parameters, plan=read_ball_plan(plan)
     )
@@ -57,8 +58,9 @@ def lake(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("heat")
     with pytest.MonkeyPatch.context() as patched:
         patched.setenv("DTWIN_HOME", str(folder / "home"))
-        measured(folder, "plain", {})
-        measured(folder, "hidden", {**SEEN, "ECX1": {"column_side": 2.0}})
+        measured(folder, "plain", VolumetricParameters())
+        hidden = {**SEEN, "ECX1": {"column_side": 2.0}}
+        measured(folder, "hidden", replace(TRUTHS["pockets"], hidden=hidden))
     return folder / "home"
 
 
@@ -77,6 +79,10 @@ def said(lake: Path, monkeypatch: pytest.MonkeyPatch) -> Said:
 
 def in_group(found: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return {c["effect"]: c for c in found["candidates"] if c["in_group"]}
+
+
+def left_of(compared: Mapping[str, Any], motion: str) -> float:
+    return float(next(m["rms_after_um"] for m in compared["motions"] if m["effect"] == motion))
 
 
 def test_a_hidden_motion_is_named_and_the_error_falls_to_the_floor(said: Said) -> None:
@@ -134,9 +140,9 @@ def test_what_no_thermocouple_tells_is_unknown_and_the_logged_cause_is_named(sai
     assert (exz1["explained_by"], exz1["add"]) == ("coolant_tank_c", "EXZ1@coolant_tank_c")
     assert found["channels"] == ["coolant_tank_c"]
     assert "coolant_tank_c" in found["headline"]
-    before = found["residual_rms_um"]
-    added = said("add", "p", exz1["add"])
-    assert added["figures"]["rms_after_um"] < 0.85 * before
+    before = left_of(said("compare", "p"), "EXZ1")
+    said("add", "p", exz1["add"])
+    assert left_of(said("compare", "p"), "EXZ1") < 0.2 * before
     last = said("diagnose", "p")
     assert "EXZ1" not in in_group(last)
     # The foundation has no thermocouple and is not logged: the twin must not claim to be whole.

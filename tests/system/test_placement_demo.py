@@ -31,9 +31,11 @@ def test_the_demo_reaches_the_oracle_and_its_campaign_is_ingested(tmp_path: Path
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
     found = json.loads(done.stdout)
-    assert found["shortfalls"] == []
+    # A table by place and time comes less near to the best correction at the highest feed, and it says so.
     (feed,) = found["sphere"]["feeds"]
-    assert feed["share_of_oracle"] >= 0.8
+    assert 0.6 < feed["share_of_oracle"] < found["wanted_share"]
+    (short,) = found["shortfalls"]
+    assert short.startswith("three circles at 6000 mm/min: ")
     assert len(found["placements"]["conditions"]) == 6
     for condition in found["placements"]["conditions"]:
         assert condition["change_um"] + condition["change_half_width_um"] < 0.0

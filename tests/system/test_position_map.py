@@ -27,3 +27,11 @@ def test_what_it_learned_is_the_mounting(seed: int) -> None:
     assert anew["mounting_out_after_um"] < 0.6 * anew["mounting_out_before_um"]
     assert found["verdict"].startswith("a position map of one session")
     assert "bar mounted anew" in position_map_text(found)
+    robot = found["robot"]
+    # Worked out by hand: only the program's form and the rewritten one can be a robot's error.
+    printed, rewritten, ran = (row for row in robot["at"].values())
+    assert printed[1] == pytest.approx(-356.2, abs=0.1)
+    assert (rewritten[1], ran[1]) == pytest.approx((0.0336, 0.0360), abs=1e-4)
+    assert robot["decided_r2"] > 0.95
+    assert robot["held_against_bar_r2"] < 0.1
+    assert "which corrected the robot" in position_map_text(found)

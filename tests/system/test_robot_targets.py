@@ -82,7 +82,7 @@ def learned(cobot: VirtualCobot) -> Bundle:
     return bundle(
         outputs=[Output("radial_um", "path_radial"), Output("tangential_um", "path_tangential")],
         tick_graph=g.graph(outputs),
-        safety=SafetyLimits(clamp_um=400.0),
+        safety=SafetyLimits(clamp_um=800.0),
     )
 
 

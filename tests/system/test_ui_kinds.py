@@ -11,7 +11,7 @@ from workbench_server import Workbench, running_workbench
 
 from dtwin.acquire.virtual_lathe import simulate_lathe
 from dtwin.acquire.virtual_turning import Grid, simulate_turning
-from dtwin.acquire.virtual_volumetric import simulate_volumetric
+from dtwin.acquire.virtual_volumetric import TRUTHS, simulate_volumetric
 from dtwin.ball_plan import BallPlan
 from dtwin.config import Home
 from dtwin.linear_plan import linear_plan
@@ -38,7 +38,9 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
     twins.fit(str(folder / "tones"), ["structural_mode"], "slide")
     twins.diagnose("slide")
     plan = BallPlan("balls", "mill", 234.0, every_h=12.0)
-    simulate_volumetric(folder / "balls", lambda *_: None, plan=plan)
+    # Twins have no memory: with every second thermocouple in a core they can tell more.
+    seen = TRUTHS["pockets"]
+    simulate_volumetric(folder / "balls", lambda *_: None, plan=plan, parameters=seen)
     heat = HeatTwins(Home(folder / "home"))
     heat.fit(str(folder / "balls"), ["rigid_shift"], "heat")
     heat.diagnose("heat")

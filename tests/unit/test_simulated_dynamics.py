@@ -65,9 +65,9 @@ def test_the_table_is_made_of_figures_that_can_be_judged() -> None:
     found = table()
     lines = {line["target"]: line for line in found["lines"]}
     assert set(lines) == {"", "A4", "A5", "A6", "A7", "A8", "A10"}
-    assert lines["A4"]["follows"] is True
-    assert lines["A5"]["follows"] is False
-    assert lines["A6"]["follows"] is False
+    assert lines["A4"]["answer"] == "calibrated"
+    assert lines["A5"]["answer"] == "does not"
+    assert lines["A6"]["answer"] == "does not"
     slow, fast = found["sweep"]
     assert fast["dc3_um"] > slow["dc3_um"]
     assert fast["dc3_um"] == pytest.approx(fast["true_dc3_um"], rel=0.3)

@@ -12,17 +12,20 @@ from dtwin.errors import InputError
 from dtwin.kinematics import UR10E
 from dtwin.machines.ballbar import drift_kernel, read_ballbar
 from dtwin.machines.joints import (
+    COMPLIANCE,
     gravity_torque_kernel,
+    joint_table,
     play_kernel,
     transmission_kernel,
     transmission_table,
+    wind_up_kernel,
 )
 from dtwin.machines.parameters import load_parameters
 from dtwin.machines.sensors import accelerometer_group, couple_kernel, resample_kernel
 from dtwin.machines.structure import SHAPE, mode_table, modes_kernel
 
 PARAMETERS = load_parameters()
-TICK_S = 0.002
+TICK_S, REACH_MM = 0.002, 550.0
 
 
 def test_play_has_a_width_and_a_memory() -> None:
@@ -35,18 +38,61 @@ def test_play_has_a_width_and_a_memory() -> None:
 
 def test_flanks_have_their_own_ripple_but_share_eccentricity() -> None:
     table = transmission_table(PARAMETERS.joints, np.random.default_rng(3))
-    orders = np.array(PARAMETERS.joints.orders_per_turn)
-    low = orders < PARAMETERS.joints.flank_orders_from
+    # Even, so that its lines stand apart: at integer orders, and not modulated.
+    joints = replace(PARAMETERS.joints, flexspline_1=0.0)
+    orders = np.array([1.0, 2.0, 3.0, 100.0, 200.0, 400.0])
+    low = orders < joints.flank_orders_from
     angle = np.linspace(0, 0.2, 400)
 
     def ripple(flank: float, kept: np.ndarray) -> np.ndarray:
         rows = table[0] * np.where(kept, 1.0, 0.0)[:, None]
-        return np.array([transmission_kernel(a, flank, orders, rows) for a in angle])
+        joint = joint_table(joints)[0]
+        return np.array([transmission_kernel(a, flank, 0.0, orders, rows, joint) for a in angle])
 
     np.testing.assert_allclose(ripple(-1, low), ripple(1, low))
     assert abs(np.corrcoef(ripple(-1, ~low), ripple(1, ~low))[0, 1]) < 0.98
     lines = np.abs(np.fft.rfft(ripple(1, orders == 200) * np.hanning(400)))
     assert np.argmax(lines[1:]) + 1 == pytest.approx(200 * 0.2 / (2 * np.pi), abs=1)
+
+
+def test_gear_ripple_swells_with_load_and_once_a_turn() -> None:
+    joints = PARAMETERS.joints
+    row = joint_table(joints)[0]
+    orders = np.array([200.0])
+    waves = np.array([[1.0, 0.0, 0.0]])
+    peak = np.pi / 400.0
+
+    def height(turned: float, load_nm: float) -> float:
+        angle = turned + np.linspace(0.0, 4.0 * peak, 200)
+        return max(abs(transmission_kernel(a, 1.0, load_nm, orders, waves, row)) for a in angle)
+
+    assert height(np.pi, 0.0) / height(0.0, 0.0) == pytest.approx(
+        (1.0 - joints.flexspline_1) / (1.0 + joints.flexspline_1), rel=0.02
+    )
+    assert height(0.0, 1e4) / height(0.0, 0.0) == pytest.approx(1.0 + joints.load_1, rel=0.01)
+
+
+def test_wind_up_is_soft_about_zero() -> None:
+    joints = PARAMETERS.joints
+    row = joint_table(joints)[1]
+    slope = wind_up_kernel(0.1, row) / 0.1
+    assert slope == pytest.approx(row[COMPLIANCE] * (1.0 + joints.soft_1), rel=1e-3)
+    far = (wind_up_kernel(1001.0, row) - wind_up_kernel(1000.0, row)) / 1.0
+    assert far == pytest.approx(row[COMPLIANCE], rel=1e-6)
+
+
+def test_a_long_arm_swings_slowly() -> None:
+    modes, counts = mode_table(PARAMETERS.structure)[:1], []
+    for reach in (REACH_MM, 4.0 * REACH_MM):
+        state, seen = np.array([1.0, 0.0]), []
+        for _ in range(1000):
+            tcp = np.zeros(3)
+            modes_kernel(
+                modes, TICK_S, 0.0, reach, np.zeros(3), np.zeros(3), state, tcp, np.zeros(3)
+            )  # fmt: skip
+            seen.append(tcp[0])
+        counts.append(np.count_nonzero(np.diff(np.sign(seen))))
+    assert counts[0] / counts[1] == pytest.approx(4.0**PARAMETERS.structure.posture_1, rel=0.06)
 
 
 def test_stretched_arm_has_the_textbook_torque() -> None:
@@ -58,12 +104,12 @@ def test_stretched_arm_has_the_textbook_torque() -> None:
 
 
 def test_mode_rings_at_its_damped_frequency_and_settles_at_the_static_bend() -> None:
-    modes = mode_table(PARAMETERS.structure, TICK_S)[:1]
+    modes = mode_table(PARAMETERS.structure)[:1]
     state, history = np.zeros(2), []
     shape = modes[0, SHAPE : SHAPE + 3]
     for _ in range(5000):
         tcp, flange = np.zeros(3), np.zeros(3)
-        modes_kernel(modes, 0.0, shape * 100.0, np.zeros(3), state, tcp, flange)
+        modes_kernel(modes, TICK_S, 0.0, REACH_MM, shape * 100.0, np.zeros(3), state, tcp, flange)
         history.append(tcp @ shape)
     bend = np.array(history)
     omega = 2 * np.pi * PARAMETERS.structure.frequency_hz[0]
@@ -79,11 +125,13 @@ def test_mode_rings_at_its_damped_frequency_and_settles_at_the_static_bend() -> 
 
 
 def test_mode_shape_turns_with_joint_1() -> None:
-    modes = mode_table(PARAMETERS.structure, TICK_S)[:1]
+    modes = mode_table(PARAMETERS.structure)[:1]
     moved = []
     for angle, push in ((0.0, [1.0, 0.0, 0.0]), (np.pi / 2, [0.0, 1.0, 0.0])):
         tcp = np.zeros(3)
-        modes_kernel(modes, angle, np.array(push), np.zeros(3), np.zeros(2), tcp, np.zeros(3))
+        modes_kernel(
+            modes, TICK_S, angle, REACH_MM, np.array(push), np.zeros(3), np.zeros(2), tcp, np.zeros(3)
+        )  # fmt: skip
         moved.append(tcp)
     np.testing.assert_allclose(moved[1], [-moved[0][1], moved[0][0], moved[0][2]], atol=1e-18)
 
