@@ -10,7 +10,7 @@ import numpy as np
 from causes import BASE, LIBRARY, Cause, foreign, thermal_drift, thermal_growth
 from designs import DESIGNS
 from robot import GEOMETRY, JOINTS, joint_cause
-from rows import ROWS, Row
+from rows import NOISE_UM, ROWS, Row
 from sizing import Bench, Sized, acting, sum_of
 
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
@@ -20,7 +20,6 @@ from dtwin.schema import Campaign, Floats, Run
 
 __all__ = ["NOISE_UM", "ROWS", "Case", "Row", "make_case"]
 
-NOISE_UM = 0.5
 # Effects that set the same parameters of an axis cannot be hidden together.
 _ONE_MECHANISM = (
     {"reversal_ringing", "structural_resonance", "inertial_compliance"},
@@ -56,7 +55,8 @@ def make_case(row: Row, number: int) -> Case:
     mill = MillParameters(heat=heat)
     for cause, size in base:
         mill = cause.change(mill, size)
-    sized = _sized(row, hidden, base, mill, Bench(_enough(tests, hidden), seed), rng)
+    bench = Bench(_enough(tests, hidden), seed)
+    sized = (_ordinary if row.right == "every" else _sized)(row, hidden, base, mill, bench, rng)
     extra: list[Disturbance] = []
     for cause, size in sized:
         mill = cause.change(mill, size)
@@ -66,7 +66,7 @@ def make_case(row: Row, number: int) -> Case:
     if row.hidden == ("coolant",):
         extra.append(_coolant(channels["coolant_v"], NOISE_UM * row.k, rng.uniform(0, 6.28)))
     made = VirtualMill(
-        mill, seed, NoiseParameters(NOISE_UM, row.noise), disturbance=sum_of(extra),
+        mill, seed, NoiseParameters(row.noise_um, row.noise), disturbance=sum_of(extra),
         samples_per_turn=row.samples_per_turn,
     )  # fmt: skip
     truths: dict[str, float] = {}
@@ -112,6 +112,41 @@ def _sized(
     return [(c, bench.size_of(c, mill, hides, wanted_um) * _sign(c, rng)) for c in hidden]
 
 
+def _ordinary(
+    row: Row,
+    hidden: Sequence[Cause],
+    base: Sequence[Sized],
+    mill: MillParameters,
+    bench: Bench,
+    rng: np.random.Generator,
+) -> list[Sized]:
+    """Return each effect in a size that alone shows as 0.5 to 2 um RMS, whatever the noise."""
+    hides = bench.hiding((), mill)
+    return [
+        (c, bench.size_of(c, mill, hides, rng.uniform(0.5, 2.0)) * _sign(c, rng)) for c in hidden
+    ]
+
+
+def _many(row: Row, number: int, rng: np.random.Generator) -> tuple[Cause, ...]:
+    """Return so many faults at once, at most one of each mechanism on an axis."""
+    out: list[Cause] = []
+    while len(out) < row.how_many:
+        name = str(rng.choice(row.hidden))
+        cause = LIBRARY[name]("XY"[rng.integers(2)], rng)
+        if not any(_clash(cause.label, other.label) for other in out):
+            out.append(cause)
+    if row.unknown:
+        out.append(foreign(row.unknown[number % len(row.unknown)], rng))
+    return tuple(out)
+
+
+def _clash(first: str, second: str) -> bool:
+    """Tell whether two effects set the same parameters of an axis."""
+    (a, _, axis), (b, _, other) = first.partition(" "), second.partition(" ")
+    same_axis = axis == other or not axis or not other
+    return first == second or (same_axis and any({a, b} <= m for m in _ONE_MECHANISM))
+
+
 def _spoilt(row: Row, number: int, mill: MillParameters) -> MillParameters:
     """Return the machine with what has no size k."""
     if row.right == "spread":
@@ -133,6 +168,8 @@ def _campaign(made: VirtualMill, name: str, hidden: Sequence[Cause]) -> Campaign
 def _hidden(row: Row, number: int, rng: np.random.Generator) -> tuple[Cause, ...]:
     if not row.hidden or row.hidden[0] in ("coolant", "bar", "stick_slip"):
         return ()
+    if row.right == "every":
+        return _many(row, number, rng)
     if row.hidden[0] in LIBRARY:
         names = [row.hidden[number % len(row.hidden)]]
         for name in rng.permutation([n for n in row.hidden if n != "angular_error"]):

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from cases import Case
+from causes import Cause
 
 from dtwin.physics import localise
 from dtwin.physics.diagnose import diagnose
@@ -23,6 +25,9 @@ ALARMS = (*NAMING, "unknown_effect")
 LIBRARY = Library()
 # As many as `dtwin twin discover` adds at most.
 RUNGS = 24
+MOST_IN_GROUP = 3
+# Leaving a feed out costs a second search.
+HELD_OUT_EVERY = 4
 
 
 def answer(case: Case) -> dict[str, Any]:
@@ -46,6 +51,8 @@ def answer(case: Case) -> dict[str, Any]:
     }
     if case.row.right == "all":
         out["rungs"] = _discovered(obs, known, found, case)
+    if case.row.right == "every":
+        out |= _every(case, obs, found)
     out["right"] = _is_right(case, found, out)
     out["wrong_name"] = _is_wrong_name(case, found)
     if case.row.held_out and found.group:
@@ -73,6 +80,7 @@ def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
         "channel": found.verdict == "unknown_effect" and "coolant_v" in out["channels"],
         "group": {"squareness", "servo_mismatch"} <= effects and found.verdict == "ambiguous",
         "confounded": found.verdict == "ambiguous" and {"thermal_growth", "thermal_drift"} <= effects,
+        "every": out.get("named") == len(case.hidden) - len(case.row.unknown[:1]),
         "need_repeats": found.verdict == "need_repeats",
         "spread": found.verdict == "variance_effect" or found.spread is not None,
     }  # fmt: skip
@@ -86,6 +94,48 @@ def _is_wrong_name(case: Case, found: Diagnosis) -> bool:
         return False
     group = {s.label for s in found.group}
     return not group & {cause.label for cause in case.hidden}
+
+
+def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
+    """Return what was named of many, how many names are false, and how well sizes and a held-out feed fit."""
+    truths = {cause.label for cause in case.hidden}
+    unknown = set(case.row.unknown)
+    groups = [[s.label for s in group] for group in found.found]
+    named = sum(
+        any(t in group and len(group) <= MOST_IN_GROUP for group in groups)
+        for t in truths - unknown
+    )
+    out: dict[str, Any] = {
+        "groups": groups,
+        "named": named,
+        "of": len(truths - unknown),
+        "false": sum(not truths & set(group) for group in groups),
+        "unresolved": found.unresolved is not None,
+    }
+    right = tuple(c for c in case.hidden if any(c.label == group[0] for group in groups))
+    terms = _terms(obs, found)
+    out["covered"] = _coverage(replace(case, hidden=right), obs, _but(terms, right))
+    if case.number % HELD_OUT_EVERY == 0:
+        out["held_out_um"] = _untold_held_out(obs, case)
+    return out
+
+
+def _terms(obs: Observations, found: Diagnosis) -> list[Term]:
+    return _with_added(obs, [], found) if found.found else []
+
+
+def _but(terms: Sequence[Term], right: Sequence[Cause]) -> list[Term]:
+    return [t for t in terms if t.label not in {cause.label for cause in right}]
+
+
+def _untold_held_out(obs: Observations, case: Case) -> float:
+    """Return the systematic RMS on the middle feed, found and fitted without it."""
+    feeds = np.array([m.feed_mm_min for m in obs.runs], dtype=float)
+    middle = np.isclose(feeds, np.median(feeds))
+    train, held = obs.take(np.flatnonzero(~middle)), obs.take(np.flatnonzero(middle))
+    terms = _terms(train, diagnose(train, [], LIBRARY, seed=case.number))
+    twin = twin_of(fit(train, terms), train, name="t", version=1, action="exam", data={})
+    return float(localise.systematic_rms_um(held, frozen_residual_um(twin, held)))
 
 
 def _discovered(

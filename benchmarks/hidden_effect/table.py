@@ -31,9 +31,41 @@ def table_text(records: Sequence[Record]) -> str:
     for record in records:
         by_row[record["row"]].append(record)
     parts = ["## Figures that must be reached", _figures(by_row), "", "## Every row", _rows(by_row)]
+    parts += ["", "## Nothing told", _untold(by_row)]
     parts += ["", "## By hidden effect (full design)", _by_effect(by_row)]
     parts += ["", "## Controls, on the same cases", _controls(by_row)]
     return "\n".join(parts) + "\n"
+
+
+UNTOLD = {3: 0.98, 5: 0.98, 8: 0.97, 12: 0.92}
+MOST_FALSE = 0.10
+
+
+def _untold(by_row: Mapping[str, list[Record]]) -> str:
+    """Return what was found of many faults at once; the unit of replication is the machine."""
+    lines = ["| row | faults named, in groups of at most three | must reach | false names per machine | must stay "
+             "| unresolved said | sizes covered (k = 2) | held-out systematic RMS / floor | s | machines |",
+             "|---|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    for name, row in ROWS.items():
+        records = by_row.get(name, [])
+        if row.right != "every":
+            continue
+        if not records:
+            lines.append(f"| {name} | not run | | | | | | | | 0 ({row.cases}) |")
+            continue
+        named, of = sum(r["named"] for r in records), sum(r["of"] for r in records)
+        wanted = 0.90 if row.unknown else UNTOLD[row.how_many]
+        false = sum(r["false"] for r in records) / len(records)
+        inside = [abs(v - t) <= u for r in records for _, t, v, u in r["covered"]]
+        held = [r["held_out_um"] / r["floor_um"] for r in records if "held_out_um" in r]
+        lines.append(
+            f"| {name} | {named}/{of} = {named / of:.3f} | {wanted:.2f} {_said(named / of >= wanted)} | {false:.2f} "
+            f"| {MOST_FALSE:.2f} {_said(false <= MOST_FALSE)} "
+            f"| {sum(r['unresolved'] for r in records)}/{len(records)} "
+            f"| {sum(inside)}/{len(inside)} | {np.median(held) if held else math.nan:.2f} "
+            f"| {np.median([r['seconds'] for r in records]):.1f} | {len(records)} ({row.cases}) |"
+        )
+    return "\n".join(lines)
 
 
 def _share(records: Sequence[Record], what: str) -> tuple[int, int]:

@@ -120,16 +120,26 @@ def _concluded(
     # A channel of the library's own that still moves with what is left has not been explained.
     late = any(not _is_foreign(name, library) for name in moving)
     much = _much_left(found, blank.noise_floor_um)
-    kept = [
+    doubted = [
         f
         for f in found.found
-        if _survivors(f, tests[f.label])
-        and not (late and f.top.term.instance.effect.within_condition)
-        and not (much and _may_imitate(f, found))
+        if not _survivors(f, tests[f.label])
+        or f.gain <= 0.0
+        or (late and f.top.term.instance.effect.within_condition)
     ]
+    kept = _trusted(found, doubted, much)
     unresolved = _unresolved(found) if much or len(kept) < len(found.found) else None
     groups = tuple(_group(f, tests[f.label], found, candidates, known) for f in kept)
-    shown = _suspects(found, candidates, known, groups)
+    bare = unweighted(obs, known)
+    # What was found and not believed is shown with the tests that say why.
+    withdrawn = [
+        replace(
+            _suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])
+        )
+        for f in found.found
+        if f not in kept
+    ]
+    shown = _suspects(found, candidates, known, groups, withdrawn)
     if not kept:
         return replace(
             blank,
@@ -194,22 +204,39 @@ def _unresolved(found: Search) -> Unresolved:
     )
 
 
-def _may_imitate(effect: Found, found: Search) -> bool:
-    """Tell whether an effect may be a part of what is not resolved that looks like it.
+def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
+    """Return the effects that are not a part of something unknown that looks like them.
 
-    What is left then moves with the condition as the effect does. An effect much larger than that
-    part is itself.
+    What is unknown is what is left, where that is much, and what the effects do whose laws do not
+    hold. An effect that moves with the condition as that does must be larger than those, and much
+    larger than what is left; otherwise its part is unknown as well.
     """
     obs = found.plain.obs
-    left = localise.condition_means(obs, localise.in_angle(found.plain))
-    does = localise.condition_means(obs, from_harmonics(effect.fitted_um) * obs.mask)
-    sense = np.array([c.sense for c in obs.conditions])
+    unknown = _LARGER * localise.in_angle(found.plain) if much else np.zeros(obs.y_um.shape)
+    kept, doubted = [f for f in found.found if f not in doubted], list(doubted)
+    unknown = unknown + sum((_does_um(f, obs) for f in doubted), np.zeros(obs.y_um.shape))
+    while True:
+        means = localise.condition_means(obs, unknown)
+        rms_um = float(np.sqrt((means**2).sum() / max(float((means != 0.0).sum()), 1.0)))
+        doubtful = [f for f in kept if f.size_um < rms_um * _alike(f, means, obs)]
+        if not doubtful:
+            return kept
+        kept = [f for f in kept if f not in doubtful]
+        unknown = unknown + sum((_does_um(f, obs) for f in doubtful), np.zeros(obs.y_um.shape))
+
+
+def _does_um(effect: Found, obs: Observations) -> Floats:
+    return np.asarray(from_harmonics(effect.fitted_um) * obs.mask)
+
+
+def _alike(effect: Found, means: Floats, obs: Observations) -> float:
+    """Return the share, as an amplitude, of condition means that moves with the condition as an effect."""
+    does = localise.condition_means(obs, _does_um(effect, obs))
     amplitude = np.sqrt((does**2).mean(axis=1))
     if effect.top.term.instance.effect.law.direction == "odd":
-        amplitude = amplitude * sense
-    along = amplitude @ left / np.linalg.norm(amplitude)
-    same = float((along**2).sum() / max(float((left**2).sum()), 1e-300))
-    return effect.size_um < _LARGER * np.sqrt(same) * found.systematic_um[1]
+        amplitude = amplitude * np.array([c.sense for c in obs.conditions])
+    along = amplitude @ means / max(float(np.linalg.norm(amplitude)), 1e-300)
+    return float(np.sqrt((along**2).sum() / max(float((means**2).sum()), 1e-300)))
 
 
 def _unexplained(words: str, moving: Sequence[str]) -> str:
@@ -298,9 +325,10 @@ def _suspects(
     candidates: Candidates,
     known: Sequence[Term],
     groups: Sequence[Sequence[Suspect]],
+    withdrawn: Sequence[Suspect] = (),
 ) -> tuple[Suspect, ...]:
     """Return the largest effect that was found with its rivals, the other ones, and the nearest misses."""
-    named = [suspect for group in groups for suspect in group]
+    named = [*(suspect for group in groups for suspect in group), *withdrawn]
     labels = {suspect.label for suspect in named}
     first = [replace(s, in_group=True) for s in (groups[0] if groups else ())]
     others = [replace(s, in_group=False) for group in groups[1:] for s in group]
@@ -310,6 +338,7 @@ def _suspects(
     )
     room = max(0, _SHOWN - len(named))
     bare = unweighted(found.last.obs, known)
+    others += withdrawn
     return (*first, *others, *(_suspect(c, bare, found, candidates, None) for c in rest[:room]))
 
 

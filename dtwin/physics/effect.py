@@ -57,7 +57,8 @@ class ShapeParameter:
         Values that diagnosis tries, refined between the outermost.
     limits : tuple of float, optional
         What is physically possible, which no fit leaves; without them a tenth of the smallest
-        and ten times the largest value of the grid, or of the start.
+        and ten times the largest value of the grid, or of the start. From zero on for what may be
+        absent, as a rise that happens at once.
     """
 
     name: str

@@ -32,7 +32,7 @@ def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
         said = []
         for shape in effect.shapes:
             at, (low, high) = term.shape[shape.name], shape.bounds
-            if not low * (1.0 + _AT_LIMIT) < at < high / (1.0 + _AT_LIMIT):
+            if not low * (1.0 + _AT_LIMIT) <= at < high / (1.0 + _AT_LIMIT):
                 said.append(
                     f"its {shape.name} of {at:.3g} {shape.unit} lies at a limit of what is possible "
                     f"({low:.3g} to {high:.3g})"

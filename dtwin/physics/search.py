@@ -23,6 +23,7 @@ ALPHA = 0.03
 _LEADING = 6
 _GROUP_GAIN = 0.5
 _GROUP_P = 0.05
+_MORE = 1.1
 _FIT_IS_FINE = 0.05
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
@@ -31,7 +32,7 @@ _INEXACT = 0.05
 _BEYOND_DOUBT = 1e-6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Found:
     """One effect that was found, with its rivals.
 
@@ -347,9 +348,18 @@ def _group(
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
-        if _adds_nothing(problem, top, other, candidates, level):
-            group.append(other)
+        if not _adds_nothing(problem, top, other, candidates, level):
+            continue
+        # The same with more numbers that explain nothing more is not another explanation.
+        more = _numbers(other) > _numbers(top)
+        if more and other.score.gain < _MORE * top.score.gain:
+            continue
+        group.append(other)
     return tuple(group)
+
+
+def _numbers(candidate: Candidate) -> int:
+    return candidate.visible.shape[1] + len(candidate.term.instance.effect.shapes)
 
 
 def _sets(

@@ -15,6 +15,7 @@ from dtwin.schema import Floats
 _MOST_TRIES = 12
 _MOST_TOGETHER = 8
 _MARGIN = 1e-3
+_ABSENT = 1e-6
 
 
 def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
@@ -134,5 +135,5 @@ def _bounds(term: Term, begun: Floats, within_grid: bool) -> tuple[Floats, Float
         (min(shape.grid), max(shape.grid)) if within_grid and shape.grid else shape.bounds
         for shape in term.instance.effect.shapes
     ]
-    low, high = np.log(np.array(ranges)).T
+    low, high = np.log(np.maximum(ranges, _ABSENT)).T
     return np.minimum(low, begun) - _MARGIN, np.maximum(high, begun) + _MARGIN
