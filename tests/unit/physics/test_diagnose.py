@@ -170,3 +170,51 @@ def test_runs_that_all_bear_one_time_are_judged_without_it() -> None:
     tested = {test.variable for suspect in verdict(runs).suspects for test in suspect.laws}
     assert tested
     assert not tested & {"time", "delay"}
+
+
+def test_five_faults_are_found_from_nothing_and_sized() -> None:
+    mill = replace(
+        SOUND.with_axis("X", scale_ppm=25.0, play_um=3.0, lateral_um=2.5).with_axis(
+            "Y", bow_um=4.0
+        ),
+        changeover_um=2.0,
+    )
+    runs = measured(VirtualMill(mill, seed=3, noise=NoiseParameters(rms_um=0.1)))
+    obs = observed(runs)
+    found = diagnose(obs, [], LIBRARY)
+    names = {group[0].label for group in found.found}
+    wanted = {
+        "squareness XY",
+        "scale_mismatch XY",
+        "backlash X",
+        "lateral_play X",
+        "straightness Y",
+    }
+    assert names == wanted | {"axis_changeover XY"}
+    assert all(len(group) == 1 for group in found.found), found.headline
+    largest = [group[0].size_um for group in found.found]
+    assert largest == sorted(largest, reverse=True)
+
+
+def test_what_is_unknown_stands_beside_what_was_found() -> None:
+    def lobe(moment: Moment) -> Floats:
+        return np.asarray(3.0 * np.cos(7 * moment.angle_rad))
+
+    mill = SOUND.with_axis("Y", play_um=6.0)
+    found = verdict(measured(VirtualMill(mill, seed=3, disturbance=lobe)))
+    assert [group[0].label for group in found.found] == ["backlash Y"]
+    assert found.unresolved is not None
+    assert found.unresolved.systematic_rms_um == pytest.approx(3.0 / np.sqrt(2.0), rel=0.15)
+    assert "harmonic 7" in found.unresolved.words
+
+
+def test_at_one_radius_a_cup_and_two_bows_are_one_group_and_the_radius_is_not_tested() -> None:
+    mill = SOUND.with_axis("X", bow_um=4.0).with_axis("Y", bow_um=-6.0)
+    tests = [t for t in standard_tests(3, planes=("XY",)) if t.radius_mm == 150.0]
+    found = verdict(VirtualMill(mill, seed=3).measure(tests))
+    named = {s.label for group in found.found for s in group}
+    assert named == {"straightness X", "straightness Y", "instrument_artefact"}
+    assert found.verdict == "ambiguous"
+    for group in found.found:
+        assert all(s.grade == "shape-consistent" for s in group)
+        assert all("radius" in s.untested for s in group if s.label != "instrument_artefact")

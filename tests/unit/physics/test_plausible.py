@@ -1,0 +1,34 @@
+"""Values that no machine can have are findings, not results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dtwin.physics.effect import Instance
+from dtwin.physics.library import Library
+from dtwin.physics.plausible import implausible
+from dtwin.physics.problem import Term
+
+LIBRARY = Library()
+USUAL = {"duration_ms": 60.0, "rise_ms": 1.0, "presliding_um": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("shape", "values", "said"),
+    [
+        ({}, (5.0, -4.0), ""),
+        ({}, (-3.6e9, 5.0), "height_at_positive_end of -3.6e+09 um is more than 1e+03"),
+        ({"duration_ms": 1.0}, (5.0, 5.0), "duration_ms of 1 ms lies at a limit"),
+        ({"duration_ms": 2500.0}, (5.0, 5.0), "duration_ms of 2.5e+03 ms lies at a limit"),
+        # A spike that rises at once is a spike.
+        ({"rise_ms": 1e-6}, (5.0, 5.0), ""),
+    ],
+)
+def test_a_value_or_shape_at_its_limit_is_said(
+    shape: dict[str, float], values: tuple[float, float], said: str
+) -> None:
+    term = Term(Instance(LIBRARY["reversal_spike"], "X"), USUAL | shape)
+    found = implausible([term], np.array(values)).get("reversal_spike X", "")
+    assert said in found
+    assert bool(said) == bool(found)
