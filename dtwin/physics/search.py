@@ -23,7 +23,6 @@ ALPHA = 0.03
 _LEADING = 6
 _GROUP_GAIN = 0.5
 _GROUP_P = 0.05
-_MORE = 1.1
 _FIT_IS_FINE = 0.05
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
@@ -324,10 +323,10 @@ def _described(
         if top is None:
             continue
         rivals, _ = candidates.tested(given, level, but={t.label for t in terms})
+        bare = _given(plain, others, candidates)
         group = _group(given, candidates, level, top, rivals)
         group += _sets(problem, candidates, terms, term, rivals, group)
         gain = left_out_gain(given, candidates.whitened(given, term))
-        bare = _given(plain, others, candidates)
         visible = candidates.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
         size_um = _size_um(bare, candidates, term)
@@ -350,16 +349,13 @@ def _group(
         other = _refined(problem, candidates, found, level)
         if not _adds_nothing(problem, top, other, candidates, level):
             continue
-        # The same with more numbers that explain nothing more is not another explanation.
-        more = _numbers(other) > _numbers(top)
-        if more and other.score.gain < _MORE * top.score.gain:
-            continue
         group.append(other)
     return tuple(group)
 
 
-def _numbers(candidate: Candidate) -> int:
-    return candidate.visible.shape[1] + len(candidate.term.instance.effect.shapes)
+def _numbers(term: Term) -> int:
+    effect = term.instance.effect
+    return len(effect.parameters) + len(effect.shapes)
 
 
 def _sets(
@@ -383,7 +379,9 @@ def _sets(
     out: list[Candidate] = []
     for other in term.instance.effect.confusables:
         like = [c for c in rivals if c.term.instance.effect.name == other]
-        if not like or len(like) + len(own) < 3 or all(c.term.label in have for c in like):
+        numbers = sum(_numbers(c.term) for c in like)
+        # What needs more numbers is no plainer explanation.
+        if len(like) + len(own) < 3 or not 0 < numbers <= sum(map(_numbers, own)):
             continue
         with_them = _given(given, [c.term for c in like], candidates)
         whitened = np.concatenate([candidates.whitened(given, t) for t in own], axis=1)
