@@ -1,6 +1,6 @@
 """The main job on virtual cobots of different laws: how much of it rests on the library's own formulas.
 
-Each member is measured (quick campaign: YZ, two radii, two feeds), trained on, and corrected in
+Each member is measured (quick campaign: YZ, three radii, two feeds), trained on, and corrected in
 lock-step on other mountings, at a feed that was trained and one that was not. Error: RMS of the ball
 bar about the mounting's centre and radius, mean of runs; the unit is the run. R2 is of the proposed
 equation on feeds left out as a whole.

@@ -128,7 +128,7 @@ def fitted(
     size : ndarray, shape (k,)
         Largest size of each input: spreads below a ten-thousandth of it are rounding.
     group : ndarray of int, shape (n,)
-        What a row belongs to, such as its run: the penalty is chosen by groups left out.
+        What a row belongs to, such as its condition: the penalty is chosen by groups left out.
     """
     used = np.std(x, axis=0) > _ROUNDING * size
     parts = min(_SPLITS, np.unique(group).size)
@@ -260,7 +260,11 @@ def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed:
     usable = np.flatnonzero(inside & rows.scored)
     chosen = rng.choice(usable, min(FIT_ROWS, usable.size), replace=False)
     size = np.abs(x[inside]).max(axis=0)
-    return fitted(recipe, seed, x[chosen], rows.target_um[chosen], size, rows.of_run[chosen])
+    # Its repeats would foretell a run that is left out, and the penalty would come out too small.
+    group = rows.condition()[chosen]
+    if np.unique(group).size == 1:
+        group = rows.of_run[chosen]
+    return fitted(recipe, seed, x[chosen], rows.target_um[chosen], size, group)
 
 
 def _linear(design: Floats, target: Floats, inside: NDArray[np.bool_]) -> Floats:

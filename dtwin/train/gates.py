@@ -120,12 +120,15 @@ def _held_out(metrics: Mapping[str, float]) -> Verdict:
 
 
 def _no_slice_worse(metrics: Mapping[str, float]) -> Verdict:
-    ratio = metrics.get("leave_feed_mm_min_out.worst_slice_ratio", float("inf"))
-    return Verdict(
-        "no slice worse than no correction",
-        ratio < 1.0,
-        f"worst held-out condition keeps {100 * ratio:z.0f} % of its error",
+    """Judge conditions whose feed was left out; those whose radius was are told only."""
+    by_feed, by_radius = (
+        metrics.get(f"leave_{group}_out.worst_slice_ratio", float("nan"))
+        for group in ("feed_mm_min", "radius_mm")
     )
+    told = f"worst condition with its feed left out keeps {100 * by_feed:z.0f} % of its error"
+    if not np.isnan(by_radius):
+        told += f"; with its radius left out {100 * by_radius:z.0f} %, not judged"
+    return Verdict("no slice worse than no correction", by_feed < 1.0, told)
 
 
 def _sign_and_frame(bundle: Bundle) -> Verdict:

@@ -31,6 +31,7 @@ from dtwin.train.physics_fit import predicted_left_out
 from dtwin.train.promotion import history, promote, rollback
 from dtwin.train.registry import Registry
 from dtwin.train.rows import gather
+from dtwin.train.symbolic import OperonEngine
 from dtwin.train.term_columns import TermColumns
 from dtwin.workbench.models import judged
 from flows._artifacts import slug
@@ -181,7 +182,7 @@ def test_a_second_training_on_the_same_tables_gives_the_same_equation(
     home = demo[0]
     registry = Registry(home)
     first = registry.bundle(registry.version(MACHINE, "1"))
-    again = train(home, "training-quick")
+    again = train(home, "training-quick", engine=OperonEngine(generations=1, population=20))
     second = registry.bundle(again.version)
     nodes = zip(second["tick_graph"]["nodes"], first["tick_graph"]["nodes"], strict=True)
     for one, other in nodes:

@@ -27,6 +27,7 @@ from dtwin.store import Lake
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.promotion import check_version, history
 from dtwin.train.registry import Registry
+from dtwin.train.symbolic import OperonEngine
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 _CORRECTED = "a correction was in force while it was measured"
@@ -38,7 +39,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
     """A champion that was trained on the sound machine."""
     made = Home(tmp_path_factory.mktemp("scheduled"))
     measured(made, "quick")
-    registered = train(made, "quick")
+    registered = train(made, "quick", engine=OperonEngine(generations=1, population=20))
     put_on_trial(made, registered.version)
     measure(made, registered.version, seed=0, plan=CIRCLES)
     path, reason = make_champion(made, registered.version)

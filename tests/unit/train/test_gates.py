@@ -66,6 +66,13 @@ def test_each_figure_can_refuse(metrics: dict[str, float], gate: str) -> None:
     assert failed(offline_gates(bundle(), GOOD | metrics)) == {gate}
 
 
+def test_a_radius_left_out_is_told_and_not_judged() -> None:
+    worse = {"leave_radius_mm_out.worst_slice_ratio": 1.15}
+    (slices,) = [v for v in offline_gates(bundle(), GOOD | worse) if "slice" in v.gate]
+    assert slices.passed
+    assert slices.reason.endswith("with its radius left out 115 %, not judged")
+
+
 def test_missing_figures_refuse() -> None:
     assert {"held-out conditions", "latency"} <= failed(offline_gates(bundle(), {}))
 
