@@ -128,7 +128,8 @@ def _concluded(
         or (late and f.top.term.instance.effect.within_condition)
     ]
     kept = _trusted(found, doubted, much)
-    unresolved = _unresolved(found) if much or len(kept) < len(found.found) else None
+    others = [f for f in found.found if f not in kept]
+    unresolved = _unresolved(found, others) if much or others else None
     groups = tuple(_group(f, tests[f.label], found, candidates, known) for f in kept)
     bare = unweighted(obs, known)
     # What was found and not believed is shown with the tests that say why.
@@ -136,8 +137,7 @@ def _concluded(
         replace(
             _suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])
         )
-        for f in found.found
-        if f not in kept
+        for f in others
     ]
     shown = _suspects(found, candidates, known, groups, withdrawn)
     if not kept:
@@ -186,19 +186,21 @@ def _nothing_found(
             said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
         return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
     return replace(
-        blank, verdict="unknown_effect", suspects=shown, laws=laws, unresolved=_unresolved(found),
+        blank, verdict="unknown_effect", suspects=shown, laws=laws, unresolved=_unresolved(found, ()),
         headline=_unexplained(words, [c.name for c in channels]),
         closest=_closest(found.first.candidates),
     )  # fmt: skip
 
 
-def _unresolved(found: Search) -> Unresolved:
-    left = localise.in_angle(found.plain)
+def _unresolved(found: Search, withdrawn: Sequence[Found]) -> Unresolved:
+    """Describe what is left, and with it what the effects do that are not believed."""
     obs = found.plain.obs
+    left = localise.in_angle(found.plain) + _sum_um(withdrawn, obs)
+    rms_um = localise.systematic_rms_um(obs, left)
     return Unresolved(
-        systematic_rms_um=found.systematic_um[1],
-        share=max(0.0, 1.0 - found.explained),
-        p_value=found.lack_of_fit[1],
+        systematic_rms_um=rms_um,
+        share=min(1.0, (rms_um / max(found.systematic_um[0], 1e-300)) ** 2),
+        p_value=found.lack_of_fit[0 if withdrawn else 1],
         words=localise.headline(obs, left),
         where=localise.worst_places(obs, left),
     )
@@ -214,7 +216,7 @@ def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]
     obs = found.plain.obs
     unknown = _LARGER * localise.in_angle(found.plain) if much else np.zeros(obs.y_um.shape)
     kept, doubted = [f for f in found.found if f not in doubted], list(doubted)
-    unknown = unknown + sum((_does_um(f, obs) for f in doubted), np.zeros(obs.y_um.shape))
+    unknown = unknown + _sum_um(doubted, obs)
     while True:
         means = localise.condition_means(obs, unknown)
         rms_um = float(np.sqrt((means**2).sum() / max(float((means != 0.0).sum()), 1.0)))
@@ -222,7 +224,11 @@ def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]
         if not doubtful:
             return kept
         kept = [f for f in kept if f not in doubtful]
-        unknown = unknown + sum((_does_um(f, obs) for f in doubtful), np.zeros(obs.y_um.shape))
+        unknown = unknown + _sum_um(doubtful, obs)
+
+
+def _sum_um(effects: Sequence[Found], obs: Observations) -> Floats:
+    return sum((_does_um(f, obs) for f in effects), np.zeros(obs.y_um.shape))
 
 
 def _does_um(effect: Found, obs: Observations) -> Floats:

@@ -331,6 +331,23 @@ def test_a_twin_is_held_against_other_measurements_of_its_machine(
     assert (status, "error[twin.machine]" in text) == (400, True)
 
 
+def test_one_button_finds_and_adds_all_that_the_runs_can_tell(
+    page: Page, bench: Workbench, artifacts: Path
+) -> None:
+    wanted = {"campaign": "mill-backlash", "effects": ["centre_offset"], "name": "bare"}
+    job = json.loads(bench.act("/api/twins", json.dumps(wanted).encode())[1])["job"]
+    assert _awaited(bench, job)["state"] == "done"
+    page.goto(f"{bench.base}/twins/bare/diagnose")
+    page.get_by_role("button", name="Diagnose").click()
+    table = page.get_by_role("table", name="Found together")
+    expect(table.get_by_role("row")).to_have_count(4)
+    page.screenshot(path=artifacts / "found.png", full_page=True)
+    page.get_by_role("button", name="Find and add all").click()
+    page.wait_for_url("**/twins/bare/versions")
+    for name in ("backlash X", "scale_mismatch XY", "squareness XY"):
+        expect(page.get_by_text(f"add {name}").first).to_be_visible()
+
+
 def test_two_browsers_that_press_at_once_do_not_undo_each_other(bench: Workbench) -> None:
     body = json.dumps({"effect": "backlash", "axis": "X"}).encode()
     jobs = [json.loads(bench.act("/api/twins/mill/add", body)[1])["job"] for _ in range(2)]
