@@ -56,7 +56,7 @@ def make_case(row: Row, number: int) -> Case:
     for cause, size in base:
         mill = cause.change(mill, size)
     bench = Bench(_enough(tests, hidden), seed)
-    sized = (_ordinary if row.right == "every" else _sized)(row, hidden, base, mill, bench, rng)
+    sized = _sized(row, hidden, base, mill, bench, rng)
     extra: list[Disturbance] = []
     for cause, size in sized:
         mill = cause.change(mill, size)
@@ -104,27 +104,18 @@ def _sized(
     bench: Bench,
     rng: np.random.Generator,
 ) -> list[Sized]:
-    """Return the hidden effects in the size that the row asks for."""
+    """Return the hidden effects in the size that the row asks for.
+
+    Where nothing is told, each alone shows as 0.5 to 2 um RMS, whatever the noise.
+    """
     if not hidden:
         return []
     hides = bench.hiding(base, MillParameters(heat=mill.heat))
-    wanted_um = row.k * NOISE_UM
-    return [(c, bench.size_of(c, mill, hides, wanted_um) * _sign(c, rng)) for c in hidden]
 
+    def wanted_um() -> float:
+        return rng.uniform(0.5, 2.0) if row.right == "every" else row.k * NOISE_UM
 
-def _ordinary(
-    row: Row,
-    hidden: Sequence[Cause],
-    base: Sequence[Sized],
-    mill: MillParameters,
-    bench: Bench,
-    rng: np.random.Generator,
-) -> list[Sized]:
-    """Return each effect in a size that alone shows as 0.5 to 2 um RMS, whatever the noise."""
-    hides = bench.hiding((), mill)
-    return [
-        (c, bench.size_of(c, mill, hides, rng.uniform(0.5, 2.0)) * _sign(c, rng)) for c in hidden
-    ]
+    return [(c, bench.size_of(c, mill, hides, wanted_um()) * _sign(c, rng)) for c in hidden]
 
 
 def _many(row: Row, number: int, rng: np.random.Generator) -> tuple[Cause, ...]:

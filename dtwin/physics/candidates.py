@@ -126,10 +126,6 @@ class Candidates:
         score = score_test(problem, visible, problem.residual, level, within=within)
         return Candidate(term, visible, share, score)
 
-    def forget(self) -> None:
-        """Drop the columns that are kept."""
-        self._columns.clear()
-
     def at(
         self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel
     ) -> Candidate:

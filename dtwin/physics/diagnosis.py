@@ -47,8 +47,8 @@ class Suspect:
         Share of the systematic error that it explains.
     remedy : str
         What to do about it.
-    size_um : float
-        RMS of what it explains beside all others that were found; NaN for what was not found.
+    size_um : float or None
+        RMS of what it explains beside all others that were found; None for what was not found.
     tested, untested : tuple of str
         Variables of its law that the runs confirmed, and those that they did not test.
     """
@@ -64,7 +64,7 @@ class Suspect:
     laws: tuple[LawTest, ...]
     share: float
     remedy: str
-    size_um: float = float("nan")
+    size_um: float | None = None
     tested: tuple[str, ...] = ()
     untested: tuple[str, ...] = ()
 
@@ -73,17 +73,11 @@ class Suspect:
         """Name with axis."""
         return f"{self.effect} {self.axis}".rstrip()
 
-    @property
-    def found(self) -> bool:
-        """Whether it is one of the effects that explain the campaign together."""
-        return self.size_um == self.size_um
-
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         out = dict(vars(self))
         for name in ("confounded_with", "tested", "untested"):
             out[name] = list(out[name])
-        out["size_um"] = self.size_um if self.found else None
         out["laws"] = [law.as_dict() for law in self.laws]
         return out
 

@@ -88,15 +88,13 @@ def refined_together(
     residual = problem.residual.ravel()
     sizes = [len(term.instance.effect.shapes) for term in shaped]
     ends = np.cumsum(sizes)
-    # Its own cache, dropped afterwards: hardly any shape is asked for twice.
-    own = Candidates(problem.obs, [])
     kept: dict[int, tuple[bytes, Floats]] = {}
 
     def columns(number: int, logs: Floats) -> Floats:
         key = logs.tobytes()
         if number not in kept or kept[number][0] != key:
-            whitened = own.whitened(problem, _at(shaped[number], logs))
-            own.forget()
+            term = _at(shaped[number], logs)
+            whitened = problem.whitened(problem.obs.regressors(term.instance, term.shape))
             left = whitened - problem.basis @ (problem.basis.T @ whitened)
             kept[number] = key, left
         return kept[number][1]
