@@ -6,12 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.schema import Floats
 
 _PITCH = "pitch_mm"
+_Index = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -54,8 +56,10 @@ class Dictionary:
         self._residual = problem.residual.ravel()
         self.total = float(self._residual @ self._residual)
         self.entries: list[Entry] = []
-        self._columns = np.empty((len(self._residual), 0))
-        self._gram, self._right = np.empty((0, 0)), np.empty(0)
+        # A column is a row here. Room is left for more of them.
+        self._room, self._room_gram = np.empty((0, len(self._residual))), np.empty((0, 0))
+        self._right = np.empty(0)
+        self._sizes: list[tuple[_Index, _Index, Floats]] | None = None
         grids = [
             Term(instance, shape)
             for instance in candidates.instances
@@ -65,7 +69,7 @@ class Dictionary:
 
     def add(self, terms: Iterable[Term]) -> list[Entry]:
         """Take more effects in; those that nothing can be seen of are left out."""
-        new, parts, at = [], [], self._columns.shape[1]
+        new, parts, at = [], [], len(self._right)
         for term in terms:
             whitened = self._candidates.whitened(self._problem, term)
             size = np.sqrt((whitened**2).sum(axis=0))
@@ -81,13 +85,25 @@ class Dictionary:
             parts.append(left)
             at += k
         if new:
-            added = np.concatenate(parts, axis=1)
-            cross, own = self._columns.T @ added, added.T @ added
-            self._gram = np.block([[self._gram, cross], [cross.T, own]])
-            self._right = np.concatenate([self._right, added.T @ self._residual])
-            self._columns = np.concatenate([self._columns, added], axis=1)
+            self._append(np.concatenate(parts, axis=1))
             self.entries += new
+            self._sizes = None
         return new
+
+    def _append(self, added: Floats) -> None:
+        now, then = len(self._right), len(self._right) + added.shape[1]
+        if then > len(self._room):
+            room, gram = np.empty((2 * then, len(self._residual))), np.empty((2 * then, 2 * then))
+            room[:now], gram[:now, :now] = self._room[:now], self._gram
+            self._room, self._room_gram = room, gram
+        self._room[now:then] = added.T
+        cross = self._room[:then] @ added
+        self._room_gram[:then, now:then], self._room_gram[now:then, :then] = cross, cross.T
+        self._right = np.concatenate([self._right, added.T @ self._residual])
+
+    @property
+    def _gram(self) -> Floats:
+        return self._room_gram[: len(self._right), : len(self._right)]
 
     def add_pitches(self, chosen: Sequence[Entry]) -> None:
         """Take in the pitches at which what a set leaves repeats most."""
@@ -106,7 +122,7 @@ class Dictionary:
         if not len(index):
             return np.zeros_like(self._residual)
         root = _root(self._gram[np.ix_(index, index)])
-        return np.asarray(self._columns[:, index] @ (root @ (root.T @ self._right[index])))
+        return np.asarray((root @ (root.T @ self._right[index])) @ self._room[index])
 
     def explained(self, chosen: Sequence[Entry]) -> float:
         """Return the sum of squares that a set explains."""
@@ -125,22 +141,32 @@ class Dictionary:
             along = root.T @ gram[index]
             right = right - along.T @ (root.T @ right[index])
         out = np.zeros(len(self.entries))
-        for i, entry in enumerate(self.entries):
-            own = gram[entry.columns, entry.columns]
-            if len(index):
-                part = along[:, entry.columns]
-                own = own - part.T @ part
-            least = least_visible(entry.term)
-            if own.shape == (1, 1):
-                out[i] = right[entry.columns][0] ** 2 / own[0, 0] if own[0, 0] > least else 0.0
-                continue
+        for index, columns, least in self._by_size():
+            own = gram[columns[:, :, None], columns[:, None, :]]
+            if len(chosen):
+                part = along[:, columns].transpose(1, 2, 0)
+                own = own - part @ part.transpose(0, 2, 1)
             values, vectors = np.linalg.eigh(own)
-            seen = values > least
-            out[i] = (((vectors[:, seen].T @ right[entry.columns]) ** 2) / values[seen]).sum()
+            turned = (right[columns][:, None, :] @ vectors)[:, 0, :]
+            seen = values > least[:, None]
+            out[index] = np.where(seen, turned**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
         return out
 
+    def _by_size(self) -> list[tuple[_Index, _Index, Floats]]:
+        """Return, for each number k of columns, the entries with k, their columns and what is too little to see."""
+        if self._sizes is None:
+            sizes = np.array([e.columns.stop - e.columns.start for e in self.entries], dtype=int)
+            starts = np.array([e.columns.start for e in self.entries], dtype=int)
+            least = np.array([least_visible(e.term) for e in self.entries])
+            self._sizes = [
+                (index, starts[index][:, None] + np.arange(k), least[index])
+                for k in np.unique(sizes)
+                for index in [np.flatnonzero(sizes == k)]
+            ]
+        return self._sizes
 
-def _indices(chosen: Sequence[Entry]) -> np.ndarray:
+
+def _indices(chosen: Sequence[Entry]) -> _Index:
     return np.concatenate(
         [np.arange(e.columns.start, e.columns.stop) for e in chosen] or [np.empty(0, dtype=int)]
     )

@@ -55,7 +55,7 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
         begun,
         bounds=_bounds(term, begun, bounded),
         method="trf",
-        x_scale=0.1,
+        x_scale="jac",
         max_nfev=_MOST_TRIES,
         diff_step=[1e-4] * len(names),
     )
@@ -88,16 +88,16 @@ def refined_together(
     residual = problem.residual.ravel()
     sizes = [len(term.instance.effect.shapes) for term in shaped]
     ends = np.cumsum(sizes)
-    kept: dict[int, tuple[bytes, Floats]] = {}
+    # The solver changes one shape at a time and comes back.
+    kept: dict[tuple[int, bytes], Floats] = {}
 
     def columns(number: int, logs: Floats) -> Floats:
-        key = logs.tobytes()
-        if number not in kept or kept[number][0] != key:
+        key = number, logs.tobytes()
+        if key not in kept:
             term = _at(shaped[number], logs)
             whitened = problem.whitened(problem.obs.regressors(term.instance, term.shape))
-            left = whitened - problem.basis @ (problem.basis.T @ whitened)
-            kept[number] = key, left
-        return kept[number][1]
+            kept[key] = whitened - problem.basis @ (problem.basis.T @ whitened)
+        return kept[key]
 
     def left(logs: Floats) -> Floats:
         parts = [
@@ -113,7 +113,7 @@ def refined_together(
     ]
     low, high = np.concatenate([b[0] for b in bounds]), np.concatenate([b[1] for b in bounds])
     found = least_squares(
-        left, begun, bounds=(low, high), method="trf", x_scale=0.1, max_nfev=_MOST_TOGETHER,
+        left, begun, bounds=(low, high), method="trf", x_scale="jac", max_nfev=_MOST_TOGETHER,
         diff_step=[1e-4] * len(begun), ftol=1e-4,
     )  # fmt: skip
     if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
