@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -90,10 +91,13 @@ def diagnose(
         spread=spread_of(obs, residual, library),
     )
     channels = screen_channels(problem, seed)
-    problem = _with_foreign(problem, channels, library)
+    beside = partial(_with_foreign, channels=channels, library=library)
+    problem = beside(problem)
     candidates = Candidates(obs, tried)
     plain = unweighted(obs, known)
-    found = search(problem, plain, candidates, known, seed=seed, shown_by_channel=bool(channels))
+    found = search(
+        problem, plain, candidates, known, beside=beside, seed=seed, shown_by_channel=bool(channels)
+    )
     moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
     return _concluded(blank, found, candidates, known, channels, moving, residual, library)
 
@@ -116,7 +120,7 @@ def _concluded(
     foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
     if not found.found:
         return _nothing_found(blank, found, candidates, known, channels, words)
-    tests = {f.label: _laws_of(f, candidates) for f in found.found}
+    tests = {f.label: _laws_of(f) for f in found.found}
     # A channel of the library's own that still moves with what is left has not been explained.
     late = any(not _is_foreign(name, library) for name in moving)
     much = _much_left(found, blank.noise_floor_um)
@@ -262,10 +266,10 @@ def _quiet(blank: Diagnosis) -> Verdict:
     return "variance_effect" if blank.spread else "nothing_missing"
 
 
-def _laws_of(effect: Found, candidates: Candidates) -> Mapping[str, list[LawTest]]:
+def _laws_of(effect: Found) -> Mapping[str, list[LawTest]]:
     """Test the laws of an effect and its rivals with all other effects taken out, by label."""
     return {
-        c.term.label: law_tests(effect.problem, candidates, c, effect.level)
+        c.term.label: law_tests(effect.problem, effect.candidates, c, effect.level)
         for c in effect.group[:_SHOWN]
     }
 

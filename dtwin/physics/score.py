@@ -11,7 +11,13 @@ from scipy.special import polygamma
 
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
-from dtwin.physics.whitening import from_harmonics, harmonic_numbers, within_condition
+from dtwin.physics.whitening import (
+    condition_sums,
+    from_harmonics,
+    harmonic_numbers,
+    smoothed,
+    within_condition,
+)
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
 
@@ -30,6 +36,8 @@ _FLIPS = 1999
 _FEW_DOF = 12
 _MOST_PRIOR = 1.0
 _NEIGHBOURS = 6
+# Less than this share of the noise is no misfit.
+_MISFIT = 0.05
 
 
 @dataclass(frozen=True)
@@ -65,10 +73,14 @@ class NoiseLevel:
         alike round the circle, zero when it is not. After Smyth (2004), moderated t-statistics.
     ratio : float
         Typical score variance over the one foretold.
+    misfit : ndarray, shape (n,), optional
+        Variance, at every coefficient, of what repeats agree on though no effect explains it: laws
+        that are not exact. It counts as noise that the repeats of a condition share.
     """
 
     prior_dof: float = 0.0
     ratio: float = 1.0
+    misfit: Floats | None = None
 
 
 def score_test(
@@ -110,6 +122,9 @@ def score_test(
     dof = _satterthwaite(summed, unit, group, count, lost=k if within else 0)
     foretold = _foretold(problem, z)
     variance, dof = _moderated(variance, dof, foretold, level)
+    if level.misfit is not None and not within:
+        shared = condition_sums(z, obs.condition_of)
+        variance = variance + np.einsum("cqk,cql,q->kl", shared, shared, level.misfit)
     expected = float(np.trace(variance))
     if dof < 1.0 or expected <= 0.0:
         return Score(1.0, 0.0, expected, dof)
@@ -159,6 +174,32 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     most = max(_MOST_PRIOR * float(np.median(dofs)), float(_FEW_DOF))
     prior = most if spread <= 0.0 else min(most, 2.0 / max(spread, 1e-6) + 1.0)
     return NoiseLevel(prior, float(np.exp(np.mean(logs + bias))))
+
+
+def misfit(problem: Problem) -> Floats | None:
+    """Return the variance of what repeats agree on though nothing known explains it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign with all that was found.
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+        Of every whitened coefficient of a condition; None where it is no more than the noise.
+    """
+    obs = problem.obs
+    rows = problem.residual
+    count = np.bincount(obs.condition_of)
+    repeated = count > 1
+    means = condition_sums(rows, obs.condition_of)[repeated] / count[repeated, None]
+    deviation, of = within_condition(rows, obs.condition_of)
+    if not repeated.any():
+        return None
+    pure = (deviation[of > 1] ** 2).mean(axis=0)
+    found = smoothed((means**2).mean(axis=0) - pure * (1.0 / count[repeated]).mean())
+    return np.maximum(found, 0.0) if found.sum() > _MISFIT * pure.mean() * len(pure) else None
 
 
 def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.hunt import best_set
 from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Problem, Term, least_visible, unweighted
-from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
+from dtwin.physics.problem import Problem, Term, least_visible, unweighted, weighted_like
+from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level, score_test
 from dtwin.physics.shapes import refined
 from dtwin.schema import Floats
 from dtwin.statistics import holm
@@ -43,6 +43,8 @@ class Found:
         It, and what these runs cannot tell from it, best first.
     problem : Problem
         The campaign with all the other effects that were found.
+    candidates : Candidates
+        The library where it was tested.
     level : NoiseLevel
         Shared noise level there.
     gain : float
@@ -56,6 +58,7 @@ class Found:
     top: Candidate
     group: tuple[Candidate, ...]
     problem: Problem
+    candidates: Candidates
     level: NoiseLevel
     gain: float
     size_um: float
@@ -130,6 +133,7 @@ def search(
     candidates: Candidates,
     known: Sequence[Term],
     *,
+    beside: Callable[[Problem], Problem],
     seed: int,
     shown_by_channel: bool = False,
 ) -> Search:
@@ -145,6 +149,8 @@ def search(
         The library.
     known : sequence of Term
         What the twin knows.
+    beside : callable
+        Takes out of a problem what is neither the twin's nor the library's.
     seed : int
         Seed of permutations.
     shown_by_channel : bool
@@ -156,14 +162,20 @@ def search(
     before_um = systematic_rms_um(problem.obs, in_angle(plain))
     top = _leading(first, plain, candidates)
     terms: list[Term] = []
+    told, library = problem, candidates
     if top is not None or fit <= _FIT_IS_FINE:
-        terms, told = best_set(problem, candidates, known)
-        terms = _material(terms, told, known, candidates, problem)
-        terms = _significant(terms or ([top.term] if top else []), problem, candidates, first)
+        terms, obs = best_set(problem, candidates, known, beside)
+        terms = _material(terms, obs, known, candidates, problem)
+        if obs is not problem.obs and problem.noise is not None:
+            told, library = (
+                beside(weighted_like(obs, known, problem.noise)),
+                Candidates(obs, candidates.instances),
+            )
+        terms = _significant(terms or ([top.term] if top else []), told, library, first)
         if not terms and top is not None:
             terms = [top.term]
     last, plain_last = _given(problem, terms, candidates), _given(plain, terms, candidates)
-    found = _described(terms, problem, plain, candidates)
+    found = _described(terms, told, library, plain, candidates)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
@@ -294,9 +306,10 @@ def _significant(
     many = independent([c.visible for c in first.candidates])
     while terms:
         p_values = []
+        beyond = misfit(_given(problem, terms, candidates))
         for term in terms:
             given = _given(problem, [t for t in terms if t is not term], candidates)
-            level = noise_level(given, probes(given))
+            level = replace(noise_level(given, probes(given)), misfit=beyond)
             candidate = candidates.tested_term(given, term, level)
             p_value = 1.0 if candidate is None else candidate.score.p_value
             if _BEYOND_DOUBT < p_value < ALPHA:
@@ -311,26 +324,34 @@ def _significant(
 
 
 def _described(
-    terms: Sequence[Term], problem: Problem, plain: Problem, candidates: Candidates
+    terms: Sequence[Term],
+    problem: Problem,
+    candidates: Candidates,
+    plain: Problem,
+    everywhere: Candidates,
 ) -> tuple[Found, ...]:
-    """Return effects with their rivals, the one that explains most first."""
+    """Return effects with their rivals, the one that explains most first.
+
+    Tests are made where laws hold to within the noise, sizes are told everywhere.
+    """
     out = []
+    beyond = misfit(_given(problem, terms, candidates))
     for term in terms:
         others = [t for t in terms if t is not term]
         given = _given(problem, others, candidates)
-        level = noise_level(given, probes(given))
+        level = replace(noise_level(given, probes(given)), misfit=beyond)
         top = candidates.tested_term(given, term, level)
         if top is None:
             continue
         rivals, _ = candidates.tested(given, level, but={t.label for t in terms})
-        bare = _given(plain, others, candidates)
+        bare = _given(plain, others, everywhere)
         group = _group(given, candidates, level, top, rivals)
-        group += _sets(problem, candidates, terms, term, rivals, group)
+        group += _sets(problem, candidates, terms, term, rivals, group, level)
         gain = left_out_gain(given, candidates.whitened(given, term))
-        visible = candidates.visible(bare, term)
+        visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
-        size_um = _size_um(bare, candidates, term)
-        out.append(Found(top, group, given, level, gain, size_um, fitted))
+        size_um = _size_um(bare, everywhere, term)
+        out.append(Found(top, group, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
 
 
@@ -365,6 +386,7 @@ def _sets(
     term: Term,
     rivals: Sequence[Candidate],
     group: Sequence[Candidate],
+    level: NoiseLevel,
 ) -> tuple[Candidate, ...]:
     """Return what only together with its like on other axes is a rival of an effect, or of its likes.
 
@@ -374,7 +396,6 @@ def _sets(
     name = term.instance.effect.name
     own = [t for t in terms if t.instance.effect.name == name]
     given = _given(problem, [t for t in terms if t not in own], candidates)
-    level = noise_level(given, probes(given))
     have = {c.term.label for c in group}
     out: list[Candidate] = []
     for other in term.instance.effect.confusables:
