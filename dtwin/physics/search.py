@@ -22,11 +22,15 @@ from dtwin.statistics import holm
 ALPHA = 0.03
 _LEADING = 6
 _GROUP_GAIN = 0.5
+# Between the shapes of the grid an effect may explain more.
+_NEAR = 0.3
 _GROUP_P = 0.05
 _FIT_IS_FINE = 0.05
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
 _INEXACT = 0.05
+# A simpler effect stands in for another one when it loses no more than this of what that explains.
+_STANDS_IN = 0.05
 # p-values so small stay significant whatever the number of tests.
 _BEYOND_DOUBT = 1e-6
 
@@ -262,40 +266,63 @@ def _material(
 ) -> list[Term]:
     """Return the effects without those that are no more than how far the laws of others are off.
 
-    An effect that explains less than a twentieth of what all explain is dropped, the smallest
-    first; one that a simpler effect stands in for, at no more than such a loss, is replaced.
+    Every effect must explain a twentieth of what all explain, as RMS; one that a simpler effect
+    stands in for is replaced.
     """
     if not terms:
         return []
     dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
-    chosen = dictionary.add(terms)
+    found = dictionary.add(terms)
     n = float(obs.mask.sum())
     floor = (IMMATERIAL * _floor_um(problem)) ** 2 * n
+    chosen, least = found, 0.0
+    for _ in range(len(found)):
+        before, least = chosen, max(floor, _INEXACT**2 * dictionary.explained(chosen))
+        chosen = _simplified(dictionary, _worthwhile(dictionary, found, chosen, least), least)
+        if {e.label for e in chosen} == {e.label for e in before}:
+            break
+        found = chosen + [e for e in found if e not in chosen]
+    return [entry.term for entry in chosen]
+
+
+def _worthwhile(
+    dictionary: Dictionary, found: list[Entry], chosen: list[Entry], least: float
+) -> list[Entry]:
+    """Return the best of the effects found where each must explain so much: drop, add and exchange."""
+
+    def worth(entries: list[Entry]) -> float:
+        return dictionary.explained(entries) - least * len(entries)
+
+    most = worth(chosen)
     while True:
-        explained = dictionary.explained(chosen)
-        least = max(floor, _INEXACT**2 * explained)
-        smaller = _simplified(dictionary, chosen, explained - least)
-        if smaller is None:
-            return [entry.term for entry in chosen]
-        chosen = smaller
+        rest = [e for e in found if e not in chosen]
+        fewer = [chosen[:i] + chosen[i + 1 :] for i in range(len(chosen))]
+        moves = [*fewer, *([*entries, e] for entries in [chosen, *fewer] for e in rest)]
+        best = max(moves, key=worth, default=chosen)
+        if worth(best) <= most:
+            return chosen
+        chosen, most = best, worth(best)
 
 
-def _simplified(dictionary: Dictionary, chosen: list[Entry], enough: float) -> list[Entry] | None:
-    """Return a set with fewer free numbers that still explains enough, the best of them."""
-    best: tuple[float, list[Entry]] | None = None
-    have = {entry.label for entry in chosen}
+def _simplified(dictionary: Dictionary, chosen: list[Entry], least: float) -> list[Entry]:
+    """Return the set with simpler effects in place of those that they stand in for."""
+    most = dictionary.explained(chosen)
     for number, entry in enumerate(chosen):
         rest = chosen[:number] + chosen[number + 1 :]
-        alone = dictionary.explained(rest)
-        if alone > enough:
-            best = max(best or (alone, rest), (alone, rest), key=lambda pair: pair[0])
-            continue
+        have = {e.label for e in chosen}
+        own = most - dictionary.explained(rest)
         gains = dictionary.gains(rest)
-        for gain, other in zip(gains, dictionary.entries, strict=True):
-            simpler = other.free < entry.free and other.label not in have
-            if simpler and alone + gain > enough and best is None:
-                best = alone + float(gain), [*rest, other]
-    return None if best is None else best[1]
+        simpler = [
+            (float(gain), other)
+            for gain, other in zip(gains, dictionary.entries, strict=True)
+            if other.free < entry.free
+            and other.label not in have
+            and gain > own - min(least, _STANDS_IN * own)
+        ]
+        if simpler:
+            best = max(simpler, key=lambda pair: pair[0])[1]
+            return _simplified(dictionary, [*rest, best], least)
+    return chosen
 
 
 def _significant(
@@ -336,6 +363,8 @@ def _described(
     """
     out = []
     beyond = misfit(_given(problem, terms, candidates))
+    dictionary = Dictionary(problem, candidates)
+    chosen = {entry.label: entry for entry in dictionary.add(terms)}
     for term in terms:
         others = [t for t in terms if t is not term]
         given = _given(problem, others, candidates)
@@ -343,7 +372,7 @@ def _described(
         top = candidates.tested_term(given, term, level)
         if top is None:
             continue
-        rivals, _ = candidates.tested(given, level, but={t.label for t in terms})
+        rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
         bare = _given(plain, others, everywhere)
         group = _group(given, candidates, level, top, rivals)
         group += _sets(problem, candidates, terms, term, rivals, group, level)
@@ -355,6 +384,25 @@ def _described(
     return tuple(sorted(out, key=lambda f: -f.size_um))
 
 
+def _far(dictionary: Dictionary, chosen: Mapping[str, Entry], term: Term) -> set[str]:
+    """Return the labels of what is no rival of a term: it explains too little in its place."""
+    rest = [entry for label, entry in chosen.items() if label != term.label]
+    gains = dictionary.gains(rest)
+    own = dictionary.explained(list(chosen.values())) - dictionary.explained(rest)
+    most: dict[str, float] = {}
+    for gain, entry in zip(gains, dictionary.entries, strict=True):
+        most[entry.label] = max(most.get(entry.label, 0.0), float(gain))
+    return {
+        entry.label
+        for entry in dictionary.entries
+        if entry.label in chosen
+        or (
+            most[entry.label] < _NEAR * own
+            and entry.term.instance.effect.name not in term.instance.effect.confusables
+        )
+    }
+
+
 def _group(
     problem: Problem,
     candidates: Candidates,
@@ -362,13 +410,19 @@ def _group(
     top: Candidate,
     tested: Sequence[Candidate],
 ) -> tuple[Candidate, ...]:
-    """Return what leaves the top one nothing significant to explain: a 95 % confidence set."""
+    """Return what cannot be told from the top effect.
+
+    What leaves it nothing significant to explain, a 95 % confidence set, and what cannot be seen
+    beside it, though it explains half as much alone: how much of the two is there is not known.
+    """
     group = [top]
     for found in sorted(tested, key=lambda c: -c.score.gain):
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
-        if not _adds_nothing(problem, top, other, candidates, level):
+        beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
+        absorbed = not candidates.visible(beside, other.term).shape[1]
+        if not absorbed and not _adds_nothing(problem, top, other, candidates, level):
             continue
         group.append(other)
     return tuple(group)
