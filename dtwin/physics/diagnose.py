@@ -294,10 +294,14 @@ def _quiet(blank: Diagnosis) -> Verdict:
 
 
 def _laws_of(effect: Found) -> Mapping[str, list[LawTest]]:
-    """Test the laws of an effect and its rivals with all other effects taken out, by label."""
+    """Test the laws of an effect and its rivals with all other effects taken out, by label.
+
+    What cannot be seen beside it may be a part of it only: its law is not that of the whole.
+    """
     return {
         c.term.label: law_tests(effect.problem, effect.candidates, c, effect.level)
         for c in effect.group[:_SHOWN]
+        if c.term.label not in effect.absorbed
     }
 
 

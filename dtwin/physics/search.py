@@ -45,6 +45,8 @@ class Found:
         The effect, tested against what all the others leave.
     group : tuple of Candidate
         It, and what these runs cannot tell from it, best first.
+    absorbed : frozenset of str
+        Those of the group that cannot be seen beside the effect: they may be there as well.
     problem : Problem
         The campaign with all the other effects that were found.
     candidates : Candidates
@@ -61,6 +63,7 @@ class Found:
 
     top: Candidate
     group: tuple[Candidate, ...]
+    absorbed: frozenset[str]
     problem: Problem
     candidates: Candidates
     level: NoiseLevel
@@ -166,10 +169,11 @@ def search(
     before_um = systematic_rms_um(problem.obs, in_angle(plain))
     top = _leading(first, plain, candidates)
     terms: list[Term] = []
+    stand_ins: dict[str, list[Term]] = {}
     told, library = problem, candidates
     if top is not None or fit <= _FIT_IS_FINE:
         terms, obs = best_set(problem, candidates, known, beside)
-        terms = _material(terms, obs, known, candidates, problem)
+        terms, stand_ins = _material(terms, obs, known, candidates, problem)
         if obs is not problem.obs and problem.noise is not None:
             told, library = (
                 beside(weighted_like(obs, known, problem.noise)),
@@ -179,7 +183,7 @@ def search(
         if not terms and top is not None:
             terms = [top.term]
     last, plain_last = _given(problem, terms, candidates), _given(plain, terms, candidates)
-    found = _described(terms, told, library, plain, candidates)
+    found = _described(terms, stand_ins, told, library, plain, candidates)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
@@ -263,37 +267,48 @@ def _material(
     known: Sequence[Term],
     candidates: Candidates,
     problem: Problem,
-) -> list[Term]:
-    """Return the effects without those that are no more than how far the laws of others are off.
+) -> tuple[list[Term], dict[str, list[Term]]]:
+    """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
-    Every effect must explain a twentieth of what all explain, as RMS; one that a simpler effect
-    stands in for is replaced.
+    Every effect must explain a twentieth of what all explain, as RMS. A stand-in, by the label of
+    the effect, is a simpler effect that loses no more in its place than laws are off.
     """
     if not terms:
-        return []
+        return [], {}
     dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
     found = dictionary.add(terms)
-    n = float(obs.mask.sum())
-    floor = (IMMATERIAL * _floor_um(problem)) ** 2 * n
-    chosen, least = found, 0.0
-    for _ in range(len(found)):
-        before, least = chosen, max(floor, _INEXACT**2 * dictionary.explained(chosen))
-        chosen = _simplified(dictionary, _worthwhile(dictionary, found, chosen, least), least)
-        if {e.label for e in chosen} == {e.label for e in before}:
-            break
-        found = chosen + [e for e in found if e not in chosen]
-    return [entry.term for entry in chosen]
+    floor = (IMMATERIAL * _floor_um(problem)) ** 2 * float(obs.mask.sum())
+    least = max(floor, _INEXACT**2 * dictionary.explained(found))
+    chosen = _worthwhile(dictionary, found, least)
+    stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least) for e in chosen}
+    return [entry.term for entry in chosen], stand_ins
 
 
-def _worthwhile(
-    dictionary: Dictionary, found: list[Entry], chosen: list[Entry], least: float
-) -> list[Entry]:
+def _stand_ins(
+    dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float
+) -> list[Term]:
+    rest = [e for e in chosen if e is not entry]
+    have = {e.label for e in chosen}
+    own = dictionary.explained(chosen) - dictionary.explained(rest)
+    enough = own - min(least, _STANDS_IN * own)
+    gains = zip(dictionary.gains(rest).tolist(), dictionary.entries, strict=True)
+    near = [
+        (gain, other)
+        for gain, other in gains
+        if gain > enough and other.free < entry.free and other.label not in have
+    ]
+    # The best shape of each: the last one wins.
+    best = {other.label: other.term for _, other in sorted(near, key=lambda pair: pair[0])}
+    return list(best.values())
+
+
+def _worthwhile(dictionary: Dictionary, found: list[Entry], least: float) -> list[Entry]:
     """Return the best of the effects found where each must explain so much: drop, add and exchange."""
 
     def worth(entries: list[Entry]) -> float:
         return dictionary.explained(entries) - least * len(entries)
 
-    most = worth(chosen)
+    chosen, most = found, worth(found)
     while True:
         rest = [e for e in found if e not in chosen]
         fewer = [chosen[:i] + chosen[i + 1 :] for i in range(len(chosen))]
@@ -302,27 +317,6 @@ def _worthwhile(
         if worth(best) <= most:
             return chosen
         chosen, most = best, worth(best)
-
-
-def _simplified(dictionary: Dictionary, chosen: list[Entry], least: float) -> list[Entry]:
-    """Return the set with simpler effects in place of those that they stand in for."""
-    most = dictionary.explained(chosen)
-    for number, entry in enumerate(chosen):
-        rest = chosen[:number] + chosen[number + 1 :]
-        have = {e.label for e in chosen}
-        own = most - dictionary.explained(rest)
-        gains = dictionary.gains(rest)
-        simpler = [
-            (float(gain), other)
-            for gain, other in zip(gains, dictionary.entries, strict=True)
-            if other.free < entry.free
-            and other.label not in have
-            and gain > own - min(least, _STANDS_IN * own)
-        ]
-        if simpler:
-            best = max(simpler, key=lambda pair: pair[0])[1]
-            return _simplified(dictionary, [*rest, best], least)
-    return chosen
 
 
 def _significant(
@@ -352,6 +346,7 @@ def _significant(
 
 def _described(
     terms: Sequence[Term],
+    stand_ins: Mapping[str, Sequence[Term]],
     problem: Problem,
     candidates: Candidates,
     plain: Problem,
@@ -374,13 +369,17 @@ def _described(
             continue
         rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
         bare = _given(plain, others, everywhere)
-        group = _group(given, candidates, level, top, rivals)
+        group, absorbed = _group(given, candidates, level, top, rivals)
+        have = {c.term.label for c in group}
+        simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
+        tested = [candidates.tested_term(given, t, level) for t in simpler]
+        group += tuple(c for c in tested if c is not None)
         group += _sets(problem, candidates, terms, term, rivals, group, level)
         gain = left_out_gain(given, candidates.whitened(given, term))
         visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
         size_um = _size_um(bare, everywhere, term)
-        out.append(Found(top, group, given, candidates, level, gain, size_um, fitted))
+        out.append(Found(top, group, absorbed, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
 
 
@@ -409,23 +408,24 @@ def _group(
     level: NoiseLevel,
     top: Candidate,
     tested: Sequence[Candidate],
-) -> tuple[Candidate, ...]:
-    """Return what cannot be told from the top effect.
+) -> tuple[tuple[Candidate, ...], frozenset[str]]:
+    """Return what cannot be told from the top effect, and the labels of what cannot be seen beside it.
 
-    What leaves it nothing significant to explain, a 95 % confidence set, and what cannot be seen
-    beside it, though it explains half as much alone: how much of the two is there is not known.
+    What leaves it nothing significant to explain, a 95 % confidence set; and what explains half as
+    much alone and nothing beside it: how much of the two is there is not known.
     """
-    group = [top]
+    group, hidden = [top], set()
+    beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
     for found in sorted(tested, key=lambda c: -c.score.gain):
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
-        beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
-        absorbed = not candidates.visible(beside, other.term).shape[1]
-        if not absorbed and not _adds_nothing(problem, top, other, candidates, level):
+        if not candidates.visible(beside, other.term).shape[1]:
+            hidden.add(other.term.label)
+        elif not _adds_nothing(problem, top, other, candidates, level):
             continue
         group.append(other)
-    return tuple(group)
+    return tuple(group), frozenset(hidden)
 
 
 def _numbers(term: Term) -> int:
