@@ -124,7 +124,7 @@ def _concluded(
     foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
     if not found.found:
         return _nothing_found(blank, found, candidates, known, channels, words)
-    tests = {f.label: _laws_of(f) for f in found.found}
+    tests = {f.label: _laws_of(f, len(found.found)) for f in found.found}
     # A channel of the library's own that still moves with what is left has not been explained.
     late = any(not _is_foreign(name, library) for name in moving)
     much = _much_left(found, blank.noise_floor_um)
@@ -321,16 +321,20 @@ def _quiet(blank: Diagnosis) -> Verdict:
     return "variance_effect" if blank.spread else "nothing_missing"
 
 
-def _laws_of(effect: Found) -> Mapping[str, list[LawTest]]:
+def _laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
     """Test the laws of an effect and its rivals with all other effects taken out, by label.
 
-    What cannot be seen beside it may be a part of it only: its law is not that of the whole.
+    What cannot be seen beside it may be a part of it only: its law is not that of the whole. The
+    p-values are Bonferroni's over all the effects found.
     """
-    return {
-        c.term.label: law_tests(effect.problem, effect.candidates, c, effect.level)
-        for c in effect.group[:_SHOWN]
-        if c.term.label not in effect.absorbed
-    }
+    out = {}
+    for candidate in effect.group[:_SHOWN]:
+        if candidate.term.label not in effect.absorbed:
+            tests = law_tests(effect.problem, effect.candidates, candidate, effect.level)
+            out[candidate.term.label] = [
+                replace(test, p_value=min(1.0, effects * test.p_value)) for test in tests
+            ]
+    return out
 
 
 def _survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:

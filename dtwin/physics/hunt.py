@@ -6,13 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.dictionary import Dictionary, Entry
+from dtwin.physics.localise import condition_means
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
 from dtwin.physics.shapes import refined_together
-from dtwin.physics.whitening import inverse_root, smoothed
+from dtwin.physics.whitening import from_harmonics, inverse_root, smoothed
 from dtwin.schema import Floats
 
 # An effect must explain this share of what is left beyond noise, which may be misfit.
@@ -25,6 +27,8 @@ _MOVES = 40
 _SETTLED = 1e-3
 # What happens so near to a reversal hangs on a fraction of a millisecond.
 _NEAR_REVERSAL_DEG = 2.6
+# So many times the mean square of what is left elsewhere is sharp.
+_SHARP = 1.5
 
 
 def best_set(
@@ -52,7 +56,7 @@ def best_set(
         Effects with their shapes.
     obs : Observations
         The campaign; without the neighbourhood of reversals when the library's laws do not hold
-        there to within the noise.
+        to within the noise, there or everywhere.
 
     Notes
     -----
@@ -78,7 +82,10 @@ def best_set(
         problem = beside(weighted_like(obs, known, replace(noise, weights=weights)))
         hunt = Hunt(problem, candidates, level)
         chosen = hunt.run(hunt.dictionary.add(terms))
-    return [entry.term for entry in chosen], obs
+    terms = [entry.term for entry in chosen]
+    if obs is problem.obs and obs.grid.kind == "circular" and _is_sharp(problem, terms):
+        obs = _away_from_reversals(obs)
+    return terms, obs
 
 
 class Hunt:
@@ -211,19 +218,37 @@ class Hunt:
         return [new.get(entry.label, entry) for entry in chosen]
 
 
+def _near_reversal(obs: Observations) -> NDArray[np.bool_]:
+    angle = np.degrees(obs.grid.phase_rad)
+    return np.abs((angle + 45.0) % 90.0 - 45.0) < _NEAR_REVERSAL_DEG
+
+
 def _away_from_reversals(obs: Observations) -> Observations:
     """Return a campaign of circles without what lies near the ends of the axes."""
-    angle = np.degrees(obs.grid.phase_rad)
-    near = np.abs((angle + 45.0) % 90.0 - 45.0) < _NEAR_REVERSAL_DEG
-    mask = obs.mask & ~near[None, :]
+    mask = obs.mask & ~_near_reversal(obs)[None, :]
     return replace(obs, mask=mask, y_um=np.where(mask, obs.y_um, 0.0))
+
+
+def _is_sharp(problem: Problem, terms: Sequence[Term]) -> bool:
+    """Tell whether what effects leave, on the mean of the repeats, is larger near reversals."""
+    obs = problem.obs
+    rows = _left(problem, terms) / problem.weights
+    power = condition_means(obs, from_harmonics(rows) * obs.mask) ** 2
+    near = _near_reversal(obs)
+    return bool(power[:, near].mean() > _SHARP * power[:, ~near].mean())
+
+
+def _left(problem: Problem, terms: Sequence[Term]) -> Floats:
+    """Return what a set leaves, whitened, shape (rows, n)."""
+    obs = problem.obs
+    dictionary = Dictionary(problem, Candidates(obs, []))
+    rest = problem.residual.ravel() - dictionary.fitted(dictionary.add(terms))
+    return np.asarray(rest.reshape(obs.n_rows, obs.n_bins))
 
 
 def _misfit_as_noise(problem: Problem, terms: Sequence[Term]) -> tuple[Floats, float]:
     """Return the weights that make what a set leaves white, and its variance then."""
     obs = problem.obs
-    dictionary = Dictionary(problem, Candidates(obs, []))
-    rest = problem.residual.ravel() - dictionary.fitted(dictionary.add(terms))
-    rows: Floats = rest.reshape(obs.n_rows, obs.n_bins) / problem.weights
+    rows: Floats = _left(problem, terms) / problem.weights
     weights = inverse_root(smoothed((rows**2).mean(axis=0)))
     return weights, float(((rows * weights) ** 2).sum() / obs.mask.sum())
