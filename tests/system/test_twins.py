@@ -171,7 +171,7 @@ def test_mlflow_follows_in_the_background_and_in_order(
     assert twin_registration.waiting(twins.home) == []
     found = Registry(twins.home).client.search_model_versions("name='twin-fast'")
     shown = [v.tags["action"] for v in sorted(found, key=lambda v: int(v.version))]
-    assert shown == ["fit", "add backlash X", "remove backlash X"]
+    assert shown == ["fit", "add backlash X", "remove backlash"]
     numbers = [r["mlflow"]["model_version"] for r in twins.history("fast")]
     assert numbers == ["1", "2", "3"]
 
