@@ -117,7 +117,7 @@ class Hunt:
             if other is not chosen:
                 chosen = self._improved(self._refined(other))
             cost = self._cost(chosen)
-            if cost >= least - _SETTLED * abs(least):
+            if cost >= least - self._per_effect:
                 break
             best, least = chosen, cost
         return best
@@ -203,11 +203,12 @@ class Hunt:
         return best
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
-        terms = refined_together(self._problem, self._candidates, [e.term for e in chosen])
-        return [
-            entry if term is entry.term else self.dictionary.add([term])[0]
-            for entry, term in zip(chosen, terms, strict=True)
-        ]
+        terms = refined_together(
+            self._problem, self._candidates, [e.term for e in chosen], self._per_number
+        )
+        changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
+        new = {entry.label: entry for entry in self.dictionary.add(changed)}
+        return [new.get(entry.label, entry) for entry in chosen]
 
 
 def _away_from_reversals(obs: Observations) -> Observations:

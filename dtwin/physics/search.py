@@ -22,11 +22,15 @@ from dtwin.statistics import holm
 ALPHA = 0.03
 _LEADING = 6
 _GROUP_GAIN = 0.5
+# Between the shapes of the grid an effect may explain more.
+_NEAR = 0.3
 _GROUP_P = 0.05
 _FIT_IS_FINE = 0.05
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
 _INEXACT = 0.05
+# A simpler effect stands in for another one when it loses no more than this of what that explains.
+_STANDS_IN = 0.05
 # p-values so small stay significant whatever the number of tests.
 _BEYOND_DOUBT = 1e-6
 
@@ -41,6 +45,8 @@ class Found:
         The effect, tested against what all the others leave.
     group : tuple of Candidate
         It, and what these runs cannot tell from it, best first.
+    absorbed : frozenset of str
+        Those of the group that cannot be seen beside the effect: they may be there as well.
     problem : Problem
         The campaign with all the other effects that were found.
     candidates : Candidates
@@ -57,6 +63,7 @@ class Found:
 
     top: Candidate
     group: tuple[Candidate, ...]
+    absorbed: frozenset[str]
     problem: Problem
     candidates: Candidates
     level: NoiseLevel
@@ -162,10 +169,11 @@ def search(
     before_um = systematic_rms_um(problem.obs, in_angle(plain))
     top = _leading(first, plain, candidates)
     terms: list[Term] = []
+    stand_ins: dict[str, list[Term]] = {}
     told, library = problem, candidates
     if top is not None or fit <= _FIT_IS_FINE:
         terms, obs = best_set(problem, candidates, known, beside)
-        terms = _material(terms, obs, known, candidates, problem)
+        terms, stand_ins = _material(terms, obs, known, candidates, problem)
         if obs is not problem.obs and problem.noise is not None:
             told, library = (
                 beside(weighted_like(obs, known, problem.noise)),
@@ -175,7 +183,7 @@ def search(
         if not terms and top is not None:
             terms = [top.term]
     last, plain_last = _given(problem, terms, candidates), _given(plain, terms, candidates)
-    found = _described(terms, told, library, plain, candidates)
+    found = _described(terms, stand_ins, told, library, plain, candidates)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
@@ -259,43 +267,56 @@ def _material(
     known: Sequence[Term],
     candidates: Candidates,
     problem: Problem,
-) -> list[Term]:
-    """Return the effects without those that are no more than how far the laws of others are off.
+) -> tuple[list[Term], dict[str, list[Term]]]:
+    """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
-    An effect that explains less than a twentieth of what all explain is dropped, the smallest
-    first; one that a simpler effect stands in for, at no more than such a loss, is replaced.
+    Every effect must explain a twentieth of what all explain, as RMS. A stand-in, by the label of
+    the effect, is a simpler effect that loses no more in its place than laws are off.
     """
     if not terms:
-        return []
+        return [], {}
     dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
-    chosen = dictionary.add(terms)
-    n = float(obs.mask.sum())
-    floor = (IMMATERIAL * _floor_um(problem)) ** 2 * n
+    found = dictionary.add(terms)
+    floor = (IMMATERIAL * _floor_um(problem)) ** 2 * float(obs.mask.sum())
+    least = max(floor, _INEXACT**2 * dictionary.explained(found))
+    chosen = _worthwhile(dictionary, found, least)
+    stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least) for e in chosen}
+    return [entry.term for entry in chosen], stand_ins
+
+
+def _stand_ins(
+    dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float
+) -> list[Term]:
+    rest = [e for e in chosen if e is not entry]
+    have = {e.label for e in chosen}
+    own = dictionary.explained(chosen) - dictionary.explained(rest)
+    enough = own - min(least, _STANDS_IN * own)
+    gains = zip(dictionary.gains(rest).tolist(), dictionary.entries, strict=True)
+    near = [
+        (gain, other)
+        for gain, other in gains
+        if gain > enough and other.free < entry.free and other.label not in have
+    ]
+    # The best shape of each: the last one wins.
+    best = {other.label: other.term for _, other in sorted(near, key=lambda pair: pair[0])}
+    return list(best.values())
+
+
+def _worthwhile(dictionary: Dictionary, found: list[Entry], least: float) -> list[Entry]:
+    """Return the best of the effects found where each must explain so much: drop, add and exchange."""
+
+    def worth(entries: list[Entry]) -> float:
+        return dictionary.explained(entries) - least * len(entries)
+
+    chosen, most = found, worth(found)
     while True:
-        explained = dictionary.explained(chosen)
-        least = max(floor, _INEXACT**2 * explained)
-        smaller = _simplified(dictionary, chosen, explained - least)
-        if smaller is None:
-            return [entry.term for entry in chosen]
-        chosen = smaller
-
-
-def _simplified(dictionary: Dictionary, chosen: list[Entry], enough: float) -> list[Entry] | None:
-    """Return a set with fewer free numbers that still explains enough, the best of them."""
-    best: tuple[float, list[Entry]] | None = None
-    have = {entry.label for entry in chosen}
-    for number, entry in enumerate(chosen):
-        rest = chosen[:number] + chosen[number + 1 :]
-        alone = dictionary.explained(rest)
-        if alone > enough:
-            best = max(best or (alone, rest), (alone, rest), key=lambda pair: pair[0])
-            continue
-        gains = dictionary.gains(rest)
-        for gain, other in zip(gains, dictionary.entries, strict=True):
-            simpler = other.free < entry.free and other.label not in have
-            if simpler and alone + gain > enough and best is None:
-                best = alone + float(gain), [*rest, other]
-    return None if best is None else best[1]
+        rest = [e for e in found if e not in chosen]
+        fewer = [chosen[:i] + chosen[i + 1 :] for i in range(len(chosen))]
+        moves = [*fewer, *([*entries, e] for entries in [chosen, *fewer] for e in rest)]
+        best = max(moves, key=worth, default=chosen)
+        if worth(best) <= most:
+            return chosen
+        chosen, most = best, worth(best)
 
 
 def _significant(
@@ -325,6 +346,7 @@ def _significant(
 
 def _described(
     terms: Sequence[Term],
+    stand_ins: Mapping[str, Sequence[Term]],
     problem: Problem,
     candidates: Candidates,
     plain: Problem,
@@ -336,6 +358,8 @@ def _described(
     """
     out = []
     beyond = misfit(_given(problem, terms, candidates))
+    dictionary = Dictionary(problem, candidates)
+    chosen = {entry.label: entry for entry in dictionary.add(terms)}
     for term in terms:
         others = [t for t in terms if t is not term]
         given = _given(problem, others, candidates)
@@ -343,16 +367,39 @@ def _described(
         top = candidates.tested_term(given, term, level)
         if top is None:
             continue
-        rivals, _ = candidates.tested(given, level, but={t.label for t in terms})
+        rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
         bare = _given(plain, others, everywhere)
-        group = _group(given, candidates, level, top, rivals)
+        group, absorbed = _group(given, candidates, level, top, rivals)
+        have = {c.term.label for c in group}
+        simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
+        tested = [candidates.tested_term(given, t, level) for t in simpler]
+        group += tuple(c for c in tested if c is not None)
         group += _sets(problem, candidates, terms, term, rivals, group, level)
         gain = left_out_gain(given, candidates.whitened(given, term))
         visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
         size_um = _size_um(bare, everywhere, term)
-        out.append(Found(top, group, given, candidates, level, gain, size_um, fitted))
+        out.append(Found(top, group, absorbed, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
+
+
+def _far(dictionary: Dictionary, chosen: Mapping[str, Entry], term: Term) -> set[str]:
+    """Return the labels of what is no rival of a term: it explains too little in its place."""
+    rest = [entry for label, entry in chosen.items() if label != term.label]
+    gains = dictionary.gains(rest)
+    own = dictionary.explained(list(chosen.values())) - dictionary.explained(rest)
+    most: dict[str, float] = {}
+    for gain, entry in zip(gains, dictionary.entries, strict=True):
+        most[entry.label] = max(most.get(entry.label, 0.0), float(gain))
+    return {
+        entry.label
+        for entry in dictionary.entries
+        if entry.label in chosen
+        or (
+            most[entry.label] < _NEAR * own
+            and entry.term.instance.effect.name not in term.instance.effect.confusables
+        )
+    }
 
 
 def _group(
@@ -361,17 +408,24 @@ def _group(
     level: NoiseLevel,
     top: Candidate,
     tested: Sequence[Candidate],
-) -> tuple[Candidate, ...]:
-    """Return what leaves the top one nothing significant to explain: a 95 % confidence set."""
-    group = [top]
+) -> tuple[tuple[Candidate, ...], frozenset[str]]:
+    """Return what cannot be told from the top effect, and the labels of what cannot be seen beside it.
+
+    What leaves it nothing significant to explain, a 95 % confidence set; and what explains half as
+    much alone and nothing beside it: how much of the two is there is not known.
+    """
+    group, hidden = [top], set()
+    beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
     for found in sorted(tested, key=lambda c: -c.score.gain):
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
-        if not _adds_nothing(problem, top, other, candidates, level):
+        if not candidates.visible(beside, other.term).shape[1]:
+            hidden.add(other.term.label)
+        elif not _adds_nothing(problem, top, other, candidates, level):
             continue
         group.append(other)
-    return tuple(group)
+    return tuple(group), frozenset(hidden)
 
 
 def _numbers(term: Term) -> int:
