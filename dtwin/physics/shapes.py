@@ -135,7 +135,9 @@ class _Projected:
     def _solved(self, logs: Floats) -> tuple[Floats, Floats]:
         every = [self._columns(n, logs[part]) for n, part in enumerate(self._parts)]
         columns = np.concatenate(every, axis=1)
-        inverse: Floats = np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True)
+        inverse = np.asarray(
+            np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), dtype=float
+        )
         return columns, inverse
 
     def _columns(self, number: int, logs: Floats) -> Floats:
