@@ -113,13 +113,14 @@ def note_diagnosis(
     model, model_version : str
         As ``log_twin`` returned them.
     diagnosis : dict
-        As ``Diagnosis.as_dict`` returned it.
+        As it was stored: what is not a number is None.
     """
+    p_value = diagnosis["lack_of_fit_p"]
     group = [_label(c) for c in diagnosis["candidates"] if c["in_group"]]
     tags = {
         "verdict": str(diagnosis["verdict"]),
         "group": ", ".join(group),
-        "lack_of_fit_p": f"{diagnosis['lack_of_fit_p']:.3g}",
+        "lack_of_fit_p": "nan" if p_value is None else f"{p_value:.3g}",
     }
     for key, value in tags.items():
         registry.client.set_model_version_tag(model, model_version, key, value)

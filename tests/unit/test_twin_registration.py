@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import signal
@@ -22,7 +23,7 @@ from dtwin.pipeline.twin_registration import log_waiting, place_of, waiting, wai
 from dtwin.pipeline.twin_shelf import PATHS, TwinShelf
 from dtwin.train.registry import Registry
 
-FIGURES = {"rms_before_um": 2.0, "rms_after_um": 1.0, "noise_floor_um": None}
+FIGURES = {"rms_before_um": 2.0, "rms_after_um": 1.0, "noise_floor_um": math.nan}
 DATA = {"runs": 4, "left_out": {}}
 # Every call of MLflow that logging a version and its diagnosis makes, after which a kill may come.
 CALLS = ("create_experiment", "create_run", "log_batch", "log_artifacts", "set_terminated",
@@ -38,7 +39,7 @@ def version(name: str, number: int) -> dict[str, Any]:
 
 
 def diagnosis(name: str, number: int, verdict: str) -> dict[str, Any]:
-    named = {"twin": name, "version": number, "verdict": verdict, "lack_of_fit_p": 0.5}
+    named = {"twin": name, "version": number, "verdict": verdict, "lack_of_fit_p": math.nan}
     return {**named, "candidates": []}
 
 
