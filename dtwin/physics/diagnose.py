@@ -334,8 +334,16 @@ def _laws_of(effect: Found) -> Mapping[str, list[LawTest]]:
 
 
 def _survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:
-    """Return the members of a group whose laws hold."""
-    return [c for c in effect.group if not _broken(tests.get(c.term.label, ()))]
+    """Return the members of a group whose laws hold.
+
+    Where that of the top one does not, one with more parameters only hides that.
+    """
+    most = effect.top.visible.shape[1] if _broken(tests.get(effect.label, ())) else np.inf
+    return [
+        c
+        for c in effect.group
+        if c.visible.shape[1] <= most and not _broken(tests.get(c.term.label, ()))
+    ]
 
 
 def _broken(tests: Sequence[LawTest]) -> bool:
