@@ -221,15 +221,14 @@ def repair(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Drop what killed ingests and trainings left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
+    """Drop what kills left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
     from dtwin.config import home
-    from dtwin.pipeline.twin_registration import log_waiting, waiting, waiting_text
+    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
     from dtwin.store import Lake
 
     found = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()
     set_aside = dropped.pop("log")
-    before = len(waiting(home()))
     left = log_waiting(home())
     closed = 0
     # Importing MLflow takes seconds.
@@ -239,7 +238,6 @@ def repair(
         closed = Registry(home()).close_abandoned()
     payload = {
         "trainings_closed": closed,
-        "twins_logged": before - len(left),
         "not_in_mlflow": [item.as_dict() for item in left],
         "dropped": dropped,
         "log_entries_set_aside": set_aside,
@@ -249,10 +247,7 @@ def repair(
     def text() -> str:
         cut = [f"empty log entry set aside: {e}; ingest the newest files again" for e in set_aside]
         lines = [f"dropped orphans: {dropped}", f"killed trainings closed: {closed}", *cut]
-        if before:
-            lines.append(f"versions of twins told to MLflow: {before - len(left)}")
-        if left:
-            lines.append(waiting_text(left))
+        lines += [waiting_text(left)] if left else []
         return "\n".join([*lines, *(f"recovered {run_text(r)}" for r in found)])
 
     emit(payload, text, as_json=as_json)
