@@ -7,6 +7,8 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+from dtwin.errors import InputError
+
 # Set before the libraries are imported; a user who wants telemetry sets them otherwise.
 _TELEMETRY_OFF = {
     "DO_NOT_TRACK": "true",
@@ -27,6 +29,10 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "MLFLOW_TRACKING_URI": (
         "a SQLite file in `DTWIN_HOME`",
         "where models are logged and registered",
+    ),
+    "DTWIN_MLFLOW": (
+        "later",
+        "`later`: MLflow is told of a twin's version in the background; `now`: before the command ends",
     ),
     "PREFECT_API_URL": (
         "the server of `dtwin up`, else one for the command",
@@ -120,6 +126,23 @@ class Home:
     def mlflow_uri(self) -> str:
         """Tracking store: ``MLFLOW_TRACKING_URI``, by default a local SQLite file."""
         return os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{self.root}/mlflow/mlflow.db"
+
+    @property
+    def mlflow_at_once(self) -> bool:
+        """Whether MLflow is told of a twin's version before the command ends: ``DTWIN_MLFLOW``.
+
+        Raises
+        ------
+        InputError
+            When it is neither ``now`` nor ``later``.
+        """
+        when = os.environ.get("DTWIN_MLFLOW") or "later"
+        if when not in ("now", "later"):
+            raise InputError(
+                "the setting is not known", code="settings.value", where="DTWIN_MLFLOW",
+                got=when, allowed="now, later",
+            )  # fmt: skip
+        return when == "now"
 
 
 def home() -> Home:

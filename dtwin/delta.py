@@ -290,7 +290,8 @@ class DeltaFiles:
             When the log says otherwise than its newest entry: an entry is empty or damaged.
         """
         try:
-            live = set(pa.table(table.get_add_actions()).column("path").to_pylist())
+            # Not by pyarrow, which would import pandas to see what it is given.
+            live = set(table.get_add_actions()["path"].to_pylist())
             # Not table.history: of an older version it returns the newest entries.
             entry = self._entry(table.version()).read_text(encoding="utf-8")
             actions = [json.loads(line) for line in entry.splitlines()]

@@ -13,6 +13,8 @@ from hypothesis import settings
 from dtwin.config import quiet_environment, sample_recording
 
 quiet_environment()
+# Not by a process in the background, which would outlive the test.
+os.environ["DTWIN_MLFLOW"] = "now"
 # How long an example takes depends on what else the computer does.
 settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")

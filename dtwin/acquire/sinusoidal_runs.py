@@ -10,9 +10,8 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
-from dtwin.features.tone_window import HORIZON_S, WINDOW_S
 from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
-from dtwin.tone_plan import FEWEST_PER_PERIOD, SAFE_SHARE
+from dtwin.tone_plan import FEWEST_PER_PERIOD, FORETOLD_S, LEARNED_S, SAFE_SHARE
 from dtwin.units import UM_PER_MM
 
 # A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
@@ -171,12 +170,12 @@ def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
 def _sampling(run: Run, told: Commanded) -> list[Finding]:
     t = run.samples["t_s"]
     found = _rate_finding(run.meta.sample_rate_hz, told.frequency_hz, "the samples")
-    if len(t) and t[-1] - t[0] < WINDOW_S + HORIZON_S - 0.01:
+    if len(t) and t[-1] - t[0] < LEARNED_S - 0.01:
         found.append(
             Finding(
                 "sinusoidal.short", "warning",
-                f"{t[-1] - t[0]:z.2f} s are recorded; {WINDOW_S:g} s for the features and "
-                f"{HORIZON_S:g} s for what they foretell are needed",
+                f"{t[-1] - t[0]:z.2f} s are recorded; {LEARNED_S - FORETOLD_S:g} s for the features and "
+                f"{FORETOLD_S:g} s for what they foretell are needed",
                 {"duration_s": float(t[-1] - t[0])},
             )
         )  # fmt: skip

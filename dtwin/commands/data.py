@@ -221,13 +221,15 @@ def repair(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Drop what killed ingests and trainings left behind; recover a folder's killed recordings."""
+    """Drop what kills left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
     from dtwin.config import home
+    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
     from dtwin.store import Lake
 
     found = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()
     set_aside = dropped.pop("log")
+    left = log_waiting(home())
     closed = 0
     # Importing MLflow takes seconds.
     if (home().root / "mlflow").is_dir():
@@ -236,6 +238,7 @@ def repair(
         closed = Registry(home()).close_abandoned()
     payload = {
         "trainings_closed": closed,
+        "not_in_mlflow": [item.as_dict() for item in left],
         "dropped": dropped,
         "log_entries_set_aside": set_aside,
         "recovered": [run.run_id for run in found],
@@ -244,6 +247,7 @@ def repair(
     def text() -> str:
         cut = [f"empty log entry set aside: {e}; ingest the newest files again" for e in set_aside]
         lines = [f"dropped orphans: {dropped}", f"killed trainings closed: {closed}", *cut]
+        lines += [waiting_text(left)] if left else []
         return "\n".join([*lines, *(f"recovered {run_text(r)}" for r in found)])
 
     emit(payload, text, as_json=as_json)

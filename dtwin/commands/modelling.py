@@ -115,19 +115,27 @@ def train(
 def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
     from dtwin.config import home
+    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
     from dtwin.train.promotion import history
     from dtwin.train.registry import Registry
 
+    left = log_waiting(home())
     registry = Registry(home())
     found = [
         v for m in ([machine] if machine else registry.machines()) for v in registry.versions(m)
     ]
     past = {m: history(home(), m) for m in {v.machine for v in found}}
-    payload = {"versions": [dict(vars(v)) for v in found], "history": past}
+    payload = {
+        "versions": [dict(vars(v)) for v in found],
+        "history": past,
+        "not_in_mlflow": [item.as_dict() for item in left],
+    }
 
     def text() -> str:
+        last = [waiting_text(left)] if left else []
         if not found:
-            return "no model is registered yet; make one with: dtwin train CAMPAIGN"
+            none = "no model is registered yet; make one with: dtwin train CAMPAIGN"
+            return "\n".join([none, *last])
         rows = [
             [
                 v.machine,
@@ -162,7 +170,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
                 + (f"  failed: {', '.join(e['failed'])}" if e["failed"] else "")
                 for e in entries
             ]
-        return "\n".join(lines)
+        return "\n".join([*lines, *last])
 
     emit(payload, text, as_json=as_json)
 

@@ -40,6 +40,7 @@ def up(
 ) -> None:
     """Start the Prefect and MLflow pages on this computer; Ctrl-C stops them."""
     from dtwin.config import home
+    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
     from flows.servers import UpRequest, servers
 
     times = None if no_schedule else _checked(cron)
@@ -49,6 +50,9 @@ def up(
         signal.signal(number, _as_interrupt)
     try:
         print("starting; the first time takes half a minute", file=sys.stderr, flush=True)
+        left = log_waiting(home())
+        if left:
+            print(waiting_text(left), file=sys.stderr, flush=True)
         with servers(home(), request) as found:
             payload: dict[str, Any] = found.addresses | {"cron": times}
             shown = json.dumps(payload, indent=2) if as_json else _text(payload, home())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -58,6 +59,7 @@ def fit_twin(
     twins, known = twins_for(home(), library_with(effects_path), campaign)
     twin = twins.fit(known, names, name, robust=robust)
     emit(twin.as_dict(), lambda: twin_text(twin), as_json=as_json)
+    _tell_failed(name)
 
 
 @twin_app.command("compare")
@@ -247,10 +249,17 @@ def confirm_effect(
 @twin_app.command("history")
 def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) -> None:
     """Every rung of a twin, with error before and after."""
+    from dtwin.config import home
+    from dtwin.pipeline.twin_registration import waiting, waiting_text
     from dtwin.report.twins import history_text
 
     rungs = _twins_with(name, effects_path).history(name)
-    emit({"twin": name, "rungs": rungs}, lambda: history_text(rungs), as_json=as_json)
+    left = waiting(home(), name)
+    emit(
+        {"twin": name, "rungs": rungs, "not_in_mlflow": [item.as_dict() for item in left]},
+        lambda: "\n".join([history_text(rungs), *([waiting_text(left)] if left else [])]),
+        as_json=as_json,
+    )
 
 
 @twin_app.command("show")
@@ -313,6 +322,17 @@ def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None
         ),
         as_json=as_json,
     )
+    _tell_failed(twin.name)
+
+
+def _tell_failed(name: str) -> None:
+    """Say on stderr when MLflow did not take an earlier version."""
+    from dtwin.config import home
+    from dtwin.pipeline.twin_registration import waiting, waiting_text
+
+    found = waiting(home(), name)
+    if any(item.failed for item in found):
+        print(waiting_text(found), file=sys.stderr)
 
 
 def _twins(paths: list[Path] | None) -> Twins:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares, linprog
+import scipy
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats
@@ -126,7 +126,7 @@ def fit_circle(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> Cir
     def residual(p: Floats) -> Floats:
         return np.hypot(a_um - p[0], b_um - p[1]) - (radius_mm * 1000.0 + p[2])
 
-    solved = least_squares(residual, start, x_scale=10.0, method="lm").x
+    solved = scipy.optimize.least_squares(residual, start, x_scale=10.0, method="lm").x
     return Circle(
         centre_a_um=float(solved[0]),
         centre_b_um=float(solved[1]),
@@ -160,7 +160,7 @@ def minimum_zone_um(angle_deg: Floats, deviation_um: Floats) -> tuple[float, flo
     cos, sin, one = np.cos(theta), np.sin(theta), np.ones_like(theta)
     upper = np.column_stack([-cos, -sin, -one, 0 * one])
     lower = np.column_stack([cos, sin, 0 * one, one])
-    solved = linprog(
+    solved = scipy.optimize.linprog(
         c=[0.0, 0.0, 1.0, -1.0],
         A_ub=np.vstack([upper, lower]),
         b_ub=np.concatenate([-deviation_um, deviation_um]),

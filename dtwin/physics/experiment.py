@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+import scipy
 
 from dtwin.physics.candidates import applicable
 from dtwin.physics.diagnosis import Diagnosis
@@ -228,7 +228,7 @@ def _needed(dof: float, n_tests: int) -> float:
     def missing(noncentrality: float) -> float:
         return f_tail(limit, (1, dof), noncentrality) - POWER
 
-    return float(optimize.brentq(missing, 0.01, 500.0 + 5.0 * limit))
+    return float(scipy.optimize.brentq(missing, 0.01, 500.0 + 5.0 * limit))
 
 
 def _terms(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.problem import Problem, Term
@@ -51,7 +51,7 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
         return np.asarray(residual - visible @ (visible.T @ residual))
 
     begun = np.log([term.shape[name] for name in names])
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         left,
         begun,
         bounds=_bounds(term, begun, bounded),
@@ -95,7 +95,7 @@ def refined_together(
     ranges = [_bounds(t, begun[part], True) for t, part in zip(shaped, parts, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
     before = float((projected.left(begun) ** 2).sum())
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         projected.left, begun, projected.slopes, bounds=(low, high), x_scale="jac",
         max_nfev=_MOST_TOGETHER, ftol=max(1e-8, min(0.1, enough / max(before, 1e-300))),
     )  # fmt: skip

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from dtwin import kinematics
 from dtwin.errors import InputError
 from dtwin.schema import Floats, RunMeta
 
@@ -22,7 +21,7 @@ AXES_OF: Mapping[str, tuple[str, str]] = {
     "YZ": ("Y", "Z"),
     "ZX": ("Z", "X"),
 }
-_ROBOTS = {"ur10e": kinematics.UR10E}
+_ROBOT = "ur10e"
 _TOOL_DOWN = np.diag([-1.0, 1.0, -1.0])
 _ELBOW_UP_RAD = np.radians([-18.5, -86.3, 137.0, -140.7, -90.0, -108.5])
 _GRAVITY_M_S2 = 9.80665
@@ -143,7 +142,7 @@ def has_joints(geometry: Mapping[str, Any]) -> bool:
     geometry : dict
         ``machine_geometry`` of the campaign.
     """
-    known = str(geometry.get("type", "")).lower() in _ROBOTS
+    known = str(geometry.get("type", "")).lower() == _ROBOT
     return known and ("centre_mm" in geometry or "centre_small_mm" in geometry)
 
 
@@ -221,15 +220,17 @@ def _centre_mm(geometry: Mapping[str, Any], radius_mm: float) -> Floats:
 
 def _joints(state: State) -> Joints:
     kind = str(state.geometry.get("type", "")).lower()
-    if kind not in _ROBOTS:
+    if kind != _ROBOT:
         raise InputError(
             "joint effects need the robot's geometry",
             code="state.geometry",
             got=kind or "no machine_geometry",
-            allowed=", ".join(sorted(_ROBOTS)),
+            allowed=_ROBOT,
             hint="add [campaign.machine_geometry] with type, centre_mm and tcp_mm",
         )
-    chain = _ROBOTS[kind]
+    # Its kernels need numba, which no other campaign has to wait for.
+    from dtwin.kinematics import UR10E
+
     geometry = state.geometry
     tcp = np.asarray(geometry.get("tcp_mm", (0.0, 0.0, 0.0)), dtype=float)
     branch = np.asarray(geometry.get("joint_branch", _ELBOW_UP_RAD), dtype=float)
@@ -239,10 +240,10 @@ def _joints(state: State) -> Joints:
         number = "XYZ".index(axis)
         position[:, number] += state.position_mm[axis]
         normal[:, number] = state.sensitivity[axis]
-    q_rad = chain.inverse_many(position, _TOOL_DOWN, tcp, branch)
+    q_rad = UR10E.inverse_many(position, _TOOL_DOWN, tcp, branch)
     # The path angle is the only clock of a circular run; it rises for CCW and falls for CW.
     rate_rad_s = state.direction * state.feed_mm_s / state.radius_mm
     qd_rad_s = np.gradient(q_rad, state.angle_rad, axis=0) * rate_rad_s
-    jacobians = np.array([chain.position_jacobian(q, tcp) for q in q_rad])
+    jacobians = np.array([UR10E.position_jacobian(q, tcp) for q in q_rad])
     lever = np.einsum("ni,nij->nj", normal, jacobians)
     return Joints(q_rad, qd_rad_s, lever, -_GRAVITY_M_S2 * jacobians[:, 2, :])

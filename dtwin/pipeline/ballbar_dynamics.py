@@ -22,6 +22,7 @@ from dtwin.features.dynamics.filters import (
 )
 from dtwin.features.dynamics.turns import Turn, one_turn
 from dtwin.physics.observations import observe
+from dtwin.pipeline.campaign_name import in_lake
 from dtwin.pipeline.dynamics_findings import findings_of
 from dtwin.pipeline.dynamics_ways import (
     DynamicsRequest,
@@ -31,7 +32,6 @@ from dtwin.pipeline.dynamics_ways import (
     radial_error_um,
     twin_static_um,
 )
-from dtwin.pipeline.measuring import in_lake
 from dtwin.schema import Campaign, Floats, Run, SignalGroup
 from dtwin.store import Lake
 from dtwin.train.filter_tuning import Tuning, log_tuning, tune

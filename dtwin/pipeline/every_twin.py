@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dtwin.config import Home
 from dtwin.physics.effect import Effect
 from dtwin.physics.volumetric.heat_twin import KIND
+from dtwin.pipeline.campaign_name import in_lake
 from dtwin.pipeline.heat_twins import HeatTwins
-from dtwin.pipeline.measuring import in_lake
 from dtwin.pipeline.twin_shelf import kind_of
 from dtwin.pipeline.twins import Twins
 from dtwin.store import Lake

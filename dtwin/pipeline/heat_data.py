@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 from dtwin.physics.volumetric.chain import COEFFICIENTS, design
 from dtwin.physics.volumetric.heat_series import HeatSeries
 from dtwin.physics.volumetric.identify import FIXED_POSE, Artefact, Balls, Settled
-from dtwin.pipeline.measuring import in_lake
+from dtwin.pipeline.campaign_name import in_lake
 from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail

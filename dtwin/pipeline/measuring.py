@@ -94,21 +94,6 @@ def ingest(
     return ingest_path(path, Lake(home.lake), progress, told)
 
 
-def in_lake(home: Home, campaign: str) -> str:
-    """Return the name of a campaign in the lake; a file or folder is ingested first.
-
-    Parameters
-    ----------
-    home : Home
-        Gives the lake.
-    campaign : str
-        Name in the lake, or a path.
-    """
-    if campaign not in Lake(home.lake).campaigns() and Path(campaign).exists():
-        return ingest(Path(campaign), home).campaign
-    return campaign
-
-
 def compute_features(home: Home, campaign: str, progress: Progress | None = None) -> FeatureReport:
     """Compute the signal features of every run and keep them in the lake.
 

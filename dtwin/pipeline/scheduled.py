@@ -6,17 +6,15 @@ Nothing is promoted here. A version that is better than the champion waits under
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import hashlib
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from dtwin.config import Home
-from dtwin.errors import InputError, StoreError
+from dtwin.errors import InputError
+from dtwin.locks import locked
 from dtwin.pipeline.against_champion import Comparison, compare_with_champion
 from dtwin.pipeline.drift import (
     DriftCheck,
@@ -128,7 +126,7 @@ def scheduled_training(
     progress : callable, optional
         Called with (stage, done, total, what).
     """
-    with _only_one(home) as mine:
+    with locked(home.root / "locks" / "scheduled-training.lock") as mine:
         if not mine:
             return Scheduled("skipped", "another scheduled training is at work")
         registry = Registry(home)
@@ -297,26 +295,3 @@ def _newest_training(registry: Registry, found: list[CampaignNews]) -> str:
         return ""
     newest = versions[0]
     return f" since version {newest.version} of {machine} ({campaign_of(registry, newest)})"
-
-
-@contextlib.contextmanager
-def _only_one(home: Home) -> Iterator[bool]:
-    """Hold the lock of the schedule; False when another process holds it."""
-    path = home.root / "locks" / "scheduled-training.lock"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle = path.open("w")
-    except OSError as error:
-        raise StoreError(
-            "the schedule's lock cannot be made",
-            code="store.write",
-            where=str(path),
-            got=str(error),
-        ) from error
-    with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-            return
-        yield True

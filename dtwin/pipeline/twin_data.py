@@ -17,8 +17,8 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
+from dtwin.pipeline.campaign_name import in_lake
 from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
-from dtwin.pipeline.measuring import in_lake
 from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
 from dtwin.schema import Campaign, Floats
 from dtwin.store import Lake

@@ -8,8 +8,8 @@ from typing import Any
 
 from dtwin.errors import InputError
 from dtwin.physics.fit import Estimate, fit
+from dtwin.pipeline.documents import finite, read_document, write_document
 from dtwin.pipeline.twin_data import load
-from dtwin.pipeline.twin_files import finite, read_document, write_document
 from dtwin.pipeline.twin_shelf import TwinShelf
 from dtwin.pipeline.twins import Twins
 

@@ -1,55 +1,309 @@
-"""Versions of a twin in MLflow; a twin also works where MLflow is not installed."""
+"""Versions of twins in MLflow, which follows the shelf; a twin also works where MLflow is not installed.
+
+The shelf is the queue: a version waits until a receipt beside it, ``vNNN.mlflow.json``, says where in
+MLflow it is, so there is no moment at which a kill could lose one. One process at a time logs what
+waits, oldest first. It is light to import: MLflow costs seconds, and comes when something waits.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import contextlib
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from dtwin.config import Home
-from dtwin.pipeline.twin_files import finite
+from dtwin.config import Home, quiet_environment
+from dtwin.errors import StoreError
+from dtwin.locks import locked
+from dtwin.pipeline.documents import read_document, write_document
+
+if TYPE_CHECKING:
+    from dtwin.train.registry import Registry
+
+VERSIONS = "v[0-9][0-9][0-9].json"
+_PLACE = ("parent_run_id", "run_id", "model", "model_version")
+_HINT = "dtwin repair writes it again"
+_POLITE = 10
+_children: list[subprocess.Popen[bytes]] = []
 
 
-def registered(home: Home, document: Mapping[str, Any], parent: str | None) -> dict[str, str]:
-    """Log a version and return where it is; empty without MLflow.
+@dataclass(frozen=True)
+class Waiting:
+    """A version of a twin that MLflow does not show yet, or not with its diagnosis.
+
+    Attributes
+    ----------
+    path : Path
+        Its file.
+    failed : str
+        Why it could not be logged; empty when nobody has tried.
+    """
+
+    path: Path
+    failed: str
+
+    @property
+    def label(self) -> str:
+        """Twin and version, for people."""
+        return f"{self.path.parent.name} {self.path.stem}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        return {
+            "twin": self.path.parent.name, "version": int(self.path.stem[1:]), "failed": self.failed,
+        }  # fmt: skip
+
+
+def place_of(path: Path, document: Mapping[str, Any]) -> dict[str, str]:
+    """Return where a version is in MLflow; empty while it waits.
+
+    Parameters
+    ----------
+    path : Path
+        File of the version.
+    document : mapping
+        What it holds; versions of earlier releases say there themselves where they are.
+
+    Raises
+    ------
+    StoreError
+        When the receipt is damaged.
+    """
+    file = _receipt(path)
+    receipt = read_document(file, _HINT) if file.exists() else document.get("mlflow", {})
+    return {key: receipt[key] for key in _PLACE if key in receipt}
+
+
+def waiting(home: Home, name: str = "*") -> list[Waiting]:
+    """Return the versions that wait for MLflow, oldest first; none where it is not installed.
 
     Parameters
     ----------
     home : Home
-        Where the registry is.
-    document : mapping
-        ``Twin.as_dict`` of the version.
-    parent : str or None
-        Run that holds the earlier versions.
+        Of the twins.
+    name : str
+        One twin; all without.
     """
+    if find_spec("mlflow") is None:
+        return []
+    begun: dict[Path, int] = {}
+    newest: dict[Path, int] = {}
+    for path in sorted((home.root / "twins").glob(f"{name}/{VERSIONS}")):
+        # No later than its successors, whatever a copy made of the times.
+        newest[path.parent] = begun[path] = max(newest.get(path.parent, 0), _written_ns(path))
+    known = {path: _known(path) for path in sorted(begun, key=begun.__getitem__)}
+    return [
+        Waiting(path, receipt.get("failed", ""))
+        for path, receipt in known.items()
+        if "model_version" not in receipt or receipt.get("diagnosis", "") != _sha256(_verdict(path))
+    ]
+
+
+def waiting_text(found: Sequence[Waiting]) -> str:
+    """Return how many versions wait and why, for people; empty when none does."""
+    if not found:
+        return ""
+    said = f"not yet in MLflow: {', '.join(item.label for item in found[:4])}"
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    failed = next((f"{item.label} failed: {item.failed}" for item in found if item.failed), "")
+    told = (
+        f"; {failed}; dtwin repair tries again"
+        if failed
+        else "; a process in the background does it, else dtwin repair"
+    )
+    return said + more + told
+
+
+def log_soon(home: Home, name: str, *, at_once: bool) -> None:
+    """Have what waits logged by a process that outlives this one, or ``at_once`` by this one.
+
+    Parameters
+    ----------
+    home : Home
+        Of the twins.
+    name : str
+        The twin that has something new.
+    at_once : bool
+        Wait for it.
+
+    Raises
+    ------
+    StoreError
+        When it was to be at once, and MLflow did not take it.
+    """
+    if at_once:
+        left = [item for item in log_waiting(home) if item.path.parent.name == name]
+        if left:
+            raise StoreError(
+                "the twin is kept, but MLflow did not take it", code="registry.write",
+                where=left[0].label, got=left[0].failed, hint="dtwin repair tries again",
+            )  # fmt: skip
+        return
+    if find_spec("mlflow") is None:
+        return
+    # Asked for their end, or they would stay as zombies of a long-lived workbench.
+    _children[:] = [child for child in _children if child.poll() is None]
+    _children.append(
+        subprocess.Popen(
+            [sys.executable, "-m", "dtwin.pipeline.twin_registration", str(home.root)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    )
+
+
+def log_waiting(home: Home) -> list[Waiting]:
+    """Log what waits, in this process, and return what could not be logged.
+
+    Raises
+    ------
+    StoreError
+        When the home cannot be written.
+    """
+    if not waiting(home):
+        return []
+    with locked(_lock(home, "logging"), wait=True):
+        _log_all(home)
+    return waiting(home)
+
+
+def _log_all(home: Home) -> None:
+    found = waiting(home)
+    if not found:
+        return
+    # Whatever goes wrong stands in the receipts: nobody looks at this process.
     try:
         from dtwin.train.registry import Registry
-        from dtwin.train.twin_registry import log_twin
-    except ModuleNotFoundError:
-        return {}
-    figures = document["figures"]
-    description = (
+
+        registry = Registry(home)
+        registry.experiment()
+    except Exception as error:
+        for item in found:
+            _fail(item.path, error)
+        return
+    blocked: set[Path] = set()
+    for item in found:
+        # A later version of a twin must not come before an earlier one.
+        if item.path.parent in blocked:
+            continue
+        try:
+            _log(registry, item.path)
+        except Exception as error:
+            blocked.add(item.path.parent)
+            _fail(item.path, error)
+
+
+def _log(registry: Registry, path: Path) -> None:
+    """Log a version, or only its diagnosis when it is logged already; write the receipt."""
+    from dtwin.train.twin_registry import log_twin, note_diagnosis
+
+    known, digest = _known(path), _sha256(path)
+    place = {key: known[key] for key in _PLACE if key in known}
+    if "model_version" not in place:
+        document = read_document(path)
+        place = log_twin(
+            registry, document, digest, description=_description(document), parent=_parent(path)
+        )
+        _keep(path, {**place, "version": digest})
+    file = _verdict(path)
+    noted = _sha256(file)
+    if noted:
+        note_diagnosis(registry, place["model"], place["model_version"], read_document(file))
+    _keep(path, {**place, "version": digest, "diagnosis": noted})
+
+
+def _description(document: Mapping[str, Any]) -> str:
+    figures = {k: float("nan") if v is None else v for k, v in document["figures"].items()}
+    return (
         f"**{document['action']}** on {document['campaign']}: RMS "
         f"{figures['rms_before_um']:z.2f} -> {figures['rms_after_um']:z.2f} um, "
         f"noise floor {figures['noise_floor_um']:z.2f} um (unit of replication: the {document.get('replication', 'run')})."
     )
-    return log_twin(Registry(home), finite(document), description=description, parent=parent)
 
 
-def note(home: Home, stored: Mapping[str, str], diagnosis: Mapping[str, Any]) -> None:
-    """Write a diagnosis to the version that it is of, when that was logged.
+def _parent(path: Path) -> str | None:
+    """Return the run that holds the earlier versions, None for the first."""
+    earlier = [p for p in sorted(path.parent.glob(VERSIONS)) if p < path]
+    return _known(earlier[-1]).get("parent_run_id") if earlier else None
 
-    Parameters
-    ----------
-    home : Home
-        Where the registry is.
-    stored : mapping
-        What :func:`registered` returned for the version.
-    diagnosis : mapping
-        As the command prints it.
+
+def _known(path: Path) -> dict[str, Any]:
+    """Return the receipt of a version; empty without one, and when it is damaged or another's.
+
+    What is not known is looked up in MLflow before anything is logged.
     """
-    if not stored:
-        return
-    from dtwin.train.registry import Registry
-    from dtwin.train.twin_registry import note_diagnosis
+    digest = _sha256(path)
+    with contextlib.suppress(StoreError):
+        if _receipt(path).exists():
+            found = read_document(_receipt(path))
+            return found if found["version"] == digest else {}
+        place = read_document(path).get("mlflow")
+        return {**place, "version": digest} if place else {}
+    return {}
 
-    note_diagnosis(Registry(home), stored["model"], stored["model_version"], diagnosis)
+
+def _keep(path: Path, receipt: Mapping[str, Any]) -> None:
+    # The folder of a twin that was removed meanwhile is not made again.
+    if path.exists():
+        write_document(_receipt(path), receipt, "the receipt of MLflow")
+
+
+def _fail(path: Path, error: Exception) -> None:
+    said = f"{type(error).__name__}: {error}"[:300]
+    about = {"version": _sha256(path), "failed": said, "failed_at": datetime.now(UTC).isoformat()}
+    _keep(path, {**_known(path), **about})
+
+
+def _receipt(path: Path) -> Path:
+    return path.with_suffix(".mlflow.json")
+
+
+def _verdict(path: Path) -> Path:
+    return path.with_suffix(".diagnosis.json")
+
+
+def _sha256(path: Path) -> str:
+    """Return the hash of a file, empty when there is none."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return ""
+
+
+def _written_ns(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _lock(home: Home, name: str) -> Path:
+    return home.root / "locks" / f"twins-to-mlflow.{name}.lock"
+
+
+def _main(root: Path) -> None:
+    """Log what waits, unless another process that has not begun yet will see the same."""
+    home = Home(root)
+    if not waiting(home):
+        return
+    with contextlib.ExitStack() as held:
+        with locked(_lock(home, "next")) as mine:
+            if not mine:
+                return
+            held.enter_context(locked(_lock(home, "logging"), wait=True))
+        _log_all(home)
+
+
+if __name__ == "__main__":
+    os.nice(_POLITE)
+    quiet_environment()
+    _main(Path(sys.argv[1]))

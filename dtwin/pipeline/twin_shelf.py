@@ -1,7 +1,8 @@
-"""Versions of twins on disk and in the registry, whatever kind of campaign they are of."""
+"""Versions of twins on disk, whatever kind of campaign they are of."""
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,10 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics.twin import Twin
 from dtwin.physics.volumetric.heat_twin import HeatTwin
-from dtwin.pipeline.twin_files import read_document, write_document
-from dtwin.pipeline.twin_registration import note, registered
+from dtwin.pipeline.documents import read_document, write_document
+from dtwin.pipeline.twin_registration import VERSIONS, log_soon, place_of
 from dtwin.schema import require_name
 
-_VERSIONS = "v[0-9][0-9][0-9].json"
 PATHS = "paths"
 """Kind of a twin that names none: it is of tests of a path."""
 _CAMPAIGNS = {PATHS: "a twin of circular, linear or sinusoidal campaigns"}
@@ -94,7 +94,7 @@ class TwinShelf:
             When its file is damaged.
         """
         folder = self.folder(name)
-        paths = sorted(folder.glob(_VERSIONS))
+        paths = sorted(folder.glob(VERSIONS))
         if version is not None:
             paths = [p for p in paths if p.stem == f"v{version:03d}"]
         if not paths:
@@ -143,23 +143,21 @@ class TwinShelf:
         return max(numbers, default=0) + 1
 
     def store(self, document: Mapping[str, Any]) -> None:
-        """Register a version and write its file.
+        """Write the file of a version, and have it logged in MLflow.
 
         Parameters
         ----------
         document : dict
             ``as_dict`` of the twin.
         """
-        name, numbers = document["twin"], self._numbers(document["twin"])
-        parent = self._mlflow(name, max(numbers)).get("parent_run_id") if numbers else None
-        stored = {**document, "mlflow": registered(self.home, document, parent)}
-        self._write(name, f"v{document['version']:03d}.json", stored)
+        # No two files are alike: by that MLflow tells a version from one of another home or of a
+        # twin that was removed.
+        unique = {**document, "id": uuid.uuid4().hex}
+        self._write(unique, f"v{document['version']:03d}.json")
 
     def store_diagnosis(self, document: Mapping[str, Any]) -> None:
-        """Write a diagnosis beside its version, and note its verdict in the registry."""
-        name, version = document["twin"], document["version"]
-        self._write(name, f"v{version:03d}.diagnosis.json", document)
-        note(self.home, self._mlflow(name, version), document)
+        """Write a diagnosis beside its version, and have its verdict noted in MLflow."""
+        self._write(document, f"v{document['version']:03d}.diagnosis.json")
 
     def history(self, name: str) -> list[dict[str, Any]]:
         """Return every rung of a twin, oldest first.
@@ -171,7 +169,7 @@ class TwinShelf:
         """
         folder = self.folder(name)
         out = []
-        for path in sorted(folder.glob(_VERSIONS)):
+        for path in sorted(folder.glob(VERSIONS)):
             document = read_document(path)
             diagnosis = path.with_suffix(".diagnosis.json")
             verdict = read_document(diagnosis) if diagnosis.exists() else {}
@@ -188,13 +186,13 @@ class TwinShelf:
                         if c["in_group"]
                     ],
                     "lack_of_fit_p": verdict.get("lack_of_fit_p"),
-                    "mlflow": document.get("mlflow", {}),
+                    "mlflow": place_of(path, document),
                 }
             )
         return out
 
     def _is_ours(self, folder: Path) -> bool:
-        paths = sorted(folder.glob(_VERSIONS))
+        paths = sorted(folder.glob(VERSIONS))
         return not paths or read_document(paths[-1]).get("kind", PATHS) == self.kind
 
     def _require_ours(self, name: str, document: Mapping[str, Any]) -> None:
@@ -208,19 +206,16 @@ class TwinShelf:
             )  # fmt: skip
 
     def _numbers(self, name: str) -> Sequence[int]:
-        return [int(p.stem[1:]) for p in (self.root / name).glob(_VERSIONS)]
+        return [int(p.stem[1:]) for p in (self.root / name).glob(VERSIONS)]
 
-    def _write(self, name: str, file: str, document: Mapping[str, Any]) -> None:
-        write_document(self.root / name / file, document, "the twin")
-
-    def _mlflow(self, name: str, version: int) -> Mapping[str, str]:
-        """Return where a version is in MLflow; empty when it was never logged."""
-        stored = read_document(self.root / name / f"v{version:03d}.json").get("mlflow", {})
-        return dict(stored)
+    def _write(self, document: Mapping[str, Any], file: str) -> None:
+        at_once = self.home.mlflow_at_once
+        write_document(self.root / document["twin"] / file, document, "the twin")
+        log_soon(self.home, document["twin"], at_once=at_once)
 
 
 def kind_of(home: Home, name: str) -> str:
     """Return the kind of a twin: ``volumetric``, or ``paths`` for every other and for none."""
     require_name(name, "the twin")
-    paths = sorted((home.root / "twins" / name).glob(_VERSIONS))
+    paths = sorted((home.root / "twins" / name).glob(VERSIONS))
     return str(read_document(paths[-1]).get("kind", PATHS)) if paths else PATHS

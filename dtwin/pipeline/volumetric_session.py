@@ -12,7 +12,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics.volumetric.heat_series import require_temperatures
 from dtwin.physics.volumetric.identify import Artefact, Balls, Identified, averaged_balls
-from dtwin.pipeline.measuring import in_lake
+from dtwin.pipeline.campaign_name import in_lake
 from dtwin.schema import Floats, Run
 from dtwin.store import Lake
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import json
 from collections.abc import Callable, Collection, Iterator
@@ -16,6 +15,7 @@ from dtwin.acquire.ingest import ingest, open_source, worst
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
+from dtwin.locks import locked
 from dtwin.store import Lake
 
 Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
@@ -94,16 +94,12 @@ class FolderWatch:
     @contextmanager
     def alone(self) -> Iterator[None]:
         """Hold the folder against a second watch of this home."""
-        lock = self._file.with_suffix(".lock")
-        lock.parent.mkdir(parents=True, exist_ok=True)
-        with lock.open("w") as handle:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
+        with locked(self._file.with_suffix(".lock")) as mine:
+            if not mine:
                 raise StoreError(
                     "the folder is watched already", code="watch.busy",
                     where=str(self._arrivals.folder), hint="one dtwin watch is enough",
-                ) from error  # fmt: skip
+                )  # fmt: skip
             yield
 
     def _taken(self, arrival: Arrival) -> WatchEvent | None:

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from dtwin.errors import InputError, MissingPart
 from dtwin.schema import Floats
@@ -252,5 +252,5 @@ def _refitted(
         return np.clip(np.nan_to_num(rest, nan=1e6), -1e6, 1e6)
 
     before = float(np.sum(residual(start) ** 2))
-    solved = least_squares(residual, start, x_scale="jac", max_nfev=30)
+    solved = scipy.optimize.least_squares(residual, start, x_scale="jac", max_nfev=30)
     return solved.x if 2.0 * solved.cost <= before else start

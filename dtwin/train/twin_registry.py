@@ -8,18 +8,27 @@ from typing import Any
 
 from dtwin.train.registry import Registry, environment
 
+_DOCUMENT, _OPENED_FOR = "dtwin.document", "dtwin.opened_for"
+
 
 def log_twin(
-    registry: Registry, document: Mapping[str, Any], *, description: str, parent: str | None
+    registry: Registry,
+    document: Mapping[str, Any],
+    digest: str,
+    *,
+    description: str,
+    parent: str | None,
 ) -> dict[str, str]:
-    """Log a version of a twin as a child run and register it.
+    """Log a version of a twin as a child run and register it; what a kill left of that is finished.
 
     Parameters
     ----------
     registry : Registry
         Where.
     document : dict
-        The twin, as ``Twin.as_dict`` returns it.
+        The twin, as it was stored.
+    digest : str
+        Tells the version from every other; a tag of its run.
     description : str
         What a reviewer reads first, in Markdown.
     parent : str, optional
@@ -33,25 +42,25 @@ def log_twin(
     client = registry.client
     name = f"twin-{document['twin']}"
     if parent is None:
-        with registry.open_run(name, {"dtwin.twin": name}) as parent:
+        parent = _finished(registry, _OPENED_FOR, digest)
+    if parent is None:
+        with registry.open_run(name, {"dtwin.twin": name, _OPENED_FOR: digest}) as parent:
             pass
-    label = f"{name} v{document['version']}: {document['action']}"
-    figures = {k: v for k, v in document["figures"].items() if isinstance(v, int | float)}
-    params = {
-        "effects": ", ".join(map(_label, document["effects"])),
-        "machine": document["machine"],
-        "campaign": document["campaign"],
-        "action": document["action"],
-        **{f"data.{k}": v for k, v in document["data"].items() if k != "left_out"},
-        "data.n_left_out": len(document["data"].get("left_out", {})),
-        **{f"version.{k}": v for k, v in environment().items()},
-    }
-    tags = {"mlflow.parentRunId": parent, "mlflow.note.content": description}
-    with registry.open_run(label, tags) as run_id:
-        registry.log(run_id, params, figures, {})
-        registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
+    run_id = _finished(registry, _DOCUMENT, digest)
+    if run_id is None:
+        tags = {
+            "mlflow.parentRunId": parent,
+            "mlflow.note.content": description,
+            _DOCUMENT: digest,
+        }
+        with registry.open_run(
+            f"{name} v{document['version']}: {document['action']}", tags
+        ) as run_id:
+            registry.log(run_id, _params(document), _figures(document), {})
+            registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
     registry.ensure_model(name, f"Versions of the twin {document['twin']}, one for each rung.")
-    created = client.create_model_version(
+    found = client.search_model_versions(f"run_id='{run_id}'")
+    created = next(iter(found), None) or client.create_model_version(
         name,
         source=f"runs:/{run_id}/twin.json",
         run_id=run_id,
@@ -63,6 +72,32 @@ def log_twin(
         "run_id": run_id,
         "model": name,
         "model_version": str(created.version),
+    }
+
+
+def _finished(registry: Registry, tag: str, digest: str) -> str | None:
+    """Return the finished run with a digest as tag, None without; unfinished ones are deleted."""
+    found = registry.client.search_runs([registry.experiment()], f"tags.`{tag}` = '{digest}'")
+    for run in found:
+        if run.info.status == "FINISHED":
+            return str(run.info.run_id)
+        registry.client.delete_run(run.info.run_id)
+    return None
+
+
+def _figures(document: Mapping[str, Any]) -> dict[str, float]:
+    return {k: v for k, v in document["figures"].items() if isinstance(v, int | float)}
+
+
+def _params(document: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "effects": ", ".join(map(_label, document["effects"])),
+        "machine": document["machine"],
+        "campaign": document["campaign"],
+        "action": document["action"],
+        **{f"data.{k}": v for k, v in document["data"].items() if k != "left_out"},
+        "data.n_left_out": len(document["data"].get("left_out", {})),
+        **{f"version.{k}": v for k, v in environment().items()},
     }
 
 
@@ -78,13 +113,14 @@ def note_diagnosis(
     model, model_version : str
         As ``log_twin`` returned them.
     diagnosis : dict
-        As ``Diagnosis.as_dict`` returned it.
+        As it was stored: what is not a number is None.
     """
+    p_value = diagnosis["lack_of_fit_p"]
     group = [_label(c) for c in diagnosis["candidates"] if c["in_group"]]
     tags = {
         "verdict": str(diagnosis["verdict"]),
         "group": ", ".join(group),
-        "lack_of_fit_p": f"{diagnosis['lack_of_fit_p']:.3g}",
+        "lack_of_fit_p": "nan" if p_value is None else f"{p_value:.3g}",
     }
     for key, value in tags.items():
         registry.client.set_model_version_tag(model, model_version, key, value)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import socket
 from collections.abc import Iterator
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.locks import locked
 
 USUAL_PORT = 8765
 
@@ -24,17 +24,14 @@ def only_one(home: Home) -> Iterator[None]:
         When one runs already.
     """
     path = home.made().root / "workbench" / ".lock"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
+    with locked(path) as mine:
+        if not mine:
             raise InputError(
                 "a workbench is running for this home already",
                 code="ui.running",
                 where=str(home.root),
                 hint="use the address that it printed, or stop it with Ctrl-C there",
-            ) from None
+            )
         yield
 
 

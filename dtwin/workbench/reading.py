@@ -17,8 +17,8 @@ from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, data_lines, frozen_residual_um
+from dtwin.pipeline.documents import read_document, write_document
 from dtwin.pipeline.twin_data import Comparison, Loaded, load, pure_rms_um
-from dtwin.pipeline.twin_files import read_document, write_document
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
 from dtwin.workbench.bench import Bench

@@ -10,6 +10,7 @@ from starlette.responses import Response
 
 from dtwin.errors import InputError
 from dtwin.physics.gridding import CIRCLE
+from dtwin.pipeline.twin_registration import waiting, waiting_text
 from dtwin.report.encoder_split import encoder_section
 from dtwin.report.html import Section, page
 from dtwin.report.twin_plots import (
@@ -50,7 +51,7 @@ def twin_list(request: Request) -> Response:
     found = [(name, bench.twins.history(name)) for name in bench.twin_names()]
     return rendered(
         request, "twins.html", title="Twins", twins=[(n, rungs) for n, rungs in found if rungs],
-        any_campaign=bool(bench.run_rows()),
+        any_campaign=bool(bench.run_rows()), left=waiting_text(waiting(bench.home)),
     )  # fmt: skip
 
 

@@ -31,7 +31,8 @@ def test_none_is_left_out() -> None:
     assert there == {
         "bench_analogue.py", "bench_decision.py", "bench_equation.py", "bench_features.py",
         "bench_fit.py", "bench_flips.py", "bench_help.py", "bench_ingest.py", "bench_loop.py",
-        "bench_tone_tick.py", "bench_workbench.py", "cobot_family.py", "mechanism_bias.py",
+        "bench_tone_tick.py", "bench_verbs.py", "bench_workbench.py", "cobot_family.py",
+        "mechanism_bias.py",
     }  # fmt: skip
     # test_freezes and test_exam_short run these.
     assert {p.parent.name for p in FOLDER.glob("*/run.py")} == {"freezes", "hidden_effect"}
@@ -95,6 +96,13 @@ def test_analogue() -> None:
 def test_mechanism_bias() -> None:
     (rows,) = short("mechanism_bias.py").values()
     assert all({"parameter", "set", "found", "bias"} <= set(row) for row in rows)
+
+
+@pytest.mark.long
+def test_verbs() -> None:
+    for found in short("bench_verbs.py").values():
+        assert set(found) == {"fit", "compare", "diagnose", "add", "history"}
+        assert all(cpu_s > 0.0 for cpu_s in found.values())
 
 
 @pytest.mark.long

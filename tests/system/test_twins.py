@@ -155,6 +155,27 @@ def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None
     assert (first.tags["verdict"], first.tags["group"]) == ("missing_effect", "backlash X")
 
 
+def test_mlflow_follows_in_the_background_and_in_order(
+    twins: Twins, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from dtwin.pipeline import twin_registration
+    from dtwin.train.registry import Registry
+
+    monkeypatch.setenv("DTWIN_MLFLOW", "later")
+    twins.fit("mill-march", KNOWN, "fast")
+    twins.add("fast", "backlash", "X")
+    twins.remove("fast", "backlash", "X")
+    assert [w.label for w in twin_registration.waiting(twins.home)][-1] == "fast v003"
+    for child in twin_registration._children:
+        assert child.wait() == 0
+    assert twin_registration.waiting(twins.home) == []
+    found = Registry(twins.home).client.search_model_versions("name='twin-fast'")
+    shown = [v.tags["action"] for v in sorted(found, key=lambda v: int(v.version))]
+    assert shown == ["fit", "add backlash X", "remove backlash"]
+    numbers = [r["mlflow"]["model_version"] for r in twins.history("fast")]
+    assert numbers == ["1", "2", "3"]
+
+
 def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> None:
     twins.fit("mill-march", ["centre_offset"], "mill-a")
     made, groups, said = twins.discover("mill-a")

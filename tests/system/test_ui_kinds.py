@@ -95,6 +95,12 @@ def test_a_sweep_is_drawn_in_both_directions(bench: Workbench) -> None:
     assert [trace["name"] for trace in drawn["data"]] == ["forward", "reverse"]
 
 
+def test_what_mlflow_does_not_show_yet_is_said(bench: Workbench) -> None:
+    assert "not yet in MLflow" not in said(bench, "/twins")
+    (bench.home / "twins" / "slide" / "v001.mlflow.json").unlink()
+    assert "not yet in MLflow: slide v001;" in said(bench, "/twins")
+
+
 def test_a_twin_of_heat_has_one_page_and_is_changed_there(bench: Workbench) -> None:
     assert "heat" in said(bench, "/twins")
     assert "axis_expansion" in said(bench, "/campaigns/balls")

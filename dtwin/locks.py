@@ -1,0 +1,46 @@
+"""Locks between processes; the system lets go of them when their holder ends, however it ends."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+from collections.abc import Iterator
+from pathlib import Path
+
+from dtwin.errors import StoreError
+
+
+@contextlib.contextmanager
+def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
+    """Hold a lock alone and yield True; without ``wait``, yield False while another holds it.
+
+    Parameters
+    ----------
+    path : Path
+        File of the lock; its folder is created.
+    wait : bool
+        Wait until the other lets go.
+
+    Raises
+    ------
+    StoreError
+        When the file cannot be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = path.open("a")
+    except OSError as error:
+        raise StoreError(
+            "a lock cannot be made",
+            code="store.write",
+            where=str(path),
+            got=error.strerror or str(error),
+            hint="check free space and permissions",
+        ) from error
+    with handle:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except BlockingIOError:
+            yield False
+            return
+        yield True

@@ -1,0 +1,26 @@
+"""What a user calls a campaign: its name in the lake, or where it lies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from dtwin.config import Home
+from dtwin.store import Lake
+
+
+def in_lake(home: Home, campaign: str) -> str:
+    """Return the name of a campaign in the lake; a file or folder is ingested first.
+
+    Parameters
+    ----------
+    home : Home
+        Gives the lake.
+    campaign : str
+        Name in the lake, or a path.
+    """
+    if campaign not in Lake(home.lake).campaigns() and Path(campaign).exists():
+        # Readers of every kind, and numba: not for a campaign that is there.
+        from dtwin.pipeline.measuring import ingest
+
+        return ingest(Path(campaign), home).campaign
+    return campaign
