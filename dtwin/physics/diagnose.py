@@ -325,14 +325,17 @@ def _laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
     """Test the laws of an effect and its rivals with all other effects taken out, by label.
 
     What cannot be seen beside it may be a part of it only: its law is not that of the whole. The
-    p-values are Bonferroni's over all the effects found.
+    p-values are Bonferroni's over all the effects found; few of them have a channel that may be late.
     """
     out = {}
     for candidate in effect.group[:_SHOWN]:
         if candidate.term.label not in effect.absorbed:
             tests = law_tests(effect.problem, effect.candidates, candidate, effect.level)
             out[candidate.term.label] = [
-                replace(test, p_value=min(1.0, effects * test.p_value)) for test in tests
+                test
+                if test.variable == "delay"
+                else replace(test, p_value=min(1.0, effects * test.p_value))
+                for test in tests
             ]
     return out
 
