@@ -20,7 +20,7 @@ _SPENT = 0.8
 _BEGUN = datetime(2026, 3, 2, 8, tzinfo=UTC)
 # Logged beside the temperature; most of them have nothing to do with the error.
 CHANNELS = ("humidity_pct", "supply_v", "oil_c", "pressure_kpa")
-_ROUGH = 0.1
+_ROUGH = 0.05
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Stand:
         return self.at_mm / self.travel_mm
 
     def rough(self) -> Floats:
-        """Return one plus a tenth of something that changes slowly along the axis."""
+        """Return one plus a twentieth of something that changes slowly along the axis."""
         knots = self.rng.standard_normal(6)
         along = np.interp(self.share, np.linspace(0.0, 1.0, 6), knots)
         return 1.0 + _ROUGH * (along - along.mean())
@@ -79,7 +79,7 @@ def _lead(s: Stand) -> Floats:
 
 def _wander(s: Stand) -> Floats:
     """The lead wanders: a leaning wave whose height changes."""
-    turn = 2.0 * np.pi * (s.at_mm / s.rng.uniform(60.0, 350.0) + s.rng.uniform())
+    turn = 2.0 * np.pi * (s.at_mm / s.rng.uniform(60.0, 0.5 * s.travel_mm) + s.rng.uniform())
     return s.rough() * np.sin(turn + 0.25 * np.sin(turn))
 
 
@@ -197,14 +197,16 @@ def measured(
         shows = act(stand) * np.ones_like(error_um)
         shows = shows - shows.mean()
         error_um += size_um * rng.choice((-1.0, 1.0)) * shows / np.sqrt((shows**2).mean())
-    geometry = {"screw_pitch_mm": stand.pitch_mm}
+    turns = {_turn, _flanks} & set(acting)
+    # The pitch of a screw is stated where it is known.
+    geometry = {"screw_pitch_mm": stand.pitch_mm} if turns or rng.random() < 0.5 else {}
     campaign = Campaign("axis", "virtual-axis", kind="linear", machine_geometry=geometry)
     return campaign, [_run(stand, number, error_um[number]) for number in range(RUNS)]
 
 
 def _stand(rng: np.random.Generator) -> Stand:
     pitch_mm = float(rng.choice((5.0, 10.0, 20.0)))
-    n, apart_mm = int(rng.integers(31, 46)), float(rng.integers(16, 25))
+    n, apart_mm = int(rng.integers(25, 46)), float(rng.integers(9, 25))
     # ISO 230-2: evenly, and a share of the pitch that differs from target to target.
     at_mm = np.round(apart_mm * np.arange(n) + pitch_mm * rng.uniform(0.0, 0.8, n), 3)
     at_mm -= at_mm[0]

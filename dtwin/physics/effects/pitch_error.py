@@ -8,6 +8,9 @@ from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, 
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
+# Waves side by side are half a turn apart at the end of a metre: between them a fit finds its way.
+_WAVES_MM = tuple(2000.0 / n for n in range(5, 41))
+
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
@@ -33,7 +36,7 @@ EFFECT = Effect(
     remedy="Pitch error table of the control.",
     reference="ISO 230-2",
     kinds=("linear",),
-    shapes=(ShapeParameter("wave_mm", "mm", 200.0, (50.0, 100.0, 200.0, 400.0)),),
+    shapes=(ShapeParameter("wave_mm", "mm", 200.0, _WAVES_MM),),
     confusables=(
         "lead_error",
         "cyclic_error",
