@@ -123,7 +123,7 @@ def _growth(s: Stand) -> Floats:
 
 def _creep(s: Stand) -> Floats:
     """The bracket of the laser settles."""
-    return -np.expm1(-s.hours / s.rng.uniform(1.0, 3.0)) * np.ones_like(s.at_mm)
+    return -np.expm1(-s.hours / s.rng.uniform(2.0, 5.0)) * np.ones_like(s.at_mm)
 
 
 def _flank_wave(s: Stand) -> Floats:

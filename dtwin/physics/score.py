@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import polygamma
 
 from dtwin.physics.gridding import Indices
-from dtwin.physics.problem import Problem
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Problem, orthonormal
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers, within_condition
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
@@ -95,6 +96,8 @@ def score_test(
         The columns differ between repeats of a condition.
     """
     obs = problem.obs
+    if within and obs.there_and_back:
+        visible = _inside(visible, obs)
     k = visible.shape[1]
     z = visible.reshape(obs.n_rows, obs.n_bins, k)
     total = visible.T @ residual.ravel()
@@ -123,6 +126,16 @@ def score_test(
         expected=expected,
         dof=dof,
     )
+
+
+def _inside(visible: Floats, obs: Observations) -> Floats:
+    """Return what columns do between repeats, orthonormal.
+
+    Time passes along a sweep as well: what the sweeps have in common would be taken for drift.
+    """
+    z = visible.reshape(obs.n_rows, -1)
+    mean = np.array([z[obs.condition_of == c].mean(axis=0) for c in range(len(obs.conditions))])
+    return orthonormal((z - mean[obs.condition_of]).reshape(visible.shape))
 
 
 def _of_few(total: Floats, variance: Floats, dof: float) -> Score:
