@@ -96,8 +96,8 @@ def score_test(
         The columns differ between repeats of a condition.
     """
     obs = problem.obs
-    if within and obs.there_and_back:
-        visible = _inside(visible, obs)
+    if obs.there_and_back:
+        return _of_few(problem, visible, residual, within)
     k = visible.shape[1]
     z = visible.reshape(obs.n_rows, obs.n_bins, k)
     total = visible.T @ residual.ravel()
@@ -111,8 +111,6 @@ def score_test(
     np.add.at(summed, unit, scores)
     variance = summed.T @ summed
     dof = _satterthwaite(summed, unit, group, count, lost=k if within else 0)
-    if obs.there_and_back:
-        return _of_few(total, variance, dof)
     foretold = _foretold(problem, z)
     variance, dof = _moderated(variance, dof, foretold, level)
     expected = float(np.trace(variance))
@@ -128,6 +126,40 @@ def score_test(
     )
 
 
+def _of_few(problem: Problem, visible: Floats, residual: Floats, within: bool) -> Score:
+    """Return the score of a handful of runs, each of which passes every place twice.
+
+    There is no noise level to lean on: forward and back share what a run is off by. The columns
+    count as so many as their noise varies in (Greenhouse and Geisser 1959), so that an effect of
+    eight numbers can be tested on five runs.
+    """
+    obs = problem.obs
+    z = _inside(visible, obs) if within else visible
+    k = z.shape[1]
+    total = z.T @ residual.ravel()
+    # Beside drift an effect that stays is not quite the same in all runs: what it does goes out, too.
+    noise = residual - (z @ total).reshape(residual.shape)
+    deviation, count = within_condition(noise, obs.condition_of)
+    by_row = z.reshape(obs.n_rows, obs.n_bins, k)
+    runs = int(obs.run_of.max()) + 1
+    if within:
+        # How much of the column's form is in each run; runs are alike, whatever their share of it.
+        scores = np.stack([_along(by_row[:, :, j], deviation, obs) for j in range(k)], axis=1)
+        dof = float(runs - 1 - k)
+        variance = scores.T @ scores * (runs - 1) / runs / max(dof, 1.0)
+    else:
+        scores = np.zeros((runs, k))
+        np.add.at(scores, obs.run_of, np.einsum("nqk,nq->nk", by_row, deviation))
+        variance = scores.T @ scores
+        dof = _satterthwaite(scores, obs.run_of, obs.condition_of, count, lost=0)
+    expected = float(np.trace(variance))
+    if dof < 1.0 or expected <= 0.0:
+        return Score(1.0, 0.0, expected, dof)
+    explained, many = float(total @ total), expected**2 / float((variance**2).sum())
+    p_value = f_tail(explained / expected, (many, many * dof))
+    return Score(p_value, max(0.0, explained - expected), expected, dof)
+
+
 def _inside(visible: Floats, obs: Observations) -> Floats:
     """Return what columns do between repeats, orthonormal.
 
@@ -138,19 +170,14 @@ def _inside(visible: Floats, obs: Observations) -> Floats:
     return orthonormal((z - mean[obs.condition_of]).reshape(visible.shape))
 
 
-def _of_few(total: Floats, variance: Floats, dof: float) -> Score:
-    """Return the score of a handful of runs, each of which passes every place twice.
-
-    There is no noise level to lean on: forward and back share what a run is off by. The columns
-    count as so many as their noise varies in (Greenhouse and Geisser 1959), so that an effect of
-    eight numbers can be tested on five runs.
-    """
-    expected = float(np.trace(variance))
-    if dof < 1.0 or expected <= 0.0:
-        return Score(1.0, 0.0, expected, dof)
-    explained, many = float(total @ total), expected**2 / float((variance**2).sum())
-    p_value = f_tail(explained / expected, (many, many * dof))
-    return Score(p_value, max(0.0, explained - expected), expected, dof)
+def _along(column: Floats, deviation: Floats, obs: Observations) -> Floats:
+    """Return what each run has of the form that a column has in all runs, shape (runs,)."""
+    shape = int(obs.run_of.max()) + 1, len(obs.conditions), obs.n_bins
+    forms, found = np.zeros(shape), np.zeros(shape)
+    forms[obs.run_of, obs.condition_of] = column
+    found[obs.run_of, obs.condition_of] = deviation
+    form = np.linalg.svd(forms.reshape(shape[0], -1), full_matrices=False)[2][0]
+    return np.asarray(found.reshape(shape[0], -1) @ form)
 
 
 def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
