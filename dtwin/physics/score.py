@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ _FLIPS = 1999
 _FEW_DOF = 12
 _MOST_PRIOR = 1.0
 _NEIGHBOURS = 6
+_BOWS = 4
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def score_test(
     """
     obs = problem.obs
     if obs.there_and_back:
-        return _of_few(problem, visible, residual, within)
+        return _of_few(problem, visible, residual, level, within)
     k = visible.shape[1]
     z = visible.reshape(obs.n_rows, obs.n_bins, k)
     total = visible.T @ residual.ravel()
@@ -126,12 +127,14 @@ def score_test(
     )
 
 
-def _of_few(problem: Problem, visible: Floats, residual: Floats, within: bool) -> Score:
+def _of_few(
+    problem: Problem, visible: Floats, residual: Floats, level: NoiseLevel, within: bool
+) -> Score:
     """Return the score of a handful of runs, each of which passes every place twice.
 
-    There is no noise level to lean on: forward and back share what a run is off by. The columns
-    count as so many as their noise varies in (Greenhouse and Geisser 1959), so that an effect of
-    eight numbers can be tested on five runs.
+    What differs between runs has no noise level to lean on: forward and back share what a run is
+    off by. Nor have lines and bows, along which the air wanders from one end to the other. The columns count as so many as their noise varies in (Greenhouse and Geisser 1959), so
+    that an effect of eight numbers can be tested on five runs.
     """
     obs = problem.obs
     z = _inside(visible, obs) if within else visible
@@ -152,12 +155,27 @@ def _of_few(problem: Problem, visible: Floats, residual: Floats, within: bool) -
         np.add.at(scores, obs.run_of, np.einsum("nqk,nq->nk", by_row, deviation))
         variance = scores.T @ scores
         dof = _satterthwaite(scores, obs.run_of, obs.condition_of, count, lost=0)
+        told = replace(level, prior_dof=level.prior_dof * (1.0 - _smooth_share(problem, z)))
+        variance, dof = _moderated(variance, dof, _foretold(problem, by_row), told)
     expected = float(np.trace(variance))
     if dof < 1.0 or expected <= 0.0:
         return Score(1.0, 0.0, expected, dof)
     explained, many = float(total @ total), expected**2 / float((variance**2).sum())
     p_value = f_tail(explained / expected, (many, many * dof))
     return Score(p_value, max(0.0, explained - expected), expected, dof)
+
+
+def _smooth_share(problem: Problem, z: Floats) -> float:
+    """Return the share of columns that is a line or a bow along the axis, each way."""
+    obs = problem.obs
+    along = np.linspace(-1.0, 1.0, obs.n_bins)
+    parts = [
+        np.outer(sense, along**power) * obs.mask
+        for power in range(_BOWS)
+        for sense in (np.ones(obs.n_rows), obs.sense)
+    ]
+    smooth, _ = problem.visible(problem.whitened(np.stack(parts, axis=2)))
+    return float(((smooth.T @ z) ** 2).sum() / max(z.shape[1], 1))
 
 
 def _inside(visible: Floats, obs: Observations) -> Floats:
