@@ -176,7 +176,10 @@ def mechanism(name: str) -> tuple[str, Mechanism]:
 
 
 def measured(
-    acting: Sequence[Mechanism], sizes_um: Sequence[float], noise_um: float, rng: np.random.Generator
+    acting: Sequence[Mechanism],
+    sizes_um: Sequence[float],
+    noise_um: float,
+    rng: np.random.Generator,
 ) -> tuple[Campaign, list[Run]]:
     """Return a campaign of positioning runs.
 

@@ -16,7 +16,7 @@ from numba import njit
 
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 
-FREQUENCIES_HZ = (4.0, 10.0, 20.0, 36.0, 60.0)
+FREQUENCIES_HZ = (4.0, 12.0, 22.0, 34.0, 48.0, 64.0, 82.0)
 AMPLITUDES_UM = (10.0, 30.0, 90.0)
 REPEATS = 3
 CHANNELS = ("humidity_pct", "supply_v", "oil_c")
@@ -46,8 +46,9 @@ def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int)
     stiff, mode = (2.0 * np.pi * drive_hz) ** 2, (2.0 * np.pi * mode_hz) ** 2
     damp, mode_damp = 4.0 * np.pi * damping * drive_hz, 4.0 * np.pi * mode_damping * mode_hz
     # Off: what the slide lacks or has beyond the command; a healthy one has nothing.
-    off, off_v, force, torque, bristle, swing, swing_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    near, far, last, table_v = 0.0, 0.0, 0.0, amplitude * rate
+    off, off_v, force, torque, swing, swing_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    bristle, softer, near, far = 0.0, 0.0, 0.0, 0.0
+    last, table_v = 0.0, amplitude * rate
     tool = np.empty(steps)
     for i in range(steps):
         turn = rate * i * h
@@ -57,8 +58,11 @@ def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int)
         torque += h / 2e-4 * (short * wanted_a - torque)
         if friction > 0.0:
             v = wanted_v + off_v
-            bristle += h * v * (1.0 - np.sign(v) * bristle / presliding)
-            force = friction * stiff * bristle / presliding
+            # Two kinds of bristles bend.
+            full = np.sign(v)
+            bristle = full + (bristle - full) * np.exp(-h * abs(v) / presliding)
+            softer = full + (softer - full) * np.exp(-h * abs(v) / (4.0 * presliding))
+            force = friction * stiff * (0.9 * bristle + 0.1 * softer)
         a = -stiff * off - damp * off_v - torque - force
         off_v += h * a
         off += h * off_v
@@ -66,8 +70,8 @@ def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int)
         table = x
         if play > 0.0:
             # Two edges meet one after the other.
-            near = max(x - 0.35 * play, min(x + 0.35 * play, near))
-            far = max(x - 0.65 * play, min(x + 0.65 * play, far))
+            near = max(x - 0.45 * play, min(x + 0.45 * play, near))
+            far = max(x - 0.55 * play, min(x + 0.55 * play, far))
             table = 0.5 * (near + far)
         out = table
         if share != 0.0:
@@ -79,13 +83,15 @@ def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int)
             out += share * swing
         last = table
         # Lobes of a motor, and a probe that reads a bowl.
-        tool[i] = out - bend * (wanted_a + a) + lobe * np.sin(orders * turn) + bowl * (x / 90.0) ** 2
+        tool[i] = (
+            out - bend * (wanted_a + a) + lobe * np.sin(orders * turn) + bowl * (x / 90.0) ** 2
+        )
     return tool
 
 
 LATE = "late_s"
-_LOOP, _PRESLIDING = {"drive_hz": (60.0, 140.0), "drive_damping": (0.3, 0.8)}, (0.5, 1.5)
-_MODE = {"mode_hz": (75.0, 115.0), "mode_damping": (0.03, 0.08)}
+_LOOP, _PRESLIDING = {"drive_hz": (60.0, 140.0), "drive_damping": (0.25, 0.5)}, (0.5, 1.5)
+_MODE = {"mode_hz": (85.0, 125.0), "mode_damping": (0.03, 0.08)}
 _LOBES: Drawn = {"lobe_orders": (3.5, 6.5)}
 # What is drawn, and which number it is that its size sets, with its unit.
 LIBRARY: dict[str, tuple[Drawn, str, float]] = {
@@ -101,8 +107,13 @@ FOREIGN: dict[str, tuple[Drawn, str, float]] = {
     "lobes": (_LOBES, "lobe_um", 1.0),
     "one_sided": ({}, "bowl_um", 1.0),
 }
-# Parts that are there once: not together.
-ONE_PART = ({"structural_mode", "stiffening_joint"}, {"servo_response", "guideway_friction"})
+# At most one of each: the parts are there once, and what answers in proportion to the tone (a loop,
+# its delay, what gives way to inertia) adds up to another loop, which no tone tells from its parts.
+ONE_PART = (
+    {"structural_mode", "stiffening_joint"},
+    {"servo_response", "guideway_friction"},
+    {"servo_response", "inertial_compliance", "tracking_delay"},
+)
 _MACHINE_WIDE = ("inertial_compliance",)
 
 
@@ -166,7 +177,9 @@ def measured(
     """
     told: dict[str, float] = {}
     for one, size_um in zip(faults, sizes_um, strict=True):
-        told |= one.told(_size_of(one, size_um) * (rng.choice((-1.0, 1.0)) if one.sized in _SIGNED else 1.0))
+        told |= one.told(
+            _size_of(one, size_um) * (rng.choice((-1.0, 1.0)) if one.sized in _SIGNED else 1.0)
+        )
     quiet = {key: _tone(told, *key) for key in itertools.product(FREQUENCIES_HZ, AMPLITUDES_UM)}
     order = [key for _ in range(REPEATS) for key in rng.permutation(list(quiet))]
     logged = {name: np.cumsum(rng.standard_normal(len(order))) for name in CHANNELS}
@@ -191,7 +204,9 @@ def measured(
     return Campaign("tones", "virtual-slide", kind="sinusoidal"), runs
 
 
-def _tone(told: Mapping[str, float], frequency_hz: float, amplitude_um: float) -> tuple[Floats, Floats]:
+def _tone(
+    told: Mapping[str, float], frequency_hz: float, amplitude_um: float
+) -> tuple[Floats, Floats]:
     """Return command and tool in um, at the kept times."""
     values = np.array([told.get(name, usual) for name, usual in _HEALTHY.items()])
     rate = 2.0 * np.pi * frequency_hz

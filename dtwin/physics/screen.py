@@ -81,9 +81,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     ways = np.stack([np.ones(obs.n_rows), obs.feed_mm_s / obs.feed_mm_s.mean()])
     found: list[Channel] = []
     while channels:
-        tested = {
-            name: _test(spread, values, ways, others) for name, values in channels.items()
-        }
+        tested = {name: _test(spread, values, ways, others) for name, values in channels.items()}
         ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
         best = max(
             (n for n in ranked if tested[n][0] == tested[ranked[0]][0]),
