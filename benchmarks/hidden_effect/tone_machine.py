@@ -48,7 +48,6 @@ def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int)
     # Off: what the slide lacks or has beyond the command; a healthy one has nothing.
     off, off_v, force, torque, swing, swing_v = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     bristle, softer, near, far = 0.0, 0.0, 0.0, 0.0
-    last, table_v = 0.0, amplitude * rate
     tool = np.empty(steps)
     for i in range(steps):
         turn = rate * i * h
@@ -75,13 +74,11 @@ def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int)
             table = 0.5 * (near + far)
         out = table
         if share != 0.0:
-            push = ((table - last) / h - table_v) / h if i > 1 else 0.0
-            table_v = (table - last) / h
+            # The drive pushes off from the frame that bears the tool.
             stiffer = (abs(swing) + 1e-3) ** power if power > 0.0 else 1.0
-            swing_v += h * (-mode * stiffer * swing - mode_damp * swing_v - push)
+            swing_v += h * (-mode * stiffer * swing - mode_damp * swing_v - wanted_a - a)
             swing += h * swing_v
             out += share * swing
-        last = table
         # Lobes of a motor, and a probe that reads a bowl.
         tool[i] = (
             out - bend * (wanted_a + a) + lobe * np.sin(orders * turn) + bowl * (x / 90.0) ** 2
@@ -107,12 +104,12 @@ FOREIGN: dict[str, tuple[Drawn, str, float]] = {
     "lobes": (_LOBES, "lobe_um", 1.0),
     "one_sided": ({}, "bowl_um", 1.0),
 }
-# At most one of each: the parts are there once, and what answers in proportion to the tone (a loop,
-# its delay, what gives way to inertia) adds up to another loop, which no tone tells from its parts.
+# At most one of each: the parts are there once, and what answers in proportion to the tone adds up to
+# another loop or mode, which no tone tells from its parts (far below it, a mode is inertia and delay).
 ONE_PART = (
-    {"structural_mode", "stiffening_joint"},
-    {"servo_response", "guideway_friction"},
+    {"structural_mode", "stiffening_joint", "inertial_compliance", "tracking_delay"},
     {"servo_response", "inertial_compliance", "tracking_delay"},
+    {"servo_response", "guideway_friction"},
 )
 _MACHINE_WIDE = ("inertial_compliance",)
 
