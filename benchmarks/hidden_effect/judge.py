@@ -93,7 +93,8 @@ def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
 
 
 def _channel(case: Case) -> str:
-    return case.hidden[0].label if case.row.kind != "circular" else "coolant_v"
+    """Return the channel behind what is hidden."""
+    return case.hidden[0].label if case.row.kind != "circular" and case.hidden else "coolant_v"
 
 
 def _is_wrong_name(case: Case, found: Diagnosis) -> bool:

@@ -32,6 +32,7 @@ _FEW_DOF = 12
 _MOST_PRIOR = 1.0
 _NEIGHBOURS = 6
 _BOWS = 4
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -139,6 +140,8 @@ def _of_few(
     obs = problem.obs
     z = _inside(visible, obs) if within else visible
     k = z.shape[1]
+    if not k:
+        return Score(1.0, 0.0, 0.0, 0.0)
     total = z.T @ residual.ravel()
     # Beside drift an effect that stays is not quite the same in all runs: what it does goes out, too.
     noise = residual - (z @ total).reshape(residual.shape)
@@ -185,7 +188,9 @@ def _inside(visible: Floats, obs: Observations) -> Floats:
     """
     z = visible.reshape(obs.n_rows, -1)
     mean = np.array([z[obs.condition_of == c].mean(axis=0) for c in range(len(obs.conditions))])
-    return orthonormal((z - mean[obs.condition_of]).reshape(visible.shape))
+    inside = (z - mean[obs.condition_of]).reshape(visible.shape)
+    # The columns have length one: of what is the same in all runs only rounding is left.
+    return orthonormal(inside[:, (inside**2).sum(axis=0) > _ROUNDING])
 
 
 def _along(column: Floats, deviation: Floats, obs: Observations) -> Floats:

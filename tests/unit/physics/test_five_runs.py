@@ -90,6 +90,10 @@ def test_what_the_sweeps_have_in_common_is_no_drift() -> None:
     score = score_test(problem, columns, problem.residual, NoiseLevel(), within=True)
     assert score.p_value > 0.05
     assert score.dof == 3.0
+    # What is the same in every run says nothing of what differs between them.
+    same = np.broadcast_to(SHARE - SHARE.mean(), (2 * RUNS, TARGETS)).reshape(-1, 1)
+    alike = same / np.linalg.norm(same)
+    assert score_test(problem, alike, problem.residual, NoiseLevel(), within=True).p_value == 1.0
 
 
 @pytest.mark.parametrize(
