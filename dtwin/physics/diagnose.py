@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Unresolved, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.law_search import search_laws
-from dtwin.physics.laws import LawTest, law_tests
+from dtwin.physics.laws import LawTest, law_tests, share_that_follows
 from dtwin.physics.observations import Observations
 from dtwin.physics.outliers import odd_runs
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
@@ -35,9 +36,11 @@ _FIT_IS_DOUBTFUL = 0.05
 _EXPLAINED = 0.93
 _LEFT = 0.3
 _LITTLE = 0.2
+_SPOKEN_OF = 0.1
 _SHOWN = 8
 # An effect so many times larger than what moves like it and is not resolved is itself.
 _LARGER = 3.0
+_HALF = 0.5
 
 
 def diagnose(
@@ -90,10 +93,13 @@ def diagnose(
         spread=spread_of(obs, residual, library),
     )
     channels = screen_channels(problem, seed)
-    problem = _with_foreign(problem, channels, library)
+    beside = partial(_with_foreign, channels=channels, library=library)
+    problem = beside(problem)
     candidates = Candidates(obs, tried)
     plain = unweighted(obs, known)
-    found = search(problem, plain, candidates, known, seed=seed, shown_by_channel=bool(channels))
+    found = search(
+        problem, plain, candidates, known, beside=beside, seed=seed, shown_by_channel=bool(channels)
+    )
     moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
     return _concluded(blank, found, candidates, known, channels, moving, residual, library)
 
@@ -116,7 +122,7 @@ def _concluded(
     foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
     if not found.found:
         return _nothing_found(blank, found, candidates, known, channels, words)
-    tests = {f.label: _laws_of(f, candidates) for f in found.found}
+    tests = {f.label: _laws_of(f) for f in found.found}
     # A channel of the library's own that still moves with what is left has not been explained.
     late = any(not _is_foreign(name, library) for name in moving)
     much = _much_left(found, blank.noise_floor_um)
@@ -129,7 +135,8 @@ def _concluded(
     ]
     kept = _trusted(found, doubted, much)
     others = [f for f in found.found if f not in kept]
-    unresolved = _unresolved(found, others) if much or others else None
+    told = much or others or _worth_telling(found, blank.noise_floor_um)
+    unresolved = _unresolved(found, others) if told else None
     groups = tuple(_group(f, tests[f.label], found, candidates, known) for f in kept)
     bare = unweighted(obs, known)
     # What was found and not believed is shown with the tests that say why.
@@ -211,7 +218,8 @@ def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]
 
     What is unknown is what is left, where that is much, and what the effects do whose laws do not
     hold. An effect that moves with the condition as that does must be larger than those, and much
-    larger than what is left; otherwise its part is unknown as well.
+    larger than what is left; otherwise its part is unknown as well. Where its amplitude follows its
+    own law and not that of what is unknown, it is none of it.
     """
     obs = found.plain.obs
     unknown = _LARGER * localise.in_angle(found.plain) if much else np.zeros(obs.y_um.shape)
@@ -220,7 +228,11 @@ def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]
     while True:
         means = localise.condition_means(obs, unknown)
         rms_um = float(np.sqrt((means**2).sum() / max(float((means != 0.0).sum()), 1.0)))
-        doubtful = [f for f in kept if f.size_um < rms_um * _alike(f, means, obs)]
+        doubtful = [
+            f
+            for f in kept
+            if f.size_um < rms_um * _alike(f, means, obs) and not _is_other(f, means, obs)
+        ]
         if not doubtful:
             return kept
         kept = [f for f in kept if f not in doubtful]
@@ -245,6 +257,17 @@ def _alike(effect: Found, means: Floats, obs: Observations) -> float:
     return float(np.sqrt((along**2).sum() / max(float((means**2).sum()), 1e-300)))
 
 
+def _is_other(effect: Found, means: Floats, obs: Observations) -> bool:
+    """Tell whether no half of an effect can be a part of condition means that moves as these do."""
+    sense = np.array([c.sense for c in obs.conditions])
+    for signs in (np.ones(len(sense)), sense):
+        amplitude = np.sqrt((means**2).mean(axis=1)) * signs
+        share, uncertainty = share_that_follows(effect, amplitude[obs.condition_of])
+        if share + 2.0 * uncertainty > _HALF:
+            return False
+    return True
+
+
 def _unexplained(words: str, moving: Sequence[str]) -> str:
     said = f"no known effect explains it: {words}"
     return f"{said}; it moves with {', '.join(moving)}" if moving else said
@@ -258,15 +281,27 @@ def _much_left(found: Search, floor_um: float) -> bool:
     return (certain or probable) and found.explained < _EXPLAINED
 
 
+def _worth_telling(found: Search, floor_um: float) -> bool:
+    """Tell whether what is left is certain, and large enough to be spoken of."""
+    first_um, left_um = found.systematic_um
+    return found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > max(
+        _LITTLE * floor_um, _SPOKEN_OF * first_um
+    )
+
+
 def _quiet(blank: Diagnosis) -> Verdict:
     return "variance_effect" if blank.spread else "nothing_missing"
 
 
-def _laws_of(effect: Found, candidates: Candidates) -> Mapping[str, list[LawTest]]:
-    """Test the laws of an effect and its rivals with all other effects taken out, by label."""
+def _laws_of(effect: Found) -> Mapping[str, list[LawTest]]:
+    """Test the laws of an effect and its rivals with all other effects taken out, by label.
+
+    What cannot be seen beside it may be a part of it only: its law is not that of the whole.
+    """
     return {
-        c.term.label: law_tests(effect.problem, candidates, c, effect.level)
+        c.term.label: law_tests(effect.problem, effect.candidates, c, effect.level)
         for c in effect.group[:_SHOWN]
+        if c.term.label not in effect.absorbed
     }
 
 

@@ -110,11 +110,14 @@ class Dictionary:
         left = self._residual - self.fitted(chosen)
         rows = left.reshape(self._problem.obs.n_rows, -1)
         have = {e.label for e in chosen}
-        for instance in self._candidates.instances:
-            shapes = instance.effect.shapes
-            if shapes and shapes[0].name == _PITCH and instance.label not in have:
-                pitches = likely_pitches(self._problem.obs, rows, instance, 1)
-                self.add([Term(instance, {_PITCH: p}) for p in pitches])
+        self.add(
+            Term(instance, {_PITCH: pitch})
+            for instance in self._candidates.instances
+            if instance.label not in have
+            and instance.effect.shapes
+            and instance.effect.shapes[0].name == _PITCH
+            for pitch in likely_pitches(self._problem.obs, rows, instance, 1)
+        )
 
     def fitted(self, chosen: Sequence[Entry]) -> Floats:
         """Return what a set explains, whitened, shape (rows * n,)."""

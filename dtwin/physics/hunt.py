@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
 from dtwin.physics.shapes import refined_together
-from dtwin.physics.whitening import PureError, inverse_root, smoothed
+from dtwin.physics.whitening import inverse_root, smoothed
 from dtwin.schema import Floats
 
 # An effect must explain this share of what is left beyond noise, which may be misfit.
@@ -28,7 +28,10 @@ _NEAR_REVERSAL_DEG = 2.6
 
 
 def best_set(
-    problem: Problem, candidates: Candidates, known: Sequence[Term]
+    problem: Problem,
+    candidates: Candidates,
+    known: Sequence[Term],
+    beside: Callable[[Problem], Problem],
 ) -> tuple[list[Term], Observations]:
     """Return the effects that explain a campaign best, and the observations that told.
 
@@ -40,6 +43,8 @@ def best_set(
         The library.
     known : sequence of Term
         What the twin knows.
+    beside : callable
+        Takes out of a problem what is neither the twin's nor the library's.
 
     Returns
     -------
@@ -68,7 +73,9 @@ def best_set(
             obs = _away_from_reversals(obs)
             candidates = Candidates(obs, candidates.instances)
         terms = [entry.term for entry in chosen]
-        problem, level = _misfit_as_noise(obs, known, noise, candidates, terms)
+        before = beside(weighted_like(obs, known, noise))
+        weights, level = _misfit_as_noise(before, terms)
+        problem = beside(weighted_like(obs, known, replace(noise, weights=weights)))
         hunt = Hunt(problem, candidates, level)
         chosen = hunt.run(hunt.dictionary.add(terms))
     return [entry.term for entry in chosen], obs
@@ -110,7 +117,7 @@ class Hunt:
             if other is not chosen:
                 chosen = self._improved(self._refined(other))
             cost = self._cost(chosen)
-            if cost >= least - _SETTLED * abs(least):
+            if cost >= least - self._per_effect:
                 break
             best, least = chosen, cost
         return best
@@ -196,11 +203,12 @@ class Hunt:
         return best
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
-        terms = refined_together(self._problem, self._candidates, [e.term for e in chosen])
-        return [
-            entry if term is entry.term else self.dictionary.add([term])[0]
-            for entry, term in zip(chosen, terms, strict=True)
-        ]
+        terms = refined_together(
+            self._problem, self._candidates, [e.term for e in chosen], self._per_number
+        )
+        changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
+        new = {entry.label: entry for entry in self.dictionary.add(changed)}
+        return [new.get(entry.label, entry) for entry in chosen]
 
 
 def _away_from_reversals(obs: Observations) -> Observations:
@@ -211,18 +219,11 @@ def _away_from_reversals(obs: Observations) -> Observations:
     return replace(obs, mask=mask, y_um=np.where(mask, obs.y_um, 0.0))
 
 
-def _misfit_as_noise(
-    obs: Observations,
-    known: Sequence[Term],
-    noise: PureError,
-    candidates: Candidates,
-    terms: Sequence[Term],
-) -> tuple[Problem, float]:
-    """Return the problem in which what a set leaves is white, and its variance."""
-    before = weighted_like(obs, known, noise)
-    dictionary = Dictionary(before, Candidates(obs, []))
-    rest = before.residual.ravel() - dictionary.fitted(dictionary.add(terms))
-    rows: Floats = rest.reshape(obs.n_rows, obs.n_bins) / noise.weights
+def _misfit_as_noise(problem: Problem, terms: Sequence[Term]) -> tuple[Floats, float]:
+    """Return the weights that make what a set leaves white, and its variance then."""
+    obs = problem.obs
+    dictionary = Dictionary(problem, Candidates(obs, []))
+    rest = problem.residual.ravel() - dictionary.fitted(dictionary.add(terms))
+    rows: Floats = rest.reshape(obs.n_rows, obs.n_bins) / problem.weights
     weights = inverse_root(smoothed((rows**2).mean(axis=0)))
-    problem = weighted_like(obs, known, replace(noise, weights=weights))
-    return problem, float(((rows * weights) ** 2).sum() / obs.mask.sum())
+    return weights, float(((rows * weights) ** 2).sum() / obs.mask.sum())

@@ -11,6 +11,7 @@ from dtwin.physics.effect import Law
 from dtwin.physics.observations import SETUP_COLUMNS, Observations
 from dtwin.physics.problem import Problem, least_visible
 from dtwin.physics.score import NoiseLevel, Score, score_test
+from dtwin.physics.search import Found
 from dtwin.physics.whitening import to_harmonics, within_condition
 from dtwin.schema import Floats
 
@@ -131,6 +132,34 @@ def law_tests(
         ]
         out += [_best_of(late)] if late else []
     return out
+
+
+def share_that_follows(effect: Found, rows: Floats) -> tuple[float, float]:
+    """Return the share of an effect whose amplitude follows something else, and its uncertainty.
+
+    Parameters
+    ----------
+    effect : Found
+        The effect, with the campaign without it.
+    rows : ndarray, shape (rows,)
+        How large that other thing is in every row, with the sign of the direction.
+
+    Returns
+    -------
+    share, uncertainty : float
+        By the noise of the repeats; infinite when these runs cannot tell the two.
+    """
+    problem, term = effect.problem, effect.top.term
+    columns = effect.candidates.whitened(problem, term)
+    along = (columns @ _amplitude(problem, columns)).reshape(-1, problem.obs.n_bins)
+    size = np.sqrt((along**2).sum(axis=1))
+    other = along * np.divide(rows, size, out=np.zeros_like(size), where=size > 0.0)[:, None]
+    other *= np.sqrt((along**2).sum() / max(float((other**2).sum()), 1e-300))
+    with_it = problem.extended(effect.top.visible, columns)
+    level = replace(effect.level, misfit=None)
+    within = term.instance.effect.within_condition
+    tests = _tested(with_it, "other", other, level, within, least_visible(term))
+    return (abs(tests[0].shift), tests[0].uncertainty) if tests else (np.inf, np.inf)
 
 
 def _with(problem: Problem, profile: Floats) -> Problem:

@@ -9,10 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
+from dtwin.physics.few_runs import along, inside, smooth_share
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Problem, orthonormal
-from dtwin.physics.whitening import from_harmonics, harmonic_numbers, within_condition
+from dtwin.physics.problem import Problem
+from dtwin.physics.whitening import (
+    condition_sums,
+    from_harmonics,
+    harmonic_numbers,
+    smoothed,
+    within_condition,
+)
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
 
@@ -31,8 +38,8 @@ _FLIPS = 1999
 _FEW_DOF = 12
 _MOST_PRIOR = 1.0
 _NEIGHBOURS = 6
-_BOWS = 4
-_ROUNDING = 1e-12
+# Less than this share of the noise is no misfit.
+_MISFIT = 0.05
 
 
 @dataclass(frozen=True)
@@ -68,10 +75,14 @@ class NoiseLevel:
         alike round the circle, zero when it is not. After Smyth (2004), moderated t-statistics.
     ratio : float
         Typical score variance over the one foretold.
+    misfit : ndarray, shape (n,), optional
+        Variance, at every coefficient, of what repeats agree on though no effect explains it: laws
+        that are not exact. It counts as noise that the repeats of a condition share.
     """
 
     prior_dof: float = 0.0
     ratio: float = 1.0
+    misfit: Floats | None = None
 
 
 def score_test(
@@ -115,6 +126,9 @@ def score_test(
     dof = _satterthwaite(summed, unit, group, count, lost=k if within else 0)
     foretold = _foretold(problem, z)
     variance, dof = _moderated(variance, dof, foretold, level)
+    if level.misfit is not None and not within:
+        shared = condition_sums(z, obs.condition_of)
+        variance = variance + np.einsum("cqk,cql,q->kl", shared, shared, level.misfit)
     expected = float(np.trace(variance))
     if dof < 1.0 or expected <= 0.0:
         return Score(1.0, 0.0, expected, dof)
@@ -138,7 +152,7 @@ def _of_few(
     that an effect of eight numbers can be tested on five runs.
     """
     obs = problem.obs
-    z = _inside(visible, obs) if within else visible
+    z = inside(visible, obs) if within else visible
     k = z.shape[1]
     if not k:
         return Score(1.0, 0.0, 0.0, 0.0)
@@ -150,7 +164,7 @@ def _of_few(
     runs = int(obs.run_of.max()) + 1
     if within:
         # How much of the column's form is in each run; runs are alike, whatever their share of it.
-        scores = np.stack([_along(by_row[:, :, j], deviation, obs) for j in range(k)], axis=1)
+        scores = np.stack([along(by_row[:, :, j], deviation, obs) for j in range(k)], axis=1)
         dof = float(runs - 1 - k)
         variance = scores.T @ scores * (runs - 1) / runs / max(dof, 1.0)
     else:
@@ -158,7 +172,7 @@ def _of_few(
         np.add.at(scores, obs.run_of, np.einsum("nqk,nq->nk", by_row, deviation))
         variance = scores.T @ scores
         dof = _satterthwaite(scores, obs.run_of, obs.condition_of, count, lost=0)
-        told = replace(level, prior_dof=level.prior_dof * (1.0 - _smooth_share(problem, z)))
+        told = replace(level, prior_dof=level.prior_dof * (1.0 - smooth_share(problem, z)))
         variance, dof = _moderated(variance, dof, _foretold(problem, by_row), told)
     expected = float(np.trace(variance))
     if dof < 1.0 or expected <= 0.0:
@@ -166,41 +180,6 @@ def _of_few(
     explained, many = float(total @ total), expected**2 / float((variance**2).sum())
     p_value = f_tail(explained / expected, (many, many * dof))
     return Score(p_value, max(0.0, explained - expected), expected, dof)
-
-
-def _smooth_share(problem: Problem, z: Floats) -> float:
-    """Return the share of columns that is a line or a bow along the axis, each way."""
-    obs = problem.obs
-    along = np.linspace(-1.0, 1.0, obs.n_bins)
-    parts = [
-        np.outer(sense, along**power) * obs.mask
-        for power in range(_BOWS)
-        for sense in (np.ones(obs.n_rows), obs.sense)
-    ]
-    smooth, _ = problem.visible(problem.whitened(np.stack(parts, axis=2)))
-    return float(((smooth.T @ z) ** 2).sum() / max(z.shape[1], 1))
-
-
-def _inside(visible: Floats, obs: Observations) -> Floats:
-    """Return what columns do between repeats, orthonormal.
-
-    Time passes along a sweep as well: what the sweeps have in common would be taken for drift.
-    """
-    z = visible.reshape(obs.n_rows, -1)
-    mean = np.array([z[obs.condition_of == c].mean(axis=0) for c in range(len(obs.conditions))])
-    inside = (z - mean[obs.condition_of]).reshape(visible.shape)
-    # The columns have length one: of what is the same in all runs only rounding is left.
-    return orthonormal(inside[:, (inside**2).sum(axis=0) > _ROUNDING])
-
-
-def _along(column: Floats, deviation: Floats, obs: Observations) -> Floats:
-    """Return what each run has of the form that a column has in all runs, shape (runs,)."""
-    shape = int(obs.run_of.max()) + 1, len(obs.conditions), obs.n_bins
-    forms, found = np.zeros(shape), np.zeros(shape)
-    forms[obs.run_of, obs.condition_of] = column
-    found[obs.run_of, obs.condition_of] = deviation
-    form = np.linalg.svd(forms.reshape(shape[0], -1), full_matrices=False)[2][0]
-    return np.asarray(found.reshape(shape[0], -1) @ form)
 
 
 def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
@@ -239,6 +218,32 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     most = max(_MOST_PRIOR * float(np.median(dofs)), float(_FEW_DOF))
     prior = most if spread <= 0.0 else min(most, 2.0 / max(spread, 1e-6) + 1.0)
     return NoiseLevel(prior, float(np.exp(np.mean(logs + bias))))
+
+
+def misfit(problem: Problem) -> Floats | None:
+    """Return the variance of what repeats agree on though nothing known explains it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign with all that was found.
+
+    Returns
+    -------
+    ndarray, shape (n,), or None
+        Of every whitened coefficient of a condition; None where it is no more than the noise.
+    """
+    obs = problem.obs
+    rows = problem.residual
+    count = np.bincount(obs.condition_of)
+    repeated = count > 1
+    means = condition_sums(rows, obs.condition_of)[repeated] / count[repeated, None]
+    deviation, of = within_condition(rows, obs.condition_of)
+    if not repeated.any():
+        return None
+    pure = (deviation[of > 1] ** 2).mean(axis=0)
+    found = smoothed((means**2).mean(axis=0) - pure * (1.0 / count[repeated]).mean())
+    return np.maximum(found, 0.0) if found.sum() > _MISFIT * pure.mean() * len(pure) else None
 
 
 def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:

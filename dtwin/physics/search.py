@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,8 +13,8 @@ from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.hunt import best_set
 from dtwin.physics.localise import in_angle, systematic_rms_um
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Problem, Term, least_visible, unweighted
-from dtwin.physics.score import NoiseLevel, lack_of_fit, noise_level, score_test
+from dtwin.physics.problem import Problem, Term, least_visible, unweighted, weighted_like
+from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level, score_test
 from dtwin.physics.shapes import refined
 from dtwin.schema import Floats
 from dtwin.statistics import holm
@@ -22,11 +22,15 @@ from dtwin.statistics import holm
 ALPHA = 0.03
 _LEADING = 6
 _GROUP_GAIN = 0.5
+# Between the shapes of the grid an effect may explain more.
+_NEAR = 0.3
 _GROUP_P = 0.05
 _FIT_IS_FINE = 0.05
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
 _INEXACT = 0.05
+# A simpler effect stands in for another one when it loses no more than this of what that explains.
+_STANDS_IN = 0.05
 # p-values so small stay significant whatever the number of tests.
 _BEYOND_DOUBT = 1e-6
 
@@ -41,8 +45,12 @@ class Found:
         The effect, tested against what all the others leave.
     group : tuple of Candidate
         It, and what these runs cannot tell from it, best first.
+    absorbed : frozenset of str
+        Those of the group that cannot be seen beside the effect: they may be there as well.
     problem : Problem
         The campaign with all the other effects that were found.
+    candidates : Candidates
+        The library where it was tested.
     level : NoiseLevel
         Shared noise level there.
     gain : float
@@ -55,7 +63,9 @@ class Found:
 
     top: Candidate
     group: tuple[Candidate, ...]
+    absorbed: frozenset[str]
     problem: Problem
+    candidates: Candidates
     level: NoiseLevel
     gain: float
     size_um: float
@@ -130,6 +140,7 @@ def search(
     candidates: Candidates,
     known: Sequence[Term],
     *,
+    beside: Callable[[Problem], Problem],
     seed: int,
     shown_by_channel: bool = False,
 ) -> Search:
@@ -145,6 +156,8 @@ def search(
         The library.
     known : sequence of Term
         What the twin knows.
+    beside : callable
+        Takes out of a problem what is neither the twin's nor the library's.
     seed : int
         Seed of permutations.
     shown_by_channel : bool
@@ -156,14 +169,21 @@ def search(
     before_um = systematic_rms_um(problem.obs, in_angle(plain))
     top = _leading(first, plain, candidates)
     terms: list[Term] = []
+    stand_ins: dict[str, list[Term]] = {}
+    told, library = problem, candidates
     if top is not None or fit <= _FIT_IS_FINE:
-        terms, told = best_set(problem, candidates, known)
-        terms = _material(terms, told, known, candidates, problem)
-        terms = _significant(terms or ([top.term] if top else []), problem, candidates, first)
+        terms, obs = best_set(problem, candidates, known, beside)
+        terms, stand_ins = _material(terms, obs, known, candidates, problem)
+        if obs is not problem.obs and problem.noise is not None:
+            told, library = (
+                beside(weighted_like(obs, known, problem.noise)),
+                Candidates(obs, candidates.instances),
+            )
+        terms = _significant(terms or ([top.term] if top else []), told, library, first)
         if not terms and top is not None:
             terms = [top.term]
     last, plain_last = _given(problem, terms, candidates), _given(plain, terms, candidates)
-    found = _described(terms, problem, plain, candidates)
+    found = _described(terms, stand_ins, told, library, plain, candidates)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
@@ -247,43 +267,56 @@ def _material(
     known: Sequence[Term],
     candidates: Candidates,
     problem: Problem,
-) -> list[Term]:
-    """Return the effects without those that are no more than how far the laws of others are off.
+) -> tuple[list[Term], dict[str, list[Term]]]:
+    """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
-    An effect that explains less than a twentieth of what all explain is dropped, the smallest
-    first; one that a simpler effect stands in for, at no more than such a loss, is replaced.
+    Every effect must explain a twentieth of what all explain, as RMS. A stand-in, by the label of
+    the effect, is a simpler effect that loses no more in its place than laws are off.
     """
     if not terms:
-        return []
+        return [], {}
     dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
-    chosen = dictionary.add(terms)
-    n = float(obs.mask.sum())
-    floor = (IMMATERIAL * _floor_um(problem)) ** 2 * n
+    found = dictionary.add(terms)
+    floor = (IMMATERIAL * _floor_um(problem)) ** 2 * float(obs.mask.sum())
+    least = max(floor, _INEXACT**2 * dictionary.explained(found))
+    chosen = _worthwhile(dictionary, found, least)
+    stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least) for e in chosen}
+    return [entry.term for entry in chosen], stand_ins
+
+
+def _stand_ins(
+    dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float
+) -> list[Term]:
+    rest = [e for e in chosen if e is not entry]
+    have = {e.label for e in chosen}
+    own = dictionary.explained(chosen) - dictionary.explained(rest)
+    enough = own - min(least, _STANDS_IN * own)
+    gains = zip(dictionary.gains(rest).tolist(), dictionary.entries, strict=True)
+    near = [
+        (gain, other)
+        for gain, other in gains
+        if gain > enough and other.free < entry.free and other.label not in have
+    ]
+    # The best shape of each: the last one wins.
+    best = {other.label: other.term for _, other in sorted(near, key=lambda pair: pair[0])}
+    return list(best.values())
+
+
+def _worthwhile(dictionary: Dictionary, found: list[Entry], least: float) -> list[Entry]:
+    """Return the best of the effects found where each must explain so much: drop, add and exchange."""
+
+    def worth(entries: list[Entry]) -> float:
+        return dictionary.explained(entries) - least * len(entries)
+
+    chosen, most = found, worth(found)
     while True:
-        explained = dictionary.explained(chosen)
-        least = max(floor, _INEXACT**2 * explained)
-        smaller = _simplified(dictionary, chosen, explained - least)
-        if smaller is None:
-            return [entry.term for entry in chosen]
-        chosen = smaller
-
-
-def _simplified(dictionary: Dictionary, chosen: list[Entry], enough: float) -> list[Entry] | None:
-    """Return a set with fewer free numbers that still explains enough, the best of them."""
-    best: tuple[float, list[Entry]] | None = None
-    have = {entry.label for entry in chosen}
-    for number, entry in enumerate(chosen):
-        rest = chosen[:number] + chosen[number + 1 :]
-        alone = dictionary.explained(rest)
-        if alone > enough:
-            best = max(best or (alone, rest), (alone, rest), key=lambda pair: pair[0])
-            continue
-        gains = dictionary.gains(rest)
-        for gain, other in zip(gains, dictionary.entries, strict=True):
-            simpler = other.free < entry.free and other.label not in have
-            if simpler and alone + gain > enough and best is None:
-                best = alone + float(gain), [*rest, other]
-    return None if best is None else best[1]
+        rest = [e for e in found if e not in chosen]
+        fewer = [chosen[:i] + chosen[i + 1 :] for i in range(len(chosen))]
+        moves = [*fewer, *([*entries, e] for entries in [chosen, *fewer] for e in rest)]
+        best = max(moves, key=worth, default=chosen)
+        if worth(best) <= most:
+            return chosen
+        chosen, most = best, worth(best)
 
 
 def _significant(
@@ -294,9 +327,10 @@ def _significant(
     many = independent([c.visible for c in first.candidates])
     while terms:
         p_values = []
+        beyond = misfit(_given(problem, terms, candidates))
         for term in terms:
             given = _given(problem, [t for t in terms if t is not term], candidates)
-            level = noise_level(given, probes(given))
+            level = replace(noise_level(given, probes(given)), misfit=beyond)
             candidate = candidates.tested_term(given, term, level)
             p_value = 1.0 if candidate is None else candidate.score.p_value
             if _BEYOND_DOUBT < p_value < ALPHA:
@@ -311,27 +345,61 @@ def _significant(
 
 
 def _described(
-    terms: Sequence[Term], problem: Problem, plain: Problem, candidates: Candidates
+    terms: Sequence[Term],
+    stand_ins: Mapping[str, Sequence[Term]],
+    problem: Problem,
+    candidates: Candidates,
+    plain: Problem,
+    everywhere: Candidates,
 ) -> tuple[Found, ...]:
-    """Return effects with their rivals, the one that explains most first."""
+    """Return effects with their rivals, the one that explains most first.
+
+    Tests are made where laws hold to within the noise, sizes are told everywhere.
+    """
     out = []
+    beyond = misfit(_given(problem, terms, candidates))
+    dictionary = Dictionary(problem, candidates)
+    chosen = {entry.label: entry for entry in dictionary.add(terms)}
     for term in terms:
         others = [t for t in terms if t is not term]
         given = _given(problem, others, candidates)
-        level = noise_level(given, probes(given))
+        level = replace(noise_level(given, probes(given)), misfit=beyond)
         top = candidates.tested_term(given, term, level)
         if top is None:
             continue
-        rivals, _ = candidates.tested(given, level, but={t.label for t in terms})
-        bare = _given(plain, others, candidates)
-        group = _group(given, candidates, level, top, rivals)
-        group += _sets(problem, candidates, terms, term, rivals, group)
+        rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
+        bare = _given(plain, others, everywhere)
+        group, absorbed = _group(given, candidates, level, top, rivals)
+        have = {c.term.label for c in group}
+        simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
+        tested = [candidates.tested_term(given, t, level) for t in simpler]
+        group += tuple(c for c in tested if c is not None)
+        group += _sets(problem, candidates, terms, term, rivals, group, level)
         gain = left_out_gain(given, candidates.whitened(given, term))
-        visible = candidates.visible(bare, term)
+        visible = everywhere.visible(bare, term)
         fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
-        size_um = _size_um(bare, candidates, term)
-        out.append(Found(top, group, given, level, gain, size_um, fitted))
+        size_um = _size_um(bare, everywhere, term)
+        out.append(Found(top, group, absorbed, given, candidates, level, gain, size_um, fitted))
     return tuple(sorted(out, key=lambda f: -f.size_um))
+
+
+def _far(dictionary: Dictionary, chosen: Mapping[str, Entry], term: Term) -> set[str]:
+    """Return the labels of what is no rival of a term: it explains too little in its place."""
+    rest = [entry for label, entry in chosen.items() if label != term.label]
+    gains = dictionary.gains(rest)
+    own = dictionary.explained(list(chosen.values())) - dictionary.explained(rest)
+    most: dict[str, float] = {}
+    for gain, entry in zip(gains, dictionary.entries, strict=True):
+        most[entry.label] = max(most.get(entry.label, 0.0), float(gain))
+    return {
+        entry.label
+        for entry in dictionary.entries
+        if entry.label in chosen
+        or (
+            most[entry.label] < _NEAR * own
+            and entry.term.instance.effect.name not in term.instance.effect.confusables
+        )
+    }
 
 
 def _group(
@@ -340,17 +408,24 @@ def _group(
     level: NoiseLevel,
     top: Candidate,
     tested: Sequence[Candidate],
-) -> tuple[Candidate, ...]:
-    """Return what leaves the top one nothing significant to explain: a 95 % confidence set."""
-    group = [top]
+) -> tuple[tuple[Candidate, ...], frozenset[str]]:
+    """Return what cannot be told from the top effect, and the labels of what cannot be seen beside it.
+
+    What leaves it nothing significant to explain, a 95 % confidence set; and what explains half as
+    much alone and nothing beside it: how much of the two is there is not known.
+    """
+    group, hidden = [top], set()
+    beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
     for found in sorted(tested, key=lambda c: -c.score.gain):
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
-        if not _adds_nothing(problem, top, other, candidates, level):
+        if not candidates.visible(beside, other.term).shape[1]:
+            hidden.add(other.term.label)
+        elif not _adds_nothing(problem, top, other, candidates, level):
             continue
         group.append(other)
-    return tuple(group)
+    return tuple(group), frozenset(hidden)
 
 
 def _numbers(term: Term) -> int:
@@ -365,6 +440,7 @@ def _sets(
     term: Term,
     rivals: Sequence[Candidate],
     group: Sequence[Candidate],
+    level: NoiseLevel,
 ) -> tuple[Candidate, ...]:
     """Return what only together with its like on other axes is a rival of an effect, or of its likes.
 
@@ -374,7 +450,6 @@ def _sets(
     name = term.instance.effect.name
     own = [t for t in terms if t.instance.effect.name == name]
     given = _given(problem, [t for t in terms if t not in own], candidates)
-    level = noise_level(given, probes(given))
     have = {c.term.label for c in group}
     out: list[Candidate] = []
     for other in term.instance.effect.confusables:

@@ -9,13 +9,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from dtwin.physics.candidates import Candidates
-from dtwin.physics.problem import Problem, Term, orthonormal
+from dtwin.physics.problem import Problem, Term
 from dtwin.schema import Floats
 
 _MOST_TRIES = 12
 _MOST_TOGETHER = 8
 _MARGIN = 1e-3
 _ABSENT = 1e-6
+_STEP = 1e-4
 
 
 def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
@@ -65,7 +66,7 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
 
 
 def refined_together(
-    problem: Problem, candidates: Candidates, terms: Sequence[Term]
+    problem: Problem, candidates: Candidates, terms: Sequence[Term], enough: float
 ) -> tuple[Term, ...]:
     """Return terms with the shapes, within their grids, that leave least when all are fitted.
 
@@ -77,6 +78,8 @@ def refined_together(
         The library.
     terms : sequence of Term
         Effects with the shapes to start from.
+    enough : float
+        A step that lowers the sum of squares by less is the last one.
     """
     shaped = [term for term in terms if term.instance.effect.shapes]
     if not shaped:
@@ -85,41 +88,63 @@ def refined_together(
         if not term.instance.effect.shapes:
             visible = candidates.visible(problem, term)
             problem = problem.extended(visible, candidates.whitened(problem, term))
-    residual = problem.residual.ravel()
     sizes = [len(term.instance.effect.shapes) for term in shaped]
-    ends = np.cumsum(sizes)
-    # The solver changes one shape at a time and comes back.
-    kept: dict[tuple[int, bytes], Floats] = {}
-
-    def columns(number: int, logs: Floats) -> Floats:
-        key = number, logs.tobytes()
-        if key not in kept:
-            term = _at(shaped[number], logs)
-            whitened = problem.whitened(problem.obs.regressors(term.instance, term.shape))
-            kept[key] = whitened - problem.basis @ (problem.basis.T @ whitened)
-        return kept[key]
-
-    def left(logs: Floats) -> Floats:
-        parts = [
-            columns(n, logs[end - size : end])
-            for n, (size, end) in enumerate(zip(sizes, ends, strict=True))
-        ]
-        visible = orthonormal(np.concatenate(parts, axis=1))
-        return np.asarray(residual - visible @ (visible.T @ residual))
-
+    parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
+    projected = _Projected(problem, shaped, parts)
     begun = np.log([term.shape[s.name] for term in shaped for s in term.instance.effect.shapes])
-    bounds = [
-        _bounds(t, begun[e - n : e], True) for t, n, e in zip(shaped, sizes, ends, strict=True)
-    ]
-    low, high = np.concatenate([b[0] for b in bounds]), np.concatenate([b[1] for b in bounds])
+    ranges = [_bounds(t, begun[part], True) for t, part in zip(shaped, parts, strict=True)]
+    low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
+    before = float((projected.left(begun) ** 2).sum())
     found = least_squares(
-        left, begun, bounds=(low, high), method="trf", x_scale="jac", max_nfev=_MOST_TOGETHER,
-        diff_step=[1e-4] * len(begun), ftol=1e-4,
+        projected.left, begun, projected.slopes, bounds=(low, high), x_scale="jac",
+        max_nfev=_MOST_TOGETHER, ftol=max(1e-8, min(0.1, enough / max(before, 1e-300))),
     )  # fmt: skip
-    if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
+    if 2.0 * found.cost >= before:
         return tuple(terms)
-    new = {t.label: _at(t, found.x[e - n : e]) for t, n, e in zip(shaped, sizes, ends, strict=True)}
+    new = {t.label: _at(t, found.x[part]) for t, part in zip(shaped, parts, strict=True)}
     return tuple(new.get(term.label, term) for term in terms)
+
+
+class _Projected:
+    """What effects leave as their shapes change, all amplitudes fitted, and its slopes after Kaufman (1975)."""
+
+    def __init__(self, problem: Problem, terms: Sequence[Term], parts: Sequence[slice]) -> None:
+        self._problem, self._terms, self._parts = problem, terms, parts
+        self._residual = problem.residual.ravel()
+        self._kept: dict[tuple[int, bytes], Floats] = {}
+
+    def left(self, logs: Floats) -> Floats:
+        """Return the residual, shape (rows * n,)."""
+        columns, inverse = self._solved(logs)
+        return np.asarray(self._residual - columns @ (inverse @ (columns.T @ self._residual)))
+
+    def slopes(self, logs: Floats) -> Floats:
+        """Return how the residual changes with every logarithm of a shape, shape (rows * n, shapes)."""
+        columns, inverse = self._solved(logs)
+        amplitude = inverse @ (columns.T @ self._residual)
+        out, at = np.empty((len(self._residual), len(logs))), 0
+        for number, part in enumerate(self._parts):
+            now = self._columns(number, logs[part])
+            own, at = amplitude[at : at + now.shape[1]], at + now.shape[1]
+            for i in range(part.start, part.stop):
+                moved = logs.copy()
+                moved[i] += _STEP
+                out[:, i] = (self._columns(number, moved[part]) - now) @ own / -_STEP
+        return np.asarray(out - columns @ (inverse @ (columns.T @ out)))
+
+    def _solved(self, logs: Floats) -> tuple[Floats, Floats]:
+        every = [self._columns(n, logs[part]) for n, part in enumerate(self._parts)]
+        columns = np.concatenate(every, axis=1)
+        return columns, np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True)
+
+    def _columns(self, number: int, logs: Floats) -> Floats:
+        # The solver changes one shape at a time and comes back.
+        key = number, logs.tobytes()
+        if key not in self._kept:
+            problem, term = self._problem, _at(self._terms[number], logs)
+            whitened = problem.whitened(problem.obs.regressors(term.instance, term.shape))
+            self._kept[key] = whitened - problem.basis @ (problem.basis.T @ whitened)
+        return self._kept[key]
 
 
 def _at(term: Term, logs: Floats) -> Term:

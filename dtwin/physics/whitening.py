@@ -81,6 +81,13 @@ class PureError:
     dof: int
 
 
+def condition_sums(rows: Floats, condition_of: Indices) -> Floats:
+    """Return the sums over the rows of each condition, shape (conditions, ...)."""
+    out = np.zeros((int(condition_of.max()) + 1, *rows.shape[1:]))
+    np.add.at(out, condition_of, rows)
+    return out
+
+
 def within_condition(rows: Floats, condition_of: Indices) -> tuple[Floats, Indices]:
     """Return deviations from the mean of the condition, inflated to the variance of one run.
 
@@ -99,8 +106,7 @@ def within_condition(rows: Floats, condition_of: Indices) -> tuple[Floats, Indic
         Number of rows of the condition.
     """
     count = np.bincount(condition_of)
-    mean = np.zeros((len(count), *rows.shape[1:]))
-    np.add.at(mean, condition_of, rows)
+    mean = condition_sums(rows, condition_of)
     mean /= np.maximum(count, 1).reshape(-1, *[1] * (rows.ndim - 1))
     m = count[condition_of]
     scale = np.where(m > 1, np.sqrt(m / np.maximum(m - 1, 1)), 0.0)
