@@ -233,9 +233,10 @@ def _shows_um(told: Mapping[str, float]) -> float:
 def _noise(frequency_hz: float, rms_um: float, rng: np.random.Generator) -> Floats:
     """Return what repeats disagree by: a hum in step with the tone, and the probe."""
     weights = 1.0 / np.sqrt(1.0 + np.arange(_HARMONICS + 1))
-    drawn = weights * rng.standard_normal(_HARMONICS + 1) * rms_um / np.linalg.norm(weights)
+    weights *= rms_um / np.linalg.norm(weights)
+    sine, cosine = weights * rng.standard_normal((2, _HARMONICS + 1))
     turn = 2.0 * np.pi * frequency_hz * _TIMES_S
-    out = drawn[0] + rms_um * rng.standard_normal(_TIMES_S.size)
+    out = cosine[0] + rms_um * rng.standard_normal(_TIMES_S.size)
     for h in range(1, _HARMONICS + 1):
-        out += np.sqrt(2.0) * drawn[h] * np.cos(h * turn + rng.uniform(0.0, 2.0 * np.pi))
+        out += cosine[h] * np.cos(h * turn) + sine[h] * np.sin(h * turn)
     return out

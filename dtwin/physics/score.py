@@ -11,7 +11,6 @@ from scipy.special import polygamma
 
 from dtwin.physics.few_runs import along, inside, smooth_share
 from dtwin.physics.gridding import Indices
-from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import (
     condition_sums,
