@@ -43,7 +43,7 @@ EFFECT = Effect(
     shapes=(
         ShapeParameter("place_of_travel", "1", 0.5, (0.1, 0.25, 0.4, 0.55, 0.7, 0.85), (0.01, 1.0)),
         ShapeParameter("reach_of_travel", "1", 0.2, (0.08, 0.2, 0.4), (0.01, 1.0)),
-        ShapeParameter("even_share", "1", 0.1, (0.05, 0.6), (0.01, 0.9)),
+        ShapeParameter("even_share", "1", 0.1, (0.05, 0.6), (0.0, 0.9)),
     ),
     confusables=("backlash_taper", "backlash"),
     correctable="A table of backlash by position.",
