@@ -27,7 +27,7 @@ from dtwin.physics.problem import Problem, Term, set_up, unweighted
 from dtwin.physics.screen import Channel, screen_channels
 from dtwin.physics.search import IMMATERIAL, Found, Search, search
 from dtwin.physics.spread import spread_of
-from dtwin.physics.whitening import from_harmonics
+from dtwin.physics.whitening import from_harmonics, harmonic_numbers, to_harmonics
 from dtwin.schema import Floats
 
 LACK_OF_FIT = 0.003
@@ -41,6 +41,8 @@ _SHOWN = 8
 # An effect so many times larger than what moves like it and is not resolved is itself.
 _LARGER = 3.0
 _HALF = 0.5
+_TINY = 0.25
+_APART = 0.4
 
 
 def diagnose(
@@ -132,6 +134,7 @@ def _concluded(
         if not _survivors(f, tests[f.label])
         or f.gain <= 0.0
         or (late and f.top.term.instance.effect.within_condition)
+        or _is_weak(f, tests[f.label][f.label], found)
     ]
     kept = _trusted(found, doubted, much)
     others = [f for f in found.found if f not in kept]
@@ -206,7 +209,7 @@ def _unresolved(found: Search, withdrawn: Sequence[Found]) -> Unresolved:
     rms_um = localise.systematic_rms_um(obs, left)
     return Unresolved(
         systematic_rms_um=rms_um,
-        share=min(1.0, (rms_um / max(found.systematic_um[0], 1e-300)) ** 2),
+        share=min(1.0, (rms_um / max(found.systematic_um[0], 1e-9)) ** 2),
         p_value=found.lack_of_fit[0 if withdrawn else 1],
         words=localise.headline(obs, left),
         where=localise.worst_places(obs, left),
@@ -218,25 +221,39 @@ def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]
 
     What is unknown is what is left, where that is much, and what the effects do whose laws do not
     hold. An effect that moves with the condition as that does must be larger than those, and much
-    larger than what is left; otherwise its part is unknown as well. Where its amplitude follows its
-    own law and not that of what is unknown, it is none of it.
+    larger than what is left; otherwise its part is unknown as well. Where its harmonics are others,
+    or its amplitude follows its own law and not that of what is unknown, it is none of it, unless
+    it is tiny beside it.
     """
     obs = found.plain.obs
-    unknown = _LARGER * localise.in_angle(found.plain) if much else np.zeros(obs.y_um.shape)
-    kept, doubted = [f for f in found.found if f not in doubted], list(doubted)
-    unknown = unknown + _sum_um(doubted, obs)
+    unknown = localise.in_angle(found.plain) * float(much)
+    least_um = _TINY * _rms_um(localise.condition_means(obs, unknown))
+    unknown = _LARGER * unknown + _sum_um(doubted, obs)
+    kept = [f for f in found.found if f not in doubted]
+    # What moves with a channel, but not as the library says, may also stand still in part.
+    moving = [f for f in doubted if f.top.term.instance.effect.within_condition]
+    if moving:
+        means = localise.condition_means(obs, _sum_um(moving, obs))
+        kept = [f for f in kept if _overlap(f, means, obs) < _APART]
     while True:
         means = localise.condition_means(obs, unknown)
-        rms_um = float(np.sqrt((means**2).sum() / max(float((means != 0.0).sum()), 1.0)))
         doubtful = [
             f
             for f in kept
-            if f.size_um < rms_um * _alike(f, means, obs) and not _is_other(f, means, obs)
+            if f.size_um < _rms_um(means) * _alike(f, means, obs)
+            and (
+                f.size_um < least_um
+                or (_overlap(f, means, obs) > _APART and not _is_other(f, means, obs))
+            )
         ]
         if not doubtful:
             return kept
         kept = [f for f in kept if f not in doubtful]
         unknown = unknown + _sum_um(doubtful, obs)
+
+
+def _rms_um(means: Floats) -> float:
+    return float(np.sqrt((means**2).sum() / max(float((means != 0.0).sum()), 1.0)))
 
 
 def _sum_um(effects: Sequence[Found], obs: Observations) -> Floats:
@@ -257,8 +274,19 @@ def _alike(effect: Found, means: Floats, obs: Observations) -> float:
     return float(np.sqrt((along**2).sum() / max(float((means**2).sum()), 1e-300)))
 
 
+def _overlap(effect: Found, means: Floats, obs: Observations) -> float:
+    """Return how far an effect and condition means share harmonics, from 0 to 1, after Bhattacharyya."""
+    harmonic = harmonic_numbers(obs.n_bins)
+    does = localise.condition_means(obs, _does_um(effect, obs))
+    power = [np.bincount(harmonic, (to_harmonics(v) ** 2).mean(axis=0)) for v in (does, means)]
+    first, second = (p / max(float(p.sum()), 1e-300) for p in power)
+    return float(np.sqrt(first * second).sum())
+
+
 def _is_other(effect: Found, means: Floats, obs: Observations) -> bool:
     """Tell whether no half of an effect can be a part of condition means that moves as these do."""
+    if effect.top.term.instance.effect.within_condition:
+        return False
     sense = np.array([c.sense for c in obs.conditions])
     for signs in (np.ones(len(sense)), sense):
         amplitude = np.sqrt((means**2).mean(axis=1)) * signs
@@ -306,12 +334,27 @@ def _laws_of(effect: Found) -> Mapping[str, list[LawTest]]:
 
 
 def _survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:
-    """Return the members of a group whose laws hold."""
-    return [c for c in effect.group if not _broken(tests.get(c.term.label, ()))]
+    """Return the members of a group whose laws hold.
+
+    Where that of the top one does not, one with more parameters only hides that.
+    """
+    most = effect.top.visible.shape[1] if _broken(tests.get(effect.label, ())) else np.inf
+    return [
+        c
+        for c in effect.group
+        if c.visible.shape[1] <= most and not _broken(tests.get(c.term.label, ()))
+    ]
 
 
 def _broken(tests: Sequence[LawTest]) -> bool:
     return any(test.broken for test in tests)
+
+
+def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
+    """Tell whether an effect is small and no variable of its law, though changed, confirms it."""
+    tested = any(test.variable not in ("time", "delay") for test in tests)
+    small = effect.size_um < _SPOKEN_OF * found.systematic_um[0]
+    return tested and small and not _variables(effect.top, tests)[0]
 
 
 def _variables(candidate: Candidate, tests: Sequence[LawTest]) -> tuple[list[str], list[str]]:
@@ -397,7 +440,7 @@ def _suspect(
     problem = found.first.problem
     if gain is None:
         gain = left_out_gain(problem, candidates.whitened(problem, candidate.term))
-    total = max(found.systematic_um[0] ** 2 * float(bare.obs.mask.sum()), 1e-300)
+    total = max(found.systematic_um[0] ** 2 * float(bare.obs.mask.sum()), 1e-18)
     return Suspect(
         effect=effect.name,
         axis=candidate.term.instance.axis,

@@ -134,8 +134,11 @@ class _Projected:
 
     def _solved(self, logs: Floats) -> tuple[Floats, Floats]:
         every = [self._columns(n, logs[part]) for n, part in enumerate(self._parts)]
-        columns = np.concatenate(every, axis=1)
-        return columns, np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True)
+        columns: Floats = np.concatenate(every, axis=1)
+        inverse = np.asarray(
+            np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float
+        )
+        return columns, inverse
 
     def _columns(self, number: int, logs: Floats) -> Floats:
         # The solver changes one shape at a time and comes back.
