@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from along import line_case
 from causes import BASE, LIBRARY, Cause, foreign, thermal_drift, thermal_growth
 from designs import DESIGNS
 from robot import GEOMETRY, JOINTS, joint_cause
@@ -45,6 +46,9 @@ class Case:
 def make_case(row: Row, number: int) -> Case:
     """Return one case; its seed is derived from the name of the row and the number."""
     rng = np.random.default_rng([zlib.crc32(row.name.encode()), number])
+    if row.kind != "circular":
+        made_of = line_case(row, number, rng)
+        return Case(row, number, made_of.runs, made_of.campaign, (), made_of.hidden, made_of.sizes)
     hidden = _hidden(row, number, rng)
     base_names = _base_names(row, hidden, rng)
     heights = any(cause.design == "heights" for cause in hidden)

@@ -26,6 +26,8 @@ LIBRARY = Library()
 # As many as `dtwin twin discover` adds at most.
 RUNGS = 24
 MOST_IN_GROUP = 3
+# One axis grows as the machine does; held at an end, its zero moves as well.
+SAME = {"thermal_growth": {"thermal_growth X", "thermal_shift"}}
 # Leaving a feed out costs a second search.
 HELD_OUT_EVERY = 4
 
@@ -64,7 +66,8 @@ def answer(case: Case) -> dict[str, Any]:
 
 def accepted(case: Case) -> list[set[str]]:
     """Return, for each hidden effect, the labels that are right."""
-    return [{cause.label} for cause in case.hidden]
+    also = SAME if case.row.kind == "linear" else {}
+    return [{cause.label} | also.get(cause.label, set()) for cause in case.hidden]
 
 
 def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
@@ -74,44 +77,50 @@ def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
     checks = {
         "nothing": found.verdict not in ALARMS,
         "absorbed": found.verdict not in ALARMS,
-        "name": found.verdict in NAMING and all(t in group for t in truths),
+        "name": found.verdict in NAMING and all(names & group for names in accepted(case)),
         "all": all(any(t in named for named in out.get("rungs", ())) for t in truths),
         "unknown": found.verdict == "unknown_effect",
-        "channel": found.verdict == "unknown_effect" and "coolant_v" in out["channels"],
+        "channel": found.verdict == "unknown_effect" and _channel(case) in out["channels"],
         "group": {"squareness", "servo_mismatch"} <= effects and found.verdict == "ambiguous",
         "confounded": found.verdict == "ambiguous" and {"thermal_growth", "thermal_drift"} <= effects,
         "every": out.get("named") == len(case.hidden) - len(case.row.unknown[:1]),
         "need_repeats": found.verdict == "need_repeats",
         "spread": found.verdict == "variance_effect" or found.spread is not None,
     }  # fmt: skip
-    if truths == ["thermal_growth"] and case.row.right == "name":
+    if truths == ["thermal_growth"] and case.row.right == "name" and case.row.kind == "circular":
         return found.verdict in NAMING and "thermal_growth" in effects
     return bool(checks[case.row.right])
+
+
+def _channel(case: Case) -> str:
+    """Return the channel behind what is hidden."""
+    return case.hidden[0].label if case.row.kind != "circular" and case.hidden else "coolant_v"
 
 
 def _is_wrong_name(case: Case, found: Diagnosis) -> bool:
     if found.verdict not in NAMING:
         return False
     group = {s.label for s in found.group}
-    return not group & {cause.label for cause in case.hidden}
+    return not any(group & names for names in accepted(case))
 
 
 def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
     """Return what was named of many, how many names are false, and how well sizes and a held-out feed fit."""
-    truths = {cause.label for cause in case.hidden}
-    unknown = set(case.row.unknown)
+    truths = [names for names in accepted(case) if not names & set(case.row.unknown)]
     groups = [[s.label for s in group] for group in found.found]
     named = sum(
-        any(t in group and len(group) <= MOST_IN_GROUP for group in groups)
-        for t in truths - unknown
+        any(names & set(group) and len(group) <= MOST_IN_GROUP for group in groups)
+        for names in truths
     )
     out: dict[str, Any] = {
         "groups": groups,
         "named": named,
-        "of": len(truths - unknown),
-        "false": sum(not truths & set(group) for group in groups),
+        "of": len(truths),
+        "false": sum(not any(set(group) & n for n in accepted(case)) for group in groups),
         "unresolved": found.unresolved is not None,
     }
+    if case.row.kind != "circular":
+        return out | {"covered": []}
     right = tuple(c for c in case.hidden if any(c.label == group[0] for group in groups))
     terms = _terms(obs, found)
     out["covered"] = _coverage(replace(case, hidden=right), obs, _but(terms, right))

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import axis_machine
+import tone_machine
 from causes import LIBRARY
 from robot import JOINTS
 
 NOISE_UM = 0.5
+# Along an axis and in tones a hidden effect is drawn between these times the noise.
+FAINTEST, LOUDEST = 4.0, 20.0
+MEAN_K = 0.5 * (FAINTEST + LOUDEST)
 # Of a first test: an angular error needs a second height, and a delay of the instrument that shows
 # at all turns the whole circle.
 NOT_AT_FIRST = ("angular_error", "measurement_delay")
@@ -31,6 +36,7 @@ class Row:
     samples_per_turn: int = 1080
     noise_um: float = NOISE_UM
     unknown: tuple[str, ...] = ()
+    kind: str = "circular"
 
 
 def _rows() -> list[Row]:
@@ -86,6 +92,33 @@ def _rows() -> list[Row]:
     rows += [
         Row("untold_5_and_unknown", "every", 100, hidden=ordinary, how_many=5, base=(), noise_um=0.1,
             unknown=("gear_harmonic", "threshold_lobe", "quartic_scale", "lobe_with_feed")),
+    ]  # fmt: skip
+    return rows + _of_lines()
+
+
+def _of_lines() -> list[Row]:
+    """Return the rows of positioning tests along an axis, and of tones.
+
+    Nothing is told in any of them; hidden is 4 to 20 times the noise.
+    """
+    axes, tones = tuple(axis_machine.LIBRARY), tuple(tone_machine.LIBRARY)
+    # What gives way to inertia is a mode far above the tones: a group of four.
+    told_apart = tuple(n for n in tones if n != "inertial_compliance")
+    some = {"k": MEAN_K, "base": ()}
+    rows = [
+        Row("axis_null", "nothing", 200, design="5 runs", base=(), kind="linear"),
+        Row("axis_single", "name", 100, hidden=axes, design="5 runs", kind="linear", **some),
+        Row("axis_untold_5", "every", 100, hidden=axes, how_many=5, design="5 runs", kind="linear", **some),
+        Row("axis_channel", "channel", 100, hidden=axis_machine.CHANNELS, design="5 runs", kind="linear", **some),
+        Row("tone_null", "nothing", 200, design="tones", base=(), kind="sinusoidal"),
+        Row("tone_single", "name", 100, hidden=tones, design="tones", kind="sinusoidal", **some),
+        Row("tone_untold_3", "every", 100, hidden=told_apart, how_many=3, design="tones", kind="sinusoidal", **some),
+        Row("tone_unknown", "unknown", 100, hidden=tuple(tone_machine.FOREIGN), design="tones", kind="sinusoidal", **some),
+        Row("tone_channel", "channel", 100, hidden=tone_machine.CHANNELS, design="tones", kind="sinusoidal", **some),
+    ]  # fmt: skip
+    rows += [
+        Row(f"axis_unknown_{name}", "unknown", 100, hidden=(name,), design="5 runs", kind="linear", **some)
+        for name in ("flank", "dent", "power")
     ]  # fmt: skip
     return rows
 

@@ -54,7 +54,7 @@ def _untold(by_row: Mapping[str, list[Record]]) -> str:
             lines.append(f"| {name} | not run | | | | | | | | 0 ({row.cases}) |")
             continue
         named, of = sum(r["named"] for r in records), sum(r["of"] for r in records)
-        wanted = 0.90 if row.unknown else UNTOLD[row.how_many]
+        wanted = 0.90 if row.unknown or row.kind != "circular" else UNTOLD[row.how_many]
         false = sum(r["false"] for r in records) / len(records)
         inside = [abs(v - t) <= u for r in records for _, t, v, u in r["covered"]]
         held = [r["held_out_um"] / r["floor_um"] for r in records if "held_out_um" in r]
@@ -98,6 +98,7 @@ def _figures(by_row: Mapping[str, list[Record]]) -> str:
     for label, names, limit in shares:
         lines.append(_share_line(label, _pooled(by_row, *names), limit))
     lines.append(_channel_line(by_row.get("unknown_coolant", [])))
+    lines += _along(by_row)
     lines += _beside(by_row.get("pair_one", []))
     single = _pooled(by_row, "single_half", "single_quarter")
     if single:
@@ -111,6 +112,24 @@ def _figures(by_row: Mapping[str, list[Record]]) -> str:
                          f"| {_said(np.mean(sizes) <= 1.5)} |")  # fmt: skip
     lines += _held_out(by_row) + _coverage(by_row) + _times(by_row)
     return "\n".join(lines)
+
+
+def _along(by_row: Mapping[str, list[Record]]) -> list[str]:
+    """Return the figures of positioning tests and of tones, in which nothing is told."""
+    lines = []
+    for kind, words in (("linear", "axis"), ("sinusoidal", "tones")):
+        rows = [row for row in ROWS.values() if row.kind == kind]
+        null = _pooled(by_row, *(r.name for r in rows if r.right == "nothing"))
+        if null:
+            wrong = len(null) - _share(null, "right")[0]
+            share = wrong / len(null)
+            lines.append(f"| {words}: false alarm | <= 5 % | {share:.1%} {_interval(wrong, len(null))} "
+                         f"| {len(null)} | {_said(share <= 0.05)} |")  # fmt: skip
+        for right, said in (("name", "one fault named"), ("unknown", "outside the library called unknown"),
+                            ("channel", "logged channel named")):  # fmt: skip
+            names = tuple(r.name for r in rows if r.right == right)
+            lines.append(_share_line(f"{words}: {said}", _pooled(by_row, *names), 0.90))
+    return lines
 
 
 def _ratio(records: Sequence[Record]) -> float:

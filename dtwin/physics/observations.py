@@ -92,6 +92,13 @@ class Observations:
         """Number of rows."""
         return len(self.runs)
 
+    @cached_property
+    def there_and_back(self) -> bool:
+        """Whether runs go over the path in both senses, so that their rows belong together."""
+        return len(set(zip(self.run_of.tolist(), self.condition_of.tolist(), strict=True))) > len(
+            set(self.run_of.tolist())
+        )
+
     @property
     def planes(self) -> tuple[str, ...]:
         """Planes that were measured, or axes that moved alone."""

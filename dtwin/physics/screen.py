@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +27,8 @@ class Channel:
     name : str
         Column, with unit.
     p_value : float
-        By permutation of tests inside conditions, Holm over all channels.
+        By permutation of tests inside conditions, or rotation where few can change places; Holm
+        over all channels.
     share : float
         Share of the spread between repeats that goes with it.
     instead : tuple of str
@@ -58,7 +60,10 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     Only what a channel does *inside* conditions is looked at, so that conditions cannot stand
     for it; alone and times the feed, since a warm machine may err more the faster it moves.
     A bystander that is correlated with the channel found explains nothing more once
-    that one is taken out.
+    that one is taken out. Five runs of an axis change places in 120 ways only, which can show
+    nothing after Holm: where there are fewer orders than are drawn, the channel is compared with
+    directions at random among those of the tests (Langsrud 2005), which is exact for normal noise
+    of any shape along the path.
     """
     obs = problem.obs
     low = (harmonic_numbers(obs.n_bins) <= _HIGHEST_HARMONIC) & (problem.weights > 0)
@@ -72,13 +77,11 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     if not channels or (count > 1).sum() < 8:
         return []
     _, of_row = np.unique(obs.clusters, return_inverse=True)
-    orders = _orders(problem, of_row, np.random.default_rng(seed))
+    others = _Others(problem, of_row, np.random.default_rng(seed))
     ways = np.stack([np.ones(obs.n_rows), obs.feed_mm_s / obs.feed_mm_s.mean()])
     found: list[Channel] = []
     while channels:
-        tested = {
-            name: _test(spread, values, ways, orders, of_row) for name, values in channels.items()
-        }
+        tested = {name: _test(spread, values, ways, others) for name, values in channels.items()}
         ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
         best = max(
             (n for n in ranked if tested[n][0] == tested[ranked[0]][0]),
@@ -92,6 +95,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
         found.append(Channel(best, p_value, tested[best][1], instead))
         for way in ways if np.ptp(ways[1]) > 0.0 else ways[:1]:
             spread = _without(spread, chosen * way)
+        others.leave_out(chosen)
         channels = {
             name: _without(values[:, None], chosen)[:, 0]
             for name, values in channels.items()
@@ -100,20 +104,17 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     return found
 
 
-def _test(
-    spread: Floats, values: Floats, ways: Floats, orders: Indices, of_row: Indices
-) -> tuple[float, float]:
+def _test(spread: Floats, values: Floats, ways: Floats, others: _Others) -> tuple[float, float]:
     """Return p-value and share of the spread; tests keep their runs together.
 
-    The best way for the channel to act counts, in the order measured as in every other order.
+    The best way for the channel to act counts, as it was measured and as it might have been.
     """
     gram = spread @ spread.T
-    mean = np.bincount(of_row, values) / np.bincount(of_row)
-    shuffled = mean[orders][:, of_row] + values - mean[of_row]
     found = max(float(v @ gram @ v / (v @ v)) for v in values * ways)
-    drawn = np.zeros(len(orders))
+    might = others.drawn(values)
+    drawn = np.zeros(len(might))
     for way in ways:
-        v = shuffled * way
+        v = might * way
         power = np.einsum("di,di->d", v @ gram, v)
         drawn = np.maximum(drawn, power / np.maximum((v**2).sum(axis=1), 1e-300))
     share = found / max(float(np.trace(gram)), 1e-300)
@@ -122,18 +123,53 @@ def _test(
     return float((1 + reached.sum()) / (len(drawn) + 1)), share
 
 
-def _orders(problem: Problem, of_row: Indices, rng: np.random.Generator) -> Indices:
-    """Draw permutations of the tests inside each condition, shape (draws, tests)."""
-    obs = problem.obs
-    # Tests may change places when they were measured under the same conditions.
-    members: dict[frozenset[int], list[int]] = {}
-    for test in range(int(of_row.max()) + 1):
-        conditions = frozenset(obs.condition_of[of_row == test].tolist())
-        members.setdefault(conditions, []).append(test)
-    out = np.tile(np.arange(int(of_row.max()) + 1), (_DRAWS, 1))
-    for tests in members.values():
-        out[:, tests] = rng.permuted(np.tile(tests, (_DRAWS, 1)), axis=1)
-    return out
+class _Others:
+    """What a channel might have been, had it nothing to do with the error.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whitened campaign.
+    of_row : ndarray of int, shape (rows,)
+        Test of each row.
+    rng : Generator
+        Draws.
+    """
+
+    def __init__(self, problem: Problem, of_row: Indices, rng: np.random.Generator) -> None:
+        self._of_row, self._count = of_row, np.bincount(of_row)
+        n, condition_of = len(self._count), problem.obs.condition_of
+        # Tests may change places when they were measured under the same conditions.
+        members: dict[frozenset[int], list[int]] = {}
+        for test in range(n):
+            conditions = frozenset(condition_of[of_row == test].tolist())
+            members.setdefault(conditions, []).append(test)
+        ways = sum(math.lgamma(len(tests) + 1) for tests in members.values())
+        self._orders: Indices | None = None
+        if ways >= math.log(_DRAWS):
+            self._orders = np.tile(np.arange(n), (_DRAWS, 1))
+            for tests in members.values():
+                self._orders[:, tests] = rng.permuted(np.tile(tests, (_DRAWS, 1)), axis=1)
+            return
+        self._turned = rng.standard_normal((_DRAWS, n))
+        for tests in members.values():
+            self._turned[:, tests] -= self._turned[:, tests].mean(axis=1, keepdims=True)
+
+    def drawn(self, values: Floats) -> Floats:
+        """Return other values of the tests, shape (draws, rows); inside tests they stay."""
+        mean = np.bincount(self._of_row, values) / self._count
+        if self._orders is not None:
+            other = mean[self._orders]
+        else:
+            size = np.linalg.norm(self._turned, axis=1, keepdims=True)
+            other = self._turned * np.linalg.norm(mean) / np.maximum(size, 1e-300)
+        return np.asarray(other[:, self._of_row] + values - mean[self._of_row])
+
+    def leave_out(self, chosen: Floats) -> None:
+        """Turn only among the directions that a channel which was found leaves."""
+        if self._orders is None:
+            mean = np.bincount(self._of_row, chosen) / self._count
+            self._turned = _without(self._turned.T, mean).T
 
 
 def _alike(values: Floats, chosen: Floats) -> bool:

@@ -8,11 +8,18 @@ from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, 
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
+# Waves side by side are half a turn apart at the end of a metre: between them a fit finds its way.
+_WAVES_MM = tuple(2000.0 / n for n in range(5, 41))
+_MOST = 0.75
+
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
-    phase = 2.0 * np.pi * state.position_mm[axis] / shape["wave_mm"]
+    position_mm = state.position_mm[axis]
+    # What does not turn back within the travel is no wave but a bow.
+    wave_mm = min(shape["wave_mm"], _MOST * max(float(np.ptp(position_mm)), 1e-9))
+    phase = 2.0 * np.pi * position_mm / wave_mm
     along = state.sensitivity[axis]
     return stacked(along * np.cos(phase), along * np.sin(phase))
 
@@ -33,7 +40,7 @@ EFFECT = Effect(
     remedy="Pitch error table of the control.",
     reference="ISO 230-2",
     kinds=("linear",),
-    shapes=(ShapeParameter("wave_mm", "mm", 200.0, (50.0, 100.0, 200.0, 400.0)),),
+    shapes=(ShapeParameter("wave_mm", "mm", 200.0, _WAVES_MM),),
     confusables=(
         "lead_error",
         "cyclic_error",

@@ -1,0 +1,117 @@
+"""Diagnosis of positioning tests as they are measured: five runs, there and back."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dtwin.physics.candidates import Candidates
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.effect import Instance
+from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations, observe
+from dtwin.physics.problem import Term, set_up
+from dtwin.physics.score import NoiseLevel, score_test
+from dtwin.schema import Campaign, Floats, Run, RunMeta
+
+LIBRARY = Library()
+RUNS, TARGETS = 5, 33
+AT_MM = np.linspace(0.0, 640.0, TARGETS) + 3.0 * np.sin(np.arange(TARGETS) ** 2)
+SHARE = (AT_MM - AT_MM[0]) / np.ptp(AT_MM)
+HUMIDITY = np.array([41.0, 47.0, 44.0, 52.0, 43.0])
+
+
+def campaign(error_um: Floats, rng: np.random.Generator, noise_um: float = 0.25) -> Observations:
+    """Return five runs with an error, shape that broadcasts to (runs, 2, targets), and noise."""
+    shape = RUNS, 2, TARGETS
+    error_um = error_um + noise_um * rng.standard_normal(shape)
+    # Where a run begins differs more than what it reads.
+    error_um = error_um + 2.0 * noise_um * rng.standard_normal((RUNS, 1, 1))
+    ways = np.repeat(np.array(["forward", "reverse"], dtype=object), TARGETS)
+    runs = []
+    for number in range(RUNS):
+        covariates = {
+            "humidity_pct": HUMIDITY[number], "supply_v": 24.0 + rng.standard_normal(),
+            "oil_c": 30.0 + rng.standard_normal(), "temperature_c": 20.0 + rng.standard_normal(),
+        }  # fmt: skip
+        meta = RunMeta(
+            f"r{number}", kind="linear", condition={"axis": "X"}, repeat=number + 1,
+            started=f"2026-03-02T08:{10 * number:02d}:00+00:00", covariates=covariates,
+        )  # fmt: skip
+        samples = {
+            "position_mm": np.concatenate([AT_MM, AT_MM[::-1]]),
+            "direction": ways,
+            "error_um": np.concatenate([error_um[number, 0], error_um[number, 1, ::-1]]),
+        }
+        runs.append(Run(meta, samples))
+    return observe(Campaign("five", "m", kind="linear"), runs)
+
+
+def test_what_moves_with_a_channel_is_said_to() -> None:
+    rng = np.random.default_rng(1)
+    moved = (HUMIDITY - HUMIDITY.mean())[:, None, None] / HUMIDITY.std() * (0.3 + SHARE)
+    found = diagnose(campaign(1.2 * moved, rng), [], LIBRARY)
+    assert found.verdict == "unknown_effect"
+    assert [c.name for c in found.channels] == ["humidity_pct"]
+    assert "it moves with humidity_pct" in found.headline
+
+
+def test_channels_that_do_nothing_are_not_named() -> None:
+    bow = 2.0 * np.sin(6.0 * SHARE)
+    named = [
+        diagnose(campaign(bow, np.random.default_rng(n), 0.1), [], LIBRARY).channels
+        for n in range(10)
+    ]
+    assert not any(named)
+
+
+@pytest.mark.parametrize("name", ["thermal_drift", "lead_error", "backlash_taper"])
+def test_noise_of_five_runs_is_called_significant_as_often_as_stated(name: str) -> None:
+    rng = np.random.default_rng(5)
+    axis = "" if name == "thermal_drift" else "X"
+    term = Term(Instance(LIBRARY[name], axis), {})
+    within = LIBRARY[name].within_condition
+    p_values = []
+    for _ in range(150):
+        obs = campaign(np.zeros(1), rng)
+        problem = set_up(obs, [], [term] if within else [])
+        tested = Candidates(obs, [term.instance]).tested_term(problem, term, NoiseLevel(12.0, 1.0))
+        assert tested is not None
+        p_values.append(tested.score.p_value)
+    # Of 150 a twentieth, 3.3 times the standard error either way.
+    assert 0 < np.mean(np.array(p_values) < 0.05) < 0.11
+
+
+def test_what_the_sweeps_have_in_common_is_no_drift() -> None:
+    obs = campaign(3.0 * SHARE, np.random.default_rng(2))
+    drift = Term(Instance(LIBRARY["thermal_drift"], ""), {})
+    problem = set_up(obs, [], [drift])
+    columns = Candidates(obs, [drift.instance]).visible(problem, drift)
+    score = score_test(problem, columns, problem.residual, NoiseLevel(), within=True)
+    assert score.p_value > 0.05
+    assert score.dof == 3.0
+    # What is the same in every run says nothing of what differs between them.
+    same = np.broadcast_to(SHARE - SHARE.mean(), (2 * RUNS, TARGETS)).reshape(-1, 1)
+    alike = same / np.linalg.norm(same)
+    assert score_test(problem, alike, problem.residual, NoiseLevel(), within=True).p_value == 1.0
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        np.abs(SHARE - 0.5) ** 1.5 * 20.0 * np.ones((2, 1)),
+        np.sin(2.0 * np.pi * AT_MM / 137.0) * 4.0 * np.array([[1.0], [-0.6]]),
+    ],
+    ids=["a bow", "a wave that differs by flank"],
+)
+def test_what_the_library_does_not_have_gets_no_name(shape: Floats) -> None:
+    found = diagnose(campaign(shape, np.random.default_rng(3)), [], LIBRARY)
+    assert found.verdict == "unknown_effect", found.headline
+
+
+def test_wear_with_soft_ends_is_wear_and_nothing_else() -> None:
+    worn = np.tanh((SHARE - 0.3) / 0.05) - np.tanh((SHARE - 0.6) / 0.05)
+    found = diagnose(
+        campaign(-2.0 * worn * np.array([[1.0], [-1.0]]), np.random.default_rng(4)), [], LIBRARY
+    )
+    assert [[s.label for s in group] for group in found.found] == [["worn_screw X"]]
