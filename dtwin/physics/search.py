@@ -183,7 +183,7 @@ def search(
         if not terms and top is not None:
             terms = [top.term]
     last, plain_last = _given(problem, terms, candidates), _given(plain, terms, candidates)
-    found = _described(terms, stand_ins, told, library, plain, candidates)
+    found = _described(terms, stand_ins, told, library, problem, plain, candidates)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
@@ -349,15 +349,18 @@ def _described(
     stand_ins: Mapping[str, Sequence[Term]],
     problem: Problem,
     candidates: Candidates,
+    whole: Problem,
     plain: Problem,
     everywhere: Candidates,
 ) -> tuple[Found, ...]:
     """Return effects with their rivals, the one that explains most first.
 
-    Tests are made where laws hold to within the noise, sizes are told everywhere.
+    Tests are made where laws hold to within the noise. Sizes are told everywhere, and a rival must
+    not be ruled out there either.
     """
     out = []
     beyond = misfit(_given(problem, terms, candidates))
+    rough = NoiseLevel(misfit=misfit(_given(whole, terms, everywhere)))
     dictionary = Dictionary(problem, candidates)
     chosen = {entry.label: entry for entry in dictionary.add(terms)}
     for term in terms:
@@ -370,6 +373,13 @@ def _described(
         rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
         bare = _given(plain, others, everywhere)
         group, absorbed = _group(given, candidates, level, top, rivals)
+        if whole is not problem:
+            beside = _given(whole, others, everywhere)
+            group = group[:1] + tuple(
+                c
+                for c in group[1:]
+                if c.term.label in absorbed or _adds_nothing(beside, top, c, everywhere, rough)
+            )
         have = {c.term.label for c in group}
         simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
         tested = [candidates.tested_term(given, t, level) for t in simpler]
@@ -411,8 +421,8 @@ def _group(
 ) -> tuple[tuple[Candidate, ...], frozenset[str]]:
     """Return what cannot be told from the top effect, and the labels of what cannot be seen beside it.
 
-    What leaves it nothing significant to explain, a 95 % confidence set; and what explains half as
-    much alone and nothing beside it: how much of the two is there is not known.
+    What leaves it nothing significant to explain, a 95 % confidence set; and what is simpler,
+    explains half as much alone and nothing beside it: how much of the two is there is not known.
     """
     group, hidden = [top], set()
     beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
@@ -420,7 +430,8 @@ def _group(
         if found.score.gain < _GROUP_GAIN * top.score.gain:
             continue
         other = _refined(problem, candidates, found, level)
-        if not candidates.visible(beside, other.term).shape[1]:
+        invisible = not candidates.visible(beside, other.term).shape[1]
+        if invisible and _numbers(other.term) < _numbers(top.term):
             hidden.add(other.term.label)
         elif not _adds_nothing(problem, top, other, candidates, level):
             continue
@@ -485,7 +496,8 @@ def _adds_nothing(
     candidates: Candidates,
     level: NoiseLevel,
 ) -> bool:
-    given = problem.extended(other.visible, candidates.whitened(problem, other.term))
+    visible = candidates.visible(problem, other.term)
+    given = problem.extended(visible, candidates.whitened(problem, other.term))
     left = candidates.visible(given, top.term)
     if not left.shape[1]:
         return True
