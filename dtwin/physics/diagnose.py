@@ -233,18 +233,20 @@ def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]
     # What moves with a channel, but not as the library says, may also stand still in part.
     moving = [f for f in doubted if f.top.term.instance.effect.within_condition]
     if moving:
-        means = localise.condition_means(obs, _sum_um(moving, obs))
-        kept = [f for f in kept if _overlap(f, means, obs) < _APART]
+        does = [localise.condition_means(obs, _does_um(f, obs)) for f in kept]
+        power = _harmonics(localise.condition_means(obs, _sum_um(moving, obs)), obs)
+        kept = [
+            f
+            for f, own in zip(kept, does, strict=True)
+            if _overlap(_harmonics(own, obs), power) < _APART
+        ]
     while True:
         means = localise.condition_means(obs, unknown)
         doubtful = [
             f
             for f in kept
             if f.size_um < _rms_um(means) * _alike(f, means, obs)
-            and (
-                f.size_um < least_um
-                or (_overlap(f, means, obs) > _APART and not _is_other(f, means, obs))
-            )
+            and (f.size_um < least_um or not (_is_apart(f, means, obs) or _is_other(f, means, obs)))
         ]
         if not doubtful:
             return kept
@@ -274,12 +276,24 @@ def _alike(effect: Found, means: Floats, obs: Observations) -> float:
     return float(np.sqrt((along**2).sum() / max(float((means**2).sum()), 1e-300)))
 
 
-def _overlap(effect: Found, means: Floats, obs: Observations) -> float:
-    """Return how far an effect and condition means share harmonics, from 0 to 1, after Bhattacharyya."""
-    harmonic = harmonic_numbers(obs.n_bins)
-    does = localise.condition_means(obs, _does_um(effect, obs))
-    power = [np.bincount(harmonic, (to_harmonics(v) ** 2).mean(axis=0)) for v in (does, means)]
-    first, second = (p / max(float(p.sum()), 1e-300) for p in power)
+def _is_apart(effect: Found, means: Floats, obs: Observations) -> bool:
+    """Tell whether condition means are mostly one harmonic, and an effect has little of theirs.
+
+    What has many harmonics can leave others than those that an effect takes of it.
+    """
+    power = _harmonics(means, obs)
+    own = _harmonics(localise.condition_means(obs, _does_um(effect, obs)), obs)
+    return bool(power.max() > _HALF and _overlap(own, power) < _APART)
+
+
+def _harmonics(means: Floats, obs: Observations) -> Floats:
+    """Return the share of each harmonic in the mean square of condition means."""
+    power = np.bincount(harmonic_numbers(obs.n_bins), (to_harmonics(means) ** 2).mean(axis=0))
+    return np.asarray(power / max(float(power.sum()), 1e-300))
+
+
+def _overlap(first: Floats, second: Floats) -> float:
+    """Return how far two spectra agree, from 0 to 1, after Bhattacharyya."""
     return float(np.sqrt(first * second).sum())
 
 
