@@ -23,14 +23,16 @@ from dtwin.statistics import f_quantile, f_tail
 
 REPEATS = 3
 POWER = 0.8
+_HOPELESS = 0.5
 _ALPHA = 0.04
+_SOON_MIN = 10.0
 _SETUP_S = 600.0
 _BOTH: tuple[Direction, Direction] = ("CCW", "CW")
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """Runs that would separate two candidates.
+    """Runs that would separate pairs of candidates.
 
     Attributes
     ----------
@@ -40,14 +42,19 @@ class Proposal:
         What to measure, each ``REPEATS`` times.
     minutes : float
         Estimated time on the machine.
-    power : float
-        Probability that they are told apart.
+    powers : tuple of float
+        Probability that they are told apart, for each pair.
     """
 
     text: str
     conditions: tuple[Condition, ...]
     minutes: float
-    power: float
+    powers: tuple[float, ...] = ()
+
+    @property
+    def separated(self) -> int:
+        """Number of pairs that are probably told apart."""
+        return sum(power >= POWER for power in self.powers)
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,9 @@ def next_experiment(
     diagnosis: Diagnosis,
     library: Mapping[str, Effect],
 ) -> dict[str, Any] | None:
-    """Return the cheapest runs that would separate the leading candidates.
+    """Return the runs that would separate most of what cannot be told apart.
+
+    Within ten minutes where that separates anything; otherwise the cheapest runs that do.
 
     Parameters
     ----------
@@ -115,39 +124,78 @@ def next_experiment(
             "expected_power": None,
             "advice": "repeats show the noise floor; without them nothing can be named",
         }
-    group = diagnosis.group
-    if len(group) < 2:
+    pairs = _pairs(obs, known, library, diagnosis)
+    if not pairs:
         return None
-    terms = _terms(obs, known, library, [suspect.label for suspect in group[:2]])
-    if len(terms) < 2:
-        return None
-    advice = terms[0].instance.effect.separate_by
     tried = [
-        replace(p, power=_power(obs, known, terms[0], terms[1], p.conditions))
+        replace(
+            p,
+            powers=tuple(
+                _power(obs, [*known, *beside], one, two, p.conditions) for one, two, beside in pairs
+            ),
+        )
         for p in _proposals(obs)
     ]
-    useful = [p for p in tried if p.power >= POWER]
-    best = (
-        min(useful, key=lambda p: p.minutes)
-        if useful
-        else max(tried, key=lambda p: p.power, default=None)
-    )
-    labels = [term.label for term in terms]
-    if best is None or best.power < 0.5:
+    best = min(tried, key=_rank, default=None)
+    advice = pairs[0][0].instance.effect.separate_by
+    if best is None or max(best.powers) < _HOPELESS:
         return {
-            "text": advice, "separates": labels, "conditions": [], "repeats": 0, "minutes": None,
-            "expected_power": best.power if best else 0.0, "advice": advice,
+            "text": advice, "separates": _labels(pairs[0]), "conditions": [], "repeats": 0,
+            "minutes": None, "expected_power": max(best.powers) if best else 0.0, "advice": advice,
         }  # fmt: skip
+    likely = max(POWER if best.separated else 0.0, _HOPELESS)
+    told = [
+        (pair, power) for pair, power in zip(pairs, best.powers, strict=True) if power >= likely
+    ]
+    words = ", ".join(
+        f"{labels[0]} from {' + '.join(labels[1:])} with a probability of {100 * power:z.0f} %"
+        for labels, power in ((_labels(pair), power) for pair, power in told)
+    )
     return {
-        "text": f"{best.text}, {REPEATS} times: tells {labels[0]} from {labels[1]} with a "
-        f"probability of {100 * best.power:z.0f} %, about {best.minutes:z.0f} min",
-        "separates": labels,
+        "text": f"{best.text}, {REPEATS} times: tells {words}, about {best.minutes:z.0f} min",
+        "separates": list(dict.fromkeys(label for pair, _ in told for label in _labels(pair))),
         "conditions": [c.as_dict() for c in best.conditions],
         "repeats": REPEATS,
         "minutes": best.minutes,
-        "expected_power": best.power,
+        "expected_power": told[0][1],
         "advice": advice,
     }
+
+
+def _pairs(
+    obs: Observations,
+    known: Sequence[Term],
+    library: Mapping[str, Effect],
+    diagnosis: Diagnosis,
+) -> list[tuple[Term, list[Term], list[Term]]]:
+    """Return, of every group, the first effect, the second on all its axes, and what was found besides.
+
+    What only together is a rival, such as two bowed guideways, is taken together.
+    """
+    groups = diagnosis.found or (diagnosis.group,)
+    out = []
+    for group in groups:
+        if len(group) < 2:
+            continue
+        rivals = [s.label for s in group[1:] if s.effect == group[1].effect]
+        first = _terms(obs, known, library, [group[0].label])
+        second = _terms(obs, known, library, rivals)
+        others = [other[0].label for other in groups if other is not group and other]
+        if first and second:
+            out.append((first[0], second, _terms(obs, known, library, others)))
+    return out
+
+
+def _labels(pair: tuple[Term, Sequence[Term], Sequence[Term]]) -> list[str]:
+    return [pair[0].label, *(term.label for term in pair[1])]
+
+
+def _rank(proposal: Proposal) -> tuple[bool, bool, float, float]:
+    """Order proposals: what separates within ten minutes, as much as possible, comes first."""
+    useless, late = not proposal.separated, proposal.minutes > _SOON_MIN
+    cost = proposal.minutes
+    first = -proposal.separated if not late else cost
+    return useless, late, first if not useless else -max(proposal.powers, default=0.0), cost
 
 
 def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None) -> Observations:
@@ -282,17 +330,17 @@ def _proposals(obs: Observations) -> list[Proposal]:
 
 def _proposal(text: str, conditions: list[Condition], *, new_setup: bool) -> Proposal:
     seconds = REPEATS * sum(c.seconds for c in conditions) + (_SETUP_S if new_setup else 0.0)
-    return Proposal(text, tuple(conditions), seconds / 60.0, 0.0)
+    return Proposal(text, tuple(conditions), seconds / 60.0)
 
 
 def _power(
     obs: Observations,
     known: Sequence[Term],
     wanted: Term,
-    rival: Term,
+    rivals: Sequence[Term],
     conditions: Sequence[Condition],
 ) -> float:
-    """Return the probability that the rival is rejected when the wanted effect is the truth."""
+    """Return the probability that rivals together are rejected when the wanted effect is the truth."""
     problem = set_up(obs, known, [])
     if problem.noise is None:
         return 0.0
@@ -302,8 +350,10 @@ def _power(
     grown = _grown(obs, conditions)
     design = weighted_like(grown, known, problem.noise)
     profile = design.whitened(grown.regressors(wanted.instance, wanted.shape)) @ size
-    other = design.whitened(grown.regressors(rival.instance, rival.shape))
-    imitated, _ = design.visible(other, least=least_visible(rival))
+    other = [design.whitened(grown.regressors(r.instance, r.shape)) for r in rivals]
+    imitated, _ = design.visible(
+        np.concatenate(other, axis=1), least=min(map(least_visible, rivals))
+    )
     seen, share = design.visible(profile[:, None], imitated, least_visible(wanted))
     if not seen.shape[1]:
         return 0.0
