@@ -21,9 +21,11 @@ from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Unresolved, Verdi
 from dtwin.physics.effect import Effect
 from dtwin.physics.law_search import search_laws
 from dtwin.physics.laws import LawTest, law_tests, share_that_follows
+from dtwin.physics.measured_once import as_if_repeated
 from dtwin.physics.observations import Observations
 from dtwin.physics.outliers import odd_runs
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
+from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.screen import Channel, screen_channels
 from dtwin.physics.search import IMMATERIAL, Found, Search, search
 from dtwin.physics.spread import spread_of
@@ -87,7 +89,7 @@ def diagnose(
         outlier_runs=outliers,
     )
     if problem.noise is None:
-        return replace(blank, headline="no condition was repeated: the noise floor is not known")
+        return _once(blank, obs, known, library, seed)
     blank = replace(
         blank,
         noise_floor_um=problem.noise.floor_um,
@@ -104,6 +106,32 @@ def diagnose(
     )
     moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
     return _concluded(blank, found, candidates, known, channels, moving, residual, library)
+
+
+def _once(
+    blank: Diagnosis,
+    obs: Observations,
+    known: Sequence[Term],
+    library: Mapping[str, Effect],
+    seed: int,
+) -> Diagnosis:
+    """Say what runs that were measured once look like; nothing of it is confirmed."""
+    said = "no condition was repeated: the noise floor is not known"
+    copied = as_if_repeated(obs, known, seed)
+    if copied is None:
+        return replace(blank, headline=said)
+    copies, floor_um = copied
+    found = diagnose(copies, known, library, seed=seed)
+    groups = tuple(
+        tuple(replace(s, grade="shape-consistent") for s in group) for group in found.found
+    )
+    said += f", it is at least {floor_um:.2g} um (harmonics above {HIGHEST_HARMONIC})"
+    names = "; ".join(" or ".join(s.label for s in group) for group in groups)
+    return replace(
+        blank, headline=f"{said}; it looks like {names}" if names else said, suspects=found.suspects,
+        found=groups, unresolved=found.unresolved, invisible=found.invisible, floor_kind="within_run",
+        noise_floor_um=floor_um,
+    )  # fmt: skip
 
 
 def _concluded(

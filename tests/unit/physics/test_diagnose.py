@@ -10,7 +10,7 @@ import pytest
 from dtwin.acquire.virtual_mill import standard_tests
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import HeatParameters, MillParameters
+from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.library import Library
@@ -218,3 +218,17 @@ def test_at_one_radius_a_cup_and_two_bows_are_one_group_and_the_radius_is_not_te
     for group in found.found:
         assert all(s.grade == "shape-consistent" for s in group)
         assert all("radius" in s.untested for s in group if s.label != "instrument_artefact")
+
+
+def test_what_was_measured_once_is_told_with_a_bound_of_its_floor_and_never_confirmed() -> None:
+    mill = replace(SOUND.with_axis("X", play_um=4.0, lateral_um=3.0), changeover_um=2.0)
+    made = VirtualMill(mill, seed=4, noise=NoiseParameters(rms_um=0.3))
+    both_ways = [CircularTest("XY", way, 100.0, 2000.0, 1, "xy") for way in ("CCW", "CW")]
+    found = diagnose(observed(made.measure(both_ways)), [], LIBRARY)
+    assert found.verdict == "need_repeats"
+    assert found.floor_kind == "within_run"
+    assert 0.1 < found.noise_floor_um < 0.6
+    assert {"backlash X", "lateral_play X", "axis_changeover XY"} <= {
+        suspect.label for group in found.found for suspect in group
+    }
+    assert {s.grade for group in found.found for s in group} == {"shape-consistent"}
