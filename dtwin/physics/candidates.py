@@ -135,6 +135,18 @@ class Candidates:
         score = score_test(problem, visible, problem.residual, level, within=within)
         return Candidate(term, visible, share, replace(score, p_value=candidate.score.p_value))
 
+    def given(self, problem: Problem, terms: Iterable[Term]) -> Problem:
+        """Return a problem with further effects known."""
+        for term in terms:
+            problem = problem.extended(self.visible(problem, term), self.whitened(problem, term))
+        return problem
+
+    def size_um(self, plain: Problem, term: Term) -> float:
+        """Return the RMS of what an effect would explain in a problem without weights."""
+        visible = self.visible(plain, term)
+        total = float(((visible.T @ plain.residual.ravel()) ** 2).sum())
+        return float((total / plain.obs.mask.sum()) ** 0.5)
+
     def visible(self, problem: Problem, term: Term, given: Floats | None = None) -> Floats:
         """Return the columns of a term that nothing known can imitate."""
         return problem.visible(self.whitened(problem, term), given, least_visible(term))[0]

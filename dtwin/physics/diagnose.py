@@ -17,19 +17,22 @@ import numpy as np
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.cross_validation import left_out_gain
-from dtwin.physics.diagnosis import Diagnosis, Grade, Suspect, Unresolved, Verdict
+from dtwin.physics.diagnosis import Diagnosis, Suspect, Unresolved, Verdict
 from dtwin.physics.effect import Effect
+from dtwin.physics.grading import SHOWN, grade_of, laws_of, survivors, variables
 from dtwin.physics.law_search import search_laws
-from dtwin.physics.laws import LawTest, law_tests, share_that_follows
+from dtwin.physics.laws import LawTest
+from dtwin.physics.material import IMMATERIAL
 from dtwin.physics.measured_once import as_if_repeated
 from dtwin.physics.observations import Observations
 from dtwin.physics.outliers import odd_runs
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
+from dtwin.physics.rivals import Found
 from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.screen import Channel, screen_channels
-from dtwin.physics.search import IMMATERIAL, Found, Search, search
+from dtwin.physics.search import Search, search
 from dtwin.physics.spread import spread_of
-from dtwin.physics.whitening import from_harmonics, harmonic_numbers, to_harmonics
+from dtwin.physics.trust import sum_um, trusted
 from dtwin.schema import Floats
 
 LACK_OF_FIT = 0.003
@@ -39,12 +42,6 @@ _EXPLAINED = 0.93
 _LEFT = 0.3
 _LITTLE = 0.2
 _SPOKEN_OF = 0.1
-_SHOWN = 8
-# An effect so many times larger than what moves like it and is not resolved is itself.
-_LARGER = 3.0
-_HALF = 0.5
-_TINY = 0.25
-_APART = 0.4
 
 
 def diagnose(
@@ -152,19 +149,19 @@ def _concluded(
     foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
     if not found.found:
         return _nothing_found(blank, found, candidates, known, channels, words)
-    tests = {f.label: _laws_of(f, len(found.found)) for f in found.found}
+    tests = {f.label: laws_of(f, len(found.found)) for f in found.found}
     # A channel of the library's own that still moves with what is left has not been explained.
     late = any(not _is_foreign(name, library) for name in moving)
     much = _much_left(found, blank.noise_floor_um)
     doubted = [
         f
         for f in found.found
-        if not _survivors(f, tests[f.label])
+        if not survivors(f, tests[f.label])
         or f.gain <= 0.0
         or (late and f.top.term.instance.effect.within_condition)
         or _is_weak(f, tests[f.label][f.label], found)
     ]
-    kept = _trusted(found, doubted, much)
+    kept = trusted(found, doubted, much)
     others = [f for f in found.found if f not in kept]
     told = much or others or _worth_telling(found, blank.noise_floor_um)
     unresolved = _unresolved(found, others) if told else None
@@ -233,7 +230,7 @@ def _nothing_found(
 def _unresolved(found: Search, withdrawn: Sequence[Found]) -> Unresolved:
     """Describe what is left, and with it what the effects do that are not believed."""
     obs = found.plain.obs
-    left = localise.in_angle(found.plain) + _sum_um(withdrawn, obs)
+    left = localise.in_angle(found.plain) + sum_um(withdrawn, obs)
     rms_um = localise.systematic_rms_um(obs, left)
     return Unresolved(
         systematic_rms_um=rms_um,
@@ -242,100 +239,6 @@ def _unresolved(found: Search, withdrawn: Sequence[Found]) -> Unresolved:
         words=localise.headline(obs, left),
         where=localise.worst_places(obs, left),
     )
-
-
-def _trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
-    """Return the effects that are not a part of something unknown that looks like them.
-
-    What is unknown is what is left, where that is much, and what the effects do whose laws do not
-    hold. An effect that moves with the condition as that does must be larger than those, and much
-    larger than what is left; otherwise its part is unknown as well. Where its harmonics are others,
-    or its amplitude follows its own law and not that of what is unknown, it is none of it, unless
-    it is tiny beside it.
-    """
-    obs = found.plain.obs
-    unknown = localise.in_angle(found.plain) * float(much)
-    least_um = _TINY * _rms_um(localise.condition_means(obs, unknown))
-    unknown = _LARGER * unknown + _sum_um(doubted, obs)
-    kept = [f for f in found.found if f not in doubted]
-    # What moves with a channel, but not as the library says, may also stand still in part.
-    moving = [f for f in doubted if f.top.term.instance.effect.within_condition]
-    if moving:
-        does = [localise.condition_means(obs, _does_um(f, obs)) for f in kept]
-        power = _harmonics(localise.condition_means(obs, _sum_um(moving, obs)), obs)
-        kept = [
-            f
-            for f, own in zip(kept, does, strict=True)
-            if _overlap(_harmonics(own, obs), power) < _APART
-        ]
-    while True:
-        means = localise.condition_means(obs, unknown)
-        doubtful = [
-            f
-            for f in kept
-            if f.size_um < _rms_um(means) * _alike(f, means, obs)
-            and (f.size_um < least_um or not (_is_apart(f, means, obs) or _is_other(f, means, obs)))
-        ]
-        if not doubtful:
-            return kept
-        kept = [f for f in kept if f not in doubtful]
-        unknown = unknown + _sum_um(doubtful, obs)
-
-
-def _rms_um(means: Floats) -> float:
-    return float(np.sqrt((means**2).sum() / max(float((means != 0.0).sum()), 1.0)))
-
-
-def _sum_um(effects: Sequence[Found], obs: Observations) -> Floats:
-    return sum((_does_um(f, obs) for f in effects), np.zeros(obs.y_um.shape))
-
-
-def _does_um(effect: Found, obs: Observations) -> Floats:
-    return np.asarray(from_harmonics(effect.fitted_um) * obs.mask)
-
-
-def _alike(effect: Found, means: Floats, obs: Observations) -> float:
-    """Return the share, as an amplitude, of condition means that moves with the condition as an effect."""
-    does = localise.condition_means(obs, _does_um(effect, obs))
-    amplitude = np.sqrt((does**2).mean(axis=1))
-    if effect.top.term.instance.effect.law.direction == "odd":
-        amplitude = amplitude * np.array([c.sense for c in obs.conditions])
-    along = amplitude @ means / max(float(np.linalg.norm(amplitude)), 1e-300)
-    return float(np.sqrt((along**2).sum() / max(float((means**2).sum()), 1e-300)))
-
-
-def _is_apart(effect: Found, means: Floats, obs: Observations) -> bool:
-    """Tell whether condition means are mostly one harmonic, and an effect has little of theirs.
-
-    What has many harmonics can leave others than those that an effect takes of it.
-    """
-    power = _harmonics(means, obs)
-    own = _harmonics(localise.condition_means(obs, _does_um(effect, obs)), obs)
-    return bool(power.max() > _HALF and _overlap(own, power) < _APART)
-
-
-def _harmonics(means: Floats, obs: Observations) -> Floats:
-    """Return the share of each harmonic in the mean square of condition means."""
-    power = np.bincount(harmonic_numbers(obs.n_bins), (to_harmonics(means) ** 2).mean(axis=0))
-    return np.asarray(power / max(float(power.sum()), 1e-300))
-
-
-def _overlap(first: Floats, second: Floats) -> float:
-    """Return how far two spectra agree, from 0 to 1, after Bhattacharyya."""
-    return float(np.sqrt(first * second).sum())
-
-
-def _is_other(effect: Found, means: Floats, obs: Observations) -> bool:
-    """Tell whether no half of an effect can be a part of condition means that moves as these do."""
-    if effect.top.term.instance.effect.within_condition:
-        return False
-    sense = np.array([c.sense for c in obs.conditions])
-    for signs in (np.ones(len(sense)), sense):
-        amplitude = np.sqrt((means**2).mean(axis=1)) * signs
-        share, uncertainty = share_that_follows(effect, amplitude[obs.condition_of])
-        if share + 2.0 * uncertainty > _HALF:
-            return False
-    return True
 
 
 def _unexplained(words: str, moving: Sequence[str]) -> str:
@@ -363,67 +266,11 @@ def _quiet(blank: Diagnosis) -> Verdict:
     return "variance_effect" if blank.spread else "nothing_missing"
 
 
-def _laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
-    """Test the laws of an effect and its rivals with all other effects taken out, by label.
-
-    What cannot be seen beside it may be a part of it only: its law is not that of the whole. The
-    p-values are Bonferroni's over all the effects found; few of them have a channel that may be late.
-    """
-    out = {}
-    for candidate in effect.group[:_SHOWN]:
-        if candidate.term.label not in effect.absorbed:
-            tests = law_tests(effect.problem, effect.candidates, candidate, effect.level)
-            out[candidate.term.label] = [
-                test
-                if test.variable == "delay"
-                else replace(test, p_value=min(1.0, effects * test.p_value))
-                for test in tests
-            ]
-    return out
-
-
-def _survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:
-    """Return the members of a group whose laws hold.
-
-    Where that of the top one does not, one with more parameters only hides that.
-    """
-    most = effect.top.visible.shape[1] if _broken(tests.get(effect.label, ())) else np.inf
-    return [
-        c
-        for c in effect.group
-        if c.visible.shape[1] <= most and not _broken(tests.get(c.term.label, ()))
-    ]
-
-
-def _broken(tests: Sequence[LawTest]) -> bool:
-    return any(test.broken for test in tests)
-
-
 def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
     """Tell whether an effect is small and no variable of its law, though changed, confirms it."""
     tested = any(test.variable not in ("time", "delay") for test in tests)
     small = effect.size_um < _SPOKEN_OF * found.systematic_um[0]
-    return tested and small and not _variables(effect.top, tests)[0]
-
-
-def _variables(candidate: Candidate, tests: Sequence[LawTest]) -> tuple[list[str], list[str]]:
-    """Return the variables of a law that were confirmed, and those that were not."""
-    law = candidate.term.instance.effect.law
-    wanted = [
-        name
-        for name, exponent in (("feed", law.feed), ("radius", law.radius))
-        if exponent is not None
-    ]
-    wanted += ["direction"] if law.direction != "mixed" else []
-    confirmed = {test.variable for test in tests if test.confirmed}
-    return [n for n in wanted if n in confirmed], [n for n in wanted if n not in confirmed]
-
-
-def _grade(candidate: Candidate, tests: Sequence[LawTest], alone: bool) -> Grade:
-    """Grade a name: its law counts as confirmed when every variable of it was."""
-    law = candidate.term.instance.effect.law
-    enough = law.feed is not None and not _broken(tests) and not _variables(candidate, tests)[1]
-    return "law-confirmed" if enough and alone else "shape-consistent"
+    return tested and small and not variables(effect.top, tests)[0]
 
 
 def _group(
@@ -434,17 +281,17 @@ def _group(
     known: Sequence[Term],
 ) -> tuple[Suspect, ...]:
     """Return an effect that was found and what cannot be told from it."""
-    members = _survivors(effect, tests)
+    members = survivors(effect, tests)
     labels = [c.term.label for c in effect.group]
     bare = unweighted(found.last.obs, known)
     out = []
-    for candidate in members[:_SHOWN]:
+    for candidate in members[:SHOWN]:
         own = tests.get(candidate.term.label, ())
-        tested, untested = _variables(candidate, own)
+        tested, untested = variables(candidate, own)
         suspect = _suspect(candidate, bare, found, candidates, effect.gain)
         out.append(
             replace(
-                suspect, in_group=True, grade=_grade(candidate, own, len(members) == 1),
+                suspect, in_group=True, grade=grade_of(candidate, own, len(members) == 1),
                 confounded_with=tuple(sorted(set(labels) - {candidate.term.label})),
                 laws=tuple(own), size_um=effect.size_um, tested=tuple(tested),
                 untested=tuple(untested),
@@ -469,7 +316,7 @@ def _suspects(
         (c for c in found.first.candidates if c.term.label not in labels),
         key=lambda c: -c.score.gain,
     )
-    room = max(0, _SHOWN - len(named))
+    room = max(0, SHOWN - len(named))
     bare = unweighted(found.last.obs, known)
     others += withdrawn
     return (*first, *others, *(_suspect(c, bare, found, candidates, None) for c in rest[:room]))
