@@ -91,7 +91,7 @@ def described(
             continue
         rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
         bare = everywhere.given(plain, others)
-        group, absorbed = _group(given, candidates, level, top, rivals)
+        group, absorbed = _group(given, candidates, level, top, rivals, whole is not problem)
         if whole is not problem:
             beside = everywhere.given(whole, others)
             group = group[:1] + tuple(
@@ -137,11 +137,13 @@ def _group(
     level: NoiseLevel,
     top: Candidate,
     tested: Sequence[Candidate],
+    in_part: bool,
 ) -> tuple[tuple[Candidate, ...], frozenset[str]]:
     """Return what cannot be told from the top effect, and the labels of what cannot be seen beside it.
 
-    What leaves it nothing significant to explain, a 95 % confidence set; and what is simpler,
-    explains half as much alone and nothing beside it: how much of the two is there is not known.
+    What leaves it nothing significant to explain, a 95 % confidence set. Where only a part of the
+    data is looked at, also what is simpler, explains half as much alone and nothing beside it: how
+    much of the two is there is not known.
     """
     group, hidden = [top], set()
     beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
@@ -150,7 +152,7 @@ def _group(
             continue
         other = refined_candidate(problem, candidates, found, level)
         invisible = not candidates.visible(beside, other.term).shape[1]
-        if invisible and _numbers(other.term) < _numbers(top.term):
+        if in_part and invisible and _numbers(other.term) < _numbers(top.term):
             hidden.add(other.term.label)
         elif not _adds_nothing(problem, top, other, candidates, level):
             continue

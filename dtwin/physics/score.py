@@ -39,6 +39,7 @@ _MOST_PRIOR = 1.0
 _NEIGHBOURS = 6
 # Less than this share of the noise is no misfit.
 _MISFIT = 0.05
+_SURE = 3.0
 
 
 @dataclass(frozen=True)
@@ -241,8 +242,12 @@ def misfit(problem: Problem) -> Floats | None:
     if not repeated.any():
         return None
     pure = (deviation[of > 1] ** 2).mean(axis=0)
-    found = smoothed((means**2).mean(axis=0) - pure * (1.0 / count[repeated]).mean())
-    return np.maximum(found, 0.0) if found.sum() > _MISFIT * pure.mean() * len(pure) else None
+    of_mean = pure * (1.0 / count[repeated]).mean()
+    found = smoothed((means**2).mean(axis=0) - of_mean)
+    # Gaussian noise alone varies by so much.
+    chance = float(np.sqrt(2.0 * len(pure) / len(means)) * of_mean.mean())
+    certain = found.sum() > max(_MISFIT * pure.mean() * len(pure), _SURE * chance)
+    return np.maximum(found, 0.0) if certain else None
 
 
 def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
