@@ -16,8 +16,11 @@ from dtwin.schema import Floats
 
 # An effect so many times larger than what moves like it and is not resolved is itself.
 _LARGER = 3.0
+# Half of an effect, or of the mean square of what is left.
 _HALF = 0.5
+# An effect that is a smaller share of what is left hangs on it, whatever it follows.
 _TINY = 0.25
+# Spectra that agree less are of different things.
 _APART = 0.4
 
 

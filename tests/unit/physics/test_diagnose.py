@@ -232,3 +232,35 @@ def test_what_was_measured_once_is_told_with_a_bound_of_its_floor_and_never_conf
         suspect.label for group in found.found for suspect in group
     }
     assert {s.grade for group in found.found for s in group} == {"shape-consistent"}
+
+
+def test_small_effects_stay_beside_a_loud_unknown_of_one_harmonic() -> None:
+    def lobe(moment: Moment) -> Floats:
+        return np.asarray(3.0 * np.cos(7 * moment.angle_rad))
+
+    mill = replace(SOUND.with_axis("X", bow_um=4.0), changeover_um=2.0)
+    noise = NoiseParameters(rms_um=0.1)
+    found = diagnose(
+        observed(measured(VirtualMill(mill, seed=6, noise=noise, disturbance=lobe))), [], LIBRARY
+    )
+    named = {group[0].label for group in found.found}
+    assert named == {"squareness XY", "scale_mismatch XY", "straightness X", "axis_changeover XY"}
+    assert found.unresolved is not None
+
+
+def test_ten_faults_with_laws_that_are_not_the_library_s_are_named_without_a_false_one() -> None:
+    mill = MillParameters(squareness_um_m={"XY": 20.0}, changeover_um=2.0).with_axis(
+        "X", scale_ppm=20.0, play_um=3.0, lateral_um=3.0, bow_um=4.0, pitch_error_um=2.0,
+        pitch_mm=9.7,
+    ).with_axis("Y", play_taper_um=3.0, lateral_taper_um=4.0, feed_forward=0.99)  # fmt: skip
+    noise = NoiseParameters(rms_um=0.1)
+    found = diagnose(observed(measured(VirtualMill(mill, seed=8, noise=noise))), [], LIBRARY)
+    groups = [{s.label for s in group} for group in found.found]
+    wanted = {
+        "squareness XY", "axis_changeover XY", "scale_mismatch XY", "backlash X", "lateral_play X",
+        "straightness X", "cyclic_error X", "backlash_taper Y", "lateral_play_taper Y",
+        "servo_mismatch XY",
+    }  # fmt: skip
+    assert all(len(group) <= 3 for group in groups)
+    assert wanted <= set.union(*groups)
+    assert all(group & wanted for group in groups)
