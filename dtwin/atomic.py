@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
+
+import tomli_w
 
 from dtwin.errors import StoreError
 
@@ -64,6 +67,11 @@ def sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def write_toml(path: Path, content: Mapping[str, Any], what: str) -> Path:
+    """Write a TOML file in one step and return its path; arguments as :func:`whole_file`."""
+    return write_text(path, tomli_w.dumps(content), what)
 
 
 def write_text(path: Path, content: str, what: str, *, private: bool = False) -> Path:

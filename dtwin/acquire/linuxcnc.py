@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.runner import toml_value
 from dtwin.acquire.virtual_mill import write_runs
-from dtwin.atomic import write_text
+from dtwin.atomic import write_toml
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.linuxcnc import PERIOD_S, Bridge
 from dtwin.machines.linuxcnc.circles import SAMPLE_HZ, Circle, Trace, program, read_samples, traces
@@ -217,8 +216,7 @@ def write_circles(
         counts[circle] = counts.get(circle, 0) + 1
         setup = f"{circle.plane.lower()}-r{circle.radius_mm:g}"
         runs.append(run_of(trace, f"r{number:03d}", counts[circle], setup, started))
-    told = [f"{k} = {toml_value(v)}" for k, v in asdict(faults).items()]
-    write_text(folder / "truth.toml", "\n".join([*told, ""]), "the truth")
+    write_toml(folder / "truth.toml", asdict(faults), "the truth")
     campaign = Campaign(name=name, machine=MACHINE, machine_geometry=geometry(faults))
     write_runs(folder, campaign, runs)
 

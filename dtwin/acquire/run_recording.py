@@ -19,6 +19,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.instrument import Instrument, record
 from dtwin.acquire.recording import SUFFIX, Recorder
@@ -281,16 +283,17 @@ def _enter(
     head = (
         path.read_text(encoding="utf-8").rstrip()
         if path.exists()
-        else "\n".join(
-            [
-                "[campaign]",
-                f"name = {_toml(intent['campaign'])}",
-                f"machine = {_toml(intent['machine'])}",
-                'kind = "circular"',
-                f"started = {_toml(intent['started'])}",
-                *_tables(intent["head"]),
-            ]
-        )
+        else tomli_w.dumps(
+            {
+                "campaign": {
+                    "name": intent["campaign"],
+                    "machine": intent["machine"],
+                    "kind": "circular",
+                    "started": intent["started"],
+                    **intent["head"],
+                }
+            }
+        ).rstrip()
     )
     run = {
         "id": intent["run"],
@@ -300,13 +303,8 @@ def _enter(
         **({"correction": correction} if correction else {}),
         **intent["stated"],
     }
-    lines = [
-        head,
-        _RUN.rstrip("\n"),
-        *(f"{key} = {_toml(value)}" for key, value in run.items()),
-        "",
-    ]
-    write_text(path, "\n".join(lines), "the campaign file")
+    text = f"{head}\n\n{tomli_w.dumps({'run': [run]})}"
+    write_text(path, text, "the campaign file")
 
 
 def _require_new(request: RunRequest) -> None:
@@ -381,16 +379,3 @@ def _alone(folder: Path) -> Iterator[None]:
                 hint="wait for it, or use another folder",
             ) from error
         yield
-
-
-def _tables(head: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    return [
-        line
-        for name, content in head.items()
-        for line in ("", f"[campaign.{name}]", *(f"{k} = {_toml(v)}" for k, v in content.items()))
-    ]
-
-
-def _toml(value: Any) -> str:
-    # JSON strings, numbers, booleans and lists are valid TOML.
-    return json.dumps(value)

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from dtwin.acquire.b5r import write_b5r
+from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.recovery import recover_folder
 from dtwin.acquire.signal_files import write_signals
-from dtwin.atomic import write_text
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest
 from dtwin.schema import Direction, Run
@@ -197,40 +197,29 @@ def _write_toml(
     tests = [test for test in plan.tests if test.test_id in done]
     if not tests:
         return
-    lines = [
-        "[campaign]",
-        f'name = "{plan.name}"',
-        f'machine = "{plan.machine}"',
-        'kind = "circular"',
-        f'started = "{done[tests[0].test_id]["started"]}"',
-    ]
-    for name, content in bench.describe().items():
-        lines += ["", f"[campaign.{name}]", *(f"{k} = {toml_value(v)}" for k, v in content.items())]
+    head = {
+        "name": plan.name,
+        "machine": plan.machine,
+        "kind": "circular",
+        "started": done[tests[0].test_id]["started"],
+        **bench.describe(),
+    }
+    runs = []
     for test in tests:
         entry = done[test.test_id]
-        signals = sorted(f for f in entry["files"] if f.endswith(".parquet"))
-        lines += [
-            "",
-            "[[run]]",
-            f'id = "{test.test_id}"',
-            f'file = "{test.test_id}.b5r"',
-            f'plane = "{test.plane}"',
-            f"radius_mm = {test.radius_mm}",
-            f"feed_mm_min = {test.feed_mm_min}",
-            f"repeat = {test.repeat}",
-            f'setup = "{test.setup}"',
-            f'started = "{entry["started"]}"',
-            f"signals = {toml_value(signals)}",
-        ]
-        if entry["covariates"]:
-            lines += ["[run.covariates]"]
-            lines += [f"{k} = {v}" for k, v in entry["covariates"].items()]
-    write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
-
-
-def toml_value(value: Any) -> str:
-    """Return a value as TOML: JSON strings, numbers, booleans and lists are valid TOML."""
-    return json.dumps(value)
+        run = {
+            "id": test.test_id,
+            "file": f"{test.test_id}.b5r",
+            "plane": test.plane,
+            "radius_mm": test.radius_mm,
+            "feed_mm_min": test.feed_mm_min,
+            "repeat": test.repeat,
+            "setup": test.setup,
+            "started": entry["started"],
+            "signals": sorted(f for f in entry["files"] if f.endswith(".parquet")),
+        }
+        runs.append(run | ({"covariates": entry["covariates"]} if entry["covariates"] else {}))
+    write_campaign_file(folder, head, runs)
 
 
 def _sha256(path: Path) -> str:

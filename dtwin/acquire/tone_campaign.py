@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from dtwin.acquire.runner import toml_value
+from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.signal_files import write_signals
-from dtwin.atomic import write_text
+from dtwin.atomic import write_toml
 from dtwin.machines.turning import AnaloguePath
 from dtwin.parquet import table_of, write_parquet
 from dtwin.schema import Run, RunMeta
@@ -51,44 +51,28 @@ def write_tone_campaign(
         measured.append(run.meta)
         if progress is not None:
             progress(number, count, stem)
-    lines = [f"{k} = {toml_value(v)}" for k, v in told.items()]
-    write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")
-    text = _campaign_text(measured, truth, name, machine, corrected=corrected)
-    write_text(folder / "campaign.toml", text, "the campaign file")
-
-
-def _campaign_text(
-    measured: Sequence[RunMeta], truth: str, name: str, machine: str, *, corrected: bool
-) -> str:
-    head: dict[str, Any] = {
+    write_toml(folder / "truth.toml", told, "the truth")
+    geometry = {
         "type": "turning", "virtual": True, "corrected": corrected, "truth": truth, "z_bandwidth_hz": BANDWIDTH_HZ,
         "correction_delay_s": AnaloguePath().delay_s,
     }  # fmt: skip
-    lines = [
-        "[campaign]",
-        f"name = {toml_value(name)}",
-        f"machine = {toml_value(machine)}",
-        'kind = "sinusoidal"',
-        "[campaign.machine_geometry]",
-        *(f"{k} = {toml_value(v)}" for k, v in head.items()),
-        "[campaign.instrument]",
-        'model = "virtual capacitance probe"',
-        f"sample_rate_hz = {SAMPLE_HZ:g}",
-    ]
-    for meta in measured:
-        lines += [
-            "",
-            "[[run]]",
-            f'id = "{meta.run_id}"',
-            f'file = "{meta.run_id}.parquet"',
-            f'signals = "{meta.run_id}.accelerometers.parquet"',
-            f"repeat = {meta.repeat}",
-            "[run.condition]",
-            'axis = "Z"',
-            f"frequency_hz = {meta.condition['frequency_hz']:g}",
-            f"amplitude_um = {meta.condition['amplitude_um']:g}",
-        ]
-        if meta.covariates:
-            lines.append("[run.covariates]")
-            lines += [f"{name} = {toml_value(value)}" for name, value in meta.covariates.items()]
-    return "\n".join([*lines, ""])
+    head = {
+        "name": name, "machine": machine, "kind": "sinusoidal", "machine_geometry": geometry,
+        "instrument": {"model": "virtual capacitance probe", "sample_rate_hz": float(SAMPLE_HZ)},
+    }  # fmt: skip
+    write_campaign_file(folder, head, [_entry(meta) for meta in measured])
+
+
+def _entry(meta: RunMeta) -> dict[str, Any]:
+    run: dict[str, Any] = {
+        "id": meta.run_id,
+        "file": f"{meta.run_id}.parquet",
+        "signals": f"{meta.run_id}.accelerometers.parquet",
+        "repeat": meta.repeat,
+        "condition": {
+            "axis": "Z",
+            "frequency_hz": float(meta.condition["frequency_hz"]),
+            "amplitude_um": float(meta.condition["amplitude_um"]),
+        },
+    }
+    return run | ({"covariates": dict(meta.covariates)} if meta.covariates else {})

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.laser_file import LaserTest, linear_error, write_laser_file
 from dtwin.acquire.linear_runs import MM_PER
-from dtwin.acquire.runner import toml_value
-from dtwin.atomic import write_text
+from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
 from dtwin.laser_program import laser_program
 from dtwin.lathe_network import read_network
@@ -149,32 +149,26 @@ def write_lathe_campaign(
     """
     write_text(folder / "program.nc", laser_program(plan), "the program")
     write_laser_file(folder / "laser.txt", laser_test(plan, recording))
-    lines = [f"{k} = {toml_value(v)}" for k, v in truth.items()]
-    write_text(folder / "truth.toml", "\n".join([*lines, ""]), "the truth")
+    write_toml(folder / "truth.toml", truth, "the truth")
     period = float(np.median(np.diff(recording.t_s))) if len(recording.t_s) > 1 else 1.0
-    lines = [
-        "[campaign]",
-        f"name = {toml_value(plan.name)}",
-        f"machine = {toml_value(plan.machine)}",
-        'kind = "linear"',
-        "[campaign.machine_geometry]",
-        'type = "lathe"',
-        "virtual = true",
-        f"corrected = {toml_value(corrected)}",
-        f"truth = {toml_value(truth['truth'])}",
-        f"screw_pitch_mm = {plan.mm(plan.pitch):.6g}",
-        "[campaign.instrument]",
-        'model = "virtual laser interferometer"',
-        f"length_unit = {toml_value(plan.unit)}",
-        f"reading_period_s = {period:z.3f}",
-        "",
-        "[[run]]",
-        f"id = {toml_value(plan.axis.lower())}",
-        'file = "laser.txt"',
-        "[run.condition]",
-        f"axis = {toml_value(plan.axis)}",
-    ]
-    write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
+    geometry = {
+        "type": "lathe",
+        "virtual": True,
+        "corrected": corrected,
+        "truth": truth["truth"],
+        "screw_pitch_mm": float(f"{plan.mm(plan.pitch):.6g}"),
+    }
+    instrument = {
+        "model": "virtual laser interferometer",
+        "length_unit": plan.unit,
+        "reading_period_s": round(period, 3),
+    }
+    run = {"id": plan.axis.lower(), "file": "laser.txt", "condition": {"axis": plan.axis}}
+    head = {
+        "name": plan.name, "machine": plan.machine, "kind": "linear", "machine_geometry": geometry,
+        "instrument": instrument,
+    }  # fmt: skip
+    write_campaign_file(folder, head, [run])
 
 
 def laser_test(plan: LinearPlan, recording: LatheRecording) -> LaserTest:

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.runner import toml_value
-from dtwin.atomic import write_text
+from dtwin.acquire.campaign_file import write_campaign_file
+from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
-from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run
+from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run, RunMeta
 
 FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
 RADII_MM = (50.0, 150.0)
@@ -187,13 +187,10 @@ def write_campaign(
     progress : callable, optional
         Called with (done, total, what).
     """
-    told = [f"{k} = {toml_value(v)}" for k, v in asdict(truth).items() if _plain(v)]
-    for letter in "xyz":
-        told += ["", f"[{letter}]"]
-        told += [f"{k} = {toml_value(v)}" for k, v in asdict(getattr(truth, letter)).items()]
-    told += ["", "[squareness_um_m]"]
-    told += [f"{k} = {toml_value(v)}" for k, v in truth.squareness_um_m.items()]
-    write_text(folder / "truth.toml", "\n".join([*told, ""]), "the truth")
+    told: dict[str, Any] = {k: v for k, v in asdict(truth).items() if _plain(v)}
+    told |= {letter: asdict(getattr(truth, letter)) for letter in "xyz"}
+    told["squareness_um_m"] = dict(truth.squareness_um_m)
+    write_toml(folder / "truth.toml", told, "the truth")
     write_runs(folder, campaign, runs, progress)
 
 
@@ -216,20 +213,15 @@ def write_runs(
     progress : callable, optional
         Called with (done, total, what).
     """
-    lines = [
-        "[campaign]",
-        f"name = {toml_value(campaign.name)}",
-        f"machine = {toml_value(campaign.machine)}",
-        'kind = "circular"',
-        "[campaign.machine_geometry]",
-        *(f"{k} = {toml_value(v)}" for k, v in campaign.machine_geometry.items()),
-    ]
     for number, run in enumerate(runs):
         _write_samples(folder / f"{run.meta.run_id}.csv", run)
-        lines += _entry(run)
         if progress is not None:
             progress(number + 1, len(runs), run.meta.run_id)
-    write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
+    head = {
+        "name": campaign.name, "machine": campaign.machine, "kind": "circular",
+        "machine_geometry": dict(campaign.machine_geometry),
+    }  # fmt: skip
+    write_campaign_file(folder, head, [_entry(run.meta) for run in runs])
 
 
 def _wobble(moment: Moment) -> Floats:
@@ -240,23 +232,19 @@ def _plain(value: object) -> bool:
     return isinstance(value, int | float | str)
 
 
-def _entry(run: Run) -> list[str]:
-    meta = run.meta
-    lines = [
-        "",
-        "[[run]]",
-        f"id = {toml_value(meta.run_id)}",
-        f"file = {toml_value(meta.run_id + '.csv')}",
-        f"plane = {toml_value(meta.plane)}",
-        f"radius_mm = {meta.radius_mm}",
-        f"feed_mm_min = {meta.feed_mm_min}",
-        f"direction = {toml_value(meta.direction)}",
-        f"repeat = {meta.repeat}",
-        f"setup = {toml_value(meta.setup)}",
-        f"started = {toml_value(meta.started)}",
-        "[run.covariates]",
-    ]
-    return lines + [f"{k} = {v}" for k, v in meta.covariates.items()]
+def _entry(meta: RunMeta) -> dict[str, Any]:
+    return {
+        "id": meta.run_id,
+        "file": f"{meta.run_id}.csv",
+        "plane": meta.plane,
+        "radius_mm": meta.radius_mm,
+        "feed_mm_min": meta.feed_mm_min,
+        "direction": meta.direction,
+        "repeat": meta.repeat,
+        "setup": meta.setup,
+        "started": meta.started,
+        "covariates": dict(meta.covariates),
+    }
 
 
 def _write_samples(path: Path, run: Run) -> None:

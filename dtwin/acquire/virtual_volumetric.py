@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dtwin.acquire.runner import toml_value
+from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.signal_files import write_signals
-from dtwin.atomic import write_text
 from dtwin.ball_plan import BallPlan
 from dtwin.errors import InputError
 from dtwin.machines.thermal_network import SCHEDULES
@@ -90,8 +89,7 @@ def simulate_volumetric(
     for done, cycle in enumerate(cycles):
         _write_cycle(folder, cycle, mill.measure(cycle), mill)
         progress(done + 1, len(cycles), f"hour {cycle}")
-    text = _campaign_text(name, machine, list(cycles), mill, corrected=False)
-    write_text(folder / "campaign.toml", text, "the campaign file")
+    _write_campaign_file(folder, name, machine, list(cycles), mill, corrected=False)
     return len(cycles)
 
 
@@ -119,8 +117,7 @@ def write_ball_campaign(
     folder.mkdir(parents=True, exist_ok=True)
     for cycle, found in zip(cycles, readings, strict=True):
         _write_cycle(folder, cycle, found, mill)
-    text = _campaign_text(name, machine, list(cycles), mill, corrected=corrected)
-    write_text(folder / "campaign.toml", text, "the campaign file")
+    _write_campaign_file(folder, name, machine, list(cycles), mill, corrected=corrected)
 
 
 def parameters_of(truth: str) -> VolumetricParameters:
@@ -191,36 +188,38 @@ def _columns(readings: BallReadings) -> dict[str, NDArray[Any]]:
     return columns
 
 
-def _campaign_text(
-    name: str, machine: str, cycles: list[int], mill: VolumetricMill, *, corrected: bool
-) -> str:
-    lines = [
-        "[campaign]",
-        f"name = {toml_value(name)}",
-        f"machine = {toml_value(machine)}",
-        'kind = "volumetric"',
-        "[campaign.machine_geometry]",
-        'type = "volumetric"',
-        "virtual = true",
-        f"corrected = {toml_value(corrected)}",
-        'chain = "XZY"',
-        *(f"stroke_{axis}_mm = {list(reach)}" for axis, reach in STROKES_MM.items()),
-        f"poses = {len(AZIMUTHS_DEG)}",
-        f"held_out_poses = {list(HELD_OUT_POSES)}",
-        f"pose_repeat_um = {1.5 * mill.parameters.repeat_um:g}",
-        "[campaign.instrument]",
-        'model = "virtual ball array, probe and thermocouples"',
+def _write_campaign_file(
+    folder: Path,
+    name: str,
+    machine: str,
+    cycles: list[int],
+    mill: VolumetricMill,
+    *,
+    corrected: bool,
+) -> None:
+    geometry = {
+        "type": "volumetric",
+        "virtual": True,
+        "corrected": corrected,
+        "chain": "XZY",
+        **{f"stroke_{axis}_mm": list(reach) for axis, reach in STROKES_MM.items()},
+        "poses": len(AZIMUTHS_DEG),
+        "held_out_poses": list(HELD_OUT_POSES),
+        "pose_repeat_um": float(f"{1.5 * mill.parameters.repeat_um:g}"),
+    }
+    instrument = {"model": "virtual ball array, probe and thermocouples"}
+    runs = [
+        {
+            "id": stem,
+            "file": f"{stem}.parquet",
+            "signals": [f"{stem}.thermocouples.parquet", f"{stem}.control.parquet"],
+            "repeat": 1,
+            "condition": {"time_h": float(cycle)},
+        }
+        for cycle, stem in ((cycle, f"c{cycle:03d}") for cycle in cycles)
     ]
-    for cycle in cycles:
-        stem = f"c{cycle:03d}"
-        lines += [
-            "",
-            "[[run]]",
-            f'id = "{stem}"',
-            f'file = "{stem}.parquet"',
-            f'signals = ["{stem}.thermocouples.parquet", "{stem}.control.parquet"]',
-            "repeat = 1",
-            "[run.condition]",
-            f"time_h = {cycle}.0",
-        ]
-    return "\n".join([*lines, ""])
+    head = {
+        "name": name, "machine": machine, "kind": "volumetric", "machine_geometry": geometry,
+        "instrument": instrument,
+    }  # fmt: skip
+    write_campaign_file(folder, head, runs)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.probed_placements import COUNTS, FLAGS, Placed, ProbeSettings, locate
-from dtwin.acquire.runner import toml_value
 from dtwin.atomic import write_text
 from dtwin.kinematics import UR10E
 from dtwin.machines import probed_block as b_
@@ -205,18 +205,25 @@ def write_campaign(folder: Path, rows: Sequence[Row], name: str) -> None:
     name : str
         Name of the campaign.
     """
-    lines = ["[campaign]", f"name = {toml_value(name)}", 'machine = "virtual-cobot"',
-             'kind = "placement"']  # fmt: skip
     groups: dict[tuple[str, float, str], list[Row]] = defaultdict(list)
     for row in rows:
         groups[row.motion, row.feed_mm_min, row.way].append(row)
+    runs = []
     for (motion, feed, way), mine in sorted(groups.items()):
         run = f"{motion}-{feed:g}-{way}".lower()
         write_text(folder / f"{run}.csv", _csv(mine), "a run")
-        lines += ["", "[[run]]", f"id = {toml_value(run)}", f"file = {toml_value(run + '.csv')}",
-                  f"feed_mm_min = {feed}", "repeat = 1", 'setup = "s1"', "[run.condition]",
-                  f"motion = {toml_value(motion)}", f"way = {toml_value(way)}"]  # fmt: skip
-    write_text(folder / "campaign.toml", "\n".join([*lines, ""]), "the campaign file")
+        runs.append(
+            {
+                "id": run,
+                "file": f"{run}.csv",
+                "feed_mm_min": feed,
+                "repeat": 1,
+                "setup": "s1",
+                "condition": {"motion": motion, "way": way},
+            }
+        )
+    head = {"name": name, "machine": "virtual-cobot", "kind": "placement"}
+    write_campaign_file(folder, head, runs)
 
 
 def _csv(rows: Sequence[Row]) -> str:

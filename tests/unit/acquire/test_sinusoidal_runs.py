@@ -129,8 +129,8 @@ def test_what_is_wrong_is_found(change: Callable[[Run], Run], code: str, severit
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("frequency_hz = 40\n", "", "must state frequency and amplitude"),
-        ("frequency_hz = 40\n", "frequency_hz = -40\n", "must state frequency and amplitude"),
+        ("frequency_hz = 40.0\n", "", "must state frequency and amplitude"),
+        ("frequency_hz = 40.0\n", "frequency_hz = -40\n", "must state frequency and amplitude"),
         ("z_bandwidth_hz = 50.0", 'z_bandwidth_hz = "wide"', "no frequency"),
     ],
 )
