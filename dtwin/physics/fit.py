@@ -143,7 +143,9 @@ class Fit:
     aliases: tuple[Alias, ...]
 
 
-def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fit:
+def fit(
+    obs: Observations, terms: Sequence[Term], *, robust: bool = False, refine: bool = True
+) -> Fit:
     """Fit effects to a campaign.
 
     Parameters
@@ -154,6 +156,8 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
         Effects; shape parameters are refined from where they are.
     robust : bool
         Give runs that are far off less weight (Huber, by run).
+    refine : bool
+        Search the shapes of effects from where they are; otherwise they stay.
 
     Returns
     -------
@@ -164,7 +168,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
     InputError
         When an effect has nothing to act on in this campaign.
     """
-    terms = _refined(obs, terms)
+    terms = _refined(obs, terms) if refine else list(terms)
     _require_visible(obs, terms)
     # Unweighted: weights by the noise would let the edges of steps decide, where shapes are
     # never quite those of the library.
