@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 
 Floats = NDArray[np.float64]
-Kind = Literal["circular", "linear", "sinusoidal", "volumetric", "placement"]
 Direction = Literal["CCW", "CW"]
 Plane = Literal["XY", "YZ", "ZX"]
 
-KINDS: tuple[Kind, ...] = ("circular", "linear", "sinusoidal", "volumetric", "placement")
+DEFAULT_KIND = "circular"
 MIXED_CORRECTION = "mixed"
 """Correction of a run that was corrected during a part of it only, or by several models."""
 PLANES: tuple[Plane, ...] = ("XY", "YZ", "ZX")
@@ -195,7 +194,7 @@ class RunMeta:
     """
 
     run_id: str
-    kind: Kind = "circular"
+    kind: str = DEFAULT_KIND
     plane: Plane | None = None
     direction: Direction | None = None
     radius_mm: float | None = None
@@ -264,7 +263,7 @@ class Campaign:
 
     name: str
     machine: str
-    kind: Kind = "circular"
+    kind: str = DEFAULT_KIND
     started: str = ""
     machine_geometry: Mapping[str, Any] = field(default_factory=dict)
     instrument: Mapping[str, Any] = field(default_factory=dict)

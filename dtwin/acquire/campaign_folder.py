@@ -12,16 +12,15 @@ import numpy as np
 
 from dtwin.acquire import stated
 from dtwin.acquire.b5r import read_b5r
-from dtwin.acquire.linear_runs import LASER_SUFFIXES, read_laser_runs, with_pitch
 from dtwin.acquire.recovery import signal_findings
 from dtwin.acquire.signal_files import read_signals
-from dtwin.acquire.sinusoidal_runs import with_bandwidth
 from dtwin.acquire.tabular import read_columns
 from dtwin.acquire.trace_json import read_trace_json
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named, kind_names
 from dtwin.schema import (
-    KINDS,
+    DEFAULT_KIND,
     MIXED_CORRECTION,
     Campaign,
     Direction,
@@ -176,14 +175,14 @@ def open_campaign(folder: Path) -> CampaignFolder:
 
 def campaign_from(head: Mapping[str, Any], path: Path) -> Campaign:
     """Return the campaign that a table ``[campaign]`` states."""
-    kind = head.get("kind", "circular")
-    if kind not in KINDS:
+    kind = head.get("kind", DEFAULT_KIND)
+    if kind not in kind_names():
         raise InputError(
             "unknown kind of campaign",
             code="campaign.kind",
             where=str(path),
             got=str(kind)[:60],
-            allowed=", ".join(KINDS),
+            allowed=", ".join(kind_names()),
         )
     return Campaign(
         name=require_name(head.get("name"), "campaign.name"),
@@ -242,11 +241,13 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
             for t in traces
         ]
         return [_with_programmed_angles(run) for run in runs], []
-    if suffix in LASER_SUFFIXES and campaign.kind == "linear":
-        runs, rows = read_laser_runs(entry.file, campaign, entry.stated)
+    kind = kind_named(campaign.kind)
+    reader = kind.readers.get(suffix)
+    if reader is not None:
+        runs, rows = reader(entry.file, campaign, entry.stated)
         done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", count=True) for r in runs]
         kept = [RejectedRows(done[0].meta.run_id, str(entry.file), rows)] if rows else []
-        return [with_pitch(run, campaign) for run in done], kept
+        return [kind.completed(run, campaign) for run in done], kept
     return _read_table(entry, campaign)
 
 
@@ -265,8 +266,7 @@ def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     )
     rejected = [RejectedRows(entry.run_id, str(entry.file), rejects)] if rejects else []
     run = _completed(bare, entry, entry.run_id)
-    limits = {"linear": with_pitch, "sinusoidal": with_bandwidth}.get(campaign.kind)
-    return [run if limits is None else limits(run, campaign)], rejected
+    return [kind_named(campaign.kind).completed(run, campaign)], rejected
 
 
 def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False) -> Run:
@@ -275,7 +275,7 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False
     findings = list(run.findings)
     changes: dict[str, Any] = {"run_id": run_id}
     direction = _direction(told, meta, entry)
-    if meta.kind == "circular" and direction is not None:
+    if kind_named(meta.kind).goes_round and direction is not None:
         plane, direction = _plane(told, meta, direction, entry)
         changes |= {"plane": plane, "direction": direction}
     for name in ("radius_mm", "feed_mm_min"):
@@ -311,7 +311,7 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False
 
 def _direction(of_run: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> Direction | None:
     told = of_run.get("direction", meta.direction)
-    if told is None and meta.kind != "circular":
+    if told is None and not kind_named(meta.kind).goes_round:
         return None
     if told not in ("CCW", "CW"):
         raise InputError(

@@ -14,7 +14,6 @@ from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
-LASER_SUFFIXES = (".txt", ".las")
 FORWARD, REVERSE = "forward", "reverse"
 MM_PER: Mapping[str, float] = {"mm": 1.0, "in": 25.4}
 _KPA_PER_INHG = 3.386389

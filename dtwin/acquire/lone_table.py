@@ -10,13 +10,8 @@ from typing import Any
 from dtwin.acquire.campaign_folder import RUN_KEYS, CampaignFolder, campaign_from, entry_from
 from dtwin.acquire.tabular import kind_of_table, read_columns
 from dtwin.errors import InputError
-from dtwin.schema import Kind
+from dtwin.kinds.registry import kind_named
 
-# What must be told of a table that lies alone.
-STATED: dict[Kind, tuple[str, ...]] = {
-    "circular": ("plane", "radius_mm", "feed_mm_min"),
-    "linear": ("axis",),
-}
 _EXAMPLE = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "2000", "axis": "X"}
 
 
@@ -37,7 +32,7 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
         When something is missing; the hint is the command with it.
     """
     kind = kind_of_table(path)
-    needed = STATED.get(kind)
+    needed = kind_named(kind).stated
     missing = [name for name in needed or () if told.get(name) is None]
     if needed is None or missing:
         raise InputError(
@@ -53,7 +48,7 @@ def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
             + " --machine NAME",
         )
     run = {n: v for n, v in told.items() if v is not None and n in RUN_KEYS}
-    if kind == "circular" and "direction" not in run:
+    if kind_named(kind).goes_round and "direction" not in run:
         angle = read_columns(path, kind)[0]["angle_deg"]
         run["direction"] = "CCW" if angle[-1] > angle[0] else "CW"
     if told.get("axis") is not None:

@@ -13,23 +13,16 @@ from numpy.typing import NDArray
 
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
-from dtwin.schema import Kind
+from dtwin.kinds.registry import kind_named, kinds
 from dtwin.units import require_units
 
 MAX_TABLE_BYTES = 512 * 1024**2
 _LONGEST_HEAD = 65_536
-REQUIRED: dict[Kind, tuple[str, ...]] = {
-    "circular": ("t_s", "angle_deg", "deviation_um"),
-    "linear": ("t_s", "position_mm", "direction", "error_um"),
-    "sinusoidal": ("t_s", "cmd_z_mm", "act_z_mm"),
-    "volumetric": ("t_s", "x_mm", "y_mm", "z_mm", "error_x_um", "error_y_um", "error_z_um"),
-    "placement": ("t_s", "error_x_um", "error_y_um"),
-}
 # Text that names a state rather than measuring something.
 _TEXT_COLUMNS = frozenset({"direction"})
 
 
-def read_columns(path: Path, kind: Kind) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
+def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
     """Read the samples of one run.
 
     Parameters
@@ -53,21 +46,22 @@ def read_columns(path: Path, kind: Kind) -> tuple[dict[str, NDArray[Any]], list[
     """
     table = _read_table(path)
     columns = {name: _as_array(table, name, path) for name in table.column_names}
-    missing = [name for name in REQUIRED[kind] if name not in columns]
+    required = kind_named(kind).columns
+    missing = [name for name in required if name not in columns]
     if missing:
         raise InputError(
             f"a {kind} run lacks columns",
             code="columns.missing",
             where=str(path),
             got=", ".join(table.column_names)[:200],
-            allowed=", ".join(REQUIRED[kind]),
+            allowed=", ".join(required),
         )
     floats = [name for name, values in columns.items() if values.dtype.kind == "f"]
     require_units(floats, str(path))
     return _drop_bad_rows(columns, floats, path)
 
 
-def kind_of_table(path: Path) -> Kind:
+def kind_of_table(path: Path) -> str:
     """Return the kind of campaign whose columns a table has.
 
     Raises
@@ -76,15 +70,15 @@ def kind_of_table(path: Path) -> Kind:
         When it has the columns of none; the message names them all.
     """
     names = set(_names(path))
-    for kind, needed in REQUIRED.items():
-        if names.issuperset(needed):
-            return kind
+    for kind in kinds():
+        if names.issuperset(kind.columns):
+            return kind.name
     raise InputError(
         "the columns are those of no kind of test",
         code="columns.missing",
         where=str(path),
         got=", ".join(sorted(names))[:200],
-        allowed="; ".join(f"{kind}: {', '.join(needed)}" for kind, needed in REQUIRED.items()),
+        allowed="; ".join(f"{kind.name}: {', '.join(kind.columns)}" for kind in kinds()),
         hint="rename the columns",
     )
 

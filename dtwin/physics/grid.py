@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.physics.state import State
-from dtwin.schema import Floats, Kind, Run, RunMeta
+from dtwin.schema import Floats, Run, RunMeta
 
 
 class PathCondition(Protocol):
@@ -152,7 +152,7 @@ class Grid:
         Takes a harmonic to words.
     """
 
-    kind: Kind
+    kind: str
     coordinate: str
     points: Floats
     setup: Floats

@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.physics.effect import Instance, Shape
-from dtwin.physics.grid import Grid, PathCondition, Row
-from dtwin.physics.gridding import CIRCLE, Indices, rows_of
+from dtwin.physics.grid import Grid, PathCondition
+from dtwin.physics.gridding import CIRCLE, Indices
 from dtwin.physics.kept_columns import condition_key, kept_columns
 from dtwin.physics.state import State
-from dtwin.physics.stroke_grid import stroke_rows
-from dtwin.physics.tone_grid import TONE, tone_row
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -270,7 +269,7 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
     """
     if not runs:
         raise InputError("there is no run to look at", code="twin.no_runs", where=campaign.name)
-    grid, rows = _passages(campaign, runs, _times_h(runs))
+    grid, rows = kind_named(campaign.kind).rows(runs, _times_h(runs))
     conditions = sorted(
         {row.condition for row in rows},
         key=lambda c: (c.plane, c.radius_mm, c.feed_mm_min, c.direction),
@@ -293,17 +292,6 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
         grid=grid,
     )
     return _without_second_order(made) if grid is CIRCLE else made
-
-
-def _passages(
-    campaign: Campaign, runs: Sequence[Run], times_h: Sequence[float]
-) -> tuple[Grid, list[Row]]:
-    if campaign.kind == "linear":
-        return stroke_rows(runs, times_h)
-    pairs = list(zip(runs, times_h, strict=True))
-    if campaign.kind == "sinusoidal":
-        return TONE, [tone_row(run, time_h) for run, time_h in pairs]
-    return CIRCLE, [row for run, time_h in pairs for row in rows_of(run, time_h)]
 
 
 def _without_second_order(made: Observations) -> Observations:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from dtwin.acquire.amending import amendment_findings
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
 from dtwin.schema import Campaign
@@ -78,7 +79,9 @@ def train(
     lake = Lake(home.lake)
     known = lake.campaign(campaign)
     require_uncorrected(known)
-    training = _training_of(known.kind)(lake, campaign, seed=seed, engine=engine, progress=progress)
+    training = kind_named(known.kind).training()(
+        lake, campaign, seed=seed, engine=engine, progress=progress
+    )
     amended = [f.message for f in amendment_findings(lake.runs(campaign, left_out=True))]
     told = *training.report.told, *worse_in_sample(training.report.candidates), *amended
     report = replace(training.report, told=told)
@@ -124,25 +127,6 @@ def require_uncorrected(campaign: Campaign) -> None:
             code="train.corrected", where=campaign.name, got="corrected = true",
             hint="use a campaign without; dtwin twin fit shows what is left of this one",
         )  # fmt: skip
-
-
-def _training_of(kind: str) -> Callable[..., Training]:
-    """Return what trains a kind of campaign; each brings libraries that the others do without."""
-    if kind == "sinusoidal":
-        from dtwin.train.tone_training import train_tones
-
-        return train_tones
-    if kind == "linear":
-        from dtwin.train.positioning_training import train_positioning
-
-        return train_positioning
-    if kind == "volumetric":
-        from dtwin.pipeline.volumetric_training import train_volumetric
-
-        return train_volumetric
-    from dtwin.train.training import train_campaign
-
-    return train_campaign
 
 
 def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> Path:

@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.locks import locked
 from dtwin.pipeline.against_champion import Comparison, compare_with_champion
 from dtwin.pipeline.drift import (
@@ -191,26 +192,16 @@ def _obstacle(rows: list[dict[str, Any]], campaign: Campaign) -> str:
         return "no usable runs"
     if campaign.machine_geometry.get("corrected", False):
         return "a correction was in force while it was measured"
-    if campaign.kind == "placement":
-        return "placements train no equation"
-    if campaign.kind != "circular":
-        return ""
-    if not all(_has_controller(row) for row in rows):
-        return "no controller signals, so it cannot train a correction"
-    feeds = {row["feed_mm_min"] for row in rows}
-    return "" if len(feeds) > 1 else "one feed only, so a model could not be judged"
-
-
-def _has_controller(row: dict[str, Any]) -> bool:
-    return any(group["group"] == "controller" for group in json.loads(row["signals_json"]))
+    return kind_named(campaign.kind).training_obstacle(rows)
 
 
 def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
     """Judge the champion on a newer campaign unless the same runs were judged before."""
     champion = champion_of(registry, item.machine)
-    plain = not any(row["correction"] for row in item.rows)
-    judgeable = plain and item.rows and all(_has_controller(row) for row in item.rows)
-    if champion is None or not judgeable or item.rows[0]["kind"] != "circular":
+    plain = item.rows and not any(row["correction"] for row in item.rows)
+    if champion is None or not plain:
+        return None
+    if not kind_named(item.rows[0]["kind"]).drift_is_judged(item.rows):
         return None
     known = trained_rows(registry, Lake(home.lake), champion)
     if _ingested(item.rows) < _ingested(known):

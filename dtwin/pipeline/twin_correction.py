@@ -9,15 +9,13 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
+from dtwin.kinds.registry import kind_named
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
-from dtwin.pipeline.correction_of_axis import freeze_axis, judge_axis
-from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles
-from dtwin.pipeline.correction_of_tones import freeze_tones, judge_tones
 from dtwin.pipeline.judged_twin import Judged
 from dtwin.pipeline.modelling import CONDITIONS_FILE, require_uncorrected
 from dtwin.pipeline.twin_data import load
@@ -29,19 +27,19 @@ from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import TrainingReport
 from dtwin.train.twin_terms import TwinBundle
 
-_BY_LAW = ("law-confirmed", "intervention-confirmed")
+BY_LAW = ("law-confirmed", "intervention-confirmed")
 # Served inside of what was measured only, nothing is carried on by a law: the shape must hold there.
-_BY_SHAPE = ("shape-consistent", *_BY_LAW)
+BY_SHAPE = ("shape-consistent", *BY_LAW)
 _STRUCTURE = ("missing_effect", "ambiguous", "unknown_effect")
 # What is left there is bounded by what it left of the runs.
-_LITTLE = 0.01
+LITTLE = 0.01
 # What differs in its spread only leaves nothing for a correction of the mean.
-_MEAN_IS_TOLD = ("nothing_missing", "variance_effect")
+MEAN_IS_TOLD = ("nothing_missing", "variance_effect")
 NOT_NEEDED = "not needed: without it the residual is at the floor"
 
 
 @dataclass(frozen=True)
-class _Way:
+class TwinWay:
     """How a twin of one kind becomes a correction.
 
     Attributes
@@ -66,15 +64,6 @@ class _Way:
     quiet: tuple[str, ...]
     little: float
     geometry: Mapping[str, str] = field(default_factory=dict)
-
-
-_WAYS = {
-    "circular": _Way(freeze_circles, judge_circles, _BY_LAW, ("nothing_missing",), 0.0),
-    "linear": _Way(freeze_axis, judge_axis, _BY_SHAPE, _MEAN_IS_TOLD, _LITTLE, {"type": "lathe"}),
-    "sinusoidal": _Way(
-        freeze_tones, judge_tones, _BY_SHAPE, _MEAN_IS_TOLD, _LITTLE, {"type": "turning"}
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -177,7 +166,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     obs = load(twins.home, twins.newest(name).campaign).obs
     require_uncorrected(obs.campaign)
     twin, found = twins.diagnose(name, seed=seed)
-    way = _WAYS[obs.grid.kind]
+    way = kind_named(obs.grid.kind).twin_correction()
     frozen = way.freeze(twin, obs, twins.home)
     gradings = _graded(frozen.twin, twin, obs, twins, way, seed)
     objections = tuple(_objections(found, gradings, frozen.twin, way))
@@ -247,7 +236,7 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
 
 
 def _graded(
-    corrected: Twin, twin: Twin, obs: Observations, twins: Twins, way: _Way, seed: int
+    corrected: Twin, twin: Twin, obs: Observations, twins: Twins, way: TwinWay, seed: int
 ) -> tuple[Grading, ...]:
     """Leave out each corrected effect in turn: would it be found, and its law confirmed?"""
     out = []
@@ -258,7 +247,7 @@ def _graded(
     return tuple(out)
 
 
-def _grading(term: Term, found: Diagnosis, way: _Way) -> Grading:
+def _grading(term: Term, found: Diagnosis, way: TwinWay) -> Grading:
     if found.verdict in way.quiet:
         return Grading(term.label, NOT_NEEDED, False)
     named = next((s for s in found.suspects if s.label == term.label and s.in_group), None)
@@ -272,7 +261,7 @@ def _grading(term: Term, found: Diagnosis, way: _Way) -> Grading:
 
 
 def _objections(
-    found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: _Way
+    found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: TwinWay
 ) -> list[str]:
     out = []
     if found.verdict not in way.quiet and not _left(found, corrected, way):
@@ -287,7 +276,7 @@ def _objections(
     return out
 
 
-def _left(found: Diagnosis, twin: Twin, way: _Way) -> str:
+def _left(found: Diagnosis, twin: Twin, way: TwinWay) -> str:
     """Say what a diagnosis finds that is too little to object to; empty without."""
     share = found.systematic_rms_um / twin.figures["rms_before_um"]
     if found.verdict not in _STRUCTURE or not share < way.little:

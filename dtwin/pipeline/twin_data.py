@@ -12,6 +12,7 @@ from dtwin.acquire.amending import AMENDED, amendment_findings
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.encoder_split import Cutoff
+from dtwin.kinds.registry import kind_named
 from dtwin.physics import localise
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations, observe
@@ -22,15 +23,6 @@ from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um
 from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
 from dtwin.schema import Campaign, Floats
 from dtwin.store import Lake
-
-KINDS = ("circular", "linear", "sinusoidal")
-_CORRECTED_BY = {
-    "linear": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation",
-    "sinusoidal": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation",
-}
-_OTHERWISE = {
-    "volumetric": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat"
-}
 
 
 @dataclass(frozen=True)
@@ -151,15 +143,7 @@ def load(home: Home, campaign: str) -> Loaded:
             got=why or "no runs",
             hint=f"dtwin check {name}",
         )
-    if found.kind not in KINDS:
-        raise InputError(
-            "twins are fitted to tests of a path",
-            code="twin.kind",
-            where=name,
-            got=found.kind,
-            allowed=", ".join(KINDS),
-            hint=_OTHERWISE.get(found.kind, ""),
-        )
+    kind_named(found.kind).require("rows")
     digest = hashlib.sha256()
     for row in usable:
         digest.update(str(row["content_sha256"]).encode())
@@ -172,21 +156,6 @@ def load(home: Home, campaign: str) -> Loaded:
     }
     obs, controller_um = _reduced(home, lake, found, usable)
     return Loaded(obs, data, controller_um)
-
-
-def require_circle(obs: Observations, what: str) -> None:
-    """Refuse what is only known for circular tests.
-
-    Raises
-    ------
-    InputError
-        When the runs are of another kind; the hint says what serves them.
-    """
-    if obs.grid is not CIRCLE:
-        raise InputError(
-            f"{what} is made of circular tests only", code="twin.kind", where=obs.campaign.name,
-            got=obs.grid.kind, allowed="circular", hint=_CORRECTED_BY[obs.grid.kind],
-        )  # fmt: skip
 
 
 def _error_in(row: Mapping[str, Any]) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dtwin.errors import GateRefusal
+from dtwin.kinds.registry import kind_named
 from dtwin.physics import localise
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Diagnosis
@@ -12,7 +13,7 @@ from dtwin.physics.effect import Instance
 from dtwin.physics.learned import learned_effect, learned_name
 from dtwin.physics.problem import set_up
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.twin_data import load, require_circle
+from dtwin.pipeline.twin_data import load
 from dtwin.train.residual_formula import ResidualFormula, search_residual
 from dtwin.train.symbolic import Engine
 
@@ -46,7 +47,7 @@ def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:
     """
     twin, found = _unknown(twins, name, seed)
     obs = load(twins.home, twin.campaign).obs
-    require_circle(obs, "a law for what is left")
+    kind_named(obs.grid.kind).require("laws")
     problem = set_up(obs, twin.terms, [])
     for law in found.laws:
         effect = learned_effect(learned_name(law))
@@ -93,7 +94,7 @@ def learn_formula(
     """
     twin, _ = _unknown(twins, name, seed)
     obs = load(twins.home, twin.campaign).obs
-    require_circle(obs, "a formula for what is left")
+    kind_named(obs.grid.kind).require("laws")
     learned = search_residual(obs, localise.residual_um(obs, twin.terms), engine, seed)
     if learned.gain <= 0.0:
         raise GateRefusal(

@@ -7,23 +7,12 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
-from dtwin.acquire.motion_quality import Motion, aligned_angle_deg, motion_of
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
-from dtwin.physics.circular import (
-    CircularFigures,
-    bidirectional_figures,
-    circular_figures,
-    fit_circle,
-    residual_um,
-)
-from dtwin.physics.spectrum import strongest_lines
-from dtwin.report.positioning import positioning_lines, positioning_result
+from dtwin.kinds.registry import kind_named
+from dtwin.physics.circular import bidirectional_figures
 from dtwin.report.text import table
-from dtwin.report.turning import tone_lines, tone_result
 from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Floats, Run
 from dtwin.store import Lake, RejectedRows
@@ -94,8 +83,8 @@ def _checked(
     for result in results:
         if result["run"] in copies:
             result["findings"].append(copies[result["run"]].as_dict())
-    positioning = {"positioning": positioning_result(light)} if campaign.kind == "linear" else {}
-    return positioning | {
+    return {
+        **kind_named(campaign.kind).campaign_figures(light),
         "source": source,
         "campaign": campaign.name,
         "machine": campaign.machine,
@@ -135,66 +124,7 @@ def run_result(run: Run) -> dict[str, Any]:
     broken = any(
         f.severity == "error" and f.code.startswith(("clock", "angle.j")) for f in findings
     )
-    if run.meta.kind == "circular" and run.meta.radius_mm and not broken:
-        result |= _circular(run)
-    if run.meta.kind == "sinusoidal" and not broken:
-        result |= tone_result(run)
-    return result
-
-
-def _circular(run: Run) -> dict[str, Any]:
-    window = slice(*run.window) if run.window is not None else slice(None)
-    by_file = _figures(run, run.samples["angle_deg"], window)
-    out: dict[str, Any] = {"by_file_indices": by_file}
-    long_enough = run.window is not None and run.meta.feed_mm_min is not None
-    motion = motion_of(run) if long_enough else None
-    aligned = None if motion is None else aligned_angle_deg(run, motion)
-    if motion is not None and aligned is not None:
-        out["stops"] = [int(s) for s in motion.stops]
-        out["period_samples"] = motion.period_samples
-        full = _whole_turn(run, motion)
-        if full is not None:
-            out["aligned_by_stops"] = _figures(run, aligned, full) | {
-                "first_sample": full.start,
-                "last_sample": full.stop - 1,
-            }
-    out["spectrum"] = _spectrum(run, window)
-    return out
-
-
-def _figures(run: Run, angle_deg: Floats, window: slice) -> dict[str, Any]:
-    assert run.meta.radius_mm is not None
-    figures: CircularFigures = circular_figures(
-        angle_deg[window], run.samples["deviation_um"][window], run.meta.radius_mm
-    )
-    flat = asdict(figures)
-    circle = flat.pop("circle")
-    n = window.stop - window.start if window.stop is not None else run.n_samples
-    arc = np.radians(figures.arc_deg)
-    flat["feed_mm_min"] = arc * run.meta.radius_mm / (n / run.meta.sample_rate_hz) * 60.0
-    return circle | flat
-
-
-def _whole_turn(run: Run, motion: Motion) -> slice | None:
-    """Return the two consecutive half turns that lie nearest to the marked window."""
-    if len(motion.stops) < 3 or run.window is None:
-        return None
-    starts = motion.stops[:-2]
-    k = int(np.argmin(np.abs(starts - run.window[0])))
-    return slice(int(motion.stops[k]), int(motion.stops[k + 2]))
-
-
-def _spectrum(run: Run, window: slice) -> dict[str, Any]:
-    assert run.meta.radius_mm is not None
-    angle, deviation = run.samples["angle_deg"][window], run.samples["deviation_um"][window]
-    rest = residual_um(
-        angle, deviation, run.meta.radius_mm, fit_circle(angle, deviation, run.meta.radius_mm)
-    )
-    lines, bands = strongest_lines(rest, run.meta.sample_rate_hz)
-    return {
-        "lines": [{"frequency_hz": f, "amplitude_um": a} for f, a in lines],
-        "bands_um": [{"from_hz": lo, "to_hz": hi, "rms_um": rms} for lo, hi, rms in bands],
-    }
+    return result if broken else {**result, **kind_named(run.meta.kind).run_figures(run)}
 
 
 def _bidirectional(runs: Sequence[Run]) -> list[dict[str, Any]]:
@@ -221,7 +151,8 @@ def render_check(result: dict[str, Any]) -> str:
     """
     runs = result["runs"]
     lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
-    detailed = [] if result["kind"] == "sinusoidal" else runs[:MAX_DETAILED]
+    kind = kind_named(result["kind"])
+    detailed = [] if kind.in_one_table else runs[:MAX_DETAILED]
     for run in detailed:
         lines += ["", *_render_run(run)]
     if len(runs) > MAX_DETAILED and detailed:
@@ -234,10 +165,8 @@ def render_check(result: dict[str, Any]) -> str:
             f"{pair['hysteresis_um']:z.1f} um at {pair['hysteresis_angle_deg']:z.0f} deg, between samples; "
             "as the file's indices say"
         )
-    if result["kind"] == "sinusoidal":
-        lines += ["", *tone_lines(runs), ""]
-    if "positioning" in result:
-        lines += ["", *positioning_lines(result["positioning"]), ""]
+    figures = kind.figure_lines(result)
+    lines += ["", *figures, ""] if figures else []
     lines += [f"{f['severity']}: {f['message']}" for f in result["findings"]]
     return "\n".join(lines)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
+from dtwin.kinds.registry import kind_named
 from dtwin.schema import Floats, Run
 from dtwin.units import UM_PER_MM
 
@@ -64,12 +65,11 @@ def run_errors(runs: Sequence[Run]) -> list[RunError]:
     kinds = sorted({run.meta.kind for run in runs})
     if not kinds:
         return []
-    if len(kinds) > 1 or kinds[0] not in _READERS:
+    if len(kinds) > 1:
         raise InputError(
-            "runs with and without a correction are not compared for this kind",
-            code="evidence.kind", got=", ".join(kinds), allowed=", ".join(_READERS),
-        )  # fmt: skip
-    return _READERS[kinds[0]](runs)
+            "runs of several kinds are not compared", code="evidence.kind", got=", ".join(kinds)
+        )
+    return kind_named(kinds[0]).run_errors(runs)
 
 
 def measured_sha256(run: Run) -> str:
@@ -85,8 +85,11 @@ def measured_sha256(run: Run) -> str:
     return digest.hexdigest()
 
 
-def _circles(runs: Sequence[Run]) -> list[RunError]:
-    """Centre and radius belong to a mounting, which all feeds and both directions share."""
+def circle_errors(runs: Sequence[Run]) -> list[RunError]:
+    """Return the errors of circles.
+
+    Centre and radius belong to a mounting, which all feeds and both directions share.
+    """
     parts = [_arc(run) for run in runs]
     mounted = defaultdict(list)
     for number, (run, (angle_deg, _)) in enumerate(zip(runs, parts, strict=True)):
@@ -159,8 +162,11 @@ def _at(places: Floats, angle_deg: Floats, rest_um: Floats) -> Floats:
     return np.asarray(np.interp(places, angle_deg[order], rest_um[order]))
 
 
-def _strokes(runs: Sequence[Run]) -> list[RunError]:
-    """The zero of a laser is arbitrary: the mean over both directions is no error."""
+def stroke_errors(runs: Sequence[Run]) -> list[RunError]:
+    """Return the errors of strokes along an axis.
+
+    The zero of a laser is arbitrary: the mean over both directions is no error.
+    """
     found = []
     for number, run in enumerate(runs):
         middle = float(np.mean(run.samples["error_um"]))
@@ -177,8 +183,11 @@ def _strokes(runs: Sequence[Run]) -> list[RunError]:
     return found
 
 
-def _tones(runs: Sequence[Run]) -> list[RunError]:
-    """The error of a tone is the length of the difference of two vectors, tool and command."""
+def tone_errors(runs: Sequence[Run]) -> list[RunError]:
+    """Return the errors of tones.
+
+    The error of a tone is the length of the difference of two vectors, tool and command.
+    """
     found = []
     for number, run in enumerate(runs):
         stated = run.meta.condition
@@ -208,10 +217,3 @@ def _tones(runs: Sequence[Run]) -> list[RunError]:
 
 def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
-
-
-_READERS: Mapping[str, Callable[[Sequence[Run]], list[RunError]]] = {
-    "circular": _circles,
-    "linear": _strokes,
-    "sinusoidal": _tones,
-}

@@ -278,7 +278,7 @@ def test_tones_and_strokes_are_compared_as_well() -> None:
 def test_kinds_that_are_not_compared_run_by_run_say_so() -> None:
     meta = RunMeta("p", kind="placement", started=BEGIN.isoformat())
     run = Run(meta, {"t_s": np.zeros(1), "error_x_um": np.ones(1)})
-    with pytest.raises(InputError, match="not compared for this kind"):
+    with pytest.raises(InputError, match="evidence run by run is not offered"):
         evidence_of_runs(
             [EvidenceRun("without", "c", "0", run)], kind="virtual", machine=MACHINE,
             model_sha256=SHA, campaigns={},

@@ -1,0 +1,190 @@
+"""What is wrong with a circular test, said before anyone models it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from dtwin.acquire.motion_quality import judge_motion
+from dtwin.acquire.quality import judge_clock
+from dtwin.schema import Finding, Floats, Run, SignalGroup
+
+# A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
+MAX_DEVIATION_UM = 2_500.0
+_BALL_BAR_MM = (10.0, 5_000.0)
+_STUCK_S = 0.1
+# More than this share of a recording lost is a link that does not keep up, not a hiccup.
+_MOST_LOST = 0.05
+
+
+def judge_circular_run(run: Run) -> list[Finding]:
+    """Return the findings of one circle, with its samples and signals."""
+    findings = [*judge_clock(run), *_reading(run), *_angles(run), *_radius(run)]
+    told = any(finding.code == "recording.gap" for finding in run.findings)
+    for group in run.signals:
+        findings += _signals(group, gaps_told=told)
+    if not any(finding.severity == "error" for finding in findings):
+        findings += judge_motion(run)
+    return findings
+
+
+def judge_circular_campaign(runs: Sequence[Run]) -> list[Finding]:
+    """Return what circles lack as a whole: directions, repeats."""
+    findings = []
+    conditions = Counter(
+        (m.plane, m.radius_mm, m.feed_mm_min, m.direction) for m in (run.meta for run in runs)
+    )
+    pairs = Counter(key[:3] for key in conditions)
+    lonely = sum(count == 1 for count in pairs.values())
+    if lonely:
+        findings.append(
+            Finding(
+                "campaign.one_direction",
+                "warning",
+                f"{lonely} of {len(pairs)} conditions were run in one direction only",
+                {"conditions_1": float(lonely)},
+            )
+        )
+    single = sum(count == 1 for count in conditions.values())
+    if single:
+        findings.append(
+            Finding(
+                "campaign.no_repeat",
+                "warning",
+                f"{single} of {len(conditions)} conditions have no repeat: their noise floor is unknown",
+                {"conditions_1": float(single)},
+            )
+        )
+    return findings
+
+
+def _radius(run: Run) -> list[Finding]:
+    radius, (low, high) = run.meta.radius_mm, _BALL_BAR_MM
+    if radius is None or low <= radius <= high:
+        return []
+    return [
+        Finding(
+            "radius.implausible",
+            "error",
+            f"a radius of {radius:g} mm is none of a ball bar ({low:g} to {high:g} mm): another unit?",
+            {"radius_mm": radius},
+        )
+    ]
+
+
+def _reading(run: Run) -> list[Finding]:
+    deviation = run.samples["deviation_um"]
+    largest = float(np.max(np.abs(deviation)))
+    findings = []
+    if largest > MAX_DEVIATION_UM:
+        findings.append(
+            Finding(
+                "reading.out_of_range",
+                "error",
+                f"a deviation of {largest:z.0f} um is beyond any ball bar: wrong unit, or the ball was lost",
+                {"largest_um": largest},
+            )
+        )
+    rate = run.meta.sample_rate_hz
+    limit = max(8, int(_STUCK_S * rate)) if np.isfinite(rate) else 20
+    length, value = _longest_constant(deviation)
+    if length >= limit:
+        extreme = bool(value in (deviation.max(), deviation.min())) and np.ptp(deviation) > 0
+        code, what = (
+            ("reading.clipped", "the travel limit")
+            if extreme
+            else ("reading.stuck", "a stuck sensor")
+        )
+        findings.append(
+            Finding(
+                code,
+                "error",
+                f"{length} equal readings in a row at {value:z.1f} um look like {what}",
+                {"samples_1": float(length), "value_um": float(value)},
+            )
+        )
+    return findings
+
+
+def _angles(run: Run) -> list[Finding]:
+    steps = np.diff(run.samples["angle_deg"])
+    if not steps.size:
+        return []
+    sign = 1.0 if run.meta.direction == "CCW" else -1.0
+    findings = []
+    if float(np.median(steps)) * sign < 0:
+        findings.append(
+            Finding(
+                "angle.direction",
+                "error",
+                f"the angle runs against the stated direction {run.meta.direction}",
+            )
+        )
+    typical = float(np.median(np.abs(steps)))
+    jumps = np.flatnonzero(np.abs(steps) > max(20.0 * typical, 5.0))
+    if jumps.size:
+        findings.append(
+            Finding(
+                "angle.jump",
+                "error",
+                f"the angle jumps by {steps[jumps[0]]:z.1f} deg at sample {jumps[0] + 1}",
+                {"jump_deg": float(steps[jumps[0]]), "jumps_1": float(jumps.size)},
+            )
+        )
+    return findings
+
+
+def _signals(group: SignalGroup, *, gaps_told: bool) -> list[Finding]:
+    """Judge signals; samples without any value are lost ones when the recorder told of gaps."""
+    findings = []
+    floats = {n: v for n, v in group.columns.items() if v.dtype.kind == "f"}
+    lost = np.zeros(group.n_samples, dtype=bool)
+    if gaps_told and floats:
+        lost = np.logical_and.reduce([np.isnan(values) for values in floats.values()])
+        if lost.mean() > _MOST_LOST:
+            text = f"{lost.sum()} of {lost.size} samples of {group.name} are lost"
+            findings.append(Finding("signal.lost", "error", text, {"share_1": float(lost.mean())}))
+    for name, whole in floats.items():
+        values = whole[~lost]
+        bad = int(np.count_nonzero(~np.isfinite(values)))
+        if bad:
+            findings.append(
+                Finding(
+                    "signal.not_finite",
+                    "error",
+                    f"{bad} values of {group.name} {name} are not finite",
+                    {"values_1": float(bad)},
+                )
+            )
+        elif name.endswith("_g"):
+            findings += _accelerometer(group.name, name, values)
+    return findings
+
+
+def _accelerometer(group: str, name: str, values: Floats) -> list[Finding]:
+    if not values.size:
+        return []
+    top = float(np.max(np.abs(values)))
+    clipped = int(np.count_nonzero(np.abs(values) >= 0.999 * top))
+    if top > 0 and clipped > 20 and clipped > 1e-4 * values.size:
+        return [
+            Finding(
+                "signal.clipped",
+                "warning",
+                f"{clipped} values of {group} {name} sit at its extreme {top:.3g} g",
+                {"values_1": float(clipped), "extreme_g": top},
+            )
+        ]
+    if float(np.ptp(values)) == 0.0:
+        return [Finding("signal.dead", "error", f"{group} {name} does not move")]
+    return []
+
+
+def _longest_constant(values: Floats) -> tuple[int, float]:
+    change = np.flatnonzero(np.diff(values) != 0)
+    edges = np.concatenate([[-1], change, [values.size - 1]])
+    lengths = np.diff(edges)
+    longest = int(np.argmax(lengths))
+    return int(lengths[longest]), float(values[edges[longest + 1]])

@@ -1,0 +1,1 @@
+"""Kinds of campaign: what differs between circular, linear, sinusoidal, volumetric and placement tests."""

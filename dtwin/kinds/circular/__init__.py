@@ -1,0 +1,1 @@
+"""Circular tests: the record of the kind."""

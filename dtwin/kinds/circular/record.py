@@ -1,0 +1,77 @@
+"""Circular tests: a ball bar or a robot's path round a circle, after ISO 230-4."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from dtwin.kinds.kind import Kind
+from dtwin.schema import Finding, Run
+
+if TYPE_CHECKING:
+    from dtwin.physics.grid import Grid, Row
+    from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.train.run_errors import RunError
+    from dtwin.train.training import Training
+
+
+class _Circular(Kind):
+    name = "circular"
+    columns = ("t_s", "angle_deg", "deviation_um")
+    stated = ("plane", "radius_mm", "feed_mm_min")
+    goes_round = True
+    laws = True
+
+    def judge_run(self, run: Run) -> list[Finding]:
+        from dtwin.acquire.circular_quality import judge_circular_run
+
+        return judge_circular_run(run)
+
+    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
+        from dtwin.acquire.circular_quality import judge_circular_campaign
+
+        return judge_circular_campaign(runs)
+
+    def run_figures(self, run: Run) -> Mapping[str, Any]:
+        from dtwin.report.circular_checking import circular_result
+
+        return circular_result(run) if run.meta.radius_mm else {}
+
+    def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
+        from dtwin.physics.gridding import CIRCLE, rows_of
+
+        pairs = zip(runs, times_h, strict=True)
+        return CIRCLE, [row for run, time_h in pairs for row in rows_of(run, time_h)]
+
+    def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
+        from dtwin.train.run_errors import circle_errors
+
+        return circle_errors(runs)
+
+    def training(self) -> Callable[..., Training]:
+        from dtwin.train.training import train_campaign
+
+        return train_campaign
+
+    def twin_correction(self) -> TwinWay:
+        from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles
+        from dtwin.pipeline.twin_correction import BY_LAW, TwinWay
+
+        return TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)
+
+    def training_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
+        if not all(map(_has_controller, rows)):
+            return "no controller signals, so it cannot train a correction"
+        feeds = {row["feed_mm_min"] for row in rows}
+        return "" if len(feeds) > 1 else "one feed only, so a model could not be judged"
+
+    def drift_is_judged(self, rows: Sequence[Mapping[str, Any]]) -> bool:
+        return all(map(_has_controller, rows))
+
+
+def _has_controller(row: Mapping[str, Any]) -> bool:
+    return any(group["group"] == "controller" for group in json.loads(row["signals_json"]))
+
+
+KIND = _Circular()

@@ -1,0 +1,162 @@
+"""What a kind of campaign is: a name, its columns, and one method for each verb."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+
+from dtwin.errors import InputError
+from dtwin.schema import Campaign, Finding, Run
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from dtwin.physics.grid import Grid, Row
+    from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.train.run_errors import RunError
+    from dtwin.train.training import Training
+
+
+class NotOffered(InputError):
+    """A verb that a kind of campaign does not have.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the kind.
+    verb : str
+        What was asked for.
+    hint : str
+        What it needs, or what serves instead.
+    """
+
+    def __init__(self, kind: str, verb: str, hint: str) -> None:
+        super().__init__(
+            f"{verb} is not offered for {kind} campaigns",
+            code="kind.not_offered", got=kind, hint=hint,
+        )  # fmt: skip
+
+
+VERBS: Mapping[str, tuple[str, str]] = {
+    "judge_run": ("a check of runs", "a judgement of one run"),
+    "rows": ("a twin of paths", "a grid on which runs are compared"),
+    "laws": ("a law or a formula for what a twin leaves", "runs of one circle"),
+    "twin_correction": ("the correction of a twin", "a bundle of the effects of a twin"),
+    "training": ("training", "a table of inputs and targets"),
+    "drift_is_judged": ("drift of the champion", "rows on which a bundle of the kind is judged"),
+    "run_errors": ("evidence run by run", "an error of each run"),
+}
+"""Verbs that a kind may lack: what each is called, and what it needs."""
+
+
+class FileReader(Protocol):
+    """Reads a vendor's file of one kind of campaign."""
+
+    def __call__(
+        self, path: Path, campaign: Campaign, stated: Mapping[str, Any]
+    ) -> tuple[list[Run], list[dict[str, Any]]]:
+        """Return the runs of a file, and the rows that were rejected."""
+        ...
+
+
+class Kind:
+    """A kind of campaign; a verb that it lacks raises :class:`NotOffered`.
+
+    Attributes
+    ----------
+    name : str
+        As in ``campaign.toml`` and in the lake.
+    columns : tuple of str
+        What a table of samples must have.
+    stated : tuple of str or None
+        What must be told of a table that lies alone; None when it takes a ``campaign.toml``.
+    goes_round : bool
+        Whether a run has a plane and a direction, CCW or CW, that must be told.
+    in_one_table : bool
+        Whether a check tells the figures of all runs in one table, not run by run.
+    laws : bool
+        Whether a law is searched for what a twin leaves.
+    instead : mapping of str to str
+        What serves in place of a verb that the kind lacks.
+    """
+
+    name: ClassVar[str]
+    columns: ClassVar[tuple[str, ...]]
+    stated: ClassVar[tuple[str, ...] | None] = None
+    goes_round: ClassVar[bool] = False
+    in_one_table: ClassVar[bool] = False
+    laws: ClassVar[bool] = False
+    instead: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def readers(self) -> Mapping[str, FileReader]:
+        """Readers of vendors' files, by ending; other tables are read as CSV or Parquet."""
+        return {}
+
+    def completed(self, run: Run, campaign: Campaign) -> Run:
+        """Return a run with what the campaign states of its instrument."""
+        return run
+
+    def judge_run(self, run: Run) -> list[Finding]:
+        """Return what is wrong with one run, with its samples."""
+        raise self.lacks("judge_run")
+
+    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
+        """Return what the runs lack as a whole; ``kept_for_campaign`` says what of them is there."""
+        return []
+
+    def kept_for_campaign(self, run: Run) -> bool:
+        """Tell whether a judgement of the whole campaign needs the samples of a run."""
+        return False
+
+    def run_figures(self, run: Run) -> Mapping[str, Any]:
+        """Return the figures of one sound run, JSON-ready."""
+        return {}
+
+    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
+        """Return the figures of a campaign, JSON-ready."""
+        return {}
+
+    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
+        """Return the text of what a check found, besides that of each run."""
+        return []
+
+    def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
+        """Return the grid on which runs are compared, and the runs on it."""
+        raise self.lacks("rows")
+
+    def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
+        """Return the error of every run, as evidence compares them."""
+        raise self.lacks("run_errors")
+
+    def training(self) -> Callable[..., Training]:
+        """Return what trains an equation of such a campaign."""
+        raise self.lacks("training")
+
+    def twin_correction(self) -> TwinWay:
+        """Return how a twin of such a campaign becomes a correction."""
+        raise self.lacks("twin_correction")
+
+    def training_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
+        """Return why rows of the lake cannot train an equation, or nothing."""
+        return ""
+
+    def drift_is_judged(self, rows: Sequence[Mapping[str, Any]]) -> bool:
+        """Tell whether a champion can be judged on rows of the lake."""
+        return False
+
+    def offers(self, verb: str) -> bool:
+        """Tell whether the kind has one of ``VERBS``."""
+        own = getattr(type(self), verb)
+        return own if isinstance(own, bool) else own is not getattr(Kind, verb)
+
+    def require(self, verb: str) -> None:
+        """Refuse a verb that the kind lacks."""
+        if not self.offers(verb):
+            raise self.lacks(verb)
+
+    def lacks(self, verb: str) -> NotOffered:
+        """Return the refusal of a verb."""
+        title, needed = VERBS[verb]
+        hint = self.instead.get(verb, f"it needs {needed}")
+        return NotOffered(self.name, title, hint)

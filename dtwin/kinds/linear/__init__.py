@@ -1,0 +1,1 @@
+"""Positioning tests along an axis: the record of the kind."""

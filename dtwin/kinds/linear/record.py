@@ -1,0 +1,84 @@
+"""Positioning tests along an axis, after ISO 230-2."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from dtwin.kinds.kind import FileReader, Kind
+from dtwin.schema import Campaign, Finding, Run
+
+if TYPE_CHECKING:
+    from dtwin.physics.grid import Grid, Row
+    from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.train.run_errors import RunError
+    from dtwin.train.training import Training
+
+
+class _Linear(Kind):
+    name = "linear"
+    columns = ("t_s", "position_mm", "direction", "error_um")
+    stated = ("axis",)
+    instead: ClassVar[Mapping[str, str]] = {
+        "laws": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation"
+    }
+
+    @property
+    def readers(self) -> Mapping[str, FileReader]:
+        from dtwin.acquire.linear_runs import read_laser_runs
+
+        return {".txt": read_laser_runs, ".las": read_laser_runs}
+
+    def completed(self, run: Run, campaign: Campaign) -> Run:
+        from dtwin.acquire.linear_runs import with_pitch
+
+        return with_pitch(run, campaign)
+
+    def judge_run(self, run: Run) -> list[Finding]:
+        from dtwin.acquire.linear_quality import judge_linear_run
+        from dtwin.acquire.quality import judge_clock
+
+        return [*judge_clock(run), *judge_linear_run(run)]
+
+    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
+        from dtwin.acquire.linear_quality import judge_linear_campaign
+
+        whole = [run for run in runs if run.samples]
+        return judge_linear_campaign(whole) if whole else []
+
+    def kept_for_campaign(self, run: Run) -> bool:
+        return True
+
+    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
+        from dtwin.report.positioning import positioning_result
+
+        return {"positioning": positioning_result(runs)}
+
+    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
+        from dtwin.report.positioning import positioning_lines
+
+        return positioning_lines(result["positioning"])
+
+    def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
+        from dtwin.physics.stroke_grid import stroke_rows
+
+        return stroke_rows(runs, times_h)
+
+    def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
+        from dtwin.train.run_errors import stroke_errors
+
+        return stroke_errors(runs)
+
+    def training(self) -> Callable[..., Training]:
+        from dtwin.train.positioning_training import train_positioning
+
+        return train_positioning
+
+    def twin_correction(self) -> TwinWay:
+        from dtwin.pipeline.correction_of_axis import freeze_axis, judge_axis
+        from dtwin.pipeline.twin_correction import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
+
+        return TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
+
+
+KIND = _Linear()

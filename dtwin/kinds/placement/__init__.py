@@ -1,0 +1,1 @@
+"""Placements: the record of the kind."""

@@ -1,0 +1,64 @@
+"""The kinds that there are: those of dtwin, and those of others by entry point ``dtwin.kinds``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+
+from dtwin.errors import InputError
+from dtwin.kinds.kind import VERBS, Kind
+
+_OWN = ("circular", "linear", "sinusoidal", "volumetric", "placement")
+
+
+@cache
+def _of_others() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group="dtwin.kinds")}
+
+
+def kind_names() -> tuple[str, ...]:
+    """Return the names of all kinds, those of dtwin first."""
+    return (*_OWN, *(name for name in sorted(_of_others()) if name not in _OWN))
+
+
+@cache
+def kind_named(name: str) -> Kind:
+    """Return a kind by its name.
+
+    Raises
+    ------
+    InputError
+        When there is none of that name.
+    """
+    if name in _OWN:
+        found = import_module(f"dtwin.kinds.{name}.record").KIND
+    elif name in _of_others():
+        found = _of_others()[name].load()
+    else:
+        raise InputError(
+            "unknown kind of campaign", code="campaign.kind", got=str(name)[:60],
+            allowed=", ".join(kind_names()),
+        )  # fmt: skip
+    if not isinstance(found, Kind) or found.name != name:
+        raise InputError(
+            "an entry point of dtwin.kinds gives no kind of its name", code="kind.entry_point",
+            got=name, allowed="an instance of dtwin.kinds.kind.Kind with that name",
+        )  # fmt: skip
+    return found
+
+
+def kinds() -> Iterator[Kind]:
+    """Yield every kind."""
+    return map(kind_named, kind_names())
+
+
+def verb_table() -> str:
+    """Return which kind offers which verb, as Markdown: docs/reference/kinds.md holds it."""
+    every = list(kinds())
+    lines = [f"| verb | {' | '.join(k.name for k in every)} |", "|---" * (len(every) + 1) + "|"]
+    for verb, (title, _) in VERBS.items():
+        cells = ("yes" if kind.offers(verb) else "–" for kind in every)
+        lines.append(f"| {title} | {' | '.join(cells)} |")
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""Tones: the record of the kind."""

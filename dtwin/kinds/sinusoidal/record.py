@@ -1,0 +1,76 @@
+"""Tones: a slide that is told sines of several frequencies and amplitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from dtwin.kinds.kind import Kind
+from dtwin.schema import Campaign, Finding, Run
+
+if TYPE_CHECKING:
+    from dtwin.physics.grid import Grid, Row
+    from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.train.run_errors import RunError
+    from dtwin.train.training import Training
+
+
+class _Sinusoidal(Kind):
+    name = "sinusoidal"
+    columns = ("t_s", "cmd_z_mm", "act_z_mm")
+    in_one_table = True
+    instead: ClassVar[Mapping[str, str]] = {
+        "laws": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation"
+    }
+
+    def completed(self, run: Run, campaign: Campaign) -> Run:
+        from dtwin.acquire.sinusoidal_runs import with_bandwidth
+
+        return with_bandwidth(run, campaign)
+
+    def judge_run(self, run: Run) -> list[Finding]:
+        from dtwin.acquire.quality import judge_clock
+        from dtwin.acquire.sinusoidal_runs import judge_sinusoidal_run
+
+        return [*judge_clock(run), *judge_sinusoidal_run(run)]
+
+    def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
+        from dtwin.acquire.sinusoidal_runs import judge_sinusoidal_campaign
+
+        return judge_sinusoidal_campaign(runs)
+
+    def run_figures(self, run: Run) -> Mapping[str, Any]:
+        from dtwin.report.turning import tone_result
+
+        return tone_result(run)
+
+    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
+        from dtwin.report.turning import tone_lines
+
+        return tone_lines(result["runs"])
+
+    def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
+        from dtwin.physics.tone_grid import TONE, tone_row
+
+        return TONE, [tone_row(run, time_h) for run, time_h in zip(runs, times_h, strict=True)]
+
+    def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
+        from dtwin.train.run_errors import tone_errors
+
+        return tone_errors(runs)
+
+    def training(self) -> Callable[..., Training]:
+        from dtwin.train.tone_training import train_tones
+
+        return train_tones
+
+    def twin_correction(self) -> TwinWay:
+        from dtwin.pipeline.correction_of_tones import freeze_tones, judge_tones
+        from dtwin.pipeline.twin_correction import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
+
+        return TwinWay(
+            freeze_tones, judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"}
+        )
+
+
+KIND = _Sinusoidal()

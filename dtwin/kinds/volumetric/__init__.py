@@ -1,0 +1,1 @@
+"""Ball arrays: the record of the kind."""

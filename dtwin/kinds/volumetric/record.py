@@ -1,0 +1,35 @@
+"""Ball arrays probed while a machine warms: geometric and thermal errors of a volume."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, ClassVar
+
+from dtwin.kinds.kind import Kind
+from dtwin.schema import Finding, Run
+
+if TYPE_CHECKING:
+    from dtwin.train.training import Training
+
+
+class _Volumetric(Kind):
+    name = "volumetric"
+    columns = ("t_s", "x_mm", "y_mm", "z_mm", "error_x_um", "error_y_um", "error_z_um")
+    instead: ClassVar[Mapping[str, str]] = {
+        "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a "
+        "twin of heat"
+    }
+
+    def judge_run(self, run: Run) -> list[Finding]:
+        from dtwin.acquire.volumetric_quality import judge_volumetric_run
+
+        # Between the poses the array is turned: gaps in time are no lost samples.
+        return judge_volumetric_run(run)
+
+    def training(self) -> Callable[..., Training]:
+        from dtwin.pipeline.volumetric_training import train_volumetric
+
+        return train_volumetric
+
+
+KIND = _Volumetric()
