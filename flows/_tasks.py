@@ -20,7 +20,7 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import cell, drift, measuring, modelling, papers, rechecking
+from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
 from dtwin.pipeline import evidence as closed_loop
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.campaign_job import CampaignRequest, run_request
@@ -33,6 +33,7 @@ from dtwin.report.checking import check_source
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
+from studies import papers
 
 _LOGGED_SHARE = 0.2
 _watching: ContextVar[ProgressOf | None] = ContextVar("watching", default=None)

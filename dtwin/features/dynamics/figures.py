@@ -30,7 +30,7 @@ class DynamicComponents:
     dc2_um : float
         Peak to peak of what was taken out.
     dc3_um : float
-        RMS of what was taken out; the paper's text says mean absolute, its equation RMS.
+        RMS of what was taken out, as equation 8 of the source; its text says mean absolute.
     """
 
     before_um: float

@@ -10,17 +10,8 @@ from typing import Any
 import numpy as np
 
 from dtwin import __version__
-from dtwin.acquire.thesis_mill import (
-    DIRECTIONS,
-    FEEDS_MM_MIN,
-    MACHINE,
-    PLANE,
-    RADIUS_MM,
-    RUNS_OF_A_FEED,
-)
 from dtwin.config import Home
 from dtwin.pipeline.modelling import CONDITIONS_FILE
-from dtwin.pipeline.position_map import HARMONICS, fit_position_map, position_waves
 from dtwin.schema import Floats, Run
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -31,6 +22,15 @@ from dtwin.train.dataset import TICK_HZ
 from dtwin.train.latency import bundle_latency
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import Candidate, Scores, TrainingReport
+from studies.position_map import HARMONICS, fit_position_map, position_waves
+from studies.thesis_mill import (
+    DIRECTIONS,
+    FEEDS_MM_MIN,
+    MACHINE,
+    PLANE,
+    RADIUS_MM,
+    RUNS_OF_A_FEED,
+)
 
 NAME = "map-of-one-session"
 _FARTHEST_RAD = 1e4

@@ -18,7 +18,6 @@ from dtwin.acquire.virtual_turning import (
 )
 from dtwin.features.sine import ToneErrors, tone_errors
 from dtwin.machines.turning import Instruments, Slide
-from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
 from dtwin.pipeline.turning_fit import FittedTones, fitted_tones
 from dtwin.pipeline.turning_trial import trial
 from dtwin.schema import Floats
@@ -29,6 +28,7 @@ from dtwin.train.tone_gates import features_used
 from dtwin.train.tone_groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
 from dtwin.train.tone_training import what_was_seen
 from dtwin.units import UM_PER_MM
+from studies.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
 
 MACHINE = "virtual-turning"
 # Amplitude errors that the paper prints at 5 um: frequency in Hz, um.
@@ -60,7 +60,7 @@ def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, An
     Returns
     -------
     dict
-        ``lines``: fields of :class:`~dtwin.pipeline.paper_line.Line`; ``told``: what the groups show;
+        ``lines``: fields of :class:`~studies.paper_line.Line`; ``told``: what the groups show;
         ``trial``: surfaces without and with.
     """
     steps = 5

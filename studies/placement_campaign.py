@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_file import write_campaign_file
-from dtwin.acquire.probed_placements import COUNTS, FLAGS, Placed, ProbeSettings, locate
 from dtwin.atomic import write_text
 from dtwin.kinematics import UR10E
-from dtwin.machines import probed_block as b_
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
 from dtwin.machines.joint_program import MOTIONS
-from dtwin.machines.placing_cell import DATUM_MM, PLACE_MM, PlacingCell, ProbedPlacement
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.targets import Target, TargetCorrection, TargetFrame
 from dtwin.train.placement_model import JOINT_MOTION, TrainingPlacement, placement_bundle
-from dtwin.train.sphere_evidence import WAYS, difference, half_width, share_of_oracle
+from studies.machines import probed_block as b_
+from studies.machines.placing_cell import DATUM_MM, PLACE_MM, PlacingCell, ProbedPlacement
+from studies.probed_placements import COUNTS, FLAGS, Placed, ProbeSettings, locate
+from studies.sphere_evidence import WAYS, difference, half_width, share_of_oracle
 
 FEEDS_MM_MIN = (1000.0, 3000.0, 6000.0)
 TRAINED_MM_MIN = (2000.0, 4000.0)

@@ -17,8 +17,8 @@ from dtwin.acquire.virtual_mill import tutorial_mill
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest
 from dtwin.physics.circular import fit_circle
-from dtwin.pipeline.robot_equation import robot_equation
 from dtwin.schema import Direction, Floats, Run
+from studies.robot_equation import robot_equation
 
 RADIUS_MM = 50.0
 FEEDS_MM_MIN = (100.0, 250.0, 500.0)
@@ -80,7 +80,7 @@ def position_map(
         ``influence``: total Sobol index of each input; ``at``: the equation at four points;
         ``sessions``: error before and after the map, R², and the same with centre and radius of
         the mounting taken out. Unit of replication: the run. ``robot``: what
-        :func:`~dtwin.pipeline.robot_equation.robot_equation` returns.
+        :func:`~studies.robot_equation.robot_equation` returns.
     """
     tell = progress or (lambda done, total, what: None)
     tell(0, 2, "influence of the inputs")

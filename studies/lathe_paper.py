@@ -13,7 +13,6 @@ from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import UM_PER_IN
 from dtwin.pipeline.lathe_compensation import Figures, measured
-from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
@@ -30,6 +29,7 @@ from dtwin.train.positioning_models import (
     whole_turns,
 )
 from dtwin.train.small_net import new_net
+from studies.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 
 # Steps of tables, in inches.
 STEPS_IN = (1.0, 0.52, 0.25, 0.1, 0.025)
@@ -95,7 +95,7 @@ def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``lines`` (fields of :class:`~dtwin.pipeline.paper_line.Line`) and ``tables`` (figures by step of the table).
+        ``lines`` (fields of :class:`~studies.paper_line.Line`) and ``tables`` (figures by step of the table).
     """
     network = read_network()
     exact = exact_averages(network, mapping_plan())

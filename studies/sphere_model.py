@@ -15,13 +15,13 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from dtwin import __version__
-from dtwin.machines.sphere_path import SphereRun
 from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.train.dataset import TICK_HZ
+from studies.machines.sphere_path import SphereRun
 
 _PLACE_RAD = np.radians(0.5)
 _RING_S, _RING_STEP_S = 1.5, 0.005

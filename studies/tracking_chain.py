@@ -20,7 +20,9 @@ from dtwin.config import sample_recording
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.machines.parameters import load_parameters
 from dtwin.physics.circular import fit_circle
-from dtwin.pipeline.tracking_figures import (
+from dtwin.schema import Floats, Run
+from dtwin.units import UM_PER_MM
+from studies.tracking_figures import (
     BLOCK_RATE_HZ,
     BLOCK_SAMPLES,
     DIRECTIONS,
@@ -29,8 +31,6 @@ from dtwin.pipeline.tracking_figures import (
     Pass,
     reduce_passes,
 )
-from dtwin.schema import Floats, Run
-from dtwin.units import UM_PER_MM
 
 RADIUS_MM = 100.0
 FEEDS_MM_MIN = (2000.0, 3000.0, 4000.0, 5000.0, 6000.0)
