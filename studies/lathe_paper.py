@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import UM_PER_IN
 from dtwin.pipeline.lathe_compensation import Figures, measured
+from dtwin.progress import Progress
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
@@ -43,7 +44,6 @@ _TITLES = ("max average error", "max reversal error", "max repeat")
 _FASTER = 120.0
 # Median absolute deviation to standard deviation of a normal distribution.
 _MAD = 1.4826
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

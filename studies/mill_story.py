@@ -14,6 +14,7 @@ from dtwin.pipeline.evidence import compute_measured, make_champion
 from dtwin.pipeline.modelling import put_on_trial
 from dtwin.pipeline.twin_correction import Correction, correct
 from dtwin.pipeline.twins import Twins
+from dtwin.progress import Progress
 from dtwin.schema import Campaign
 from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays
@@ -49,7 +50,6 @@ KNOWN = ("scale_mismatch", "squareness")
 MAP, TWIN = "map of one session", "told right"
 _LATER, _CAMPAIGN, _DEFECTS = 1000, 2000, 3000
 _HOURS_OF_WORK = 40
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 from dtwin.machines.mill import Correction, SetupErrors
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest
+from dtwin.progress import Progress
 from dtwin.schema import Run
 from dtwin.serve.bundle import Bundle
 from dtwin.train.evidence import Evidence
@@ -38,7 +39,6 @@ _QUIET: Mapping[str, Any] = {
     "noise": NoiseParameters(rms_um=0.0),
     "setup_errors": SetupErrors(centre_mm=0.0, radius_um=0.0, jitter_us=0.0, trigger_samples=0.0),
 }
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from dtwin.atomic import write_text
 from dtwin.kinematics import UR10E
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
 from dtwin.machines.joint_program import MOTIONS
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -28,7 +29,6 @@ from studies.sphere_evidence import WAYS, difference, half_width, share_of_oracl
 FEEDS_MM_MIN = (1000.0, 3000.0, 6000.0)
 TRAINED_MM_MIN = (2000.0, 4000.0)
 _TRAINING_SESSION, _SESSION = 1, 2
-Progress = Callable[[int, int, str], None]
 SETTINGS = ProbeSettings(
     b_.HALF_X_MM, b_.HALF_Y_MM, b_.THICK_MM, b_.BALL_MM, b_.SEARCH_MM, b_.EXPANSION_1_K,
     b_.REFERENCE_C, b_.X_AT_Y_MM, b_.Y_AT_X_MM,

@@ -7,7 +7,7 @@ equation learns carry over to the next mounting of the bar?
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from dtwin.acquire.virtual_mill import tutorial_mill
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest
 from dtwin.physics.circular import fit_circle
+from dtwin.progress import Progress
 from dtwin.schema import Direction, Floats, Run
 from studies.robot_equation import robot_equation
 
@@ -62,9 +63,7 @@ def printed_x_error_um(
     return np.asarray(-0.181 * x_mm + 13.4 * np.exp(inner) - 0.775)
 
 
-def position_map(
-    seed: int = 0, progress: Callable[[int, int, str], None] | None = None
-) -> dict[str, Any]:
+def position_map(seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
     """Say what decides the printed equation, and try a position map on two mountings of the bar.
 
     Parameters

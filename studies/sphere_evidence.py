@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import MotionPlan
 from dtwin.machines.recording import RunTicks
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
@@ -30,7 +31,6 @@ from studies.machines.sphere_path import (
 from studies.sphere_model import mounting_terms
 
 WAYS = ("uncompensated", "compensated", "oracle")
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

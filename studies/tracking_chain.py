@@ -9,7 +9,7 @@ integration, mean over the middle half of the circle, and the same figure in per
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +20,7 @@ from dtwin.config import sample_recording
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.machines.parameters import load_parameters
 from dtwin.physics.circular import fit_circle
+from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.units import UM_PER_MM
 from studies.tracking_figures import (
@@ -40,7 +41,7 @@ LOOP_HZ = 4.6
 
 def tracking_chain(
     seed: int = 0,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
     *,
     repeats: int = REPEATS,
 ) -> Chain:
@@ -60,7 +61,7 @@ def tracking_chain(
 
 
 def _measured(
-    seed: int, repeats: int, progress: Callable[[int, int, str], None] | None
+    seed: int, repeats: int, progress: Progress | None
 ) -> tuple[list[Pass], list[CobotRecording]]:
     plain = load_parameters()
     digitiser = replace(plain.accelerometers, rate_hz=BLOCK_RATE_HZ)

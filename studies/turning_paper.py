@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -20,6 +20,7 @@ from dtwin.features.sine import ToneErrors, tone_errors
 from dtwin.machines.turning import Instruments, Slide
 from dtwin.pipeline.turning_fit import FittedTones, fitted_tones
 from dtwin.pipeline.turning_trial import trial
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
@@ -42,7 +43,6 @@ _CLOSE = 0.05
 _EXPONENT, _EXPONENT_NEAR = 0.78, 0.03
 _R2, _PHASE_R2, _MEAN_UM = 0.989, 0.952, 0.0683
 _FORM_LEFT, _PHASE_LEFT = 0.31 / 2.42, 0.38 / 8.57
-Progress = Callable[[int, int, str], None]
 
 
 def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, Any]:

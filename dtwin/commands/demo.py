@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import InputError
+from dtwin.progress import Progress
 
 
 def register(app: typer.Typer) -> None:
@@ -129,6 +129,6 @@ class _Terminal:
         if not self.quiet:
             print(text, flush=True)
 
-    def progress(self, title: str) -> Callable[[int, int, str], None]:
+    def progress(self, title: str) -> Progress:
         """Return a progress line for a piece of work."""
         return ProgressLine(title, quiet=self.quiet)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from dtwin.acquire.amending import amendment_findings
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.progress import StageProgress
 from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
 from dtwin.schema import Campaign
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from dtwin.train.training import Training
 
 CONDITIONS_FILE = "conditions.json"
-StageProgress = Callable[[str, int, int, str], None]
 
 
 @dataclass(frozen=True)

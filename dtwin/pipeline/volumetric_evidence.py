@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from dtwin.errors import GateRefusal
 from dtwin.physics.volumetric.thermal_model import independent
 from dtwin.pipeline.volumetric import distance_changes_um
 from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -26,7 +26,6 @@ DAY_H = 24.0
 # A span has at least so many cycles: fewer say nothing of their scatter.
 FEWEST_CYCLES = 8
 CLOCK = "measured without it, the prediction taken off afterwards"
-Progress = Callable[[int, int, str], None]
 
 
 def volumetric_evidence(

@@ -11,13 +11,14 @@ import numpy as np
 from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal
 from dtwin.pipeline.volumetric import distance_changes_um
 from dtwin.pipeline.volumetric_session import Session, session_in
+from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, TrainingReport
 from dtwin.train.symbolic import Engine
-from dtwin.train.training import Progress, Training
+from dtwin.train.training import Training
 from dtwin.train.volumetric_bundle import volumetric_bundle
 
 HELD_OUT = "hours"
@@ -27,7 +28,7 @@ _Fit = Callable[[str, Floats, Floats, Sequence[str]], ThermalModel]
 
 def train_volumetric(
     lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Training:  # fmt: skip
     """Train every candidate on a ball-array campaign.
 

@@ -11,6 +11,7 @@ import numpy as np
 from dtwin.acquire.linear_matrix import LinearTest, linear_test
 from dtwin.acquire.linear_quality import phases_of
 from dtwin.errors import InputError
+from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.export import to_text
@@ -47,7 +48,7 @@ from dtwin.train.positioning_models import (
 )
 from dtwin.train.results import Candidate, TrainingReport
 from dtwin.train.symbolic import Engine
-from dtwin.train.training import Progress, Training
+from dtwin.train.training import Training
 
 TABLE = "table and backlash"
 _FEWEST_RUNS = 2
@@ -168,7 +169,7 @@ def serving_bundle(model: PositionModel, machine: str, screw: Screw) -> Bundle |
 
 def train_positioning(
     lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Training:  # fmt: skip
     """Train every candidate on a positioning campaign.
 
@@ -243,7 +244,7 @@ def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionMo
     }
 
 
-def _held_out(test: LinearTest, screw: Screw, seed: int, tell: Progress) -> dict[str, Floats]:
+def _held_out(test: LinearTest, screw: Screw, seed: int, tell: StageProgress) -> dict[str, Floats]:
     """Return what each model leaves of runs that it did not see, shape (2 targets, runs)."""
     direction, position, error = stacked(test)
     n = error.shape[1]

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.progress import StageProgress
 from dtwin.store import Lake
 from dtwin.train.results import TrainingReport
 from dtwin.train.symbolic import Engine
@@ -19,12 +20,12 @@ from dtwin.train.tone_groups import (
     load_tone_groups,
     noise_floor_um,
 )
-from dtwin.train.training import Progress, Training
+from dtwin.train.training import Training
 
 
 def train_tones(
     lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Training:  # fmt: skip
     """Train every candidate on a campaign of tones.
 
