@@ -17,6 +17,7 @@ from dtwin.progress import Progress
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.statistics import rms
 from dtwin.train.net_training import ALGORITHMS, Trained, train_net
 from dtwin.train.positioning_bundle import deployed_bundle, flanks_of, printed_pair
 from dtwin.train.positioning_models import (
@@ -150,7 +151,7 @@ def _left(model: PositionModel, truth: Averages) -> dict[str, float]:
     return {
         "max_average_error_um": float(np.ptp(rest)),
         "max_reversal_error_um": float(np.abs(rest[1] - rest[0]).max()),
-        "rms_um": float(np.sqrt(np.mean(rest**2))),
+        "rms_um": rms(rest),
     }
 
 

@@ -19,6 +19,7 @@ from dtwin.machines.mill_parameters import CircularTest
 from dtwin.physics.circular import fit_circle
 from dtwin.progress import Progress
 from dtwin.schema import Direction, Floats, Run
+from dtwin.statistics import rms
 from studies.robot_equation import robot_equation
 
 RADIUS_MM = 50.0
@@ -182,11 +183,11 @@ def _judged(runs: Sequence[Run], model: dict[Direction, Floats]) -> dict[str, An
     total = float(((centred - centred.mean()) ** 2).sum())
     return {
         "runs": len(runs),
-        "before_um": _rms(before),
-        "after_um": _rms(after),
+        "before_um": rms(np.concatenate(before)),
+        "after_um": rms(np.concatenate(after)),
         "r2": 1.0 - float((np.concatenate(after) ** 2).sum()) / total,
-        "mounting_out_before_um": _rms(mounted_before),
-        "mounting_out_after_um": _rms(mounted_after),
+        "mounting_out_before_um": rms(np.concatenate(mounted_before)),
+        "mounting_out_after_um": rms(np.concatenate(mounted_after)),
     }
 
 
@@ -196,10 +197,6 @@ def _without_mounting(run: Run, values: Floats) -> Floats:
     moved = fitted.centre_a_um * np.cos(angle) + fitted.centre_b_um * np.sin(angle)
     left = values - moved
     return np.asarray(left - left.mean())
-
-
-def _rms(parts: Sequence[Floats]) -> float:
-    return float(np.sqrt((np.concatenate(parts) ** 2).mean()))
 
 
 def _verdict(influence: dict[str, float], sessions: Sequence[dict[str, Any]]) -> str:

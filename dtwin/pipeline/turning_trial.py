@@ -16,6 +16,7 @@ from dtwin.progress import Progress
 from dtwin.report.turning_plots import Surface
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
+from dtwin.statistics import rms
 
 # z = 0.006 x sin 2C - 0.006 x, x and z in mm.
 SLOPE_UM_PER_MM = 6.0
@@ -89,7 +90,7 @@ def surface_figures(surface: Surface, frequency_hz: float) -> dict[str, float]:
         "phase_deg": abs(float(np.degrees(cmath.phase(ratio)))),
         "vector_um": abs(ratio - 1.0) * full,
         "peak_to_valley_um": float(np.ptp(error)),
-        "rms_um": float(np.sqrt(np.mean(error**2))),
+        "rms_um": rms(error),
     }
 
 

@@ -15,6 +15,7 @@ from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.export import to_text
+from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.positioning_bundle import (
@@ -29,7 +30,6 @@ from dtwin.train.positioning_judging import (
     HELD_OUT,
     explained_share,
     noise_floor_um,
-    rms_um,
     scores_of,
     stacked,
     without_run,
@@ -209,7 +209,7 @@ def train_positioning(
     error = stacked(test)[2]
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions, noise_floor_um=floor,
-        rms_before_um=rms_um(error), n_runs=error.shape[1], n_rows=error.size,
+        rms_before_um=rms(error), n_runs=error.shape[1], n_rows=error.size,
         candidates=tuple(_with_table_score(found)), proposed=_proposed(found), seed=seed,
         told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(found)]),
     )  # fmt: skip
@@ -269,7 +269,7 @@ def _candidate(
     size = len(bundle.tick_graph.nodes) if bundle is not None else _entries(model)
     return Candidate(
         name=name, family=_FAMILIES.get(name, "baseline"), promotable=bundle is not None,
-        complexity=size, scores={HELD_OUT: scores_of(test, left)}, train_rms_um=rms_um(rest),
+        complexity=size, scores={HELD_OUT: scores_of(test, left)}, train_rms_um=rms(rest),
         latency=None if bundle is None else bundle_latency(bundle),
         equation=_SAID.get(name, ""),
         exports={} if bundle is None else {"tick.txt": to_text(bundle.tick_graph)},

@@ -13,6 +13,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
 from dtwin.schema import Floats, Run
+from dtwin.statistics import rms
 from dtwin.units import UM_PER_MM
 
 _BINS = 180
@@ -105,7 +106,7 @@ def _circles(runs: Sequence[Run]) -> list[RunError]:
     grids = _grids(runs, [angle for angle, _ in parts])
     return [
         RunError(
-            n, conditions[n], str(run.meta.direction), _rms(rest[n]),
+            n, conditions[n], str(run.meta.direction), rms(rest[n]),
             _at(grids[n], parts[n][0], rest[n]),
         )
         for n, run in enumerate(runs)
@@ -173,7 +174,7 @@ def _strokes(runs: Sequence[Run]) -> list[RunError]:
                 "axis": axis, "approached": way, "targets": float(len(place)),
                 "from_mm": round(float(place.min()), 2), "to_mm": round(float(place.max()), 2),
             }  # fmt: skip
-            found.append(RunError(number, condition, way, _rms(rest), rest))
+            found.append(RunError(number, condition, way, rms(rest), rest))
     return found
 
 
@@ -204,10 +205,6 @@ def _tones(runs: Sequence[Run]) -> list[RunError]:
         rest = math.sqrt(2.0) * np.array([turned.real, turned.imag])
         found.append(RunError(number, condition, "", abs(error), rest))
     return found
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 _READERS: Mapping[str, Callable[[Sequence[Run]], list[RunError]]] = {

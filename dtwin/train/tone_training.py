@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.progress import StageProgress
+from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.results import TrainingReport
 from dtwin.train.symbolic import Engine
@@ -62,7 +63,7 @@ def train_tones(
         )
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=floor, noise_floor_dof=freedom, rms_before_um=_rms(groups.amplitude_error_um),
+        noise_floor_um=floor, noise_floor_dof=freedom, rms_before_um=rms(groups.amplitude_error_um),
         n_runs=groups.n, n_rows=groups.n, candidates=tuple(found),
         proposed=proposed(found, MOST_RADIUS), seed=seed, told=tuple(told),
     )  # fmt: skip
@@ -94,7 +95,3 @@ def what_was_seen(everything: ToneGroups) -> list[str]:
 
 def _grid(groups: ToneGroups) -> list[tuple[Any, Any]]:
     return sorted(set(zip(groups.frequency_hz.tolist(), groups.amplitude_um.tolist(), strict=True)))
-
-
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
