@@ -26,8 +26,12 @@ LIBRARY = Library()
 # As many as `dtwin twin discover` adds at most.
 RUNGS = 24
 MOST_IN_GROUP = 3
-# One axis grows as the machine does; held at an end, its zero moves as well.
-SAME = {"thermal_growth": {"thermal_growth X", "thermal_shift"}}
+SAME = {
+    # A mode far above what excites it gives way to inertia; only its ringing is another matter.
+    "circular": {f"structural_resonance {axis}": {"inertial_compliance"} for axis in "XY"},
+    # One axis grows as the machine does; held at an end, its zero moves as well.
+    "linear": {"thermal_growth": {"thermal_growth X", "thermal_shift"}},
+}
 # Leaving a feed out costs a second search.
 HELD_OUT_EVERY = 4
 
@@ -66,7 +70,7 @@ def answer(case: Case) -> dict[str, Any]:
 
 def accepted(case: Case) -> list[set[str]]:
     """Return, for each hidden effect, the labels that are right."""
-    also = SAME if case.row.kind == "linear" else {}
+    also = SAME.get(case.row.kind, {})
     return [{cause.label} | also.get(cause.label, set()) for cause in case.hidden]
 
 
