@@ -130,7 +130,7 @@ def _run() -> None:
         sys.exit(error.exit_code)
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
-        if missing in ("", "dtwin", "flows"):
+        if missing in ("", "dtwin", "flows", "studies"):
             raise
         absent = _missing_part(missing)
         _report(absent)

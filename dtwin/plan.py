@@ -114,7 +114,7 @@ def training_plan(
     machine: str = "virtual-cobot",
     seed: int = 1,
 ) -> Plan:
-    """Return the training campaign of the source thesis: 81 tests, 162 runs.
+    """Return the training campaign of the demo: 81 tests, 162 runs.
 
     Parameters
     ----------

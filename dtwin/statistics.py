@@ -1,4 +1,4 @@
-"""Quantiles, tails and many tests at once; importing ``scipy.stats`` would take a second of every command."""
+"""Size, quantiles, tails and many tests at once; importing ``scipy.stats`` would take a second of every command."""
 
 from __future__ import annotations
 
@@ -7,6 +7,11 @@ from numpy.typing import ArrayLike
 from scipy import special
 
 from dtwin.schema import Floats
+
+
+def rms(values: ArrayLike) -> float:
+    """Return the root of the mean square, in the unit of the values; NaN of none."""
+    return float(np.sqrt(np.mean(np.square(values)))) if np.size(values) else float("nan")
 
 
 def t_quantile(probability: float, dof: float) -> float:

@@ -2,7 +2,7 @@
 
 ``campaign``, ``ingest``, ``train``, ``promote``, ``diagnose``, ``cell`` and ``schedule`` hold one flow each,
 ``papers`` one for each published system.
-Every flow only calls what ``dtwin.pipeline`` does without Prefect, and publishes what it found.
+Every flow only calls what ``dtwin.pipeline`` or ``studies`` does without Prefect, and publishes what it found.
 """
 
 import contextlib

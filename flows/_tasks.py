@@ -20,7 +20,7 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import cell, drift, measuring, modelling, papers, rechecking
+from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
 from dtwin.pipeline import evidence as closed_loop
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.campaign_job import CampaignRequest, run_request
@@ -29,10 +29,12 @@ from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.pipeline.work import ProgressOf
 from dtwin.plan import Plan
+from dtwin.progress import Progress, StageProgress
 from dtwin.report.checking import check_source
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
+from studies import papers
 
 _LOGGED_SHARE = 0.2
 _watching: ContextVar[ProgressOf | None] = ContextVar("watching", default=None)
@@ -187,7 +189,7 @@ def watched(progress: ProgressOf) -> Iterator[None]:
         _watching.reset(before)
 
 
-def logged(title: str) -> Callable[[int, int, str], None]:
+def logged(title: str) -> Progress:
     """Return a progress callback that writes to the run's log, five times in all.
 
     Parameters
@@ -212,9 +214,9 @@ def logged(title: str) -> Callable[[int, int, str], None]:
     return tell
 
 
-def logged_stages() -> Callable[[str, int, int, str], None]:
+def logged_stages() -> StageProgress:
     """Return a progress callback for work in stages."""
-    stages: dict[str, Callable[[int, int, str], None]] = {}
+    stages: dict[str, Progress] = {}
 
     def tell(stage: str, done: int, total: int, what: str) -> None:
         stages.setdefault(stage, logged(stage))(done, total, what)

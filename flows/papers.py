@@ -6,9 +6,9 @@ from typing import Any
 
 from prefect import Flow, flow
 
-from dtwin.pipeline.papers import PAPERS
-from dtwin.report.papers import counted
 from flows import _artifacts, _tasks
+from studies.papers import PAPERS
+from studies.report.papers import counted
 
 
 def _paper_flow(name: str) -> Flow[..., Any]:

@@ -13,4 +13,4 @@ if [ ! -e "$stamp" ]; then
     touch "$stamp"
 fi
 # Where Python may not write bytecode, every command of a test would compile dtwin again.
-.venv/bin/python -m compileall -q dtwin flows
+.venv/bin/python -m compileall -q dtwin flows studies

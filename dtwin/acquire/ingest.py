@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,12 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.lone_table import open_table, safe_name
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.errors import InputError
+from dtwin.progress import Progress
 from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.store import Lake, RejectedRows
 
 BATCH_RUNS = 24
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -16,9 +16,9 @@ from dtwin.acquire.recovery import recover_folder
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest
+from dtwin.progress import Progress
 from dtwin.schema import Direction, Run
 
-Progress = Callable[[int, int, str], None]
 MANIFEST = "manifest.jsonl"
 
 

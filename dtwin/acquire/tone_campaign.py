@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,12 @@ from dtwin.acquire.signal_files import write_signals
 from dtwin.atomic import write_toml
 from dtwin.machines.turning import AnaloguePath
 from dtwin.parquet import table_of, write_parquet
+from dtwin.progress import Progress
 from dtwin.schema import Run, RunMeta
 
 # Of probe, encoder and accelerometer.
 SAMPLE_HZ = 1000.0
 BANDWIDTH_HZ = 50.0
-Progress = Callable[[int, int, str], None]
 
 
 def write_tone_campaign(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
 from dtwin.machines.mill import Moment, VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run, RunMeta
 
 FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
@@ -124,7 +125,7 @@ def simulate_mill(
     seed: int = 0,
     quick: bool = False,
     hidden: str = "backlash",
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Run]:
     """Measure the virtual mill and write a campaign folder.
 
@@ -170,7 +171,7 @@ def write_campaign(
     campaign: Campaign,
     runs: Sequence[Run],
     truth: MillParameters,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write runs of the virtual mill as a campaign folder, with what is wrong in ``truth.toml``.
 
@@ -198,7 +199,7 @@ def write_runs(
     folder: Path,
     campaign: Campaign,
     runs: Sequence[Run],
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Write circular runs as a campaign folder.
 

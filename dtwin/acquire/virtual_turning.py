@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.acquire.tone_campaign import SAMPLE_HZ, Progress, write_tone_campaign
+from dtwin.acquire.tone_campaign import SAMPLE_HZ, write_tone_campaign
 from dtwin.errors import InputError
 from dtwin.machines.turning import (
     MM_PER_UM,
@@ -19,6 +19,7 @@ from dtwin.machines.turning import (
     TurningSlide,
 )
 from dtwin.machines.turning_drift import RoomDrift
+from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, RunMeta, SignalGroup
 from dtwin.tone_plan import BETWEEN_S, TonePlan
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -27,13 +27,13 @@ from dtwin.machines.volumetric import (
     array_balls,
 )
 from dtwin.parquet import table_of, write_parquet
+from dtwin.progress import Progress
 from dtwin.schema import SignalGroup
 
 MACHINE = "virtual-volumetric-mill"
 QUICK_EVERY = 3
 # Where the thermocouples sit: stuck on the castings, or every second one sunk into them.
 TRUTHS = {"surface": VolumetricParameters(), "pockets": VolumetricParameters(pocket_1=0.85)}
-Progress = Callable[[int, int, str], None]
 
 
 def simulate_volumetric(

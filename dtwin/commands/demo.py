@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Annotated
 
 import typer
 
 from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import InputError
+from dtwin.progress import Progress
 
 
 def register(app: typer.Typer) -> None:
@@ -70,8 +70,8 @@ def _mill(seed: int, *, quick: bool, as_json: bool) -> None:
     from functools import partial
 
     from dtwin.config import home
-    from dtwin.pipeline.mill_story import mill_story
-    from dtwin.report.mill_story import mill_story_text
+    from studies.mill_story import mill_story
+    from studies.report.mill_story import mill_story_text
 
     shown = partial(ProgressLine, quiet=as_json)
     found = mill_story(home(), seed, quick=quick, progress=shown)
@@ -82,8 +82,8 @@ def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
     from functools import partial
 
     from dtwin.config import home
-    from dtwin.pipeline.linuxcnc_story import FULL, QUICK, linuxcnc_story
-    from dtwin.report.linuxcnc import linuxcnc_text
+    from studies.linuxcnc_story import FULL, QUICK, linuxcnc_story
+    from studies.report.linuxcnc import linuxcnc_text
 
     shown = partial(ProgressLine, quiet=as_json)
     found = linuxcnc_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
@@ -94,8 +94,8 @@ def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
     from functools import partial
 
     from dtwin.config import home
-    from dtwin.pipeline.placement_story import FULL, QUICK, placement_story
-    from dtwin.report.placement import placement_text
+    from studies.placement_story import FULL, QUICK, placement_story
+    from studies.report.placement import placement_text
 
     shown = partial(ProgressLine, quiet=as_json)
     found = placement_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
@@ -103,16 +103,16 @@ def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
 
 
 def _tracking(seed: int, *, quick: bool, as_json: bool) -> None:
-    from dtwin.pipeline.tracking_chain import tracking_chain
-    from dtwin.report.tracking import tracking_text
+    from studies.report.tracking import tracking_text
+    from studies.tracking_chain import tracking_chain
 
     found = tracking_chain(seed, ProgressLine("circles", quiet=as_json)).as_dict()
     emit(found, lambda: tracking_text(found), as_json=as_json)
 
 
 def _position_map(seed: int, *, quick: bool, as_json: bool) -> None:
-    from dtwin.pipeline.position_map import position_map
-    from dtwin.report.position_map import position_map_text
+    from studies.position_map import position_map
+    from studies.report.position_map import position_map_text
 
     found = position_map(seed, ProgressLine("position map", quiet=as_json))
     emit(found, lambda: position_map_text(found), as_json=as_json)
@@ -129,6 +129,6 @@ class _Terminal:
         if not self.quiet:
             print(text, flush=True)
 
-    def progress(self, title: str) -> Callable[[int, int, str], None]:
+    def progress(self, title: str) -> Progress:
         """Return a progress line for a piece of work."""
         return ProgressLine(title, quiet=self.quiet)

@@ -95,9 +95,9 @@ def paper(
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published filter again: theirs, ours, whether they follow."""
-    from dtwin.pipeline.dynamics_paper import FULL, QUICK, dynamics_paper
-    from dtwin.report.dynamics import paper_text
+    from studies.dynamics_paper import FULL, QUICK, dynamics_paper
+    from studies.report.papers import dynamics_paper_text
 
     size, progress = QUICK if quick else FULL, ProgressLine("dynamics", quiet=as_json)
     found = dynamics_paper(size, seed, progress)
-    emit(found, lambda: paper_text(found), as_json=as_json)
+    emit(found, lambda: dynamics_paper_text(found), as_json=as_json)

@@ -174,11 +174,11 @@ def paper(
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published lathe again: theirs, ours, whether they follow."""
-    from dtwin.pipeline.lathe_paper import FULL, QUICK, lathe_paper
-    from dtwin.report.lathe import paper_text
+    from studies.lathe_paper import FULL, QUICK, lathe_paper
+    from studies.report.papers import lathe_paper_text
 
     found = lathe_paper(QUICK if quick else FULL, seed, ProgressLine("lathe", quiet=as_json))
-    emit(found, lambda: paper_text(found), as_json=as_json)
+    emit(found, lambda: lathe_paper_text(found), as_json=as_json)
 
 
 def _in_real_time(

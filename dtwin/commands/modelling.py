@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +10,7 @@ import typer
 
 from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
+from dtwin.progress import Progress
 from dtwin.report.text import table
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def train(
     from dtwin.train.promotion import verdict_lines
 
     search = _engine(engine)
-    lines: dict[str, Callable[[int, int, str], None]] = {}
+    lines: dict[str, Progress] = {}
 
     def tell(stage: str, done: int, total: int, what: str) -> None:
         lines.setdefault(stage, ProgressLine(stage, quiet=as_json))(done, total, what)

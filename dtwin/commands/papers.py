@@ -24,8 +24,8 @@ def papers(
     as_json: Json = False,
 ) -> None:
     """Compute what four published systems report again: how many figures follow, and which do not."""
-    from dtwin.pipeline.papers import PAPERS, computed
-    from dtwin.report.papers import summary_text
+    from studies.papers import PAPERS, computed
+    from studies.report.papers import summary_text
 
     found: dict[str, dict[str, Any]] = {}
     for name, paper in PAPERS.items():

@@ -185,8 +185,8 @@ def paper(
     as_json: Json = False,
 ) -> None:
     """Compute the figures of the published slide again: theirs, ours, whether they follow."""
-    from dtwin.pipeline.turning_paper import turning_paper
-    from dtwin.report.turning import paper_text
+    from studies.report.papers import turning_paper_text
+    from studies.turning_paper import turning_paper
 
     found = turning_paper(quick=quick, seed=seed, progress=ProgressLine("paper", quiet=as_json))
-    emit(found, lambda: paper_text(found), as_json=as_json)
+    emit(found, lambda: turning_paper_text(found), as_json=as_json)

@@ -158,8 +158,8 @@ def paper(
     """Compute the figures of the published mill again: theirs, ours, whether they follow."""
     from dataclasses import asdict
 
-    from dtwin.pipeline.volumetric_paper import volumetric_paper
-    from dtwin.report.papers import paper_table
+    from studies.report.papers import paper_table
+    from studies.volumetric_paper import volumetric_paper
 
     progress = ProgressLine("volumetric", quiet=as_json)
     found = volumetric_paper(seed, progress, quick=quick, truth=truth)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats, RunMeta
+from dtwin.statistics import rms
 from dtwin.units import UM_PER_MM
 
 DEFAULT_CYCLES_PER_REV = 15.0
@@ -197,7 +198,7 @@ class Split:
         chosen = np.ones(len(self.known), dtype=bool) if rows is None else rows
         known, conditions = self.known[chosen], self.condition_of[chosen]
         return {
-            name: Part(_rms(v[chosen][known]), repeat_floor(v[chosen], known, conditions))
+            name: Part(rms(v[chosen][known]), repeat_floor(v[chosen], known, conditions))
             for name, v in self.parts_um.items()
         }
 
@@ -209,7 +210,7 @@ class Split:
         known = self.known[rows]
         seen = self.parts_um["controller"][rows][known]
         rest = (self.parts_um["measured"][rows] - self.parts_um["controller"][rows])[known]
-        size = _rms(seen) * _rms(rest)
+        size = rms(seen) * rms(rest)
         return float(np.mean(seen * rest) / size) if size > 0.0 else float("nan")
 
 
@@ -271,7 +272,3 @@ def repeat_floor(
         share += float(known[rows].sum(axis=1).mean()) * (int(rows.sum()) - 1)
         freedom += int(rows.sum()) - 1
     return float(np.sqrt(squares / share)) if freedom else float("nan")
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

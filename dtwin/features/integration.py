@@ -1,7 +1,9 @@
 """Displacement from acceleration by double integration, and what that cannot see.
 
-This is the chain of the source thesis, kept for comparison: a spectrum threshold, whose
-cut-off a particle swarm chooses, then two integrations that restart in every window.
+A spectrum threshold, whose cut-off a particle swarm chooses, then two integrations that restart in
+every window; kept for comparison.
+
+Source: the thesis from which this project starts.
 """
 
 from __future__ import annotations
@@ -191,7 +193,7 @@ def displacement_visibility(
     cutoff_power : float
         Threshold of the spectrum filter in g^2.
     per_window_mean : bool
-        Compare means over windows, the one number per window that the thesis used.
+        Compare means over windows, one number per window.
 
     Raises
     ------

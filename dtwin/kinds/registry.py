@@ -59,6 +59,6 @@ def verb_table() -> str:
     every = list(kinds())
     lines = [f"| verb | {' | '.join(k.name for k in every)} |", "|---" * (len(every) + 1) + "|"]
     for verb, (title, _) in VERBS.items():
-        cells = ("yes" if kind.offers(verb) else "–" for kind in every)
+        cells = ("yes" if kind.offers(verb) else "no" for kind in every)
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)

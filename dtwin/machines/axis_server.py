@@ -19,6 +19,7 @@ import numpy as np
 
 from dtwin.errors import DeviceError
 from dtwin.links.axis_link import LONGEST_LINE, PROTOCOL
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 
 WATCHDOG_S = 0.1
@@ -27,7 +28,6 @@ _AXES = ("x", "y", "z")
 _POLL_S = 0.2
 Prove = Callable[[str], str]
 Announce = Callable[[str], None]
-Progress = Callable[[int, int, str], None]
 
 
 class AxisMachine(Protocol):

@@ -1,8 +1,10 @@
-"""The demonstrator of the source thesis: an end cap that is loaded, milled and unloaded.
+"""A demonstration part: an end cap of a small satellite that is loaded, milled and unloaded.
 
 Targets are the published ones. The part is 2 mm of wall with 1 mm of stock on its inner faces,
 milled in four quarters with a turn of the table between them; the program itself is not published,
 so the path of one quarter is ours.
+
+Source: the thesis from which this project starts.
 """
 
 from __future__ import annotations

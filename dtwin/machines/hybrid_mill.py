@@ -44,11 +44,11 @@ class CorrectionInput:
     limit_um : float
         Range on both sides of the neutral voltage.
     quantum_um : float
-        Smallest step of the converter; the thesis's 8-bit PWM has 0.98.
+        Smallest step of the converter; 8-bit pulse widths have 0.98.
     delay_s : float
         From a written value to the shift.
     update_hz : float
-        How often a value is written; the thesis's board does 6 with three axes.
+        How often a value is written; a microcontroller with three axes does 6.
     """
 
     limit_um: float = 125.0

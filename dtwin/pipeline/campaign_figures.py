@@ -8,7 +8,7 @@ from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.quality import judge_campaign, without_samples
 from dtwin.config import Home
 from dtwin.physics.circular import fit_circle, residual_um
-from dtwin.pipeline.measuring import Progress
+from dtwin.progress import Progress
 from dtwin.report.checking import run_result
 from dtwin.schema import Floats, Run
 from dtwin.store import Lake

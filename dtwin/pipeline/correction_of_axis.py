@@ -16,12 +16,12 @@ from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
 from dtwin.pipeline.judged_twin import NAME, Judged
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
+from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.positioning_judging import (
     HELD_OUT,
     explained_share,
     noise_floor_um,
-    rms_um,
     runs_left_out,
     scores_of,
     stacked,
@@ -71,7 +71,7 @@ def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) ->
         promotable=True,
         complexity=len(bundle.tick_graph.nodes),
         scores={HELD_OUT: scores_of(test, left)},
-        train_rms_um=rms_um(rest[obs.mask]),
+        train_rms_um=rms(rest[obs.mask]),
         latency=bundle_latency(bundle),
         equation=_equation(frozen.twin),
         exports={"tick.txt": to_text(bundle.tick_graph)},
@@ -84,7 +84,7 @@ def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) ->
             "table_rms_um": table_rms_um(test),
         },
     )
-    return Judged(candidate, floor, rms_um(error), (("Z", low, high),))
+    return Judged(candidate, floor, rms(error), (("Z", low, high),))
 
 
 def test_of_runs(obs: Observations) -> LinearTest:

@@ -14,8 +14,8 @@ from dtwin.physics.twin import Twin, frozen_residual_um, twin_of
 from dtwin.pipeline.judged_twin import NAME, Judged
 from dtwin.pipeline.twin_data import pure_rms_um
 from dtwin.serve.export import to_c, to_latex, to_python, to_text
+from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
-from dtwin.train.positioning_judging import rms_um
 from dtwin.train.results import Candidate, Scores
 from dtwin.train.twin_bundle import OUTPUT, twin_bundle
 from dtwin.train.twin_terms import TwinBundle
@@ -58,7 +58,7 @@ def judge_circles(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home)
         promotable=True,
         complexity=len(graph.nodes),
         scores=scores,
-        train_rms_um=rms_um(left[obs.mask]),
+        train_rms_um=rms(left[obs.mask]),
         latency=bundle_latency(bundle),
         equation=to_text(graph),
         exports={
@@ -71,7 +71,7 @@ def judge_circles(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home)
     )
     conditions = {(c.plane, c.radius_mm, c.feed_mm_min) for c in obs.conditions}
     return Judged(
-        candidate, pure_rms_um(obs, left), rms_um(before[obs.mask]), tuple(sorted(conditions))
+        candidate, pure_rms_um(obs, left), rms(before[obs.mask]), tuple(sorted(conditions))
     )
 
 
@@ -99,8 +99,8 @@ def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> 
         rows = obs.condition_of == number
         mask = obs.mask[rows]
         # Where it changes less than repeats could show, it makes nothing worse or better.
-        if rms_um((rest[rows] - plain[rows])[mask]) > _VISIBLE_SHARE * floor_um:
-            ratios[str(condition)] = rms_um(rest[rows][mask]) / rms_um(plain[rows][mask])
+        if rms((rest[rows] - plain[rows])[mask]) > _VISIBLE_SHARE * floor_um:
+            ratios[str(condition)] = rms(rest[rows][mask]) / rms(plain[rows][mask])
     if not ratios:
         return None
     worst = max(ratios, key=lambda key: ratios[key])
@@ -108,7 +108,7 @@ def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> 
     return Scores(
         group=group,
         r2=1.0 - float(np.mean(found**2) / np.mean(plain[obs.mask] ** 2)),
-        rms_um=rms_um(found),
+        rms_um=rms(found),
         mae_um=float(np.mean(np.abs(found))),
         worst_slice_ratio=ratios[worst],
         worst_slice=worst,

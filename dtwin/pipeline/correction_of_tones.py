@@ -17,9 +17,9 @@ from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
 from dtwin.pipeline.judged_twin import NAME, Judged
 from dtwin.pipeline.twin_data import pure_rms_um
 from dtwin.serve.export import to_text
+from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
-from dtwin.train.positioning_judging import rms_um
 from dtwin.train.results import Candidate
 from dtwin.train.tone_candidates import Predicted, judged
 from dtwin.train.tone_gates import correction_radius, dead_terms
@@ -96,7 +96,7 @@ def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -
         promotable=True,
         complexity=len(graph.nodes),
         scores=found.scores,
-        train_rms_um=rms_um(left[obs.mask]),
+        train_rms_um=rms(left[obs.mask]),
         latency=bundle_latency(bundle),
         equation="\n".join(
             [equation, *(f"  {t.label}: {t.instance.effect.formula}" for t in frozen.twin.terms)]
@@ -111,7 +111,7 @@ def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -
     )
     tones = sorted(_tone(obs, row) for row in range(obs.n_rows))
     conditions = tuple((f"{f:g} Hz", f, a) for f, a in dict.fromkeys(tones))
-    return Judged(candidate, pure_rms_um(obs, left), rms_um(before[obs.mask]), conditions)
+    return Judged(candidate, pure_rms_um(obs, left), rms(before[obs.mask]), conditions)
 
 
 def _groups(twin: Twin, home: Home) -> ToneGroups:

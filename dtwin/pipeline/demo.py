@@ -15,6 +15,7 @@ from dtwin.pipeline.modelling import Registered
 from dtwin.pipeline.wall_clock import serving_numbers
 from dtwin.pipeline.work import PlainSteps, Result, Steps, Work
 from dtwin.plan import Plan, training_plan
+from dtwin.progress import Progress
 from dtwin.report.campaign import (
     comparison_table,
     evidence_section,
@@ -39,7 +40,7 @@ class Screen(Protocol):
         """Show a finished result."""
         ...
 
-    def progress(self, title: str) -> Callable[[int, int, str], None]:
+    def progress(self, title: str) -> Progress:
         """Return a progress callback for a piece of work."""
         ...
 

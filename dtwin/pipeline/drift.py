@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.motion import PATH_INPUTS
-from dtwin.pipeline.measuring import Progress
+from dtwin.progress import Progress
 from dtwin.schema import Finding, Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle

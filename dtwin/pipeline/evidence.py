@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.pipeline.modelling import CONDITIONS_FILE, geometry_of, markdown_table
+from dtwin.progress import Progress
 from dtwin.report.campaign import evidence_section, evidence_table
 from dtwin.report.html import page
 from dtwin.schema import Campaign
@@ -27,8 +28,6 @@ from dtwin.train.registry import RegisteredVersion, Registry
 if TYPE_CHECKING:
     from dtwin.train.circle_evidence import EvidencePlan
     from dtwin.train.measured_ways import MeasuredWays
-
-Progress = Callable[[int, int, str], None]
 
 
 def compute(

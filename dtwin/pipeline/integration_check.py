@@ -12,7 +12,7 @@ from dtwin.features.integration import Visibility, displacement_visibility, swar
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.schema import Floats, Run
 
-# The sensor's coupling, and the window of the source thesis: 800 samples at 1651.6 Hz.
+# The sensor's coupling, and the usual window: 800 samples at 1651.6 Hz.
 COUPLING_HZ = 0.5
 WINDOW_S = 800 / 1651.6
 

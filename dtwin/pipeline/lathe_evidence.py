@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import timedelta
 
@@ -14,6 +14,7 @@ from dtwin.acquire.virtual_lathe import verification_plan, virtual_lathe
 from dtwin.errors import InputError
 from dtwin.linear_plan import LinearPlan, better_step
 from dtwin.pipeline.lathe_compensation import PERIOD_S, exact_correction, looped, measured
+from dtwin.progress import Progress
 from dtwin.schema import Run, RunMeta
 from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
@@ -22,7 +23,6 @@ from dtwin.train.positioning_bundle import is_positioning_bundle
 DAYS = 3
 CLOCK = "machine clock, 10 ms cycle, one cycle late"
 _TARGETS = 60
-Progress = Callable[[int, int, str], None]
 
 
 def measured_days(

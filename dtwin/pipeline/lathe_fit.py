@@ -14,6 +14,7 @@ from dtwin.pipeline.lathe_compensation import campaign_test
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import require_new, save_bundle
+from dtwin.statistics import rms
 from dtwin.train.gates import Verdict
 from dtwin.train.positioning_bundle import deployed_bundle, printed_pair
 from dtwin.train.positioning_gates import positioning_gates
@@ -118,6 +119,6 @@ def _figures(model: PositionModel, averages: Averages, phases: int) -> dict[str,
     return {
         "targets": len(averages.position_in),
         "screw_phases": phases,
-        "rms_left_um": round(float(np.sqrt(np.mean(rest**2))), 3),
+        "rms_left_um": round(rms(rest), 3),
         "largest_left_um": round(float(np.max(np.abs(rest))), 3),
     }

@@ -14,12 +14,12 @@ from dtwin.errors import DeviceError
 from dtwin.links.linuxcnc import Bridge, LinuxcncLink
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.session import LinuxcncSession
+from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.loop import ServeStatus, ServingLoop
 from dtwin.serve.runtime import CompiledBundle
 
-Progress = Callable[[int, int, str], None]
 _PATIENCE_S = 15.0
 _POLL_S = 0.05
 _LONGEST_S = 3600.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,10 +20,9 @@ from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract, batch_features
 from dtwin.parquet import table_of
 from dtwin.plan import Plan
+from dtwin.progress import Progress
 from dtwin.store import Lake
 from dtwin.train.inputs import BAND_HZ, HOP, WINDOW_FEATURES, WINDOW_SAMPLES
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

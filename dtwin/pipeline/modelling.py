@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from dtwin.acquire.amending import amendment_findings
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.progress import StageProgress
 from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
 from dtwin.schema import Campaign
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from dtwin.train.training import Training
 
 CONDITIONS_FILE = "conditions.json"
-StageProgress = Callable[[str, int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -15,6 +15,7 @@ from dtwin.errors import InputError
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.evidence import compute
 from dtwin.pipeline.modelling import CONDITIONS_FILE, geometry_of
+from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.machine_file import MACHINE_TYPES
 from dtwin.serve.pointer import renew_proof
@@ -70,7 +71,7 @@ def recheck(
     cobot: VirtualCobot | None = None,
     blocks: int = 3,
     seed: int = 0,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Rechecked:
     """Judge a champion by circles with and without it, and withdraw it when it harms.
 
@@ -128,7 +129,7 @@ def _measure(
     cobot: VirtualCobot | None,
     blocks: int,
     seed: int,
-    progress: Callable[[int, int, str], None] | None,
+    progress: Progress | None,
 ) -> list[CheckedRun]:
     geometry = geometry_of(registry, champion)
     if not geometry.get("virtual", False) or geometry.get("type") not in MACHINE_TYPES:

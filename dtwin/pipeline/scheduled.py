@@ -25,7 +25,8 @@ from dtwin.pipeline.drift import (
     trained_rows,
     usable,
 )
-from dtwin.pipeline.modelling import Registered, StageProgress, train
+from dtwin.pipeline.modelling import Registered, train
+from dtwin.progress import StageProgress
 from dtwin.schema import Campaign
 from dtwin.store import Lake
 from dtwin.train.registry import Registry

@@ -15,6 +15,7 @@ from dtwin.physics.state import State, has_joints
 from dtwin.physics.within_run import ARC_DIP, STOP_RINGING
 from dtwin.pipeline.single_passes import Aligned
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 
 _PITCHES_MM = tuple(float(p) for p in np.geomspace(4.0, 60.0, 40))
 _ORDERS = tuple(float(o) for o in np.arange(10.0, 421.0, 5.0))
@@ -283,7 +284,7 @@ def harmonic_columns(
 def look_up_um(passes: Passes) -> float:
     """Return the RMS that remains when one pass foretells the other, in um."""
     offsets = passes.y_um[1] - passes.y_um[0]
-    return float(np.sqrt((offsets**2).mean()))
+    return rms(offsets)
 
 
 def stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:

@@ -14,6 +14,7 @@ from dtwin.physics.state import State
 from dtwin.pipeline import single_models as models
 from dtwin.pipeline.single_passes import Aligned
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 
 _KINDS = (
     "scale_mismatch", "squareness", "straightness", "backlash", "backlash_taper", "lateral_play",
@@ -84,4 +85,4 @@ def _window_um(aligned: tuple[Aligned, ...], whole: list[Floats]) -> float:
         values.append(one.run.samples["deviation_um"][inside])
     x, y = np.concatenate(rows), np.concatenate(values)
     left = y - x @ np.linalg.lstsq(x, y, rcond=_RANK)[0]
-    return float(np.sqrt((left**2).mean()))
+    return rms(left)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import timedelta
 
 import numpy as np
@@ -14,6 +14,7 @@ from dtwin.acquire.virtual_turning import virtual_slide
 from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AnaloguePath, Instruments
 from dtwin.pipeline.turning_loop import CLOCK, LoopRecord, ToneCommand, run_loop
 from dtwin.pipeline.turning_trial import AIR_S, RIM_MM, SLOPE_UM_PER_MM, TRIAL_HZ
+from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, RunMeta
 from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
@@ -22,7 +23,6 @@ from dtwin.train.results import condition_name
 REPEATS = 3
 RECORDED_S = 4.0
 AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
-Progress = Callable[[int, int, str], None]
 
 
 def measured_tones(

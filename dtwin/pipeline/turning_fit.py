@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
+from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import require_new, save_bundle
 from dtwin.train.gates import Verdict
@@ -22,7 +22,6 @@ from dtwin.train.tone_training import what_was_seen
 
 SEARCHED = "symbolic"
 MODELS = (*FORMS, SEARCHED)
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import cmath
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,11 @@ from dtwin.acquire.virtual_turning import virtual_slide
 from dtwin.features.sine import fit_tone
 from dtwin.machines.turning import SERVO_HZ, Slide
 from dtwin.pipeline.turning_loop import CLOCK, LoopRecord, ToneCommand, run_loop
+from dtwin.progress import Progress
 from dtwin.report.turning_plots import Surface
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
+from dtwin.statistics import rms
 
 # z = 0.006 x sin 2C - 0.006 x, x and z in mm.
 SLOPE_UM_PER_MM = 6.0
@@ -26,7 +28,6 @@ AIR_S = 9.0
 _SWELL_S = 1.0
 # The rim: where the form is largest and the published figures were taken.
 _RIM_SHARE = 0.9
-Progress = Callable[[int, int, str], None]
 
 
 def bicuspid(frequency_hz: float) -> ToneCommand:
@@ -89,7 +90,7 @@ def surface_figures(surface: Surface, frequency_hz: float) -> dict[str, float]:
         "phase_deg": abs(float(np.degrees(cmath.phase(ratio)))),
         "vector_um": abs(ratio - 1.0) * full,
         "peak_to_valley_um": float(np.ptp(error)),
-        "rms_um": float(np.sqrt(np.mean(error**2))),
+        "rms_um": rms(error),
     }
 
 

@@ -20,8 +20,8 @@ from dtwin.pipeline.judged_twin import Judged
 from dtwin.pipeline.modelling import CONDITIONS_FILE, require_uncorrected
 from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twins import Twins
+from dtwin.statistics import rms
 from dtwin.train.gates import Verdict
-from dtwin.train.positioning_judging import rms_um
 from dtwin.train.promotion import TRIAL_ONLY, check_version
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import TrainingReport
@@ -228,7 +228,7 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
             for e in fit(obs, rest).estimates
             if not abs(e.value) <= e.uncertainty
         }
-        return len(needed), rms_um(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
+        return len(needed), rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
 
     weakest = min(unneeded, key=cost).instance
     axis = f" --axis {weakest.axis}" if weakest.axis else ""
@@ -321,8 +321,8 @@ def _predicted(frozen: TwinBundle, obs: Observations) -> list[dict[str, Any]]:
             {
                 **condition.as_dict(),
                 "condition": str(condition),
-                "rms_before_um": rms_um(before[rows][mask]),
-                "rms_predicted_um": rms_um(after[rows][mask]),
+                "rms_before_um": rms(before[rows][mask]),
+                "rms_predicted_um": rms(after[rows][mask]),
             }
         )
     return out

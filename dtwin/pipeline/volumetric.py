@@ -19,6 +19,7 @@ from dtwin.physics.volumetric.slots import SLOTS, slot_places_mm, slot_ranges_um
 from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.pipeline.volumetric_session import Session, Strokes, with_offered
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 
 # An error motion is unexplained when a model takes away less than this of what can be seen.
 UNEXPLAINED_PCT = 40.0
@@ -116,7 +117,7 @@ def _unexplained(
         with_it = np.column_stack([own, training.offered_rise(channel)])
         per_k = np.linalg.lstsq(with_it, training.values[:, column], rcond=None)[0]
         there = np.column_stack([measured.rise_of(model.sensors), measured.offered_rise(channel)])
-        after = _rms(measured.values[:, column] - there @ per_k)
+        after = rms(measured.values[:, column] - there @ per_k)
         out["tried"].append({"channel": channel, "left_um": after})
     best = min(out["tried"], key=lambda t: t["left_um"], default=None)
     if best is not None and best["left_um"] < _HALVED * left_um:
@@ -126,7 +127,7 @@ def _unexplained(
 
 def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> dict[str, Any]:
     values = measured.values[:, column]
-    before, after = _rms(values), _rms(left)
+    before, after = rms(values), rms(left)
     used = measured.rise_of(model.sensors)
     return {
         "name": model.name,
@@ -176,9 +177,9 @@ def _distances(measured: Session, expected: Floats) -> dict[str, float]:
         "p2p_um": float(np.ptp(was)),
         "p2p_left_um": float(np.ptp(is_now)),
         "p2p_reduction_pct": reduction_pct(float(np.ptp(was)), float(np.ptp(is_now))),
-        "rms_um": _rms(was),
-        "rms_left_um": _rms(is_now),
-        "rms_reduction_pct": reduction_pct(_rms(was), _rms(is_now)),
+        "rms_um": rms(was),
+        "rms_left_um": rms(is_now),
+        "rms_reduction_pct": reduction_pct(rms(was), rms(is_now)),
     }
 
 
@@ -228,10 +229,6 @@ def _slots(measured: Session, left: Floats) -> dict[str, float] | None:
 
 def _spread(curve: IntervalCurve) -> list[float]:
     return [float(v) for v in curve.p95_spread]
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt((values**2).mean()))
 
 
 def _mean(values: Sequence[float]) -> float:

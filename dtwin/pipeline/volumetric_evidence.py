@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,12 @@ from dtwin.errors import GateRefusal
 from dtwin.physics.volumetric.thermal_model import independent
 from dtwin.pipeline.volumetric import distance_changes_um
 from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import box_factor
-from dtwin.statistics import t_quantile
+from dtwin.statistics import rms, t_quantile
 from dtwin.store import Lake
 from dtwin.train.evidence import WITH, WITHOUT, Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
@@ -26,7 +26,6 @@ DAY_H = 24.0
 # A span has at least so many cycles: fewer say nothing of their scatter.
 FEWEST_CYCLES = 8
 CLOCK = "measured without it, the prediction taken off afterwards"
-Progress = Callable[[int, int, str], None]
 
 
 def volumetric_evidence(
@@ -102,10 +101,10 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
     for (where, moved), values, off in zip(
         measured.moved, measured.values, correction, strict=True
     ):
-        was.append(_rms(distance_changes_um(where, moved)))
-        left.append(_rms(distance_changes_um(where, moved - off)))
+        was.append(rms(distance_changes_um(where, moved)))
+        left.append(rms(distance_changes_um(where, moved - off)))
         seen = measured.artefact.predicted_um(where, values)
-        noise.append(_rms(distance_changes_um(where, moved - seen)))
+        noise.append(rms(distance_changes_um(where, moved - seen)))
     apart_h = float(np.median(np.diff(measured.hour)))
     span_h = DAY_H * math.ceil(FEWEST_CYCLES * apart_h / DAY_H)
     day = np.floor((measured.hour - measured.hour[0]) / span_h).astype(int)
@@ -188,7 +187,3 @@ def _half_width(values: Floats) -> float:
     """Return half the 95 % interval of a mean of cycles that are not independent."""
     n = min(max(independent(values), 2.0), float(len(values)))
     return t_quantile(0.975, n - 1.0) * float(values.std(ddof=1)) / math.sqrt(n)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,13 +13,13 @@ from dtwin.errors import InputError
 from dtwin.physics.volumetric.heat_series import require_temperatures
 from dtwin.physics.volumetric.identify import Artefact, Balls, Identified, averaged_balls
 from dtwin.pipeline.campaign_name import in_lake
+from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.store import Lake
 
 SENSORS = "thermocouples"
 REFERENCE_CYCLES = 3
 Strokes = dict[str, tuple[float, float]]
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,15 @@ import numpy as np
 from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal
 from dtwin.pipeline.volumetric import distance_changes_um
 from dtwin.pipeline.volumetric_session import Session, session_in
+from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
+from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, TrainingReport
 from dtwin.train.symbolic import Engine
-from dtwin.train.training import Progress, Training
+from dtwin.train.training import Training
 from dtwin.train.volumetric_bundle import volumetric_bundle
 
 HELD_OUT = "hours"
@@ -27,7 +29,7 @@ _Fit = Callable[[str, Floats, Floats, Sequence[str]], ThermalModel]
 
 def train_volumetric(
     lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Training:  # fmt: skip
     """Train every candidate on a ball-array campaign.
 
@@ -66,7 +68,7 @@ def train_volumetric(
     equations = [c for c in found if c.promotable]
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=_rms(np.concatenate(floor)), rms_before_um=_rms(np.concatenate(before)),
+        noise_floor_um=rms(np.concatenate(floor)), rms_before_um=rms(np.concatenate(before)),
         n_runs=len(measured.hour), n_rows=sum(len(part) for part in before),
         candidates=tuple(found), proposed=min(equations, key=lambda c: c.held_out.rms_um).name,
         seed=seed, told=tuple(_what_was_seen(measured, engine)),
@@ -137,7 +139,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         name=title, family=family, promotable=bundle is not None,
         complexity=sum(len(m.sensors) for m in models),
         scores={HELD_OUT: _scores(measured, expected, spans)},
-        train_rms_um=_rms(np.concatenate(_distances(measured, fitted))),
+        train_rms_um=rms(np.concatenate(_distances(measured, fitted))),
         latency=None if bundle is None else bundle_latency(bundle),
         equation="" if bundle is None else "\n".join(_readable(m) for m in models),
         bundle=None if bundle is None else bundle.to_dict(),
@@ -172,7 +174,7 @@ def _worse(measured: Session, expected: Floats) -> tuple[str, ...]:
     left = measured.values - expected
     return tuple(
         name for i, name in enumerate(measured.artefact.names)
-        if _rms(left[:, i]) > _rms(measured.values[:, i])
+        if rms(left[:, i]) > rms(measured.values[:, i])
     )  # fmt: skip
 
 
@@ -191,12 +193,12 @@ def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores
     for span in spans:
         was, is_now = (np.concatenate([part[i] for i in span]) for part in (before, after))
         where = f"{measured.hour[span[0]]:g} to {measured.hour[span[-1]]:g} h"
-        ratios[where] = _rms(is_now) / _rms(was)
+        ratios[where] = rms(is_now) / rms(was)
     worst = max(ratios, key=lambda where: ratios[where])
     was, left = np.concatenate(before), np.concatenate(after)
     r2 = 1.0 - float(np.sum(left**2) / np.sum((was - was.mean()) ** 2))
     return Scores(
-        HELD_OUT, r2, _rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans),
+        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans),
         len(measured.hour),
     )  # fmt: skip
 
@@ -218,7 +220,3 @@ def _readable(model: ThermalModel) -> str:
         f"{k:+.4g} {s}" for s, k in zip(model.sensors, model.per_k.tolist(), strict=True)
     )
     return f"{model.name} = {terms or '0'} (rises since the reference)"
-
-
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

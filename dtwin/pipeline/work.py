@@ -15,12 +15,12 @@ from dtwin.config import Home
 from dtwin.pipeline import evidence, measuring, modelling
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import Plan
+from dtwin.progress import Progress
 from dtwin.report.checking import check_source
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion
 
-Progress = Callable[[int, int, str], None]
 ProgressOf = Callable[[str], Progress]
 Result = TypeVar("Result")
 

@@ -23,11 +23,10 @@ from dtwin.train.results import (
     without_correction,
 )
 
-THESIS_REDUCTION = (
-    "The source thesis reports 55.35 % less mean error over its XYZ circles (table 7-2). It is "
-    "not comparable: its figures keep the eccentricity of the set-up, which a constant offset "
-    "on X and Y removes without touching any error of the machine; here centre and radius of "
-    "every set-up are taken out of both sides."
+_NOT_COMPARABLE = (
+    "Reductions of the mean error with the mounting in it are not comparable: they keep the "
+    "eccentricity of the set-up, which a constant offset on X and Y removes without touching any "
+    "error of the machine; here centre and radius of every set-up are taken out of both sides."
 )
 
 
@@ -198,7 +197,7 @@ def evidence_section(evidence: Mapping[str, Any], profiles: Mapping[str, Any]) -
         )
     told = [*evidence["told"]]
     if circles:
-        told.append(THESIS_REDUCTION)
+        told.append(_NOT_COMPARABLE)
     return Section(
         "Compensated against uncompensated",
         [f"{evidence['kind'].capitalize()} evidence on the {evidence['clock']}.",

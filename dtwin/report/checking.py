@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.kinds.registry import kind_named
 from dtwin.physics.circular import bidirectional_figures
+from dtwin.progress import Progress
 from dtwin.report.text import table
 from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Floats, Run
@@ -22,7 +23,7 @@ MAX_DETAILED = 12
 
 def check_source(
     path: Path,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
     told: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
@@ -46,9 +47,7 @@ def check_source(
     return _checked(str(path), campaign, sources, total, progress)
 
 
-def check_campaign(
-    lake: Lake, name: str, progress: Callable[[int, int, str], None] | None = None
-) -> dict[str, Any]:
+def check_campaign(lake: Lake, name: str, progress: Progress | None = None) -> dict[str, Any]:
     """Evaluate the runs of a campaign in the lake as :func:`check_source` does those of a file."""
     campaign = lake.campaign(name)
     rows = lake.runs(name)
@@ -64,7 +63,7 @@ def _checked(
     campaign: Campaign,
     sources: Iterable[tuple[list[Run], list[RejectedRows]]],
     total: int,
-    progress: Callable[[int, int, str], None] | None,
+    progress: Progress | None,
 ) -> dict[str, Any]:
     results: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []

@@ -1,15 +1,14 @@
-"""Text and page of a campaign's dynamic parts, and of the comparison with the paper."""
+"""Text and page of a campaign's dynamic parts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from dtwin.report.html import Section, Table, page
-from dtwin.report.papers import paper_table
 from dtwin.report.plots import COLOURS, error_figure, polar_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
@@ -83,41 +82,6 @@ def dynamics_page(result: Mapping[str, Any], curves: Curves, radius_mm: float) -
         f"{result['readings']} readings per revolution"
     )
     return page(f"Dynamics of {result['campaign']}", subtitle, sections)
-
-
-def paper_text(found: Mapping[str, Any]) -> str:
-    """Return the comparison with the paper, the machines and the feed sweep."""
-    sweep = found["sweep"]
-    return "\n".join(
-        [
-            paper_table(found["lines"]),
-            "",
-            "simulated machines, both directions, um: CD after by vibration, minus CD after without;",
-            "what is taken out of a still machine; DC3 beside the RMS of the vibration put in:",
-            table(*_machines(found["cases"])),
-            "",
-            "virtual hexapod, low-pass, mean of both directions (um; accelerometer Y in g RMS):",
-            table(list(sweep[0]), [list(row.values()) for row in sweep]),
-        ]
-    )
-
-
-def _machines(cases: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[object]]]:
-    heights = sorted({c["vibration_um"] for c in cases} - {0.0})
-    head = ["machine", "way", *(f"off at {h:g}" for h in heights), "DC3 still"]
-    head += [f"DC3 at {h:g} ({h / np.sqrt(12.0):z.2f})" for h in heights]
-    rows: list[list[object]] = []
-    for machine, how in dict.fromkeys((c["machine"], c["how"]) for c in cases):
-        mine = [c for c in cases if (c["machine"], c["how"]) == (machine, how)]
-        by = {h: [c for c in mine if c["vibration_um"] == h] for h in (0.0, *heights)}
-        rows.append(
-            [
-                machine, how,
-                *(max((c["off_um"] for c in by[h]), key=abs) for h in heights),
-                *(float(np.mean([c["dc3_um"] for c in by[h]])) for h in (0.0, *heights)),
-            ]
-        )  # fmt: skip
-    return head, [[round(v, 2) if isinstance(v, float) else v for v in row] for row in rows]
 
 
 def _rows(result: Mapping[str, Any]) -> list[list[object]]:

@@ -5,24 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dtwin.report.papers import paper_table
 from dtwin.report.positioning import before_after_lines
-from dtwin.report.text import table
-
-
-def paper_text(found: Mapping[str, Any]) -> str:
-    """Return the comparison with the thesis, and what tables of different steps leave."""
-    steps = [
-        [t["model"], *(f"{t[k]:z.1f}" for k in list(t) if k != "model")] for t in found["tables"]
-    ]
-    return "\n".join(
-        [
-            paper_table(found["lines"], "the thesis"),
-            "",
-            "what tables leave of the printed error, without drift or noise, at every 0.013 in (um):",
-            table(("", "max average", "max reversal", "rms"), steps),
-        ]
-    )
 
 
 def gate_lines(verdicts: Sequence[Any]) -> list[str]:

@@ -8,7 +8,6 @@ from typing import Any
 
 from dtwin.acquire.sinusoidal_runs import commanded, followed, heard
 from dtwin.report.html import Section, Table
-from dtwin.report.papers import paper_table
 from dtwin.report.text import table
 from dtwin.report.turning_plots import Surface, surface_figures_of, trial_figures
 from dtwin.schema import Run
@@ -143,8 +142,3 @@ def trial_section(
         [Table(*trial_table(found))],
         figures,
     )
-
-
-def paper_text(found: Mapping[str, Any]) -> str:
-    """Return the comparison with the published slide."""
-    return "\n".join([paper_table(found["lines"]), "", *found["told"]])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import timedelta
@@ -12,6 +12,7 @@ import numpy as np
 
 from dtwin.acquire.virtual import EPOCH, run_of
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
+from dtwin.progress import Progress
 from dtwin.schema import Floats, Plane, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.train.circles import run_circle
@@ -19,7 +20,6 @@ from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 from dtwin.train.oracle import TICK_S
 from dtwin.train.results import condition_name
 
-Progress = Callable[[int, int, str], None]
 WAYS = ("uncompensated", "compensated", "oracle")
 _APART = timedelta(minutes=5)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.features.infeed import align_infeed
 from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
+from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
 from dtwin.store import Lake
 
 TICK_HZ = 500.0
 ROW_EVERY = 10
-Progress = Callable[[int, int, str], None]
 _INDEX = {name: place for place, name in enumerate(STATE_FIELDS)}
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.dataset import input_column
 from dtwin.train.library import FLANK_RAD, Gear
@@ -22,7 +23,7 @@ def find_gears(
     *,
     most: int = 16,
     every: int = 2,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[Gear]:
     """Add one order of one joint after the other while the residual falls.
 

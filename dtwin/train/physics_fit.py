@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.gram import Sums, forward_order, solve, sums_of, total
 from dtwin.train.library import Gear, Library
@@ -23,7 +24,6 @@ _SEARCH_EVERY = 4
 _NEVER_MOVES = 1e-9
 DEAD_SHARE = 1e-3
 _LAG_RANGE_S, _LAG_STEP_S, _LAG_ROUNDS = 0.040, 0.002, 2
-Progress = Callable[[int, int, str], None]
 Cells = Mapping[tuple[float, float], Sums]
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from dtwin.acquire.linear_matrix import LinearTest
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 from dtwin.train.positioning_models import MM_PER_IN, UM_PER_IN, Unidirectional, averages_of
 from dtwin.train.results import Scores
 
@@ -49,7 +49,7 @@ def table_rms_um(test: LinearTest) -> float:
         averages = averages_of(without_run(test, run))
         return Unidirectional(averages).error_in(direction, position) * UM_PER_IN
 
-    return rms_um(runs_left_out(test, table))
+    return rms(runs_left_out(test, table))
 
 
 def noise_floor_um(test: LinearTest) -> float:
@@ -71,15 +71,15 @@ def scores_of(test: LinearTest, left: Floats) -> Scores:
     ratios = {}
     for k in np.unique(part):
         # The laser was zeroed at the first target: near it there is nothing but noise to take away.
-        without = np.hypot(rms_um(error[part == k]), spread_um(error[part == k]))
+        without = np.hypot(rms(error[part == k]), spread_um(error[part == k]))
         inside = position[part == k] * MM_PER_IN
         where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():z.0f} to {inside.max():z.0f} mm"
-        ratios[where] = rms_um(left[part == k]) / without
+        ratios[where] = rms(left[part == k]) / without
     worst = max(ratios, key=lambda name: ratios[name])
     r2 = 1.0 - float(np.sum(left**2) / np.sum((error - error.mean()) ** 2))
     runs = error.shape[1]
     return Scores(
-        HELD_OUT, r2, rms_um(left), float(np.mean(np.abs(left))), ratios[worst], worst, runs, runs
+        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, runs, runs
     )
 
 
@@ -103,9 +103,4 @@ def stacked(test: LinearTest) -> tuple[Floats, Floats, Floats]:
 
 def spread_um(errors: Floats) -> float:
     """Return the pooled standard deviation over runs of errors, (targets, runs)."""
-    return rms_um(errors.std(axis=1, ddof=1))
-
-
-def rms_um(values: Any) -> float:
-    """Return the root of the mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
+    return rms(errors.std(axis=1, ddof=1))

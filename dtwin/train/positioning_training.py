@@ -11,9 +11,11 @@ import numpy as np
 from dtwin.acquire.linear_matrix import LinearTest, linear_test
 from dtwin.acquire.linear_quality import phases_of
 from dtwin.errors import InputError
+from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.export import to_text
+from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.positioning_bundle import (
@@ -28,7 +30,6 @@ from dtwin.train.positioning_judging import (
     HELD_OUT,
     explained_share,
     noise_floor_um,
-    rms_um,
     scores_of,
     stacked,
     without_run,
@@ -47,7 +48,7 @@ from dtwin.train.positioning_models import (
 )
 from dtwin.train.results import Candidate, TrainingReport
 from dtwin.train.symbolic import Engine
-from dtwin.train.training import Progress, Training
+from dtwin.train.training import Training
 
 TABLE = "table and backlash"
 _FEWEST_RUNS = 2
@@ -168,7 +169,7 @@ def serving_bundle(model: PositionModel, machine: str, screw: Screw) -> Bundle |
 
 def train_positioning(
     lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Training:  # fmt: skip
     """Train every candidate on a positioning campaign.
 
@@ -208,7 +209,7 @@ def train_positioning(
     error = stacked(test)[2]
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions, noise_floor_um=floor,
-        rms_before_um=rms_um(error), n_runs=error.shape[1], n_rows=error.size,
+        rms_before_um=rms(error), n_runs=error.shape[1], n_rows=error.size,
         candidates=tuple(_with_table_score(found)), proposed=_proposed(found), seed=seed,
         told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(found)]),
     )  # fmt: skip
@@ -243,7 +244,7 @@ def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionMo
     }
 
 
-def _held_out(test: LinearTest, screw: Screw, seed: int, tell: Progress) -> dict[str, Floats]:
+def _held_out(test: LinearTest, screw: Screw, seed: int, tell: StageProgress) -> dict[str, Floats]:
     """Return what each model leaves of runs that it did not see, shape (2 targets, runs)."""
     direction, position, error = stacked(test)
     n = error.shape[1]
@@ -268,7 +269,7 @@ def _candidate(
     size = len(bundle.tick_graph.nodes) if bundle is not None else _entries(model)
     return Candidate(
         name=name, family=_FAMILIES.get(name, "baseline"), promotable=bundle is not None,
-        complexity=size, scores={HELD_OUT: scores_of(test, left)}, train_rms_um=rms_um(rest),
+        complexity=size, scores={HELD_OUT: scores_of(test, left)}, train_rms_um=rms(rest),
         latency=None if bundle is None else bundle_latency(bundle),
         equation=_SAID.get(name, ""),
         exports={} if bundle is None else {"tick.txt": to_text(bundle.tick_graph)},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -12,6 +12,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import t_quantile
@@ -116,7 +117,7 @@ class Recheck:
 def interleaved_runs(
     bundle: Bundle, cobot: VirtualCobot, *, tcp_mm: Floats,
     conditions: Sequence[tuple[str, float, float]], blocks: int = 3, seed: int = 0,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[CheckedRun]:  # fmt: skip
     """Measure circles with and without a correction on the virtual cobot, in random order.
 

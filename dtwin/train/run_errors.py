@@ -14,6 +14,7 @@ from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
 from dtwin.kinds.registry import kind_named
 from dtwin.schema import Floats, Run
+from dtwin.statistics import rms
 from dtwin.units import UM_PER_MM
 
 _BINS = 180
@@ -108,7 +109,7 @@ def circle_errors(runs: Sequence[Run]) -> list[RunError]:
     grids = _grids(runs, [angle for angle, _ in parts])
     return [
         RunError(
-            n, conditions[n], str(run.meta.direction), _rms(rest[n]),
+            n, conditions[n], str(run.meta.direction), rms(rest[n]),
             _at(grids[n], parts[n][0], rest[n]),
         )
         for n, run in enumerate(runs)
@@ -179,7 +180,7 @@ def stroke_errors(runs: Sequence[Run]) -> list[RunError]:
                 "axis": axis, "approached": way, "targets": float(len(place)),
                 "from_mm": round(float(place.min()), 2), "to_mm": round(float(place.max()), 2),
             }  # fmt: skip
-            found.append(RunError(number, condition, way, _rms(rest), rest))
+            found.append(RunError(number, condition, way, rms(rest), rest))
     return found
 
 
@@ -213,7 +214,3 @@ def tone_errors(runs: Sequence[Run]) -> list[RunError]:
         rest = math.sqrt(2.0) * np.array([turned.real, turned.imag])
         found.append(RunError(number, condition, "", abs(error), rest))
     return found
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

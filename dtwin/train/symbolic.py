@@ -14,6 +14,7 @@ import scipy
 
 from dtwin.errors import InputError, MissingPart
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 from dtwin.train.formula import Formula, parse_formula
 
 SUBSAMPLE = 1000
@@ -235,8 +236,7 @@ def refit(
         constants = _refitted(formula, start, inputs, target)
         rest = np.broadcast_to(formula.values(inputs, constants), target.shape) - target
         if np.isfinite(rest).all():
-            rms = float(np.sqrt(np.mean(rest**2)))
-            fitted.append(FittedFormula(formula, constants, rms, formula.size))
+            fitted.append(FittedFormula(formula, constants, rms(rest), formula.size))
     return fitted
 
 

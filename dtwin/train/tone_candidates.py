@@ -13,6 +13,7 @@ from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
+from dtwin.statistics import rms
 from dtwin.train.candidates import RECIPES, Recipe, fitted
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores
@@ -81,7 +82,7 @@ def _scores(groups: ToneGroups, amplitude: Floats, name: str) -> Scores:
     worst = int(np.argmax(ratio))
     where = f"{groups.frequency_hz[worst]:g} Hz {groups.amplitude_um[worst]:g} um"
     return Scores(
-        name, _r2(groups.amplitude_error_um, amplitude), float(np.sqrt(np.mean(rest**2))),
+        name, _r2(groups.amplitude_error_um, amplitude), rms(rest),
         float(np.mean(np.abs(rest))), float(ratio[worst]), where, len(np.unique(groups.label(name))),
         groups.n,
     )  # fmt: skip
@@ -168,7 +169,7 @@ def _law_candidate(
         findings.append(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}")
     return Candidate(
         name=name, family="symbolic", promotable=True, complexity=len(bundle.window_graph.nodes),
-        scores=found.scores, train_rms_um=float(np.sqrt(np.mean(rest**2))),
+        scores=found.scores, train_rms_um=rms(rest),
         latency=bundle_latency(bundle), equation=equation,
         exports={"equation.txt": equation, "tick.txt": to_text(bundle.tick_graph)},
         bundle=bundle.to_dict(), findings=tuple(findings), numbers=numbers,
@@ -212,7 +213,7 @@ def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Pr
     found = judged(groups, predict)
     rest = groups.amplitude_error_um - predict(groups, groups)[0]
     return Candidate(
-        name, family, False, size, found.scores, float(np.sqrt(np.mean(rest**2))),
+        name, family, False, size, found.scores, rms(rest),
         findings=("not an expression: cannot be promoted",) if family != "baseline" else (),
         numbers=found.numbers,
     )  # fmt: skip

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.progress import StageProgress
+from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.results import TrainingReport
 from dtwin.train.symbolic import Engine
@@ -19,12 +21,12 @@ from dtwin.train.tone_groups import (
     load_tone_groups,
     noise_floor_um,
 )
-from dtwin.train.training import Progress, Training
+from dtwin.train.training import Training
 
 
 def train_tones(
     lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Training:  # fmt: skip
     """Train every candidate on a campaign of tones.
 
@@ -61,7 +63,7 @@ def train_tones(
         )
     report = TrainingReport(
         machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=floor, noise_floor_dof=freedom, rms_before_um=_rms(groups.amplitude_error_um),
+        noise_floor_um=floor, noise_floor_dof=freedom, rms_before_um=rms(groups.amplitude_error_um),
         n_runs=groups.n, n_rows=groups.n, candidates=tuple(found),
         proposed=proposed(found, MOST_RADIUS), seed=seed, told=tuple(told),
     )  # fmt: skip
@@ -93,7 +95,3 @@ def what_was_seen(everything: ToneGroups) -> list[str]:
 
 def _grid(groups: ToneGroups) -> list[tuple[Any, Any]]:
     return sorted(set(zip(groups.frequency_hz.tolist(), groups.amplitude_um.tolist(), strict=True)))
-
-
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))

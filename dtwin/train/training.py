@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.errors import InputError
+from dtwin.progress import StageProgress
 from dtwin.store import Lake
 from dtwin.train.candidates import (
     RECIPES,
@@ -30,7 +31,6 @@ from dtwin.train.symbolic import Engine, OperonEngine
 from dtwin.train.symbolic_candidate import symbolic_candidate
 from dtwin.train.term_columns import TermColumns
 
-Progress = Callable[[str, int, int, str], None]
 # Comparison models look at fewer rows than the physics library, to be ready in seconds.
 _COMPARED_EVERY = 6
 
@@ -65,7 +65,7 @@ def train_campaign(
     engine: Engine | None = None,
     recipes: Sequence[Recipe] = RECIPES,
     workers: int = 2,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> Training:
     """Train every candidate on a campaign.
 

@@ -7,10 +7,10 @@ import json
 import pytest
 from running_servers import Up
 
-from dtwin.pipeline import dynamics_paper
-from dtwin.pipeline.dynamics_paper import Size
 from flows._runtime import delivered, run
 from flows.papers import dynamics_paper_flow
+from studies import dynamics_paper
+from studies.dynamics_paper import Size
 
 pytest_plugins = ["scheduled_servers"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(420)]

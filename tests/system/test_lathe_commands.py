@@ -21,15 +21,15 @@ from dtwin.config import home
 from dtwin.errors import InputError
 from dtwin.pipeline.lathe_compensation import campaign_test
 from dtwin.pipeline.lathe_fit import fitted
-from dtwin.pipeline.lathe_paper import Size, lathe_paper
 from dtwin.pipeline.scheduled import scheduled_training
-from dtwin.report.lathe import paper_text
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
 from dtwin.train.positioning_gates import registered_positioning_gates
 from dtwin.train.registry import Registry
+from studies.lathe_paper import Size, lathe_paper
+from studies.report.papers import lathe_paper_text
 
 CHECK = """[plan]
 kind = "linear"
@@ -108,7 +108,7 @@ def test_the_comparison_is_made_of_figures_that_can_be_judged() -> None:
     # Eight epochs are too few, and it says so.
     assert lines["A8"]["answer"] == "does not"
     assert all(math.isfinite(t["rms_um"]) for t in found["tables"])
-    text = paper_text(found)
+    text = lathe_paper_text(found)
     assert "the thesis" in text
     assert "does not" in text
 

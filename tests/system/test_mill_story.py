@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from dtwin.cli import app
 from dtwin.config import Home
-from dtwin.report.mill_story import mill_story_text
 from dtwin.serve.pointer import resolve
+from studies.report.mill_story import mill_story_text
 
 ROOT = Path(__file__).parents[2]
 MACHINE = "told-right-mill"

@@ -14,9 +14,9 @@ import pytest
 
 from dtwin.acquire.ingest import ingest
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.pipeline import placement_campaign as placing
 from dtwin.serve.interface import Output
 from dtwin.store import Lake
+from studies import placement_campaign as placing
 
 pytestmark = pytest.mark.system
 TCP_MM = np.array([0.0, 0.0, 158.3])

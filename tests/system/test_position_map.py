@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from dtwin.pipeline.position_map import position_map
-from dtwin.report.position_map import position_map_text
+from studies.position_map import position_map
+from studies.report.position_map import position_map_text
 
 pytestmark = pytest.mark.system
 

@@ -6,8 +6,8 @@ import json
 
 import pytest
 
-from dtwin.pipeline.tracking_chain import tracking_chain
-from dtwin.report.tracking import tracking_text
+from studies.report.tracking import tracking_text
+from studies.tracking_chain import tracking_chain
 
 pytestmark = [pytest.mark.system, pytest.mark.long]
 

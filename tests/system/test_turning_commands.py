@@ -20,15 +20,15 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
-from dtwin.pipeline.paper_line import ANSWERS
-from dtwin.pipeline.turning_paper import calibration_lines, printed_phase_deg, turning_paper
-from dtwin.report.turning import paper_text
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
 from dtwin.tone_plan import TonePlan
 from flows._runtime import run
 from flows.papers import turning_paper_flow
+from studies.paper_line import ANSWERS
+from studies.report.papers import turning_paper_text
+from studies.turning_paper import calibration_lines, printed_phase_deg, turning_paper
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
@@ -130,7 +130,9 @@ def test_the_mechanism_is_compared_with_the_printed_figures() -> None:
     # 0.99 against 1.06 and 0.32 against 0.42 degrees are not what is printed.
     short = {line.what.removeprefix("mechanism: ") for line in lines if line.answer == "does not"}
     assert short == {"encoder lag at 30 Hz", "amplitude error at 5 Hz", "tool lag at 5 Hz"}
-    assert "1.97 um, but" in paper_text({"lines": [asdict(line) for line in lines], "told": []})
+    assert "1.97 um, but" in turning_paper_text(
+        {"lines": [asdict(line) for line in lines], "told": []}
+    )
 
 
 def test_the_printed_phase_equation_cannot_reach_what_is_printed_beside_it() -> None:
@@ -152,7 +154,7 @@ def test_the_comparison_is_made_of_figures_that_can_be_judged() -> None:
     assert answer["phase equation as printed, on the linear slide"] == "does not"
     assert answer["40 Hz, amplitude error times a sine"] == "does not"
     assert answer["two modes: features"] == answer["LSTM"] == "not judged"
-    text = paper_text(found)
+    text = turning_paper_text(found)
     assert "the paper" in text
     assert "dead constant" in text
 

@@ -7,7 +7,7 @@ import math
 import pytest
 from scipy import stats
 
-from dtwin.statistics import chi2_tail, f_quantile, f_tail, holm, t_quantile, t_tail
+from dtwin.statistics import chi2_tail, f_quantile, f_tail, holm, rms, t_quantile, t_tail
 
 DOF = (1.0, 2.5, 9.0, 400.0)
 VALUES = (0.0, 0.3, 4.0, 60.0, math.inf)
@@ -44,3 +44,8 @@ def test_holm_counts_the_tests_that_are_left_and_never_falls_behind() -> None:
     # Three tests that are one are not corrected; no test at all is none.
     assert holm([0.02, 0.02, 0.02], tests=1.0).tolist() == pytest.approx([0.02] * 3)
     assert holm([]).size == 0
+
+
+def test_the_root_of_the_mean_square_keeps_the_unit_and_is_nan_of_nothing() -> None:
+    assert rms([[3.0, -4.0], [0.0, 0.0]]) == 2.5
+    assert math.isnan(rms([]))

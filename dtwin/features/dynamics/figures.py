@@ -11,6 +11,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.schema import Floats
+from dtwin.statistics import rms
 
 FITNESSES = ("weighted_sum", "eq15")
 ACCEPTED_DIFFERENCE = 0.1
@@ -30,7 +31,7 @@ class DynamicComponents:
     dc2_um : float
         Peak to peak of what was taken out.
     dc3_um : float
-        RMS of what was taken out; the paper's text says mean absolute, its equation RMS.
+        RMS of what was taken out, as equation 8 of the source; its text says mean absolute.
     """
 
     before_um: float
@@ -64,8 +65,7 @@ def dynamic_components(before_um: Floats, after_um: Floats) -> DynamicComponents
         )  # fmt: skip
     taken = before_um - after_um
     first, second = float(np.ptp(before_um)), float(np.ptp(after_um))
-    rms = float(np.sqrt(np.mean(taken**2)))
-    return DynamicComponents(first, second, first - second, float(np.ptp(taken)), rms)
+    return DynamicComponents(first, second, first - second, float(np.ptp(taken)), rms(taken))
 
 
 def relative_difference(deviation_um: float, reference_um: float) -> float:

@@ -1,7 +1,7 @@
 """Filters that part a turn into what is static and what is dynamic, behind one interface.
 
-The paper names an unscented Kalman filter and prints neither its state nor its two functions. The
-models here are stated instead, so that a figure can be judged:
+An unscented Kalman filter is nothing without its state and its two functions. Source: Xing et al. (2024),
+which prints neither; the models here are stated instead, so that a figure can be judged:
 
 ``random-walk``
     State: the deviation, um. f(x) = x, h(x) = x. Linear, so the scaling alpha cannot matter.
@@ -27,7 +27,7 @@ from dtwin.units import UM_PER_MM
 
 MODELS = ("random-walk", "circle")
 PUBLISHED_Q_UM2, PUBLISHED_R_UM2, PUBLISHED_P_UM2 = 1e-3, 1.0, 1e-2
-"""The paper's noise covariances and first covariance; it gives no units, um is assumed."""
+"""Noise covariances and first covariance as published without units; um is assumed."""
 _BETA, _KAPPA = 2.0, 0.0
 _ALPHAS = (1e-5, 1.0)
 _CIRCLE = 1
@@ -122,7 +122,7 @@ class UnscentedFilter:
     model : str
         One of ``MODELS``.
     alpha : float
-        Scaling of the sigma points, 1e-5 to 1; the one number that the paper tunes.
+        Scaling of the sigma points, 1e-5 to 1; the one number that is tuned in the published method.
     q_um2, r_um2, p_um2 : float
         As for :class:`RandomWalkFilter`.
     radius_mm : float

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.machines.ballbar_simulator import Convention, radial_error_um
 from dtwin.schema import Direction, Run, RunMeta
+from studies.machines.ballbar_simulator import Convention, radial_error_um
 
 SPIKE_MS = 60.0
 

@@ -9,12 +9,13 @@ import pytest
 
 import dtwin
 import flows
+import studies
 from dtwin.report.text import micrometres, table
 
 _FIXED = re.compile(r":[<>^]?[+]?([z]?)[0-9,]*\.([0-9]+|\{[a-z_]+\})f\}")
 
 
-@pytest.mark.parametrize("package", [dtwin, flows])
+@pytest.mark.parametrize("package", [dtwin, flows, studies])
 def test_every_format_with_fixed_digits_drops_the_sign_of_zero(package: object) -> None:
     root = Path(str(package.__file__)).parent  # type: ignore[attr-defined]
     files = sorted(root.rglob("*.py"))

@@ -12,7 +12,6 @@ import pytest
 from dtwin.acquire.virtual_lathe import mapping_plan
 from dtwin.errors import InputError
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
-from dtwin.pipeline.lathe_paper import exact_averages, table_steps
 from dtwin.serve.export import to_python
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.net_training import ALGORITHMS, train_net
@@ -33,6 +32,7 @@ from dtwin.train.positioning_models import (
     whole_turns,
 )
 from dtwin.train.small_net import new_net
+from studies.lathe_paper import exact_averages, table_steps
 
 NETWORK = read_network()
 UM_PER_IN = 25400.0

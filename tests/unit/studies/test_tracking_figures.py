@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dtwin.pipeline.tracking_figures import (
+from studies.tracking_figures import (
     BLOCK_RATE_HZ,
     BLOCK_SAMPLES,
     PUBLISHED,

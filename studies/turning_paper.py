@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -18,9 +18,9 @@ from dtwin.acquire.virtual_turning import (
 )
 from dtwin.features.sine import ToneErrors, tone_errors
 from dtwin.machines.turning import Instruments, Slide
-from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
 from dtwin.pipeline.turning_fit import FittedTones, fitted_tones
 from dtwin.pipeline.turning_trial import trial
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
@@ -29,6 +29,7 @@ from dtwin.train.tone_gates import features_used
 from dtwin.train.tone_groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
 from dtwin.train.tone_training import what_was_seen
 from dtwin.units import UM_PER_MM
+from studies.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
 
 MACHINE = "virtual-turning"
 # Amplitude errors that the paper prints at 5 um: frequency in Hz, um.
@@ -42,7 +43,6 @@ _CLOSE = 0.05
 _EXPONENT, _EXPONENT_NEAR = 0.78, 0.03
 _R2, _PHASE_R2, _MEAN_UM = 0.989, 0.952, 0.0683
 _FORM_LEFT, _PHASE_LEFT = 0.31 / 2.42, 0.38 / 8.57
-Progress = Callable[[int, int, str], None]
 
 
 def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, Any]:
@@ -60,7 +60,7 @@ def turning_paper(*, quick: bool, seed: int, progress: Progress) -> dict[str, An
     Returns
     -------
     dict
-        ``lines``: fields of :class:`~dtwin.pipeline.paper_line.Line`; ``told``: what the groups show;
+        ``lines``: fields of :class:`~studies.paper_line.Line`; ``told``: what the groups show;
         ``trial``: surfaces without and with.
     """
     steps = 5

@@ -9,7 +9,7 @@ integration, mean over the middle half of the circle, and the same figure in per
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +20,10 @@ from dtwin.config import sample_recording
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 from dtwin.machines.parameters import load_parameters
 from dtwin.physics.circular import fit_circle
-from dtwin.pipeline.tracking_figures import (
+from dtwin.progress import Progress
+from dtwin.schema import Floats, Run
+from dtwin.units import UM_PER_MM
+from studies.tracking_figures import (
     BLOCK_RATE_HZ,
     BLOCK_SAMPLES,
     DIRECTIONS,
@@ -29,8 +32,6 @@ from dtwin.pipeline.tracking_figures import (
     Pass,
     reduce_passes,
 )
-from dtwin.schema import Floats, Run
-from dtwin.units import UM_PER_MM
 
 RADIUS_MM = 100.0
 FEEDS_MM_MIN = (2000.0, 3000.0, 4000.0, 5000.0, 6000.0)
@@ -40,7 +41,7 @@ LOOP_HZ = 4.6
 
 def tracking_chain(
     seed: int = 0,
-    progress: Callable[[int, int, str], None] | None = None,
+    progress: Progress | None = None,
     *,
     repeats: int = REPEATS,
 ) -> Chain:
@@ -60,7 +61,7 @@ def tracking_chain(
 
 
 def _measured(
-    seed: int, repeats: int, progress: Callable[[int, int, str], None] | None
+    seed: int, repeats: int, progress: Progress | None
 ) -> tuple[list[Pass], list[CobotRecording]]:
     plain = load_parameters()
     digitiser = replace(plain.accelerometers, rate_hz=BLOCK_RATE_HZ)

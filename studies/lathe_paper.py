@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -13,10 +13,11 @@ from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.linear_plan import LinearPlan
 from dtwin.machines.lathe import UM_PER_IN
 from dtwin.pipeline.lathe_compensation import Figures, measured
-from dtwin.pipeline.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
+from dtwin.progress import Progress
 from dtwin.report.positioning import before_after_figures
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
+from dtwin.statistics import rms
 from dtwin.train.net_training import ALGORITHMS, Trained, train_net
 from dtwin.train.positioning_bundle import deployed_bundle, flanks_of, printed_pair
 from dtwin.train.positioning_models import (
@@ -30,6 +31,7 @@ from dtwin.train.positioning_models import (
     whole_turns,
 )
 from dtwin.train.small_net import new_net
+from studies.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 
 # Steps of tables, in inches.
 STEPS_IN = (1.0, 0.52, 0.25, 0.1, 0.025)
@@ -43,7 +45,6 @@ _TITLES = ("max average error", "max reversal error", "max repeat")
 _FASTER = 120.0
 # Median absolute deviation to standard deviation of a normal distribution.
 _MAD = 1.4826
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ def lathe_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``lines`` (fields of :class:`~dtwin.pipeline.paper_line.Line`) and ``tables`` (figures by step of the table).
+        ``lines`` (fields of :class:`~studies.paper_line.Line`) and ``tables`` (figures by step of the table).
     """
     network = read_network()
     exact = exact_averages(network, mapping_plan())
@@ -150,7 +151,7 @@ def _left(model: PositionModel, truth: Averages) -> dict[str, float]:
     return {
         "max_average_error_um": float(np.ptp(rest)),
         "max_reversal_error_um": float(np.abs(rest[1] - rest[0]).max()),
-        "rms_um": float(np.sqrt(np.mean(rest**2))),
+        "rms_um": rms(rest),
     }
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from dtwin.features.integration import displacement_mm, swarm_minimum
 from dtwin.machines.cobot import TOOL_DOWN
 from dtwin.schema import Floats
-from dtwin.statistics import t_quantile
+from dtwin.statistics import rms, t_quantile
 from dtwin.units import UM_PER_MM
 
 BLOCK_SAMPLES, BLOCK_RATE_HZ = 800, 10240.0
@@ -260,13 +260,13 @@ def _mean_reduction(passes: Sequence[Pass], corrected: Callable[[Pass], Floats])
 
 def _along_the_path(passes: Sequence[Pass], threshold: float) -> dict[str, float]:
     """Compare shapes: the set-up's centre and radius are fitted to each run's gap first."""
-    gap = [_rms(_without_circle(p, p.bar_um - p.encoder_um)) for p in passes]
-    left = [_rms(_without_circle(p, p.bar_um - p.corrected_um(threshold))) for p in passes]
+    gap = [rms(_without_circle(p, p.bar_um - p.encoder_um)) for p in passes]
+    left = [rms(_without_circle(p, p.bar_um - p.corrected_um(threshold))) for p in passes]
     added = [_without_circle(p, p.corrected_um(threshold) - p.encoder_um) for p in passes]
     wanted = [_without_circle(p, p.bar_um - p.encoder_um) for p in passes]
     change = np.array(left) - np.array(gap)
     together = [np.concatenate(v) for v in (added, wanted)]
-    size = _rms(together[0]) * _rms(together[1])
+    size = rms(together[0]) * rms(together[1])
     return {
         "gap_um": float(np.mean(gap)),
         "left_um": float(np.mean(left)),
@@ -305,7 +305,3 @@ def _half_width(values: Floats) -> float:
         return math.nan
     spread = float(np.std(values, ddof=1)) / math.sqrt(n)
     return t_quantile(0.975, n - 1) * spread
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

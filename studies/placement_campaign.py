@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,24 +11,24 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.campaign_file import write_campaign_file
-from dtwin.acquire.probed_placements import COUNTS, FLAGS, Placed, ProbeSettings, locate
 from dtwin.atomic import write_text
 from dtwin.kinematics import UR10E
-from dtwin.machines import probed_block as b_
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
 from dtwin.machines.joint_program import MOTIONS
-from dtwin.machines.placing_cell import DATUM_MM, PLACE_MM, PlacingCell, ProbedPlacement
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.targets import Target, TargetCorrection, TargetFrame
 from dtwin.train.placement_model import JOINT_MOTION, TrainingPlacement, placement_bundle
-from dtwin.train.sphere_evidence import WAYS, difference, half_width, share_of_oracle
+from studies.machines import probed_block as b_
+from studies.machines.placing_cell import DATUM_MM, PLACE_MM, PlacingCell, ProbedPlacement
+from studies.probed_placements import COUNTS, FLAGS, Placed, ProbeSettings, locate
+from studies.sphere_evidence import WAYS, difference, half_width, share_of_oracle
 
 FEEDS_MM_MIN = (1000.0, 3000.0, 6000.0)
 TRAINED_MM_MIN = (2000.0, 4000.0)
 _TRAINING_SESSION, _SESSION = 1, 2
-Progress = Callable[[int, int, str], None]
 SETTINGS = ProbeSettings(
     b_.HALF_X_MM, b_.HALF_Y_MM, b_.THICK_MM, b_.BALL_MM, b_.SEARCH_MM, b_.EXPANSION_1_K,
     b_.REFERENCE_C, b_.X_AT_Y_MM, b_.Y_AT_X_MM,

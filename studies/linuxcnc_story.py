@@ -27,6 +27,7 @@ from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace, named, served_fig
 from dtwin.pipeline.modelling import put_on_trial
 from dtwin.pipeline.twin_correction import Correction, correct
 from dtwin.pipeline.twins import Twins
+from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import t_quantile
@@ -41,7 +42,6 @@ _MOST_ADDED = 3
 # Another mounting of the bar than in the campaign.
 _LATER = MillFaults(mounting_x=-0.009, mounting_y=0.015)
 _TABLE_TRAVEL_MM = (-60.0, 60.0)
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

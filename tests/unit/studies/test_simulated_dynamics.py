@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dtwin.pipeline.dynamics_paper import LOW_PASS, PUBLISHED, Size, dynamics_paper
-from dtwin.pipeline.simulated_dynamics import (
+from studies.dynamics_paper import LOW_PASS, PUBLISHED, Size, dynamics_paper
+from studies.report.papers import dynamics_paper_text
+from studies.simulated_dynamics import (
     DIRECTIONS,
     TWIN_OF_FOUR,
     Case,
     simulated_machines,
     simulated_turn,
 )
-from dtwin.report.dynamics import paper_text
 
 
 @cache
@@ -71,6 +71,6 @@ def test_the_table_is_made_of_figures_that_can_be_judged() -> None:
     slow, fast = found["sweep"]
     assert fast["dc3_um"] > slow["dc3_um"]
     assert fast["dc3_um"] == pytest.approx(fast["true_dc3_um"], rel=0.3)
-    text = paper_text(found)
+    text = dynamics_paper_text(found)
     assert "the paper" in text
     assert "twin of four pairs" in text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,8 +16,11 @@ from dtwin.features.dynamics.turns import MOST_READINGS, Turn, one_turn
 from dtwin.machines.hexapod import VirtualHexapod
 from dtwin.machines.motion import CircleCondition
 from dtwin.pipeline.dynamics_ways import alpha_sensitivity, radial_error_um
-from dtwin.pipeline.paper_line import FACTOR, Answer, Line, calibrated, yes_or_no
-from dtwin.pipeline.simulated_dynamics import (
+from dtwin.progress import Progress
+from dtwin.train.filter_tuning import Tuning, tune
+from dtwin.train.particle_swarm import SwarmSettings
+from studies.paper_line import FACTOR, Answer, Line, calibrated, yes_or_no
+from studies.simulated_dynamics import (
     DIRECTIONS,
     TWIN_OF_FOUR,
     VIBRATIONS_UM,
@@ -26,10 +29,7 @@ from dtwin.pipeline.simulated_dynamics import (
     simulated_machines,
     simulated_turn,
 )
-from dtwin.train.filter_tuning import Tuning, tune
-from dtwin.train.particle_swarm import SwarmSettings
 
-Progress = Callable[[int, int, str], None]
 PUBLISHED, LOW_PASS = "ukf, published Q/R", "low-pass 15 upr"
 _WITHIN_UM, _NEAR_UM = 1.7, 1.5
 _SLOW_MM_MIN = 1200.0
@@ -82,7 +82,7 @@ def dynamics_paper(size: Size, seed: int, progress: Progress) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``lines`` (fields of :class:`~dtwin.pipeline.paper_line.Line`), ``cases`` of the simulated machines and
+        ``lines`` (fields of :class:`~studies.paper_line.Line`), ``cases`` of the simulated machines and
         ``sweep`` of the virtual hexapod.
     """
     progress(0, 4, "fitness and filter")

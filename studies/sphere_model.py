@@ -15,13 +15,14 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from dtwin import __version__
-from dtwin.machines.sphere_path import SphereRun
 from dtwin.schema import Floats
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
+from dtwin.statistics import rms
 from dtwin.train.dataset import TICK_HZ
+from studies.machines.sphere_path import SphereRun
 
 _PLACE_RAD = np.radians(0.5)
 _RING_S, _RING_STEP_S = 1.5, 0.005
@@ -108,7 +109,7 @@ def fit_sphere(mountings: Sequence[Sequence[SphereRun]]) -> SphereModel:
     return SphereModel(
         knots, found[:places], np.interp(knots, azimuth[order], elevation),
         found[places:ends].reshape(moves, _RING_KNOTS), found[ends:].reshape(-1, 4),
-        float(np.sqrt(np.mean(rest**2))), tuple(sorted({r.feed_mm_min for r in runs})),
+        rms(rest), tuple(sorted({r.feed_mm_min for r in runs})),
     )  # fmt: skip
 
 

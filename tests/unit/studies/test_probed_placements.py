@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dtwin.acquire.probed_placements import (
+from dtwin.errors import InputError
+from studies.machines.probed_block import Block, probe
+from studies.placement_campaign import SETTINGS
+from studies.probed_placements import (
     COUNTS,
     NOT_SQUARE,
     SETUP_SLIP,
     TRAVEL_LIMIT,
     locate,
 )
-from dtwin.errors import InputError
-from dtwin.machines.probed_block import Block, probe
-from dtwin.pipeline.placement_campaign import SETTINGS
 
 CENTRE_MM = np.array([0.137, -0.211, 0.043])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +13,7 @@ from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import MotionPlan
 from dtwin.machines.recording import RunTicks
-from dtwin.machines.sphere_path import (
-    RADIUS_MM,
-    SphereRun,
-    sphere_controller,
-    sphere_plan,
-    sphere_run,
-)
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.decision import Decision
@@ -27,10 +21,16 @@ from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import t_quantile
 from dtwin.train.oracle import best_offsets, follow
-from dtwin.train.sphere_model import mounting_terms
+from studies.machines.sphere_path import (
+    RADIUS_MM,
+    SphereRun,
+    sphere_controller,
+    sphere_plan,
+    sphere_run,
+)
+from studies.sphere_model import mounting_terms
 
 WAYS = ("uncompensated", "compensated", "oracle")
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ equation learns carry over to the next mounting of the bar?
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,10 @@ from dtwin.acquire.virtual_mill import tutorial_mill
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest
 from dtwin.physics.circular import fit_circle
-from dtwin.pipeline.robot_equation import robot_equation
+from dtwin.progress import Progress
 from dtwin.schema import Direction, Floats, Run
+from dtwin.statistics import rms
+from studies.robot_equation import robot_equation
 
 RADIUS_MM = 50.0
 FEEDS_MM_MIN = (100.0, 250.0, 500.0)
@@ -62,9 +64,7 @@ def printed_x_error_um(
     return np.asarray(-0.181 * x_mm + 13.4 * np.exp(inner) - 0.775)
 
 
-def position_map(
-    seed: int = 0, progress: Callable[[int, int, str], None] | None = None
-) -> dict[str, Any]:
+def position_map(seed: int = 0, progress: Progress | None = None) -> dict[str, Any]:
     """Say what decides the printed equation, and try a position map on two mountings of the bar.
 
     Parameters
@@ -80,7 +80,7 @@ def position_map(
         ``influence``: total Sobol index of each input; ``at``: the equation at four points;
         ``sessions``: error before and after the map, R², and the same with centre and radius of
         the mounting taken out. Unit of replication: the run. ``robot``: what
-        :func:`~dtwin.pipeline.robot_equation.robot_equation` returns.
+        :func:`~studies.robot_equation.robot_equation` returns.
     """
     tell = progress or (lambda done, total, what: None)
     tell(0, 2, "influence of the inputs")
@@ -183,11 +183,11 @@ def _judged(runs: Sequence[Run], model: dict[Direction, Floats]) -> dict[str, An
     total = float(((centred - centred.mean()) ** 2).sum())
     return {
         "runs": len(runs),
-        "before_um": _rms(before),
-        "after_um": _rms(after),
+        "before_um": rms(np.concatenate(before)),
+        "after_um": rms(np.concatenate(after)),
         "r2": 1.0 - float((np.concatenate(after) ** 2).sum()) / total,
-        "mounting_out_before_um": _rms(mounted_before),
-        "mounting_out_after_um": _rms(mounted_after),
+        "mounting_out_before_um": rms(np.concatenate(mounted_before)),
+        "mounting_out_after_um": rms(np.concatenate(mounted_after)),
     }
 
 
@@ -197,10 +197,6 @@ def _without_mounting(run: Run, values: Floats) -> Floats:
     moved = fitted.centre_a_um * np.cos(angle) + fitted.centre_b_um * np.sin(angle)
     left = values - moved
     return np.asarray(left - left.mean())
-
-
-def _rms(parts: Sequence[Floats]) -> float:
-    return float(np.sqrt((np.concatenate(parts) ** 2).mean()))
 
 
 def _verdict(influence: dict[str, float], sessions: Sequence[dict[str, Any]]) -> str:

@@ -9,7 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.thesis_mill import (
+from dtwin.machines.mill import Correction, SetupErrors
+from dtwin.machines.mill_noise import NoiseParameters
+from dtwin.machines.mill_parameters import CircularTest
+from dtwin.progress import Progress
+from dtwin.schema import Run
+from dtwin.serve.bundle import Bundle
+from dtwin.train.evidence import Evidence
+from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
+from dtwin.train.mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
+from dtwin.train.results import condition_name
+from studies.thesis_mill import (
     DIRECTIONS,
     FEEDS_MM_MIN,
     PLANE,
@@ -20,15 +30,6 @@ from dtwin.acquire.thesis_mill import (
     temperatures_c,
     thesis_mill,
 )
-from dtwin.machines.mill import Correction, SetupErrors
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest
-from dtwin.schema import Run
-from dtwin.serve.bundle import Bundle
-from dtwin.train.evidence import Evidence
-from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
-from dtwin.train.mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
-from dtwin.train.results import condition_name
 
 NONE, ORACLE = "none", "oracle"
 _WARM_UP = 2
@@ -38,7 +39,6 @@ _QUIET: Mapping[str, Any] = {
     "noise": NoiseParameters(rms_um=0.0),
     "setup_errors": SetupErrors(centre_mm=0.0, radius_um=0.0, jitter_us=0.0, trigger_samples=0.0),
 }
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from dtwin.acquire.virtual_volumetric import parameters_of, simulate_volumetric
 from dtwin.config import Home
 from dtwin.physics.volumetric.intervals import reduction_pct
-from dtwin.pipeline.paper_line import Line, by_what_is_left, left_open, worst, yes_or_no
 from dtwin.pipeline.volumetric import judged, models_of
 from dtwin.pipeline.volumetric_session import Session, session, with_offered
+from dtwin.progress import Progress
+from studies.paper_line import Line, by_what_is_left, left_open, worst, yes_or_no
 
-Progress = Callable[[int, int, str], None]
 # Printed pairs before, after, and the printed reduction in per cent.
 PRINTED = (
     ("training (in-sample), distances, range", 101.0, 33.0, 68.0),

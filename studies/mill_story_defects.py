@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.thesis_mill import MACHINE
 from dtwin.machines.mill import Correction
 from dtwin.machines.mill_drive import STEP_S
-from dtwin.pipeline.mill_story_session import LaterSession, Progress, Way, later_session
+from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.graph import Node
@@ -19,6 +18,8 @@ from dtwin.serve.proof import with_vectors
 from dtwin.serve.safety import REASONS, Guard
 from dtwin.train.gates import evidence_gate, offline_gates
 from dtwin.train.twin_bundle import wrong_way
+from studies.mill_story_session import LaterSession, Way, later_session
+from studies.thesis_mill import MACHINE
 
 QUANTUM_UM = 250.0 / 256
 STALE_S = 1.0

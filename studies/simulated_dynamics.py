@@ -14,11 +14,11 @@ from dtwin.config import published_table
 from dtwin.features.dynamics.figures import dynamic_components
 from dtwin.features.dynamics.filters import Filter, LowPass, Smoother, UnscentedFilter
 from dtwin.features.dynamics.turns import Turn
-from dtwin.machines.ballbar_simulator import Convention, radial_error_um, vibration_um
 from dtwin.physics.observations import observe
 from dtwin.pipeline.dynamics_ways import on_turn, twin_static_um
 from dtwin.pipeline.dynamics_ways import radial_error_um as about_circle_um
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
+from studies.machines.ballbar_simulator import Convention, radial_error_um, vibration_um
 
 VIBRATIONS_UM = (0.0, 5.0, 10.0, 15.0)
 DIRECTIONS: tuple[tuple[Direction, int], ...] = (("CW", -1), ("CCW", 1))

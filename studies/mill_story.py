@@ -8,7 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.thesis_mill import (
+from dtwin.acquire.virtual_mill import write_campaign
+from dtwin.config import Home
+from dtwin.pipeline.evidence import compute_measured, make_champion
+from dtwin.pipeline.modelling import put_on_trial
+from dtwin.pipeline.twin_correction import Correction, correct
+from dtwin.pipeline.twins import Twins
+from dtwin.progress import Progress
+from dtwin.schema import Campaign
+from dtwin.serve.bundle import Bundle
+from dtwin.train.measured_ways import MeasuredWays
+from dtwin.train.promotion import check_version
+from dtwin.train.registry import RegisteredVersion, Registry
+from studies.mill_story_defects import NOT_DONE, defects, uncaught
+from studies.mill_story_map import LearnedSession, learn_session, register_map
+from studies.mill_story_session import NONE, LaterSession, Way, later_session
+from studies.thesis_mill import (
     MACHINE,
     designed_campaign,
     geometry,
@@ -16,20 +31,6 @@ from dtwin.acquire.thesis_mill import (
     temperatures_c,
     thesis_mill,
 )
-from dtwin.acquire.virtual_mill import write_campaign
-from dtwin.config import Home
-from dtwin.pipeline.evidence import compute_measured, make_champion
-from dtwin.pipeline.mill_story_defects import NOT_DONE, defects, uncaught
-from dtwin.pipeline.mill_story_map import LearnedSession, learn_session, register_map
-from dtwin.pipeline.mill_story_session import NONE, LaterSession, Way, later_session
-from dtwin.pipeline.modelling import put_on_trial
-from dtwin.pipeline.twin_correction import Correction, correct
-from dtwin.pipeline.twins import Twins
-from dtwin.schema import Campaign
-from dtwin.serve.bundle import Bundle
-from dtwin.train.measured_ways import MeasuredWays
-from dtwin.train.promotion import check_version
-from dtwin.train.registry import RegisteredVersion, Registry
 
 # The source thesis by feed and model: accuracy on its fourth data set (table 6-3, R² of X and of Y),
 # table 6-6 as printed, and what its table 6-5 gives (X + Y, mean of three): change of the mean
@@ -49,7 +50,6 @@ KNOWN = ("scale_mismatch", "squareness")
 MAP, TWIN = "map of one session", "told right"
 _LATER, _CAMPAIGN, _DEFECTS = 1000, 2000, 3000
 _HOURS_OF_WORK = 40
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)

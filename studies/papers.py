@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from dtwin.pipeline import dynamics_paper, lathe_paper, turning_paper, volumetric_paper
-
-Progress = Callable[[int, int, str], None]
+from dtwin.progress import Progress
+from studies import dynamics_paper, lathe_paper, turning_paper, volumetric_paper
 
 
 @dataclass(frozen=True)

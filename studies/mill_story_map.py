@@ -10,7 +10,21 @@ from typing import Any
 import numpy as np
 
 from dtwin import __version__
-from dtwin.acquire.thesis_mill import (
+from dtwin.config import Home
+from dtwin.pipeline.modelling import CONDITIONS_FILE
+from dtwin.schema import Floats, Run
+from dtwin.serve.builder import Expression, GraphBuilder
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import create_bundle
+from dtwin.serve.export import to_text
+from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
+from dtwin.statistics import rms
+from dtwin.train.dataset import TICK_HZ
+from dtwin.train.latency import bundle_latency
+from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.results import Candidate, Scores, TrainingReport
+from studies.position_map import HARMONICS, fit_position_map, position_waves
+from studies.thesis_mill import (
     DIRECTIONS,
     FEEDS_MM_MIN,
     MACHINE,
@@ -18,19 +32,6 @@ from dtwin.acquire.thesis_mill import (
     RADIUS_MM,
     RUNS_OF_A_FEED,
 )
-from dtwin.config import Home
-from dtwin.pipeline.modelling import CONDITIONS_FILE
-from dtwin.pipeline.position_map import HARMONICS, fit_position_map, position_waves
-from dtwin.schema import Floats, Run
-from dtwin.serve.builder import Expression, GraphBuilder
-from dtwin.serve.bundle import Bundle
-from dtwin.serve.bundle_file import create_bundle
-from dtwin.serve.export import to_text
-from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
-from dtwin.train.dataset import TICK_HZ
-from dtwin.train.latency import bundle_latency
-from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.results import Candidate, Scores, TrainingReport
 
 NAME = "map-of-one-session"
 _FARTHEST_RAD = 1e4
@@ -182,8 +183,8 @@ def _scored(runs: Sequence[Run], feed: float, weights: Weights) -> dict[str, Any
         "feed_mm_min": feed,
         "runs": len(runs),
         "r2": 1.0 - float((after**2).sum() / ((before - before.mean()) ** 2).sum()),
-        "before_um": _rms(before),
-        "after_um": _rms(after),
+        "before_um": rms(before),
+        "after_um": rms(after),
     }
 
 
@@ -202,7 +203,7 @@ def _by_feed(runs: Sequence[Run]) -> Scores:
         outside = [r for r in runs if r.meta.feed_mm_min == feed]
         before = np.concatenate(without_mounting(outside, [_reading(r) for r in outside]))
         after = np.concatenate(without_mounting(outside, [_after(r, weights) for r in outside]))
-        ratios[f"F{feed:g}"] = _rms(after) / _rms(before)
+        ratios[f"F{feed:g}"] = rms(after) / rms(before)
         left.append(after)
         plain.append(before)
     rest, all_before = np.concatenate(left), np.concatenate(plain)
@@ -210,7 +211,7 @@ def _by_feed(runs: Sequence[Run]) -> Scores:
     return Scores(
         group="feed_mm_min",
         r2=1.0 - float((rest**2).sum() / (all_before**2).sum()),
-        rms_um=_rms(rest),
+        rms_um=rms(rest),
         mae_um=float(np.abs(rest).mean()),
         worst_slice_ratio=ratios[worst],
         worst_slice=worst,
@@ -228,7 +229,3 @@ def _sum_of_waves(builder: GraphBuilder, weights: Floats) -> Expression:
     ]
     terms = [float(w) * wave for w, wave in zip(weights[1:], waves, strict=True)]
     return builder.total([builder.constant(float(weights[0])), *terms])
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from dtwin.pipeline.published_placements import MOTIONS, recomputed
+from studies.published_placements import MOTIONS, recomputed
 
 FOUND = recomputed()
 

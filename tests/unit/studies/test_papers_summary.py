@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from dtwin.pipeline import dynamics_paper, lathe_paper
-from dtwin.pipeline.paper_line import ANSWERS, Answer, Line, by_what_is_left, left_open, worst
-from dtwin.report.papers import counted, summary_text
+from studies import dynamics_paper, lathe_paper
+from studies.paper_line import ANSWERS, Answer, Line, by_what_is_left, left_open, worst
+from studies.report.papers import counted, summary_text
 
 
 def line(what: str, answer: Answer) -> dict[str, str]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.joint_program import Waypoint, drive_program
-from dtwin.machines.probed_block import Block, probe
 from dtwin.schema import Floats
+from studies.machines.probed_block import Block, probe
 
 PLACE_MM = np.array([-680.0, 0.0, 147.0])
 PICK_MM = np.array([-664.0, 163.0, 89.0])

@@ -10,7 +10,7 @@ import numpy as np
 
 from dtwin.config import published_table
 from dtwin.schema import Floats
-from dtwin.train.sphere_evidence import difference
+from studies.sphere_evidence import difference
 
 FEEDS = ("1000", "3000", "6000")
 MOTIONS = ("MoveL", "MoveJ")

@@ -12,16 +12,16 @@ import numpy as np
 from dtwin.acquire.virtual import TRANSPORT_S
 from dtwin.config import Home
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.machines.sphere_path import sphere_plan, sphere_run
-from dtwin.pipeline import placement_campaign as placing
-from dtwin.pipeline.published_placements import recomputed
+from dtwin.progress import Progress
 from dtwin.schema import Floats
-from dtwin.train.sphere_evidence import sphere_evidence
-from dtwin.train.sphere_model import fit_sphere, sphere_bundle
+from studies import placement_campaign as placing
+from studies.machines.sphere_path import sphere_plan, sphere_run
+from studies.published_placements import recomputed
+from studies.sphere_evidence import sphere_evidence
+from studies.sphere_model import fit_sphere, sphere_bundle
 
 WANTED_SHARE = 0.8
 _TRAINED_MM_MIN = (2000.0, 4000.0, 6000.0)
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
