@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.serve.bundle import Bundle
+    from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
     from dtwin.train.training import Training
 
@@ -43,6 +45,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "laws": ("a law or a formula for what a twin leaves", "runs of one circle"),
     "twin_correction": ("the correction of a twin", "a bundle of the effects of a twin"),
     "training": ("training", "a table of inputs and targets"),
+    "gates": ("promotion", "gates of its bundles"),
     "drift_is_judged": ("drift of the champion", "rows on which a bundle of the kind is judged"),
     "run_errors": ("evidence run by run", "an error of each run"),
 }
@@ -132,6 +135,10 @@ class Kind:
     def training(self) -> Callable[..., Training]:
         """Return what trains an equation of such a campaign."""
         raise self.lacks("training")
+
+    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+        """Return the verdicts of what needs no motion on a bundle and its metrics."""
+        raise self.lacks("gates")
 
     def twin_correction(self) -> TwinWay:
         """Return how a twin of such a campaign becomes a correction."""

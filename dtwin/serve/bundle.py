@@ -57,6 +57,8 @@ class Bundle:
         Origin and evidence.
     vectors : TestVectors
         Proof.
+    corrects : str
+        Kind of campaign that it was made of; empty in bundles from before 2026-11.
     """
 
     name: str
@@ -72,11 +74,14 @@ class Bundle:
     safety: SafetyLimits
     provenance: Provenance
     vectors: TestVectors
+    corrects: str = ""
 
     def __post_init__(self) -> None:
         """Refuse an interface that does not fit together."""
         require_name(self.name, "the bundle's name")
         require_name(self.machine, "the bundle's machine")
+        if self.corrects:
+            require_name(self.corrects, "what the bundle corrects")
         self._check_interface()
         self._check_window()
 
@@ -140,7 +145,9 @@ class Bundle:
 
     def body(self) -> dict[str, Any]:
         """Return the JSON-ready content without the checksum."""
-        return {
+        # Left away where it is not known, so that the checksum of an older bundle still holds.
+        told = {"corrects": self.corrects} if self.corrects else {}
+        return told | {
             "format": FORMAT,
             "version": VERSION,
             "name": self.name,
@@ -195,7 +202,8 @@ class Bundle:
                 got=repr(data.get("version"))[:40],
                 allowed=str(VERSION),
             )
-        fields = only_fields(data, (*_BODY_FIELDS, "sha256"), "bundle")
+        told = ("corrects",) if "corrects" in data else ()
+        fields = only_fields(data, (*_BODY_FIELDS, *told, "sha256"), "bundle")
         body = {k: v for k, v in fields.items() if k != "sha256"}
         if fields["sha256"] != checksum(body):
             raise InputError(
@@ -220,6 +228,7 @@ class Bundle:
             safety=read_safety(body["safety"]),
             provenance=read_provenance(body["provenance"]),
             vectors=read_vectors(body["vectors"]),
+            corrects=text(body["corrects"], "corrects") if told else "",
         )  # fmt: skip
 
 

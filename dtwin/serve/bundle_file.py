@@ -33,6 +33,7 @@ def create_bundle(
     outputs: Sequence[Output], tick_graph: Graph, states: Sequence[State] = (),
     window: WindowContract | None = None, window_graph: Graph | None = None,
     safety: SafetyLimits | None = None, provenance: Provenance | None = None, seed: int = 1,
+    corrects: str = "",
 ) -> Bundle:  # fmt: skip
     """Return a bundle with its test vectors, proved on this host.
 
@@ -47,7 +48,7 @@ def create_bundle(
     bundle = Bundle(
         name, machine, model_version, created, tuple(inputs), tuple(outputs), tuple(states),
         window, window_graph, tick_graph, safety or SafetyLimits(), provenance or Provenance(),
-        TestVectors((), (), ()),
+        TestVectors((), (), ()), corrects,
     )  # fmt: skip
     proved = with_vectors(bundle, seed)
     prove(proved)

@@ -111,6 +111,7 @@ def physics_bundle(
     ]
     largest, steepest = _extent(fit)
     return create_bundle(
+        corrects="circular",
         name="physics-library",
         machine=machine,
         model_version=0,

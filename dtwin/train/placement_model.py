@@ -66,6 +66,7 @@ def placement_bundle(
     }
     largest = max(float(np.linalg.norm(mean)) for mean in means)
     return create_bundle(
+        corrects="placement",
         name="placement-means",
         machine=machine,
         model_version=0,

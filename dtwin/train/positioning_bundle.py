@@ -65,6 +65,7 @@ def deployed_bundle(
     fast = pair.cyclic.expression(builder, (reverse, turned))
     graph = builder.graph({OUTPUT: (slow + fast) * UM_PER_IN})
     return create_bundle(
+        corrects="linear",
         name=name, machine=machine, model_version=1,
         inputs=(
             Input(DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0),
@@ -250,6 +251,7 @@ def remembering_bundle(
     slide = builder.apply("min", lifted, upper)
     graph = builder.graph({OUTPUT: (slide - position) * UM_PER_IN}, {"slide_in": slide})
     return create_bundle(
+        corrects="linear",
         name=name, machine=machine, model_version=1,
         inputs=(Input(POSITION, "in", "none", RATE_HZ, "controller", *travel_in),),
         outputs=(Output(OUTPUT, "base_z"),), states=(State("slide_in", "in", travel_in[0] - _FAR_IN),),

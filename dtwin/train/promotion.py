@@ -4,27 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.kinds.registry import kind_named
 from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, write_machine, write_pointer
+from dtwin.train.corrected_kind import corrected_kind
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
-from dtwin.train.gates import Verdict, evidence_gate, offline_gates
-from dtwin.train.positioning_bundle import is_positioning_bundle
-from dtwin.train.positioning_gates import registered_positioning_gates
+from dtwin.train.gates import Verdict, evidence_gate
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
-from dtwin.train.tone_bundle import is_tone_bundle
-from dtwin.train.tone_gates import tone_gates
-from dtwin.train.volumetric_bundle import is_volumetric_bundle
-from dtwin.train.volumetric_gates import volumetric_gates
 
 HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
@@ -50,22 +46,10 @@ def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle,
             got=bundle.machine,
             allowed=found.machine,
         )
-    verdicts = _judge_of(bundle)(bundle, registry.metrics(found))
+    verdicts = kind_named(corrected_kind(bundle)).gates(bundle, registry.metrics(found))
     barred = found.tags.get("state") == "barred"
     verdicts.append(Verdict("not barred", not barred, found.tags.get("state", "candidate")))
     return bundle, verdicts
-
-
-def _judge_of(bundle: Bundle) -> Callable[[Bundle, Mapping[str, float]], list[Verdict]]:
-    """Return the offline gates of what a bundle corrects: tones, a position, heat, or circles."""
-    for corrects, judge in (
-        (is_tone_bundle, tone_gates),
-        (is_positioning_bundle, registered_positioning_gates),
-        (is_volumetric_bundle, volumetric_gates),
-    ):
-        if corrects(bundle):
-            return judge
-    return offline_gates
 
 
 def promote(

@@ -140,6 +140,7 @@ def _bundle(
     ]
     predicted = np.abs(best.formula.values(columns, best.constants))
     return create_bundle(
+        corrects="circular",
         name=f"symbolic-{engine}",
         machine=machine,
         model_version=0,

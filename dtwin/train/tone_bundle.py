@@ -91,6 +91,7 @@ def two_rate_bundle(
     """
     clamp = max(1.0, ROOM * reach_um)
     return create_bundle(
+        corrects="sinusoidal",
         name=name, machine=machine, model_version=0, inputs=inputs,
         outputs=[Output(OUTPUT, "base_z", "correction")],
         states=[State("sent_re_1", "1", 1.0), State("sent_im_1", "1", 0.0)],

@@ -65,6 +65,7 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
     graph = builder.graph({OUTPUT: total})
     inputs = _inputs(set(graph.inputs), twin, obs)
     bundle = create_bundle(
+        corrects="circular",
         name=f"twin-{twin.name}",
         machine=twin.machine,
         model_version=0,

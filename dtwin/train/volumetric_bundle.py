@@ -86,6 +86,7 @@ def volumetric_bundle(
         for s in sensors
     ]  # fmt: skip
     return create_bundle(
+        corrects="volumetric",
         name=name, machine=machine, model_version=1, inputs=tuple(inputs),
         outputs=tuple(Output(f"error_{axis}_um", f"base_{axis}") for axis in "xyz"),
         tick_graph=graph, safety=SAFETY,

@@ -12,6 +12,8 @@ from dtwin.schema import Finding, Run
 if TYPE_CHECKING:
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.serve.bundle import Bundle
+    from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
     from dtwin.train.training import Training
 
@@ -53,6 +55,11 @@ class _Circular(Kind):
         from dtwin.train.training import train_campaign
 
         return train_campaign
+
+    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+        from dtwin.train.gates import offline_gates
+
+        return offline_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
         from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles

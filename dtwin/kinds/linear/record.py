@@ -11,6 +11,8 @@ from dtwin.schema import Campaign, Finding, Run
 if TYPE_CHECKING:
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.serve.bundle import Bundle
+    from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
     from dtwin.train.training import Training
 
@@ -73,6 +75,11 @@ class _Linear(Kind):
         from dtwin.train.positioning_training import train_positioning
 
         return train_positioning
+
+    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+        from dtwin.train.positioning_gates import registered_positioning_gates
+
+        return registered_positioning_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
         from dtwin.pipeline.correction_of_axis import freeze_axis, judge_axis

@@ -11,6 +11,8 @@ from dtwin.schema import Campaign, Finding, Run
 if TYPE_CHECKING:
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.serve.bundle import Bundle
+    from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
     from dtwin.train.training import Training
 
@@ -63,6 +65,11 @@ class _Sinusoidal(Kind):
         from dtwin.train.tone_training import train_tones
 
         return train_tones
+
+    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+        from dtwin.train.tone_gates import tone_gates
+
+        return tone_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
         from dtwin.pipeline.correction_of_tones import freeze_tones, judge_tones

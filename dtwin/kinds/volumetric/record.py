@@ -9,6 +9,8 @@ from dtwin.kinds.kind import Kind
 from dtwin.schema import Finding, Run
 
 if TYPE_CHECKING:
+    from dtwin.serve.bundle import Bundle
+    from dtwin.train.gates import Verdict
     from dtwin.train.training import Training
 
 
@@ -30,6 +32,11 @@ class _Volumetric(Kind):
         from dtwin.pipeline.volumetric_training import train_volumetric
 
         return train_volumetric
+
+    def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
+        from dtwin.train.volumetric_gates import volumetric_gates
+
+        return volumetric_gates(bundle, metrics)
 
 
 KIND = _Volumetric()
