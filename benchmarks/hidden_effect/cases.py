@@ -14,7 +14,7 @@ from designs import DESIGNS
 from published import published_case
 from robot import GEOMETRY, JOINTS, joint_cause
 from rows import NOISE_UM, ROWS, Row
-from second_machine import LIBRARY as SECOND
+from second_faults import LIBRARY as SECOND
 from second_machine import Bench as SecondBench
 from second_machine import Machine
 from sizing import Bench, Sized, acting, sum_of

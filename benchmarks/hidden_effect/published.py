@@ -90,26 +90,25 @@ def _measured(
 ) -> list[Run]:
     runs: list[Run] = []
     radius = float(machine["radius"])
+    circles = [(feed, sense, way) for feed in feeds for sense, way in _WAYS]
     for repeat in range(1, _REPEATS + 1):
-        for feed in feeds:
-            for sense, way in _WAYS:
-                share = (np.arange(_SAMPLES) + rng.random()) / _SAMPLES
-                angle_deg = 360.0 * share if sense > 0 else 360.0 * (1.0 - share)
-                angle = np.radians(angle_deg)
-                bar_um = 1e3 * radius + _error_um(machine, feed, sense, angle, law)
-                x, y = (
-                    bar_um * np.cos(angle) + _CENTRE_UM[0],
-                    bar_um * np.sin(angle) + _CENTRE_UM[1],
-                )
-                noise = noise_um * rng.standard_normal(_SAMPLES)
-                meta = RunMeta(
-                    f"r{len(runs)}", plane="XY", direction=way, radius_mm=radius, feed_mm_min=feed,
-                    repeat=repeat,
-                )  # fmt: skip
-                samples = {
-                    "t_s": 2.0 * np.pi * radius / (feed / 60.0) * np.arange(_SAMPLES) / _SAMPLES,
-                    "angle_deg": angle_deg,
-                    "deviation_um": np.hypot(x, y) - 1e3 * radius + noise,
-                }
-                runs.append(Run(meta, samples))
+        for i in rng.permutation(len(circles)):
+            feed, sense, way = circles[i]
+            share = (np.arange(_SAMPLES) + rng.random()) / _SAMPLES
+            angle_deg = 360.0 * (share if sense > 0 else 1.0 - share)
+            angle = np.radians(angle_deg)
+            bar_um = 1e3 * radius + _error_um(machine, feed, sense, angle, law)
+            x = bar_um * np.cos(angle) + _CENTRE_UM[0]
+            y = bar_um * np.sin(angle) + _CENTRE_UM[1]
+            noise = noise_um * rng.standard_normal(_SAMPLES)
+            meta = RunMeta(
+                f"r{len(runs)}", plane="XY", direction=way, radius_mm=radius, feed_mm_min=feed,
+                repeat=repeat,
+            )  # fmt: skip
+            samples = {
+                "t_s": 2.0 * np.pi * radius / (feed / 60.0) * np.arange(_SAMPLES) / _SAMPLES,
+                "angle_deg": angle_deg,
+                "deviation_um": np.hypot(x, y) - 1e3 * radius + noise,
+            }
+            runs.append(Run(meta, samples))
     return runs

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import axis_machine
-import second_machine
+import second_faults
 import tone_machine
 from causes import LIBRARY
 from robot import JOINTS
@@ -113,7 +113,7 @@ def _rows() -> list[Row]:
 
 def _of_others() -> list[Row]:
     """Return the rows of the second machine and of the published ones; nothing is told in any."""
-    every = tuple(second_machine.LIBRARY)
+    every = tuple(second_faults.LIBRARY)
     # At one feed a lag of both axes is a longer bar.
     everyday = tuple(n for n in every if n != "servo_lag")
     rows = [

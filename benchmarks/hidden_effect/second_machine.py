@@ -1,11 +1,12 @@
 """A second machine with a ball bar, made of other mechanisms than the virtual mill.
 
 Of dtwin it uses only the records of runs: it shares no code and no formula with ``dtwin.physics`` or
-``dtwin.machines``. Two axes are followed at 4 kHz: a set point that is smoothed, a cascade of loops with a
-delay and a slow current loop, friction of elements that slip one after the other (Maxwell) and falls with
-speed (Tustin), stop operators for what is lost at reversals, a lead table for each screw, a loose mass that
-knocks against the carriage after a reversal, and a frame that swings. The bar starts when the tool passes
-the start angle, a quarter turn after the machine began to move.
+``dtwin.machines``. ``second_faults`` says what can be wrong with it. Two axes are followed at 4 kHz: a set
+point that is smoothed, a cascade of loops with a delay and a slow current loop, friction of elements that
+slip one after the other (Maxwell) and falls with speed (Tustin), stop operators for what is lost at
+reversals, a lead table for each screw, a loose mass that knocks against the carriage after a reversal, and
+a frame that swings. The bar starts when the tool passes the start angle, a quarter turn after the machine
+began to move.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ _SAMPLES = 1080
 _CENTRE_MM, _ZERO_UM = 0.03, 5.0
 # Travel at which each element of friction slips, as a share of the longest, and its share of the force.
 _SLIPS = np.array([[0.1, 0.25, 0.5, 1.0], [0.3, 0.3, 0.25, 0.15]])
-# What a lead table covers on each side of the middle, and its entries in a turn.
-_HALF_TRAVEL_MM, _ENTRIES = 220.0, 32
+# What a lead table covers on each side of the middle.
+HALF_TRAVEL_MM = 220.0
 _STRAIGHT_OVER_MM = 150.0
 
 
@@ -131,7 +132,7 @@ def _followed(place: Floats, speed: Floats, a: Axis, table: Floats) -> tuple[Flo
         nut = min(max(nut + 2.0 * way / max(abs(a.play), 0.003), -1.0), 1.0)
         flank = min(max(flank + 2.0 * way / 0.01, -1.0), 1.0)
         side = min(max(side + 2.0 * way / a.aside_travel, -1.0), 1.0)
-        at = (motor + _HALF_TRAVEL_MM) / a.entry_mm
+        at = (motor + HALF_TRAVEL_MM) / a.entry_mm
         j = min(max(int(at), 0), table.size - 2)
         read = table[j] + (at - j) * (table[j + 1] - table[j])
         # A loose mass is taken along when its gap has closed, with a knock.
@@ -156,152 +157,6 @@ def _followed(place: Floats, speed: Floats, a: Axis, table: Floats) -> tuple[Flo
         aside[i] = a.bow * (part**2 + a.bow_cubic * third)
         aside[i] += 0.5 * (a.aside + a.aside_slope * motor) * side
     return along, aside
-
-
-def _alone(label: str, axis: str, **sizes: float) -> Fault:
-    """Return a fault that adds its size in µm, times a factor, to numbers of an axis in mm."""
-
-    def change(machine: Machine, size: float) -> Machine:
-        now = machine.axis(axis)
-        added = {name: getattr(now, name) + 1e-3 * size * f for name, f in sizes.items()}
-        return machine.with_axis(axis, **added)
-
-    return Fault(f"{label} {axis}", change)
-
-
-def backlash(axis: str, rng: np.random.Generator) -> Fault:
-    return replace(_alone("backlash", axis, play=1.0), signed=False)
-
-
-def backlash_taper(axis: str, rng: np.random.Generator) -> Fault:
-    return _alone("backlash_taper", axis, play_slope=0.01)
-
-
-def lateral_play(axis: str, rng: np.random.Generator) -> Fault:
-    return _alone("lateral_play", axis, aside=1.0)
-
-
-def lateral_play_taper(axis: str, rng: np.random.Generator) -> Fault:
-    return _alone("lateral_play_taper", axis, aside_slope=0.01)
-
-
-def straightness(axis: str, rng: np.random.Generator) -> Fault:
-    bent, cubic = _alone("straightness", axis, bow=1.0), rng.uniform(-0.05, 0.05)
-    return replace(
-        bent, change=lambda m, size: bent.change(m, size).with_axis(axis, bow_cubic=cubic)
-    )
-
-
-def scale_mismatch(axis: str, rng: np.random.Generator) -> Fault:
-    def change(machine: Machine, size: float) -> Machine:
-        return machine.with_axis("X", scale=0.5e-5 * size).with_axis("Y", scale=-0.5e-5 * size)
-
-    return Fault("scale_mismatch XY", change)
-
-
-def squareness(axis: str, rng: np.random.Generator) -> Fault:
-    return Fault("squareness XY", lambda machine, size: replace(machine, lean=1e-5 * size))
-
-
-def _smoothed(machine: Machine, more_s: tuple[float, float]) -> Machine:
-    for axis, more in zip("XY", more_s, strict=True):
-        machine = machine.with_axis(axis, smoothing_s=machine.axis(axis).smoothing_s + more)
-    return machine
-
-
-def servo_mismatch(axis: str, rng: np.random.Generator) -> Fault:
-    # Half a millisecond is there to take from: ten times what is needed.
-    return Fault(
-        "servo_mismatch XY", lambda m, ms: _smoothed(m, (5e-4 * ms, -5e-4 * ms)), start=0.1
-    )
-
-
-def servo_lag(axis: str, rng: np.random.Generator) -> Fault:
-    return Fault("servo_lag", lambda m, ms: _smoothed(m, (1e-3 * ms, 1e-3 * ms)), False, 8.0)
-
-
-def _screw(label: str, name: str, axis: str, rng: np.random.Generator) -> Fault:
-    """Return a screw whose thread was measured: two waves a turn, some more here than there, and rough."""
-    pitch = float(rng.choice((4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0)))
-    entry = pitch / _ENTRIES
-    at = entry * np.arange(int(2.0 * _HALF_TRAVEL_MM / entry) + 2)
-    turn = 2.0 * np.pi * (at / pitch + rng.random())
-    uneven = np.interp(at, np.linspace(0.0, at[-1], 6), rng.uniform(0.95, 1.05, 6))
-    table = uneven * (np.cos(turn) + 0.15 * np.cos(2.0 * turn + rng.uniform(0.0, 6.28)))
-    table += 0.1 * rng.standard_normal(at.size)
-
-    def change(machine: Machine, size: float) -> Machine:
-        tables = [table if c == axis else t for c, t in zip("XY", machine.tables, strict=True)]
-        machine = replace(machine, tables=(tables[0], tables[1]))
-        return machine.with_axis(axis, entry_mm=entry, **{name: 1e-3 * size})
-
-    return Fault(f"{label} {axis}", change)
-
-
-def cyclic_error(axis: str, rng: np.random.Generator) -> Fault:
-    return _screw("cyclic_error", "lead", axis, rng)
-
-
-def cyclic_error_by_direction(axis: str, rng: np.random.Generator) -> Fault:
-    return _screw("cyclic_error_by_direction", "flank", axis, rng)
-
-
-def _rubbing(label: str, axis: str, integral_s: float, static: float, fading_mm_s: float, slip_mm: float) -> Fault:  # fmt: skip
-    def change(machine: Machine, size: float) -> Machine:
-        return machine.with_axis(
-            axis, integral_s=integral_s, friction=10.0 * size, static_share=static,
-            fading_mm_s=fading_mm_s, slip_mm=slip_mm,
-        )  # fmt: skip
-
-    return Fault(f"{label} {axis}", change, signed=False)
-
-
-def reversal_spike(axis: str, rng: np.random.Generator) -> Fault:
-    integral, slip = rng.uniform(0.01, 0.04), rng.uniform(0.002, 0.01)
-    return _rubbing("reversal_spike", axis, integral, 0.1, 1.0, slip)
-
-
-def friction(axis: str, rng: np.random.Generator) -> Fault:
-    return _rubbing("friction", axis, 0.0, rng.uniform(0.5, 2.0), rng.uniform(2.0, 6.0), rng.uniform(0.04, 0.2))  # fmt: skip
-
-
-def _mode(label: str, axis: str, swing: float, rng: np.random.Generator) -> Fault:
-    hz, damping, gap = rng.uniform(12.0, 30.0), rng.uniform(0.03, 0.1), rng.uniform(2e-4, 5e-4)
-
-    def change(machine: Machine, size: float) -> Machine:
-        return machine.with_axis(
-            axis, mode_hz=hz, damping=damping, gap=gap, knock=size, swing=0.2 * size * swing
-        )
-
-    return Fault(f"{label} {axis}", change, signed=False)
-
-
-def reversal_ringing(axis: str, rng: np.random.Generator) -> Fault:
-    return _mode("reversal_ringing", axis, 0.0, rng)
-
-
-def structural_resonance(axis: str, rng: np.random.Generator) -> Fault:
-    return _mode("structural_resonance", axis, 1.0, rng)
-
-
-def inertial_compliance(axis: str, rng: np.random.Generator) -> Fault:
-    hz, other = rng.uniform(60.0, 90.0), rng.uniform(0.0, 1.0)
-
-    def change(machine: Machine, size: float) -> Machine:
-        machine = machine.with_axis("X", mode_hz=hz, swing=size)
-        return machine.with_axis("Y", mode_hz=hz, swing=size * other)
-
-    return Fault("inertial_compliance", change, signed=False)
-
-
-LIBRARY = {
-    make.__name__: make
-    for make in (
-        backlash, backlash_taper, lateral_play, lateral_play_taper, straightness, scale_mismatch,
-        squareness, servo_mismatch, servo_lag, cyclic_error, cyclic_error_by_direction,
-        reversal_spike, friction, reversal_ringing, structural_resonance, inertial_compliance,
-    )
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -412,9 +267,13 @@ def _noise(rms_um: float, rng: np.random.Generator) -> Floats:
     """Return what repeats disagree by: reading, a floor that shakes, a slow wander, and the bar's zero."""
     share = _even(0.5)
     shaking = np.cos(2.0 * np.pi * (rng.uniform(20.0, 120.0) * share + rng.random()))
-    wander = np.cumsum(rng.standard_normal(_SAMPLES))
-    wander -= wander.mean() + np.polyfit(share, wander, 1)[0] * (share - 0.5)
-    parts = [1.5 * rng.standard_normal(_SAMPLES), shaking, wander / wander.std(), rng.normal()]
+    # Alike all round: a walk that is closed is quietest at the ends of the turn.
+    order = np.arange(1, 25)
+    waves = rng.standard_normal((2, order.size)) / order
+    turns = 2.0 * np.pi * np.outer(order, share)
+    wander = waves[0] @ np.cos(turns) + waves[1] @ np.sin(turns)
+    wander /= np.sqrt((1.0 / order**2).sum())
+    parts = [1.5 * rng.standard_normal(_SAMPLES), shaking, wander, rng.normal()]
     weights = np.array([0.6, 0.3, 0.7, 0.2])
     weights *= rms_um / np.linalg.norm(weights)
     return sum((w * p for w, p in zip(weights, parts, strict=True)), np.zeros(_SAMPLES))
