@@ -24,7 +24,7 @@ from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
 _STEP_S = 1.0 / 4000.0
 _BEGUN = datetime(2026, 5, 4, 7, tzinfo=UTC)
 _HANDLING_S, _RAMP_S, _TAIL_S = 45.0, 0.25, 0.1
-_SAMPLES = 1080
+_SAMPLES, _CLOCK_S = 1080, 0.001
 _CENTRE_MM, _ZERO_UM = 0.03, 5.0
 # Travel at which each element of friction slips, as a share of the longest, and its share of the force.
 _SLIPS = np.array([[0.1, 0.25, 0.5, 1.0], [0.3, 0.3, 0.25, 0.15]])
@@ -221,7 +221,9 @@ class Bench:
             for repeat in range(1, self.repeats + 1):
                 for i in rng.permutation(len(paths)):
                     (_, feed, sense), ball = list(paths.items())[i]
-                    at = ball(_even(0.5 + rng.uniform(-0.5, 0.5)))
+                    # The start lies somewhere between two readings of the bar's clock.
+                    late_s = _CLOCK_S * rng.uniform(-0.5, 0.5)
+                    at = ball(_even(0.5) + late_s * feed / (2.0 * np.pi * radius))
                     length_um = 1e3 * (np.hypot(*(at - centre)) - radius) + zero
                     length_um += _noise(noise_um, rng)
                     name = f"r{len(runs) + 1:03d}"
