@@ -16,10 +16,9 @@ import numpy as np
 
 from dtwin.physics import localise
 from dtwin.physics.candidates import Candidate, Candidates, applicable
-from dtwin.physics.cross_validation import left_out_gain
-from dtwin.physics.diagnosis import Diagnosis, Suspect, Unresolved, Verdict
+from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
-from dtwin.physics.grading import SHOWN, grade_of, laws_of, survivors, variables
+from dtwin.physics.grading import laws_of, survivors, variables
 from dtwin.physics.law_search import search_laws
 from dtwin.physics.laws import LawTest
 from dtwin.physics.material import IMMATERIAL
@@ -32,6 +31,7 @@ from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.screen import Channel, screen_channels
 from dtwin.physics.search import Search, search
 from dtwin.physics.spread import spread_of
+from dtwin.physics.suspects import members, sized, suspect, suspects
 from dtwin.physics.trust import sum_um, trusted
 from dtwin.schema import Floats
 
@@ -165,16 +165,18 @@ def _concluded(
     others = [f for f in found.found if f not in kept]
     told = much or others or _worth_telling(found, blank.noise_floor_um)
     unresolved = _unresolved(found, others) if told else None
-    groups = tuple(_group(f, tests[f.label], found, candidates, known) for f in kept)
+    groups = sized(
+        obs, known, kept, [members(f, tests[f.label], found, candidates, known) for f in kept]
+    )
     bare = unweighted(obs, known)
     # What was found and not believed is shown with the tests that say why.
     withdrawn = [
         replace(
-            _suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])
+            suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])
         )
         for f in others
     ]
-    shown = _suspects(found, candidates, known, groups, withdrawn)
+    shown = suspects(found, candidates, known, groups, withdrawn)
     if not kept:
         return replace(
             blank,
@@ -210,7 +212,7 @@ def _nothing_found(
     words: str,
 ) -> Diagnosis:
     fit_p, left_um = found.lack_of_fit[0], found.systematic_um[0]
-    shown = _suspects(found, candidates, known, ())
+    shown = suspects(found, candidates, known, ())
     if left_um < IMMATERIAL * blank.noise_floor_um and not channels:
         said = f"what repeats agree on ({left_um:.2g} um) is small beside the noise floor"
         return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
@@ -271,85 +273,6 @@ def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
     tested = any(test.variable not in ("time", "delay") for test in tests)
     small = effect.size_um < _SPOKEN_OF * found.systematic_um[0]
     return tested and small and not variables(effect.top, tests)[0]
-
-
-def _group(
-    effect: Found,
-    tests: Mapping[str, Sequence[LawTest]],
-    found: Search,
-    candidates: Candidates,
-    known: Sequence[Term],
-) -> tuple[Suspect, ...]:
-    """Return an effect that was found and what cannot be told from it."""
-    members = survivors(effect, tests)
-    labels = [c.term.label for c in effect.group]
-    bare = unweighted(found.last.obs, known)
-    out = []
-    for candidate in members[:SHOWN]:
-        own = tests.get(candidate.term.label, ())
-        tested, untested = variables(candidate, own)
-        suspect = _suspect(candidate, bare, found, candidates, effect.gain)
-        out.append(
-            replace(
-                suspect, in_group=True, grade=grade_of(candidate, own, len(members) == 1),
-                confounded_with=tuple(sorted(set(labels) - {candidate.term.label})),
-                laws=tuple(own), size_um=effect.size_um, tested=tuple(tested),
-                untested=tuple(untested),
-            )
-        )  # fmt: skip
-    return tuple(out)
-
-
-def _suspects(
-    found: Search,
-    candidates: Candidates,
-    known: Sequence[Term],
-    groups: Sequence[Sequence[Suspect]],
-    withdrawn: Sequence[Suspect] = (),
-) -> tuple[Suspect, ...]:
-    """Return the largest effect that was found with its rivals, the other ones, and the nearest misses."""
-    named = [*(suspect for group in groups for suspect in group), *withdrawn]
-    labels = {suspect.label for suspect in named}
-    first = [replace(s, in_group=True) for s in (groups[0] if groups else ())]
-    others = [replace(s, in_group=False) for group in groups[1:] for s in group]
-    rest = sorted(
-        (c for c in found.first.candidates if c.term.label not in labels),
-        key=lambda c: -c.score.gain,
-    )
-    room = max(0, SHOWN - len(named))
-    bare = unweighted(found.last.obs, known)
-    others += withdrawn
-    return (*first, *others, *(_suspect(c, bare, found, candidates, None) for c in rest[:room]))
-
-
-def _suspect(
-    candidate: Candidate,
-    bare: Problem,
-    found: Search,
-    candidates: Candidates,
-    gain: float | None,
-) -> Suspect:
-    """Return an effect as it stands beside what the twin knows."""
-    effect = candidate.term.instance.effect
-    visible = candidates.visible(bare, candidate.term)
-    after = bare.extended(visible, candidates.whitened(bare, candidate.term))
-    problem = found.first.problem
-    if gain is None:
-        gain = left_out_gain(problem, candidates.whitened(problem, candidate.term))
-    total = max(found.systematic_um[0] ** 2 * float(bare.obs.mask.sum()), 1e-18)
-    return Suspect(
-        effect=effect.name,
-        axis=candidate.term.instance.axis,
-        rms_after_um=bare.obs.rms(localise.in_angle(after)),
-        cv_gain=gain,
-        p_value=found.first.p_values.get(candidate.term.label, candidate.score.p_value),
-        in_group=False,
-        grade=None,
-        confounded_with=(),
-        laws=(),
-        share=min(1.0, float(((visible.T @ bare.residual.ravel()) ** 2).sum()) / total),
-        remedy=effect.remedy,
-    )
 
 
 def _with_foreign(

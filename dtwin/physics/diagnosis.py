@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from dtwin.physics.fit import Estimate
 from dtwin.physics.law_search import ScalingLaw
 from dtwin.physics.laws import LawTest
 from dtwin.physics.screen import Channel
@@ -49,6 +50,9 @@ class Suspect:
         What to do about it.
     size_um : float or None
         RMS of what it explains beside all others that were found; None for what was not found.
+    sizes : tuple of Estimate
+        Its parameters, k = 2, fitted with all others that were found; empty for what was not found
+        and for what only cannot be told from it.
     tested, untested : tuple of str
         Variables of its law that the runs confirmed, and those that they did not test.
     """
@@ -65,6 +69,7 @@ class Suspect:
     share: float
     remedy: str
     size_um: float | None = None
+    sizes: tuple[Estimate, ...] = ()
     tested: tuple[str, ...] = ()
     untested: tuple[str, ...] = ()
 
@@ -79,6 +84,7 @@ class Suspect:
         for name in ("confounded_with", "tested", "untested"):
             out[name] = list(out[name])
         out["laws"] = [law.as_dict() for law in self.laws]
+        out["sizes"] = [size.as_dict() for size in self.sizes]
         return out
 
 

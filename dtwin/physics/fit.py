@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
-from dtwin.physics.candidates import Candidates, likely_pitches, probes
+from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import (
@@ -21,18 +21,15 @@ from dtwin.physics.problem import (
     set_up,
     setup_columns,
     unweighted,
-    weighted_like,
 )
-from dtwin.physics.score import noise_level
 from dtwin.physics.shapes import refined
 from dtwin.physics.solve import in_blocks, solve_blocks
-from dtwin.physics.whitening import from_harmonics, within_condition
+from dtwin.physics.uncertainty import expanded
+from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
-from dtwin.statistics import t_quantile
 
 _ALIAS = 0.95
 _HIDDEN = 1e-6
-_COVERAGE = 0.9545
 _HUBER = 2.0
 _ROBUST_ROUNDS = 5
 _ROUNDS = 8
@@ -50,7 +47,8 @@ class Estimate:
     value : float
         Estimate.
     uncertainty : float
-        Expanded, k = 2 (95 %), unit of replication: the run. NaN without repeats.
+        Expanded, k = 2 (95 %); unit of replication: the run, and the condition where laws miss
+        more than the noise. NaN without repeats.
     identifiable : bool
         False when these runs do not determine it (the value is then the smallest that fits), or
         when it or a shape of its effect is not plausible.
@@ -145,7 +143,9 @@ class Fit:
     aliases: tuple[Alias, ...]
 
 
-def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fit:
+def fit(
+    obs: Observations, terms: Sequence[Term], *, robust: bool = False, refine: bool = True
+) -> Fit:
     """Fit effects to a campaign.
 
     Parameters
@@ -156,6 +156,8 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
         Effects; shape parameters are refined from where they are.
     robust : bool
         Give runs that are far off less weight (Huber, by run).
+    refine : bool
+        Search the shapes of effects from where they are; otherwise they stay.
 
     Returns
     -------
@@ -166,7 +168,7 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
     InputError
         When an effect has nothing to act on in this campaign.
     """
-    terms = _refined(obs, terms)
+    terms = _refined(obs, terms) if refine else list(terms)
     _require_visible(obs, terms)
     # Unweighted: weights by the noise would let the edges of steps decide, where shapes are
     # never quite those of the library.
@@ -177,15 +179,15 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False) -> Fi
     for _ in range(_ROBUST_ROUNDS if robust else 0):
         weight = _run_weights(problem, columns, solution.x)
         solution = solve_blocks(_weighted(columns, problem.y, weight))
-    expanded = _expanded(problem, terms, columns, solution.x)
+    uncertain = expanded(problem, terms, columns, solution.x)
     n_setup = obs.n_setup
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
     residual = _residual_um(obs, columns, solution.x)
     before = localise.residual_um(obs, [])
     return Fit(
         terms=tuple(terms),
-        estimates=_estimates(terms, solution.x[n_setup:], expanded[n_setup:], hidden[n_setup:]),
-        setups=_setups(obs, solution.x[:n_setup], expanded[:n_setup]),
+        estimates=_estimates(terms, solution.x[n_setup:], uncertain[n_setup:], hidden[n_setup:]),
+        setups=_setups(obs, solution.x[:n_setup], uncertain[:n_setup]),
         residual_um=residual,
         rms_before_um=obs.rms(before),
         rms_after_um=obs.rms(residual),
@@ -247,41 +249,6 @@ def _run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
     size = np.sqrt((left**2).mean(axis=1))
     limit = _HUBER * float(np.median(size))
     return np.minimum(1.0, limit / np.maximum(size, 1e-300))
-
-
-def _expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats) -> Floats:
-    """Return expanded uncertainties, k = 2: run-clustered, from what repeats disagree by.
-
-    The spread of the scores of repeats is an estimate of the noise that holds whatever the
-    noise looks like round the circle; the few degrees of freedom widen the interval as Student's
-    t does (GUM, annex G).
-    """
-    if problem.noise is None:
-        return np.full(columns.shape[1], np.nan)
-    obs = problem.obs
-    size = np.sqrt((columns**2).sum(axis=0))
-    scaled = columns / np.where(size > 0.0, size, 1.0)
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True)
-    influence = (scaled @ inverse).reshape(obs.n_rows, obs.n_bins, -1)
-    left = (problem.y - columns @ x).reshape(obs.n_rows, obs.n_bins)
-    deviation, count = within_condition(left, obs.condition_of)
-    scores = np.einsum("nqk,nq->nk", influence, deviation)
-    runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
-    np.add.at(runs, obs.run_of, scores)
-    # Conditions without repeats add no score: scale up for them.
-    share = (count > 1).sum() / obs.n_rows
-    clustered = (runs**2).sum(axis=0) / share
-    white = weighted_like(obs, terms, problem.noise)
-    level = noise_level(white, probes(white))
-    variance = np.nan_to_num(problem.noise.variance, nan=float(np.nanmean(problem.noise.variance)))
-    coloured = influence / problem.noise.weights[:, None]
-    foretold = level.ratio * np.einsum(
-        "n,nqk,nqk->k", variance[obs.condition_of], coloured, coloured
-    )
-    dof = float(problem.noise.dof)
-    blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)
-    factor = t_quantile(0.5 + _COVERAGE / 2.0, dof + level.prior_dof)
-    return factor * np.sqrt(blended) / np.where(size > 0.0, size, np.nan)
 
 
 def _estimates(

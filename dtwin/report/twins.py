@@ -186,12 +186,23 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def size_words(estimate: Mapping[str, Any]) -> str:
+    """Return a parameter with its uncertainty and unit."""
+    if not estimate["identifiable"]:
+        return "not told"
+    value = number(estimate["value"], 4)
+    if estimate["uncertainty"] is not None and not math.isnan(estimate["uncertainty"]):
+        value += f" ± {number(estimate['uncertainty'], 2)}"
+    return f"{estimate['name'].replace('_', ' ')} {value} {estimate['unit']}"
+
+
 def found_table(result: Mapping[str, Any]) -> Table:
     """Return every effect that was found, with what cannot be told from it and what was tested."""
     rows = [
         (
             " or ".join(f"{c['effect']} {c['axis']}".strip() for c in group),
             micrometres(group[0]["size_um"]),
+            "; ".join(size_words(size) for size in group[0]["sizes"]) or "-",
             f"{100 * group[0]['cv_gain']:z.1f} %",
             group[0]["grade"] or "",
             ", ".join(group[0]["tested"]) or "-",
@@ -199,7 +210,15 @@ def found_table(result: Mapping[str, Any]) -> Table:
         )
         for group in result.get("found", [])
     ]
-    head = ("found", "explains, um", "left-out gain", "grade", "law tested over", "not over")
+    head = (
+        "found",
+        "explains, um",
+        "size (k = 2)",
+        "left-out gain",
+        "grade",
+        "law tested over",
+        "not over",
+    )
     return Table(head, rows)
 
 
