@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 from along import line_case
 from causes import BASE, LIBRARY, Cause, foreign, thermal_drift, thermal_growth
 from designs import DESIGNS
+from published import published_case
 from robot import GEOMETRY, JOINTS, joint_cause
 from rows import NOISE_UM, ROWS, Row
+from second_faults import LIBRARY as SECOND
+from second_machine import Bench as SecondBench
+from second_machine import Machine
 from sizing import Bench, Sized, acting, sum_of
 
 from dtwin.machines.mill import Disturbance, Moment, VirtualMill
@@ -31,7 +36,10 @@ _ONE_MECHANISM = (
 
 @dataclass(frozen=True)
 class Case:
-    """What was made: runs for the tool, truth for the examiner."""
+    """What was made: runs for the tool, truth for the examiner.
+
+    ``also`` are labels that are right, too, but too small to be asked for.
+    """
 
     row: Row
     number: int
@@ -41,6 +49,7 @@ class Case:
     hidden: tuple[Cause, ...]
     sizes: tuple[float, ...]
     truths: dict[str, float] = field(default_factory=dict)
+    also: tuple[str, ...] = ()
 
 
 def make_case(row: Row, number: int) -> Case:
@@ -49,6 +58,12 @@ def make_case(row: Row, number: int) -> Case:
     if row.kind != "circular":
         made_of = line_case(row, number, rng)
         return Case(row, number, made_of.runs, made_of.campaign, (), made_of.hidden, made_of.sizes)
+    if row.machine == "published":
+        campaign, runs, sizes, also = published_case(number, row.noise_um, rng)
+        found = tuple(Cause(label, 1.0) for label in sizes)
+        return Case(row, number, runs, campaign, (), found, tuple(sizes.values()), also=also)
+    if row.machine == "second":
+        return _second_case(row, number, rng)
     hidden = _hidden(row, number, rng)
     base_names = _base_names(row, hidden, rng)
     heights = any(cause.design == "heights" for cause in hidden)
@@ -88,6 +103,20 @@ def make_case(row: Row, number: int) -> Case:
     )
 
 
+def _second_case(row: Row, number: int, rng: np.random.Generator) -> Case:
+    """Return a case of the second machine; each fault alone shows as 0.5 to 2 um RMS."""
+    design = DESIGNS[row.design]
+    bench = SecondBench(design.radii_mm, design.feeds_mm_min, design.repeats)
+    machine, sizes = Machine(), []
+    hidden = _many(row, SECOND, rng)
+    for fault in hidden:
+        sizes.append(bench.sized(fault, rng.uniform(0.5, 2.0)) * _sign(fault, rng))
+        machine = fault.change(machine, sizes[-1])
+    campaign, runs = bench.measured(machine, row.noise_um, rng)
+    causes = tuple(Cause(fault.label, 1.0) for fault in hidden)
+    return Case(row, number, runs, campaign, (), causes, tuple(sizes))
+
+
 def _sized_base(names: Sequence[str], rng: np.random.Generator) -> list[Sized]:
     """Return the known effects, of half to one and a half times their ordinary size."""
     made = [(BASE[name][0](BASE[name][1][0], rng), BASE[name][2]) for name in names]
@@ -122,16 +151,29 @@ def _sized(
     return [(c, bench.size_of(c, mill, hides, wanted_um()) * _sign(c, rng)) for c in hidden]
 
 
-def _many(row: Row, number: int, rng: np.random.Generator) -> tuple[Cause, ...]:
+class _Labelled(Protocol):
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def signed(self) -> bool: ...
+
+
+_Fault = TypeVar("_Fault", bound=_Labelled)
+
+
+def _many(
+    row: Row, makers: Mapping[str, Callable[[str, np.random.Generator], _Fault]], rng: np.random.Generator
+) -> tuple[_Fault, ...]:  # fmt: skip
     """Return so many faults at once, at most one of each mechanism on an axis."""
-    out: list[Cause] = []
+    out: list[_Fault] = []
+    if not row.hidden:
+        return ()
     while len(out) < row.how_many:
         name = str(rng.choice(row.hidden))
-        cause = LIBRARY[name]("XY"[rng.integers(2)], rng)
+        cause = makers[name]("XY"[rng.integers(2)], rng)
         if not any(_clash(cause.label, other.label) for other in out):
             out.append(cause)
-    if row.unknown:
-        out.append(foreign(row.unknown[number % len(row.unknown)], rng))
     return tuple(out)
 
 
@@ -164,7 +206,9 @@ def _hidden(row: Row, number: int, rng: np.random.Generator) -> tuple[Cause, ...
     if not row.hidden or row.hidden[0] in ("coolant", "bar", "stick_slip"):
         return ()
     if row.right == "every":
-        return _many(row, number, rng)
+        many = _many(row, LIBRARY, rng)
+        beside = row.unknown[number % len(row.unknown)] if row.unknown else ""
+        return (*many, foreign(beside, rng)) if beside else many
     if row.hidden[0] in LIBRARY:
         names = [row.hidden[number % len(row.hidden)]]
         for name in rng.permutation([n for n in row.hidden if n != "angular_error"]):
@@ -193,7 +237,7 @@ def _base_names(row: Row, hidden: Sequence[Cause], rng: np.random.Generator) -> 
     return tuple(sorted(str(name) for name in rng.permutation(free)[:n]))
 
 
-def _sign(cause: Cause, rng: np.random.Generator) -> float:
+def _sign(cause: _Labelled, rng: np.random.Generator) -> float:
     drawn = 1.0 if rng.random() < 0.5 else -1.0
     return drawn if cause.signed else 1.0
 

@@ -25,7 +25,7 @@ ALARMS = (*NAMING, "unknown_effect")
 LIBRARY = Library()
 # As many as `dtwin twin discover` adds at most.
 RUNGS = 24
-MOST_IN_GROUP = 3
+MOST_IN_GROUP, MOST_EVERYDAY = 3, 4
 SAME = {
     # A mode far above what excites it gives way to inertia; only its ringing is another matter.
     "circular": {f"structural_resonance {axis}": {"inertial_compliance"} for axis in "XY"},
@@ -110,27 +110,40 @@ def _is_wrong_name(case: Case, found: Diagnosis) -> bool:
 
 def _every(case: Case, obs: Observations, found: Diagnosis) -> dict[str, Any]:
     """Return what was named of many, how many names are false, and how well sizes and a held-out feed fit."""
-    truths = [names for names in accepted(case) if not names & set(case.row.unknown)]
+    truths = {
+        cause.label: names
+        for cause, names in zip(case.hidden, accepted(case), strict=True)
+        if not names & set(case.row.unknown)
+    }
     groups = [[s.label for s in group] for group in found.found]
-    named = sum(
-        any(names & set(group) and len(group) <= MOST_IN_GROUP for group in groups)
-        for names in truths
-    )
+    small = [group for group in groups if _small(group, case.row.everyday)]
+    missed = [name for name, n in truths.items() if not any(n & set(g) for g in small)]
+    right_names = [*accepted(case), set(case.also)]
+    false = [group for group in groups if not any(set(group) & n for n in right_names)]
     out: dict[str, Any] = {
         "groups": groups,
-        "named": named,
+        "named": len(truths) - len(missed),
+        "missed": missed,
         "of": len(truths),
-        "false": sum(not any(set(group) & n for n in accepted(case)) for group in groups),
+        "false": len(false),
+        "false_groups": false,
         "unresolved": found.unresolved is not None,
     }
     if case.row.kind != "circular":
         return out | {"covered": []}
     right = tuple(c for c in case.hidden if any(c.label == group[0] for group in groups))
-    terms = _terms(obs, found)
-    out["covered"] = _coverage(replace(case, hidden=right), obs, _but(terms, right))
-    if case.number % HELD_OUT_EVERY == 0:
+    terms = _but(_terms(obs, found), right)
+    out["covered"] = _coverage(replace(case, hidden=right), obs, terms) if case.truths else []
+    if case.number % HELD_OUT_EVERY == 0 and not case.row.everyday:
         out["held_out_um"] = _untold_held_out(obs, case)
     return out
+
+
+def _small(group: Sequence[str], everyday: bool) -> bool:
+    """Tell whether a group is small enough to count; one feed and radius tell less apart."""
+    if everyday:
+        return len({label.split()[0] for label in group}) <= MOST_EVERYDAY
+    return len(group) <= MOST_IN_GROUP
 
 
 def _terms(obs: Observations, found: Diagnosis) -> list[Term]:

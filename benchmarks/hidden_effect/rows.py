@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import axis_machine
+import second_faults
 import tone_machine
 from causes import LIBRARY
 from robot import JOINTS
@@ -16,11 +17,19 @@ MEAN_K = 0.5 * (FAINTEST + LOUDEST)
 # Of a first test: an angular error needs a second height, and a delay of the instrument that shows
 # at all turns the whole circle.
 NOT_AT_FIRST = ("angular_error", "measurement_delay")
+# Published machines from nothing: name, and what a reversal spike is constant in.
+PUBLISHED = tuple(
+    (name, law) for name in ("sim1", "sim2", "sim3", "sim5") for law in ("time", "angle")
+)
 
 
 @dataclass(frozen=True)
 class Row:
-    """One row: how its cases are made and what the right answer is."""
+    """One row: how its cases are made and what the right answer is.
+
+    ``machine`` is what makes the runs: the virtual mill, the second machine or the published simulator.
+    In a row of the ``everyday`` design a group may hold more effects, counted without their axes.
+    """
 
     name: str
     right: str
@@ -37,6 +46,8 @@ class Row:
     noise_um: float = NOISE_UM
     unknown: tuple[str, ...] = ()
     kind: str = "circular"
+    machine: str = "mill"
+    everyday: bool = False
 
 
 def _rows() -> list[Row]:
@@ -93,7 +104,30 @@ def _rows() -> list[Row]:
         Row("untold_5_and_unknown", "every", 100, hidden=ordinary, how_many=5, base=(), noise_um=0.1,
             unknown=("gear_harmonic", "threshold_lobe", "quartic_scale", "lobe_with_feed")),
     ]  # fmt: skip
-    return rows + _of_lines()
+    rows.append(
+        Row("everyday_6", "every", 100, hidden=one_condition, how_many=6, base=(), design="both_ways",
+            noise_um=0.1, everyday=True)
+    )  # fmt: skip
+    return rows + _of_others() + _of_lines()
+
+
+def _of_others() -> list[Row]:
+    """Return the rows of the second machine and of the published ones; nothing is told in any."""
+    every = tuple(second_faults.LIBRARY)
+    # At one feed a lag of both axes is a longer bar.
+    everyday = tuple(n for n in every if n != "servo_lag")
+    rows = [
+        Row(f"second_untold_{n}_noise_{noise:g}", "every", 100, hidden=every, how_many=n, base=(),
+            noise_um=noise, machine="second")
+        for n in (3, 5, 8) for noise in (0.1, 0.5)
+    ]  # fmt: skip
+    rows += [
+        Row("second_null", "nothing", 200, base=(), machine="second"),
+        Row("second_everyday_6", "every", 100, hidden=everyday, how_many=6, base=(), design="both_ways",
+            noise_um=0.1, machine="second", everyday=True),
+        Row("published_from_nothing", "every", len(PUBLISHED), base=(), noise_um=0.1, machine="published"),
+    ]  # fmt: skip
+    return rows
 
 
 def _of_lines() -> list[Row]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from controls import CONTROLS
-from rows import ROWS
+from rows import PUBLISHED, ROWS, Row
 
 Record = Mapping[str, Any]
 OUTSIDE = "outside the library called unknown"
@@ -32,6 +32,9 @@ def table_text(records: Sequence[Record]) -> str:
         by_row[record["row"]].append(record)
     parts = ["## Figures that must be reached", _figures(by_row), "", "## Every row", _rows(by_row)]
     parts += ["", "## Nothing told", _untold(by_row)]
+    published = by_row.get("published_from_nothing", [])
+    if published:
+        parts += ["", "## Published machines from nothing", _published(published)]
     parts += ["", "## By hidden effect (full design)", _by_effect(by_row)]
     parts += ["", "## Controls, on the same cases", _controls(by_row)]
     return "\n".join(parts) + "\n"
@@ -41,9 +44,19 @@ UNTOLD = {3: 0.98, 5: 0.98, 8: 0.97, 12: 0.92}
 MOST_FALSE = 0.10
 
 
+def _limits(row: Row) -> tuple[float, float] | None:
+    """Return the share that must be named and how many false names may be; published machines have no limit."""
+    if row.machine == "published":
+        return None
+    if row.everyday:
+        return 0.85, 0.20
+    several = row.unknown or row.kind != "circular"
+    return (0.90 if several else UNTOLD[row.how_many]), MOST_FALSE
+
+
 def _untold(by_row: Mapping[str, list[Record]]) -> str:
     """Return what was found of many faults at once; the unit of replication is the machine."""
-    lines = ["| row | faults named, in groups of at most three | must reach | false names per machine | must stay "
+    lines = ["| row | faults named, in groups of at most three (everyday: four effects) | must reach | false names per machine | must stay "
              "| unresolved said | sizes covered (k = 2) | held-out systematic RMS / floor | s | machines |",
              "|---|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, row in ROWS.items():
@@ -54,17 +67,29 @@ def _untold(by_row: Mapping[str, list[Record]]) -> str:
             lines.append(f"| {name} | not run | | | | | | | | 0 ({row.cases}) |")
             continue
         named, of = sum(r["named"] for r in records), sum(r["of"] for r in records)
-        wanted = 0.90 if row.unknown or row.kind != "circular" else UNTOLD[row.how_many]
+        limits = _limits(row)
         false = sum(r["false"] for r in records) / len(records)
         inside = [abs(v - t) <= u for r in records for _, t, v, u in r["covered"]]
         held = [r["held_out_um"] / r["floor_um"] for r in records if "held_out_um" in r]
         lines.append(
-            f"| {name} | {named}/{of} = {named / of:.3f} | {wanted:.2f} {_said(named / of >= wanted)} | {false:.2f} "
-            f"| {MOST_FALSE:.2f} {_said(false <= MOST_FALSE)} "
+            f"| {name} | {named}/{of} = {named / of:.3f} "
+            f"| {f'{limits[0]:.2f} {_said(named / of >= limits[0])}' if limits else '-'} | {false:.2f} "
+            f"| {f'{limits[1]:.2f} {_said(false <= limits[1])}' if limits else '-'} "
             f"| {sum(r['unresolved'] for r in records)}/{len(records)} "
             f"| {sum(inside)}/{len(inside)} | {np.median(held) if held else math.nan:.2f} "
             f"| {np.median([r['seconds'] for r in records]):.1f} | {len(records)} ({row.cases}) |"
         )
+    return "\n".join(lines)
+
+
+def _published(records: Sequence[Record]) -> str:
+    """Return machine by machine what was named, what was missed and what is false."""
+    lines = ["| machine | spike constant in | named | missed | false |", "|---|---|---|---|---|"]
+    for record in sorted(records, key=lambda r: int(r["case"])):
+        name, law = PUBLISHED[record["case"]]
+        false = "; ".join(" or ".join(group) for group in record["false_groups"])
+        lines.append(f"| {name} | {law} | {record['named']}/{record['of']} "
+                     f"| {', '.join(record['missed']) or '-'} | {false or '-'} |")  # fmt: skip
     return "\n".join(lines)
 
 
@@ -78,7 +103,7 @@ def _pooled(by_row: Mapping[str, list[Record]], *names: str) -> list[Record]:
 
 def _figures(by_row: Mapping[str, list[Record]]) -> str:
     lines = ["| figure | must reach | reached | cases | reached? |", "|---|---|---|---|---|"]
-    nulls = [name for name in by_row if name.startswith("null")]
+    nulls = [n for n in by_row if ROWS[n].right == "nothing" and ROWS[n].kind == "circular"]
     if nulls:
         worst = max(nulls, key=lambda n: 1 - _ratio(by_row[n]))
         wrong, n = len(by_row[worst]) - _share(by_row[worst], "right")[0], len(by_row[worst])

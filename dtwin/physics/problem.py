@@ -9,7 +9,7 @@ import numpy as np
 
 from dtwin.physics.effect import Instance
 from dtwin.physics.observations import Observations
-from dtwin.physics.whitening import PureError, pure_error, to_harmonics
+from dtwin.physics.whitening import PureError, condition_sums, pure_error, to_harmonics
 from dtwin.schema import Floats
 
 INVISIBLE = 0.01
@@ -221,11 +221,22 @@ def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
     share = float(obs.mask.mean())
     if within:
         columns = np.concatenate([obs.regressors(t.instance, t.shape) for t in within], axis=2)
-        whitened = plain.whitened(columns)
-        moving, _ = plain.visible(whitened)
-        extended = plain.extended(moving, whitened)
-        columns = moving.reshape(obs.n_rows, obs.n_bins, -1)
-        found = pure_error(extended.residual, obs.condition_of, share, columns)
+        rows = plain.whitened(columns).reshape(obs.n_rows, obs.n_bins, -1)
+        # Inside conditions only: what differs between them is error, and must not leak into the noise.
+        moving = _inside(rows, obs.condition_of).reshape(obs.y_um.size, -1)
+        size, whole = (moving**2).sum(axis=0), (rows**2).sum(axis=(0, 1))
+        moves = size > INVISIBLE * whole
+        basis = orthonormal(moving[:, moves] / np.sqrt(size[moves]))
+        residual = _inside(plain.residual, obs.condition_of)
+        left = residual.ravel() - basis @ (basis.T @ residual.ravel())
+        fitted = basis.reshape(obs.n_rows, obs.n_bins, -1)
+        found = pure_error(left.reshape(residual.shape), obs.condition_of, share, fitted)
         if found is not None:
             return found
     return pure_error(plain.residual, obs.condition_of, share)
+
+
+def _inside(rows: Floats, condition_of: Indices) -> Floats:
+    """Return rows less the means of their conditions."""
+    count = np.bincount(condition_of).reshape(-1, *[1] * (rows.ndim - 1))
+    return np.asarray(rows - (condition_sums(rows, condition_of) / count)[condition_of])
