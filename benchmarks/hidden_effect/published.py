@@ -10,7 +10,7 @@ import numpy as np
 from rows import PUBLISHED
 
 from dtwin.config import published_table
-from dtwin.machines.ballbar_simulator import Convention, radial_error_um
+from studies.machines.ballbar_simulator import Convention, radial_error_um
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
 
 _SLOWEST, _FASTEST = 300.0, 6000.0

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.physics.effect import Instance
 from dtwin.physics.observations import Observations
@@ -236,7 +237,7 @@ def _noise(plain: Problem, within: Sequence[Term]) -> PureError | None:
     return pure_error(plain.residual, obs.condition_of, share)
 
 
-def _inside(rows: Floats, condition_of: Indices) -> Floats:
+def _inside(rows: Floats, condition_of: NDArray[np.int64]) -> Floats:
     """Return rows less the means of their conditions."""
     count = np.bincount(condition_of).reshape(-1, *[1] * (rows.ndim - 1))
     return np.asarray(rows - (condition_sums(rows, condition_of) / count)[condition_of])
