@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from dtwin.plan_file import broken_rule, filled, plan_settings
+from dtwin.plan_file import broken_rule, filled
 from dtwin.schema import Finding, require_name
 
 # Beyond this a ball moves too far while the others are touched.
@@ -66,22 +65,6 @@ class BallPlan:
     def cycle_h(self) -> float:
         """Length of a cycle."""
         return self.touches * self.ball_s / 3600.0
-
-
-def read_ball_plan(path: Path) -> BallPlan:
-    """Read a plan file of kind ``volumetric``.
-
-    Parameters
-    ----------
-    path : Path
-        TOML with one table ``[plan]``: ``kind = "volumetric"`` and the attributes of a plan.
-
-    Raises
-    ------
-    InputError
-        With the first rule that is broken.
-    """
-    return ball_plan(plan_settings(path), str(path))
 
 
 def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:

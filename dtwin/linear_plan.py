@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.plan_file import broken_rule, filled, plan_settings
+from dtwin.plan_file import broken_rule, filled, plan_settings, read_plan_file
 from dtwin.schema import Finding, Floats, require_name
 
 MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
@@ -112,7 +112,7 @@ def read_linear_plan(path: Path) -> LinearPlan:
     InputError
         With the first rule that is broken.
     """
-    return linear_plan(plan_settings(path), str(path))
+    return linear_plan(plan_settings(read_plan_file(path), str(path)), str(path))
 
 
 def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:

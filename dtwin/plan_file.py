@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dtwin.errors import InputError
+from dtwin.kinds.kind import Kind, Planned
+from dtwin.kinds.registry import kind_named, kind_names, kinds
+from dtwin.schema import DEFAULT_KIND
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 _Plan = TypeVar("_Plan", bound="DataclassInstance")
-
-PLANNED_KINDS = ("circular", "linear", "sinusoidal", "volumetric")
 
 
 def read_plan_file(path: Path) -> dict[str, Any]:
@@ -44,35 +45,54 @@ def read_plan_file(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def plan_kind(document: dict[str, Any]) -> str:
-    """Return the kind of campaign that a plan asks for; circular tests need not say theirs.
+def planned_campaign(path: Path) -> Planned:
+    """Return the campaign that a plan file plans.
+
+    Parameters
+    ----------
+    path : Path
+        As for :func:`read_plan_file`.
 
     Raises
     ------
     InputError
-        When there is no plan for such a kind.
+        When the file cannot be read, its kind is unknown, or a rule of the kind is broken.
+    """
+    document = read_plan_file(path)
+    return plan_kind(document).plan(document, str(path))
+
+
+def plan_kind(document: Mapping[str, Any]) -> Kind:
+    """Return the kind of campaign that a plan asks for, the default where it does not say.
+
+    Raises
+    ------
+    InputError
+        When there is no such kind, or it has no plan.
     """
     head = document.get("plan")
-    kind = head.get("kind", "circular") if isinstance(head, dict) else "circular"
-    if kind not in PLANNED_KINDS:
+    name = head.get("kind", DEFAULT_KIND) if isinstance(head, dict) else DEFAULT_KIND
+    if name not in kind_names():
         raise InputError(
             "no plan is known for this kind", code="plan.kind", where="plan.kind",
-            got=str(kind)[:40], allowed=", ".join(PLANNED_KINDS),
+            got=str(name)[:40], allowed=", ".join(k.name for k in kinds() if k.offers("plan")),
         )  # fmt: skip
-    return str(kind)
+    kind = kind_named(name)
+    kind.require("plan")
+    return kind
 
 
-def plan_settings(path: Path) -> dict[str, Any]:
+def plan_settings(document: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Return the settings of a plan file's table ``[plan]`` without its kind.
 
     Raises
     ------
     InputError
-        When it cannot be read, or has no such table.
+        When it has no such table.
     """
-    table = read_plan_file(path).get("plan")
+    table = document.get("plan")
     if not isinstance(table, dict):
-        raise InputError("the plan needs a [plan] table", code="plan.table", where=str(path))
+        raise InputError("the plan needs a [plan] table", code="plan.table", where=where)
     return {name: value for name, value in table.items() if name != "kind"}
 
 

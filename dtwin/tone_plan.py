@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dtwin.plan_file import broken_rule, filled, plan_settings
+from dtwin.plan_file import broken_rule, filled
 from dtwin.schema import Finding, require_name
 
 # Share of the control bandwidth up to which a slide may be driven.
@@ -87,22 +86,6 @@ class TonePlan:
     def count(self) -> int:
         """Number of groups, repeats counted."""
         return len(self.frequencies_hz) * len(self.amplitudes_um) * self.repeats
-
-
-def read_tone_plan(path: Path) -> TonePlan:
-    """Read a plan file of kind ``sinusoidal``.
-
-    Parameters
-    ----------
-    path : Path
-        TOML with one table ``[plan]``: ``kind = "sinusoidal"`` and the attributes of a plan.
-
-    Raises
-    ------
-    InputError
-        With the first rule that is broken.
-    """
-    return tone_plan(plan_settings(path), str(path))
 
 
 def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:

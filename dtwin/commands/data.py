@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,12 +12,13 @@ import typer
 from dtwin.commands.output import ProgressLine, emit
 from dtwin.commands.record import run_text
 from dtwin.errors import InputError
+from dtwin.kinds.registry import own_kinds
 from dtwin.report.text import table
 
 if TYPE_CHECKING:
     from dtwin.acquire.ingest import IngestReport
     from dtwin.acquire.run_recording import RecordedRun
-    from dtwin.plan import Plan
+    from dtwin.kinds.kind import Kind, Planned
     from dtwin.schema import Finding
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
@@ -31,6 +32,14 @@ Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis
 Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
 Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
 Machine = Annotated[str | None, typer.Option(help="Of such a table: name of the machine.")]
+
+_NOISE_UM = 1.0
+
+
+def _controls() -> str:
+    """Return which kinds know which dialects of a program, for help."""
+    known = [kind for kind in own_kinds() if kind.controls]
+    return "; ".join(f"{kind.name}: {', '.join(kind.controls)}" for kind in known)
 
 
 def register(app: typer.Typer) -> None:
@@ -171,48 +180,40 @@ def plan(
         Path | None, typer.Argument(help="Plan file (TOML); without it the 81-test plan.")
     ] = None,
     control: Annotated[
-        str, typer.Option(help="Positioning tests: dialect of the program, opencnc or iso.")
-    ] = "opencnc",
+        str | None,
+        typer.Option(help=f"With --out: dialect of the program; {_controls()}."),
+    ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Write G-code and URScript of every test here.")
+        Path | None, typer.Option(help="Write the motion programs of the campaign here.")
     ] = None,
     check_only: Annotated[
         bool, typer.Option("--check", help="Say what the plan could tell, and what not.")
     ] = False,
     noise_um: Annotated[
-        float, typer.Option(help="RMS by which repeats disagree, for --check.")
-    ] = 1.0,
+        float | None, typer.Option(help="With --check: RMS by which repeats disagree; 1 without.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Expand a campaign before anything moves: order, limits, time, programs."""
-    from dtwin.plan_file import plan_kind, read_plan_file
+    from dtwin.kinds.registry import kind_named
+    from dtwin.plan_file import planned_campaign
+    from dtwin.schema import DEFAULT_KIND
 
-    kind = "circular" if file is None else plan_kind(read_plan_file(file))
-    if file is not None and kind != "circular":
-        _plan_of(kind, file, out, control, as_json=as_json)
-        return
-    from dtwin.plan import advice, duration_s, read_plan, training_plan
-
-    planned = training_plan() if file is None else read_plan(file)
-    moving_s, total_s = duration_s(planned)
-    findings = advice(planned)
-    payload: dict[str, Any] = {
-        "name": planned.name,
-        "machine": planned.machine,
-        "tests": len(planned.tests),
-        "runs": planned.n_runs,
-        "motion_s": moving_s,
-        "total_s": total_s,
-        "findings": [finding.as_dict() for finding in findings],
-    }
+    planned = kind_named(DEFAULT_KIND).usual_plan() if file is None else planned_campaign(file)
+    kind = kind_named(planned.kind)
+    _require_plan_options(kind, control, out, noise_um, check_only=check_only)
+    findings = [finding.as_dict() for finding in planned.findings]
+    payload = {**planned.summary, "total_s": planned.duration_s, "findings": findings}
     if check_only:
-        payload["noise_um"] = noise_um
-        payload["detectable"] = _detectable(planned, noise_um)
-    else:
-        payload["order"] = [vars(test) for test in planned.tests]
+        payload["noise_um"] = _NOISE_UM if noise_um is None else noise_um
+        found = kind.detectable(planned, payload["noise_um"])
+        payload["detectable"] = [effect.as_dict() for effect in found]
+    elif planned.order:
+        payload["order"] = list(planned.order)
     if out is not None:
-        payload["programs"] = _write_programs(planned, out)
-    emit(payload, lambda: _plan_text(planned, payload, findings, check_only), as_json=as_json)
+        chosen = control or (kind.controls[0] if kind.controls else "")
+        payload["programs"] = _write_programs(kind.programs(planned, chosen), out)
+    emit(payload, lambda: _plan_text(planned, payload), as_json=as_json)
 
 
 def repair(
@@ -286,74 +287,56 @@ def _recovered(folder: Path) -> list[RecordedRun]:
     raise InputError("no such folder", code="repair.folder", where=str(folder))
 
 
-def _plan_of(kind: str, file: Path, out: Path | None, control: str, *, as_json: bool) -> None:
-    if kind == "linear":
-        from dtwin.commands.lathe import plan_positioning
-
-        plan_positioning(file, out, control, as_json=as_json)
-        return
-    if out is not None:
-        raise InputError(
-            "no program is written for this kind of campaign", code="plan.program", got=kind,
-            allowed="circular, linear", hint="leave --out away",
-        )  # fmt: skip
-    if kind == "sinusoidal":
-        from dtwin.commands.turning import plan_tones
-
-        plan_tones(file, as_json=as_json)
-    else:
-        from dtwin.commands.volumetric import plan_balls
-
-        plan_balls(file, as_json=as_json)
-
-
-def _write_programs(planned: Plan, out: Path) -> list[str]:
-    from dtwin.acquire.programs import gcode, urscript
-
-    out.mkdir(parents=True, exist_ok=True)
-    written = []
-    for test in planned.tests:
-        for suffix, text in (
-            (".nc", gcode(test, planned.directions)),
-            (".script", urscript(test, planned.directions)),
-        ):
-            path = out / f"{test.test_id}{suffix}"
-            path.write_text(text, encoding="utf-8")
-            written.append(str(path))
-    return written
-
-
-def _plan_text(
-    planned: Plan, payload: dict[str, Any], findings: Sequence[Finding], check_only: bool
-) -> str:
-    head = (
-        f"{planned.name} on {planned.machine}: {len(planned.tests)} tests, {planned.n_runs} runs, "
-        f"{payload['motion_s'] / 60:z.0f} min of motion, about {payload['total_s'] / 60:z.0f} min in all"
-    )
-    lines = [head, *(f"  {f.severity}: {f.message}" for f in findings)]
-    if "programs" in payload:
-        lines.append(f"  {len(payload['programs'])} programs written")
+def _require_plan_options(
+    kind: Kind, control: str | None, out: Path | None, noise_um: float | None, *, check_only: bool
+) -> None:
+    """Refuse what the kind lacks, and options that would do nothing."""
     if check_only:
-        lines.append(_detectable_text(payload))
-    else:
-        rows = [
-            [t.test_id, t.setup, t.plane, t.radius_mm, t.feed_mm_min, t.repeat]
-            for t in planned.tests
-        ]
-        lines.append(table(("test", "setup", "plane", "radius_mm", "feed_mm_min", "repeat"), rows))
-    return "\n".join(lines)
-
-
-def _detectable(planned: Plan, noise_um: float) -> list[dict[str, Any]]:
-    from dtwin.physics.experiment import detectable, planned_observations
-    from dtwin.physics.library import Library
-
-    if noise_um <= 0.0:
+        kind.require("detectable")
+    if out is not None:
+        kind.require("programs")
+    if noise_um is not None and not check_only:
+        raise InputError(
+            "the noise only acts on what a plan could detect", code="plan.noise",
+            got=f"--noise-um {noise_um:g} without --check", hint="add --check, or leave it away",
+        )  # fmt: skip
+    if noise_um is not None and not noise_um > 0.0:
         raise InputError(
             "the noise must be positive", code="plan.noise", got=f"{noise_um:g} um", allowed="> 0"
         )
-    obs = planned_observations(planned)
-    return [found.as_dict() for found in detectable(obs, Library(), noise_um=noise_um)]
+    if control is None:
+        return
+    if out is None:
+        raise InputError(
+            "a control only acts on programs", code="plan.control",
+            got=f"--control {control[:40]} without --out", hint="add --out FOLDER, or leave it away",
+        )  # fmt: skip
+    if control not in kind.controls:
+        raise InputError(
+            "no programs are written for this control", code="plan.control", got=control[:40],
+            allowed=", ".join(kind.controls) or f"none: programs of {kind.name} tests have no dialects",
+            hint="leave --control away",
+        )  # fmt: skip
+
+
+def _write_programs(programs: Mapping[str, str], out: Path) -> list[str]:
+    from dtwin.atomic import write_text
+
+    return [str(write_text(out / name, text, "the program")) for name, text in programs.items()]
+
+
+def _plan_text(planned: Planned, payload: Mapping[str, Any]) -> str:
+    lines = [*planned.lines, *(f"  {f.severity}: {f.message}" for f in planned.findings)]
+    written = payload.get("programs", ())
+    if len(written) == 1:
+        lines.append(f"  {written[0]} written; never run on a control")
+    elif written:
+        lines.append(f"  {len(written)} programs written")
+    if "detectable" in payload:
+        lines.append(_detectable_text(payload))
+    elif planned.order_text:
+        lines.append(planned.order_text)
+    return "\n".join(lines)
 
 
 def _detectable_text(payload: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -26,43 +26,6 @@ app_lathe = typer.Typer(
 def register(app: typer.Typer) -> None:
     """Add the commands of this module to the application."""
     app.add_typer(app_lathe, name="lathe")
-
-
-def plan_positioning(file: Path, out: Path | None, control: str, *, as_json: bool) -> None:
-    """Check a positioning plan, say what it cannot tell, and write its program."""
-    from dtwin.atomic import write_text
-    from dtwin.laser_program import laser_program
-    from dtwin.linear_plan import duration_s, linear_advice, read_linear_plan
-
-    plan = read_linear_plan(file)
-    findings = linear_advice(plan)
-    payload: dict[str, Any] = {
-        "name": plan.name,
-        "machine": plan.machine,
-        "kind": "linear",
-        "axis": plan.axis,
-        "targets": plan.count,
-        "runs": plan.runs,
-        "readings": plan.readings,
-        "total_s": duration_s(plan),
-        "findings": [finding.as_dict() for finding in findings],
-    }
-    if out is not None:
-        name = out / f"{plan.name}.nc"
-        write_text(name, laser_program(plan, control), "the program")
-        payload["programs"] = [str(name)]
-
-    def text() -> str:
-        lines = [
-            f"{plan.name} on {plan.machine}: axis {plan.axis}, {plan.count} targets from {plan.start:g} "
-            f"to {plan.end:g} {plan.unit}, {plan.runs} runs, {plan.readings} readings, about "
-            f"{payload['total_s'] / 3600:z.1f} h",
-            *(f"  {f.severity}: {f.message}" for f in findings),
-            *(f"  {name} written; never run on a control" for name in payload.get("programs", ())),
-        ]
-        return "\n".join(lines)
-
-    emit(payload, text, as_json=as_json)
 
 
 def simulate_positioning(

@@ -78,14 +78,14 @@ def _machine(
         return ServedLathe(read_linear_plan(plan) if plan else None, truth or "published", seed)
     if machine == "turning":
         from dtwin.acquire.served_slide import ServedSlide, tone_check
-        from dtwin.tone_plan import read_tone_plan
+        from dtwin.plan_file import planned_campaign
 
-        tones = read_tone_plan(plan) if plan else tone_check(quick=quick)
+        tones = planned_campaign(plan).plan if plan else tone_check(quick=quick)
         return ServedSlide(tones, truth or "linear", seed)
     from dtwin.acquire.served_mill import ServedMill
-    from dtwin.ball_plan import read_ball_plan
+    from dtwin.plan_file import planned_campaign
 
-    balls = read_ball_plan(plan) if plan else None
+    balls = planned_campaign(plan).plan if plan else None
     return ServedMill(balls, truth or "surface", schedule, seed, quick=quick)
 
 

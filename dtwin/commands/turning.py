@@ -26,42 +26,15 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_turning, name="turning")
 
 
-def plan_tones(file: Path, *, as_json: bool) -> None:
-    """Check a plan of tones, say what it cannot tell."""
-    from dtwin.tone_plan import duration_s, read_tone_plan, tone_advice
-
-    plan = read_tone_plan(file)
-    findings = tone_advice(plan)
-    payload = {
-        "name": plan.name,
-        "machine": plan.machine,
-        "kind": "sinusoidal",
-        "axis": plan.axis,
-        "groups": plan.count,
-        "total_s": duration_s(plan),
-        "order": [vars(group) for group in plan.groups],
-        "findings": [finding.as_dict() for finding in findings],
-    }
-    first = ", ".join(f"{g.frequency_hz:g} Hz {g.amplitude_um:g} um" for g in plan.groups[:3])
-    head = (
-        f"{plan.name} on {plan.machine}: axis {plan.axis}, {len(plan.frequencies_hz)} frequencies, "
-        f"{len(plan.amplitudes_um)} amplitudes, {plan.repeats} times, {plan.count} groups of "
-        f"{plan.seconds:g} s, about {duration_s(plan) / 60.0:z.0f} min"
-    )
-    lines = [head, f"  in random order (seed {plan.seed}), repeat by repeat: {first} ..."]
-    lines += [f"  {f.severity}: {f.message}" for f in findings]
-    emit(payload, lambda: "\n".join(lines), as_json=as_json)
-
-
 def simulate_tones(
     out: Path, plan: Path | None, truth: str, *, seed: int, quick: bool, as_json: bool
 ) -> None:
     """Measure tones on the virtual Z slide."""
     from dtwin.acquire.virtual_turning import simulate_turning
-    from dtwin.tone_plan import read_tone_plan
+    from dtwin.plan_file import planned_campaign
 
     progress = ProgressLine("measure", quiet=as_json)
-    chosen = None if plan is None else read_tone_plan(plan)
+    chosen = None if plan is None else planned_campaign(plan).plan
     groups = simulate_turning(
         out, truth=truth, seed=seed, quick=quick, plan=chosen, progress=progress
     )

@@ -27,29 +27,6 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_volumetric, name="volumetric")
 
 
-def plan_balls(file: Path, *, as_json: bool) -> None:
-    """Check a plan of a ball array, say what it cannot tell."""
-    from dtwin.ball_plan import ball_advice, read_ball_plan
-
-    plan = read_ball_plan(file)
-    findings = ball_advice(plan)
-    payload = {
-        "name": plan.name,
-        "machine": plan.machine,
-        "kind": "volumetric",
-        "cycles": plan.cycles,
-        "cycle_s": 3600.0 * plan.cycle_h,
-        "total_s": 3600.0 * plan.hours,
-        "findings": [finding.as_dict() for finding in findings],
-    }
-    head = (
-        f"{plan.name} on {plan.machine}: {plan.cycles} cycles of {60.0 * plan.cycle_h:z.0f} min, one every "
-        f"{plan.every_h:g} h, {plan.touches} balls in each, {plan.hours:g} h in all"
-    )
-    lines = [head, *(f"  {f.severity}: {f.message}" for f in findings)]
-    emit(payload, lambda: "\n".join(lines), as_json=as_json)
-
-
 def simulate_heat(
     out: Path,
     plan: Path | None,
@@ -62,10 +39,10 @@ def simulate_heat(
 ) -> None:
     """Measure the virtual mill for days."""
     from dtwin.acquire.virtual_volumetric import parameters_of, simulate_volumetric
-    from dtwin.ball_plan import read_ball_plan
+    from dtwin.plan_file import planned_campaign
 
     progress = ProgressLine("measure", quiet=as_json)
-    chosen = None if plan is None else read_ball_plan(plan)
+    chosen = None if plan is None else planned_campaign(plan).plan
     cycles = simulate_volumetric(
         out, progress, schedule=schedule, seed=seed, quick=quick, plan=chosen,
         parameters=parameters_of(truth),

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from dtwin.errors import InputError
-from dtwin.schema import Campaign, Finding, Run
 
+# The command line reads the records for its help: they import nothing heavy, numpy included.
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
@@ -40,6 +43,10 @@ class NotOffered(InputError):
 
 
 VERBS: Mapping[str, tuple[str, str]] = {
+    "plan": ("a plan", "settings that a plan file states, and rules for them"),
+    "usual_plan": ("a plan without a file", "a usual campaign"),
+    "programs": ("writing motion programs", "motion that a control runs by itself"),
+    "detectable": ("telling what a plan could detect", "a grid on which runs are compared"),
     "judge_run": ("a check of runs", "a judgement of one run"),
     "rows": ("a twin of paths", "a grid on which runs are compared"),
     "laws": ("a law or a formula for what a twin leaves", "runs of one circle"),
@@ -62,6 +69,40 @@ class FileReader(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Planned:
+    """A campaign before anything moves, as its plan file states it.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of campaign.
+    plan : object
+        The kind's own plan.
+    summary : mapping
+        JSON-ready: names and counts.
+    duration_s : float
+        Time on the machine.
+    findings : sequence of Finding
+        What may go wrong, and what the campaign cannot tell.
+    lines : tuple of str
+        The same as text, without the findings.
+    order : tuple of mapping
+        Conditions in the order of measurement, JSON-ready; empty when the kind has one order only.
+    order_text : str
+        The order as text, when it is long.
+    """
+
+    kind: str
+    plan: Any
+    summary: Mapping[str, Any]
+    duration_s: float
+    findings: Sequence[Finding]
+    lines: tuple[str, ...]
+    order: tuple[Mapping[str, Any], ...] = ()
+    order_text: str = ""
+
+
 class Kind:
     """A kind of campaign; a verb that it lacks raises :class:`NotOffered`.
 
@@ -79,6 +120,8 @@ class Kind:
         Whether a check tells the figures of all runs in one table, not run by run.
     laws : bool
         Whether a law is searched for what a twin leaves.
+    controls : tuple of str
+        Dialects of its programs, the usual first; empty when they are alike for all controls.
     instead : mapping of str to str
         What serves in place of a verb that the kind lacks.
     """
@@ -89,12 +132,29 @@ class Kind:
     goes_round: ClassVar[bool] = False
     in_one_table: ClassVar[bool] = False
     laws: ClassVar[bool] = False
+    controls: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
         """Readers of vendors' files, by ending; other tables are read as CSV or Parquet."""
         return {}
+
+    def plan(self, document: Mapping[str, Any], where: str) -> Planned:
+        """Return the plan that a plan file states; ``where`` is its name, for error messages."""
+        raise self.lacks("plan")
+
+    def usual_plan(self) -> Planned:
+        """Return the plan of the usual campaign."""
+        raise self.lacks("usual_plan")
+
+    def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
+        """Return the motion programs of a plan by file name; ``control`` is one of ``controls``."""
+        raise self.lacks("programs")
+
+    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
+        """Return the size from which each effect is seen, when repeats disagree by ``noise_um``."""
+        raise self.lacks("detectable")
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         """Return a run with what the campaign states of its instrument."""

@@ -54,6 +54,11 @@ def kinds() -> Iterator[Kind]:
     return map(kind_named, kind_names())
 
 
+def own_kinds() -> Iterator[Kind]:
+    """Yield the kinds of dtwin: cheap, and no plug-in can break it."""
+    return map(kind_named, _OWN)
+
+
 def verb_table() -> str:
     """Return which kind offers which verb, as Markdown: docs/reference/kinds.md holds it."""
     every = list(kinds())

@@ -13,7 +13,6 @@ import pytest
 from typer.testing import CliRunner
 
 from dtwin.acquire.virtual_volumetric import TRUTHS, simulate_volumetric
-from dtwin.ball_plan import read_ball_plan
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError, StoreError
@@ -21,6 +20,7 @@ from dtwin.machines.volumetric import SENSITIVITY, VolumetricParameters
 from dtwin.pipeline.heat_twins import HeatTwins
 from dtwin.pipeline.twin_watch import look_at
 from dtwin.pipeline.twins import Twins
+from dtwin.plan_file import planned_campaign
 from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
@@ -47,7 +47,7 @@ def measured(folder: Path, name: str, parameters: VolumetricParameters) -> None:
         f'[plan]\nkind = "volumetric"\nname = "{name}"\nmachine = "{name}-mill"\nhours = 234\nevery_h = 9\n'
     )
     simulate_volumetric(
-        folder / name, lambda *_: None, parameters=parameters, plan=read_ball_plan(plan)
+        folder / name, lambda *_: None, parameters=parameters, plan=planned_campaign(plan).plan
     )
     assert CliRunner().invoke(app, ["ingest", str(folder / name)]).exit_code == 0
 

@@ -10,17 +10,17 @@ import pytest
 from typer.testing import CliRunner
 
 from dtwin.acquire.virtual_turning import planned_runs, virtual_slide
-from dtwin.ball_plan import ball_advice, ball_plan, read_ball_plan
+from dtwin.ball_plan import ball_advice, ball_plan
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import HORIZON_S, WINDOW_S
 from dtwin.machines.turning_drift import RoomDrift
+from dtwin.plan_file import planned_campaign
 from dtwin.tone_plan import (
     FORETOLD_S,
     LEARNED_S,
     duration_s,
-    read_tone_plan,
     tone_advice,
     tone_plan,
 )
@@ -112,13 +112,13 @@ def test_the_command_reads_both_kinds_and_writes_no_program(tmp_path: Path) -> N
     )
     balls.write_text(head + 'kind = "volumetric"\nhours = 30\n')
     other.write_text(head + 'kind = "hope"\n')
-    assert read_tone_plan(tones).count == 2
-    assert read_ball_plan(balls).cycles == 30
+    assert planned_campaign(tones).summary["groups"] == 2
+    assert planned_campaign(balls).summary["cycles"] == 30
     for path, expected in ((tones, "45 Hz lie beyond the safe limit of 40 Hz"), (balls, "57 min")):
         done = CliRunner().invoke(app, ["plan", str(path)])
         assert done.exit_code == 0
         assert expected in done.stdout
-        with pytest.raises(InputError, match="no program is written"):
+        with pytest.raises(InputError, match="programs is not offered"):
             CliRunner().invoke(app, ["plan", str(path), "--out", "x"], catch_exceptions=False)
     with pytest.raises(InputError, match="no plan is known for this kind"):
         CliRunner().invoke(app, ["plan", str(other)], catch_exceptions=False)

@@ -6,12 +6,13 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from dtwin.kinds.kind import Kind
-from dtwin.schema import Finding, Run
+from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
@@ -24,6 +25,28 @@ class _Circular(Kind):
     stated = ("plane", "radius_mm", "feed_mm_min")
     goes_round = True
     laws = True
+
+    def plan(self, document: Mapping[str, Any], where: str) -> Planned:
+        from dtwin.kinds.circular.plan import planned
+        from dtwin.plan import expand
+
+        return planned(expand(document, where))
+
+    def usual_plan(self) -> Planned:
+        from dtwin.kinds.circular.plan import planned
+        from dtwin.plan import training_plan
+
+        return planned(training_plan())
+
+    def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
+        from dtwin.kinds.circular.plan import programs
+
+        return programs(planned.plan)
+
+    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
+        from dtwin.kinds.circular.plan import detected
+
+        return detected(planned.plan, noise_um)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.acquire.circular_quality import judge_circular_run

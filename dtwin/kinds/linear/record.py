@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import FileReader, Kind
-from dtwin.schema import Campaign, Finding, Run
+from dtwin.kinds.kind import FileReader, Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
@@ -21,6 +22,7 @@ class _Linear(Kind):
     name = "linear"
     columns = ("t_s", "position_mm", "direction", "error_um")
     stated = ("axis",)
+    controls = ("opencnc", "iso")
     instead: ClassVar[Mapping[str, str]] = {
         "laws": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation"
     }
@@ -30,6 +32,21 @@ class _Linear(Kind):
         from dtwin.acquire.linear_runs import read_laser_runs
 
         return {".txt": read_laser_runs, ".las": read_laser_runs}
+
+    def plan(self, document: Mapping[str, Any], where: str) -> Planned:
+        from dtwin.kinds.linear.plan import planned
+
+        return planned(document, where)
+
+    def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
+        from dtwin.kinds.linear.plan import programs
+
+        return programs(planned.plan, control)
+
+    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
+        from dtwin.kinds.linear.plan import detected
+
+        return detected(planned.plan, noise_um)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.acquire.linear_runs import with_pitch

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dtwin.kinds.kind import Kind
-from dtwin.schema import Finding, Run
+
+if TYPE_CHECKING:
+    from dtwin.schema import Finding, Run
 
 
 class _Placement(Kind):

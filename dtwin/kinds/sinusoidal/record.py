@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import Kind
-from dtwin.schema import Campaign, Finding, Run
+from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.run_errors import RunError
@@ -24,6 +25,16 @@ class _Sinusoidal(Kind):
     instead: ClassVar[Mapping[str, str]] = {
         "laws": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation"
     }
+
+    def plan(self, document: Mapping[str, Any], where: str) -> Planned:
+        from dtwin.kinds.sinusoidal.plan import planned
+
+        return planned(document, where)
+
+    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
+        from dtwin.kinds.sinusoidal.plan import detected
+
+        return detected(planned.plan, noise_um)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.acquire.sinusoidal_runs import with_bandwidth

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import Kind
-from dtwin.schema import Finding, Run
+from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.training import Training
@@ -21,6 +21,11 @@ class _Volumetric(Kind):
         "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a "
         "twin of heat"
     }
+
+    def plan(self, document: Mapping[str, Any], where: str) -> Planned:
+        from dtwin.kinds.volumetric.plan import planned
+
+        return planned(document, where)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.acquire.volumetric_quality import judge_volumetric_run
