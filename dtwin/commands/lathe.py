@@ -28,25 +28,6 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_lathe, name="lathe")
 
 
-def simulate_positioning(
-    out: Path, plan: Path | None, truth: str, *, seed: int, quick: bool, as_json: bool
-) -> None:
-    """Measure the virtual lathe."""
-    from dtwin.acquire.virtual_lathe import simulate_lathe
-    from dtwin.linear_plan import read_linear_plan
-
-    chosen = None if plan is None else read_linear_plan(plan)
-    readings, alarms = simulate_lathe(out, plan=chosen, truth=truth, seed=seed, quick=quick)
-    payload = {
-        "folder": str(out),
-        "readings": readings,
-        "truth": truth,
-        "alarms": [alarm.as_dict() for alarm in alarms],
-    }
-    lines = [f"{readings} readings in {out}", *(f"  {a.severity}: {a.message}" for a in alarms)]
-    emit(payload, lambda: "\n".join([*lines, f"next: dtwin check {out}"]), as_json=as_json)
-
-
 @app_lathe.command("fit")
 def fit(
     campaign: Annotated[

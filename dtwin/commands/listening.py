@@ -3,40 +3,34 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from dtwin.commands.output import ProgressLine, emit
-from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.links.virtual_key import proof
-from dtwin.machines.axis_server import AxisMachine, AxisServer, Clock
+from dtwin.kinds.machine import Request, VirtualMachine
+from dtwin.kinds.registry import machines
 
-MACHINES = ("lathe", "turning", "volumetric")
-
-
-class ServedMachine(AxisMachine, Protocol):
-    """A machine whose measurements become a campaign folder."""
-
-    def write(self, folder: Path) -> str:
-        """Write what was measured; return what it was."""
-        ...
+if TYPE_CHECKING:
+    from dtwin.machines.axis_server import Clock
 
 
 def simulate_served(
-    out: Path, machine: str, plan: Path | None, truth: str | None, schedule: str, *, seed: int,
-    quick: bool, port: int | None, clock: Clock, as_json: bool,
-) -> None:  # fmt: skip
+    machine: VirtualMachine, request: Request, *, port: int, clock: Clock, as_json: bool
+) -> None:
     """Run a machine's program once, corrected by whoever connects, and write what was measured."""
-    _require(machine, port, clock)
+    from dtwin.config import home
+    from dtwin.links.virtual_key import proof
+    from dtwin.machines.axis_server import AxisServer
+
+    out = request.out
     if (out / "campaign.toml").exists():
         raise InputError(
             "the folder holds a campaign already", code="simulate.exists", where=str(out),
             hint="give another --out",
         )  # fmt: skip
-    served = _machine(machine, plan, truth, schedule, seed=seed, quick=quick)
+    served = machine.served(request)
     state = home()
-    server = AxisServer(served, lambda nonce: proof(state, nonce), clock=clock, port=port or 0)
+    server = AxisServer(served, lambda nonce: proof(state, nonce), clock=clock, port=port)
     try:
         server.run(_announce, ProgressLine("run", quiet=as_json))
     except KeyboardInterrupt:
@@ -49,44 +43,25 @@ def simulate_served(
     emit(payload, lambda: f"{what} in {out}\nnext: dtwin check {out}", as_json=as_json)
 
 
-def _require(machine: str, port: int | None, clock: Clock) -> None:
+def require_served(machine: VirtualMachine, port: int | None, clock: Clock) -> None:
+    """Refuse a machine that cannot be corrected on a clock, and a port that is none."""
     if port is None:
         raise InputError(
             "real time is for a machine that is corrected meanwhile", code="simulate.clock",
             got="--wall-clock without --listen", allowed="--listen PORT --wall-clock",
         )  # fmt: skip
-    if machine not in MACHINES or (machine != "lathe" and clock == "wall"):
+    if clock not in machine.clocks:
+        able = [known for known in machines() if known.clocks]
         raise InputError(
             "this virtual machine cannot be corrected so", code="simulate.listen",
-            got=f"--machine {machine}, {clock} clock",
-            allowed="lathe on both clocks; turning (8 kHz) and volumetric (days) on the machine clock",
+            got=f"--machine {machine.name}, {clock} clock",
+            allowed="; ".join(f"{m.name}: {' or '.join(m.clocks)} clock" for m in able),
             hint="dtwin demo serves the virtual robot",
         )  # fmt: skip
     if not 0 <= port < 65536:
         raise InputError(
             "no such port", code="simulate.port", got=str(port), allowed="0 to 65535, 0: a free one"
         )
-
-
-def _machine(
-    machine: str, plan: Path | None, truth: str | None, schedule: str, *, seed: int, quick: bool
-) -> ServedMachine:
-    if machine == "lathe":
-        from dtwin.acquire.served_lathe import ServedLathe
-        from dtwin.linear_plan import read_linear_plan
-
-        return ServedLathe(read_linear_plan(plan) if plan else None, truth or "published", seed)
-    if machine == "turning":
-        from dtwin.acquire.served_slide import ServedSlide, tone_check
-        from dtwin.plan_file import planned_campaign
-
-        tones = planned_campaign(plan).plan if plan else tone_check(quick=quick)
-        return ServedSlide(tones, truth or "linear", seed)
-    from dtwin.acquire.served_mill import ServedMill
-    from dtwin.plan_file import planned_campaign
-
-    balls = planned_campaign(plan).plan if plan else None
-    return ServedMill(balls, truth or "surface", schedule, seed, quick=quick)
 
 
 def _announce(line: str) -> None:

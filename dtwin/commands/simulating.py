@@ -3,16 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dtwin.commands.listening import require_served, simulate_served
 from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import InputError
+from dtwin.kinds.machine import PLAN, Request, VirtualMachine
+from dtwin.kinds.registry import machine_named, machines, own_kinds
+
+if TYPE_CHECKING:
+    from dtwin.machines.axis_server import Clock
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
-MACHINES = ("cobot", "mill", "lathe", "turning", "volumetric", "hexapod")
+_OWN = tuple(machines(own_kinds()))
+
+
+def _with(option: str) -> str:
+    """Return which machines have an option, for help."""
+    return ", ".join(machine.name for machine in _OWN if option in machine.options)
+
+
+def _values(option: str) -> str:
+    """Return what each machine takes for an option, the usual first, for help."""
+    known = [machine for machine in _OWN if option in machine.options]
+    return "; ".join(f"{m.name}: {', '.join(m.options[option])}" for m in known)
+
+
+def _clocks() -> str:
+    """Return which machines can be corrected on which clocks, for help."""
+    return "; ".join(f"{m.name}: {' or '.join(m.clocks)} clock" for m in _OWN if m.clocks)
 
 
 def register(app: typer.Typer) -> None:
@@ -23,31 +45,30 @@ def register(app: typer.Typer) -> None:
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
     machine: Annotated[
-        str, typer.Option(help=f"Virtual machine: {', '.join(MACHINES)}.")
-    ] = "cobot",
+        str, typer.Option(help=f"Virtual machine: {', '.join(m.name for m in _OWN)}.")
+    ] = _OWN[0].name,
     plan: Annotated[
-        Path | None, typer.Option(help="Plan file; the machine's own campaign without.")
+        Path | None,
+        typer.Option(help=f"Plan file; the machine's own campaign without. Of {_with(PLAN)}."),
     ] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A small campaign.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A small campaign; not with --plan.")
+    ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
     hidden: Annotated[
-        str, typer.Option(help="Fault of the mill: backlash, wobble, servo, none.")
-    ] = "backlash",
+        str | None, typer.Option(help=f"Fault that nobody is told of. {_values('hidden')}.")
+    ] = None,
     truth: Annotated[
-        str | None,
-        typer.Option(
-            help="Error of the lathe: published, mechanism; of turning: linear, hardening, friction; "
-            "thermocouples of the volumetric mill: surface, pockets."
-        ),
+        str | None, typer.Option(help=f"What the machine is like. {_values('truth')}.")
     ] = None,
     schedule: Annotated[
-        str, typer.Option(help="Heat of the volumetric mill: training, or validation.")
-    ] = "training",
+        str | None, typer.Option(help=f"What heats the machine. {_values('schedule')}.")
+    ] = None,
     listen: Annotated[
         int | None,
         typer.Option(
-            help="Port (0: a free one) for dtwin serve --link axes, which corrects lathe, turning or "
-            "volumetric while they are measured."
+            help="Port (0: a free one) for dtwin serve --link axes, which corrects the machine while it "
+            f"is measured. {_clocks()}."
         ),
     ] = None,
     wall_clock: Annotated[
@@ -56,76 +77,40 @@ def simulate(
     as_json: Json = False,
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
-    if machine not in MACHINES:
-        raise InputError(
-            "no such virtual machine",
-            code="simulate.machine",
-            got=machine[:40],
-            allowed=", ".join(MACHINES),
-        )
-    if listen is not None or wall_clock:
-        from dtwin.commands.listening import simulate_served
-
-        simulate_served(
-            out, machine, plan, truth, schedule, seed=seed, quick=quick, port=listen,
-            clock="wall" if wall_clock else "machine", as_json=as_json,
-        )  # fmt: skip
-    elif machine == "turning":
-        from dtwin.commands.turning import simulate_tones
-
-        simulate_tones(out, plan, truth or "linear", seed=seed, quick=quick, as_json=as_json)
-    elif machine == "volumetric":
-        from dtwin.commands.volumetric import simulate_heat
-
-        heat = truth or "surface"
-        simulate_heat(out, plan, heat, schedule, seed=seed, quick=quick, as_json=as_json)
-    elif machine == "lathe":
-        from dtwin.commands.lathe import simulate_positioning
-
-        error = truth or "published"
-        simulate_positioning(out, plan, error, seed=seed, quick=quick, as_json=as_json)
-    elif machine == "mill":
-        _simulate_mill(out, seed=seed, quick=quick, hidden=hidden, as_json=as_json)
-    else:
-        _simulate_circles(out, machine, plan, seed=seed, quick=quick, as_json=as_json)
-
-
-def _simulate_mill(out: Path, *, seed: int, quick: bool, hidden: str, as_json: bool) -> None:
-    from dtwin.acquire.virtual_mill import simulate_mill
-
-    progress = ProgressLine("measure", quiet=as_json)
-    runs = simulate_mill(out, seed=seed, quick=quick, hidden=hidden, progress=progress)
-    payload = {"folder": str(out), "runs": len(runs), "campaign": f"mill-{hidden}"}
-    text = f"{len(runs)} runs in {out}\nnext: dtwin ingest {out}"
-    emit(payload, lambda: text, as_json=as_json)
-
-
-def _simulate_circles(
-    out: Path, machine: str, plan: Path | None, *, seed: int, quick: bool, as_json: bool
-) -> None:
-    from dtwin.acquire.runner import run_campaign
-    from dtwin.acquire.virtual import VirtualCobotBench
-    from dtwin.acquire.virtual_hexapod import VirtualHexapodBench, feed_sweep
-    from dtwin.pipeline.demo import quick_size
-    from dtwin.plan import read_plan, training_plan
-
-    if plan is not None:
-        planned = read_plan(plan)
-    elif machine == "hexapod":
-        planned = feed_sweep(quick=quick)
-    else:
-        planned = quick_size().plan if quick else training_plan()
-    bench = VirtualHexapodBench(seed) if machine == "hexapod" else VirtualCobotBench(seed)
-    done = run_campaign(planned, bench, out, ProgressLine("measure", quiet=as_json))
-    payload = {
-        "folder": str(done.folder),
-        "measured": done.measured,
-        "kept": done.kept,
-        "raw_bytes": done.raw_bytes,
-        "campaign": planned.name,
+    found = machine_named(machine)
+    given = {
+        PLAN: None if plan is None else str(plan),
+        "hidden": hidden,
+        "truth": truth,
+        "schedule": schedule,
     }
-    text = (
-        f"{done.measured} tests measured, {done.kept} kept from before, in "
-        f"{done.folder}\nnext: dtwin ingest {done.folder}"
-    )
-    emit(payload, lambda: text, as_json=as_json)
+    clock: Clock = "wall" if wall_clock else "machine"
+    if listen is not None or wall_clock:
+        require_served(found, listen, clock)
+    options = found.chosen(given)
+    if quick and plan is not None:
+        raise InputError(
+            "a plan says how much is measured", code="simulate.quick", got="--quick with --plan",
+            hint="leave one of them away",
+        )  # fmt: skip
+    request = Request(out, seed, quick, _planned(found, plan), options)
+    if listen is not None:
+        simulate_served(found, request, port=listen, clock=clock, as_json=as_json)
+        return
+    done = found.simulate(request, ProgressLine("measure", quiet=as_json))
+    emit(done.payload, lambda: "\n".join(done.lines), as_json=as_json)
+
+
+def _planned(machine: VirtualMachine, file: Path | None) -> Any:
+    """Return the plan of a file, None without one."""
+    from dtwin.plan_file import planned_campaign
+
+    if file is None:
+        return None
+    planned = planned_campaign(file)
+    if planned.kind != machine.kind:
+        raise InputError(
+            f"the virtual {machine.name} measures no such campaign", code="simulate.plan",
+            where=f"{file} plan.kind", got=planned.kind, allowed=machine.kind,
+        )  # fmt: skip
+    return planned.plan

@@ -26,22 +26,6 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_turning, name="turning")
 
 
-def simulate_tones(
-    out: Path, plan: Path | None, truth: str, *, seed: int, quick: bool, as_json: bool
-) -> None:
-    """Measure tones on the virtual Z slide."""
-    from dtwin.acquire.virtual_turning import simulate_turning
-    from dtwin.plan_file import planned_campaign
-
-    progress = ProgressLine("measure", quiet=as_json)
-    chosen = None if plan is None else planned_campaign(plan).plan
-    groups = simulate_turning(
-        out, truth=truth, seed=seed, quick=quick, plan=chosen, progress=progress
-    )
-    payload = {"folder": str(out), "groups": groups, "truth": truth}
-    emit(payload, lambda: f"{groups} groups in {out}\nnext: dtwin check {out}", as_json=as_json)
-
-
 @app_turning.command("fit")
 def fit(
     campaign: Annotated[Path, typer.Argument(help="Campaign folder of tones.")],

@@ -27,31 +27,6 @@ def register(app: typer.Typer) -> None:
     app.add_typer(app_volumetric, name="volumetric")
 
 
-def simulate_heat(
-    out: Path,
-    plan: Path | None,
-    truth: str,
-    schedule: str,
-    *,
-    seed: int,
-    quick: bool,
-    as_json: bool,
-) -> None:
-    """Measure the virtual mill for days."""
-    from dtwin.acquire.virtual_volumetric import parameters_of, simulate_volumetric
-    from dtwin.plan_file import planned_campaign
-
-    progress = ProgressLine("measure", quiet=as_json)
-    chosen = None if plan is None else planned_campaign(plan).plan
-    cycles = simulate_volumetric(
-        out, progress, schedule=schedule, seed=seed, quick=quick, plan=chosen,
-        parameters=parameters_of(truth),
-    )  # fmt: skip
-    payload = {"folder": str(out), "truth": truth, "schedule": schedule, "cycles": cycles}
-    text = f"{cycles} cycles in {out}\nnext: dtwin ingest {out}"
-    emit(payload, lambda: text, as_json=as_json)
-
-
 @app_volumetric.command("fit")
 def fit(
     training: Annotated[str, typer.Argument(help="Campaign in the lake, or a folder.")],

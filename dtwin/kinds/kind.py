@@ -12,6 +12,7 @@ from dtwin.errors import InputError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
@@ -134,6 +135,11 @@ class Kind:
     laws: ClassVar[bool] = False
     controls: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
+
+    @property
+    def machines(self) -> Sequence[VirtualMachine]:
+        """Virtual machines that are measured by such campaigns."""
+        return ()
 
     @property
     def readers(self) -> Mapping[str, FileReader]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 
 from dtwin.errors import InputError
 from dtwin.kinds.kind import VERBS, Kind
+from dtwin.kinds.machine import VirtualMachine
 
 _OWN = ("circular", "linear", "sinusoidal", "volumetric", "placement")
 
@@ -57,6 +58,51 @@ def kinds() -> Iterator[Kind]:
 def own_kinds() -> Iterator[Kind]:
     """Yield the kinds of dtwin: cheap, and no plug-in can break it."""
     return map(kind_named, _OWN)
+
+
+def machines(of: Iterable[Kind] | None = None) -> Iterator[VirtualMachine]:
+    """Yield the virtual machines of some kinds, of all without."""
+    for kind in kinds() if of is None else of:
+        yield from kind.machines
+
+
+def machine_named(name: str) -> VirtualMachine:
+    """Return a virtual machine by its name.
+
+    Raises
+    ------
+    InputError
+        When there is none of that name.
+    """
+    for machine in machines():
+        if machine.name == name:
+            return machine
+    raise InputError(
+        "no such virtual machine", code="simulate.machine", got=name[:40],
+        allowed=", ".join(machine.name for machine in machines()),
+    )  # fmt: skip
+
+
+def machine_of_type(type_: object) -> VirtualMachine | None:
+    """Return the virtual machine whose campaigns state a type in ``machine_geometry``, or None."""
+    return next((machine for machine in machines() if machine.type == type_), None)
+
+
+def machine_table() -> str:
+    """Return what each virtual machine can be asked, as Markdown: docs/reference/kinds.md holds it."""
+    lines = ["| `--machine` | campaigns | options | `--listen` | evidence |", "|---" * 5 + "|"]
+    for machine in machines():
+        options = ", ".join(f"`--{name}`" for name in machine.options) or "none"
+        evidence = "measured" if machine.offers("evidence") else "no"
+        cells = (
+            f"`{machine.name}`",
+            machine.kind,
+            options,
+            ", ".join(f"{clock} clock" for clock in machine.clocks) or "no",
+            "predicted" if machine.offers("prediction") else evidence,
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def verb_table() -> str:

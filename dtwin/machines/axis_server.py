@@ -13,6 +13,7 @@ import select
 import socket
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -69,6 +70,14 @@ class AxisMachine(Protocol):
 
     def advance(self, tick: int, offset_um: Floats) -> None:
         """Make a tick with an offset (3,) in force."""
+        ...
+
+
+class ServedMachine(AxisMachine, Protocol):
+    """A machine whose measurements become a campaign folder."""
+
+    def write(self, folder: Path) -> str:
+        """Write what was measured; return what it was."""
         ...
 
 

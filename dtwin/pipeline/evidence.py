@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
-from dtwin.pipeline.modelling import CONDITIONS_FILE, geometry_of, markdown_table
+from dtwin.kinds.machine import FROM_THE_LAKE, EvidenceRequest, VirtualMachine
+from dtwin.kinds.registry import machine_of_type, machines
+from dtwin.pipeline.modelling import geometry_of, markdown_table
 from dtwin.progress import Progress
 from dtwin.report.campaign import evidence_section, evidence_table
 from dtwin.report.html import page
@@ -82,7 +80,8 @@ def measure(
     Raises
     ------
     InputError
-        When the machine is real: it has to be measured on it.
+        When the machine is real: it has to be measured on it. When no virtual machine of its type is
+        known, or none that can be measured with a correction.
     """
     registry = Registry(home)
     geometry = geometry_of(registry, version)
@@ -94,16 +93,14 @@ def measure(
             hint=f"dtwin campaign --with {version.version} measures by turns with and without the "
             "trial; dtwin evidence computes from any campaigns",
         )
-    machine_type = str(geometry.get("type"))
-    if machine_type == "volumetric":
-        evidence = _predicted(home, version, progress)
+    machine = _virtual(geometry)
+    if machine.offers("prediction"):
+        evidence = machine.prediction(home, version, progress)
         _keep(registry, version, evidence)
         return evidence
     bundle = Bundle.from_dict(registry.bundle(version))
-    measured = _MEASURED.get(machine_type, _cobot)(
-        registry, version, bundle, geometry, plan, seed, progress
-    )
-    return compute_measured(home, version, measured)
+    request = EvidenceRequest(registry, version, bundle, geometry, plan, seed, progress)
+    return compute_measured(home, version, machine.evidence(request))
 
 
 def compute_measured(home: Home, version: RegisteredVersion, measured: MeasuredWays) -> Evidence:
@@ -140,10 +137,10 @@ def proven(home: Home, version: RegisteredVersion) -> Evidence | None:
         return None
     campaigns = {way: tuple(record.content["campaigns"].get(way, ())) for way in (WITHOUT, WITH)}
     notes = record.content["notes"]
-    predicted = geometry_of(registry, version).get("type") == "volumetric" and not campaigns[WITH]
+    machine = machine_of_type(geometry_of(registry, version).get("type"))
     evidence = (
-        _predicted(home, version, None)
-        if predicted
+        machine.prediction(home, version, None)
+        if machine is not None and machine.offers("prediction") and not campaigns[WITH]
         else _computed(home, version, campaigns[WITHOUT], campaigns[WITH], notes)
     )
     require_same(record, evidence)
@@ -231,10 +228,16 @@ def _computed(
     )  # fmt: skip
 
 
-def _predicted(home: Home, version: RegisteredVersion, progress: Progress | None) -> Evidence:
-    from dtwin.pipeline.volumetric_evidence import volumetric_evidence
-
-    return volumetric_evidence(home, version, progress=progress)
+def _virtual(geometry: Mapping[str, Any]) -> VirtualMachine:
+    machine = machine_of_type(geometry.get("type"))
+    if machine is not None:
+        return machine
+    raise InputError(
+        "no virtual machine of this type is known", code="evidence.machine",
+        where="machine_geometry.type", got=str(geometry.get("type", "not stated"))[:40],
+        allowed=", ".join(known.type for known in machines() if known.offers("evidence")),
+        hint=FROM_THE_LAKE,
+    )  # fmt: skip
 
 
 def _keep(registry: Registry, version: RegisteredVersion, evidence: Evidence) -> None:
@@ -252,73 +255,3 @@ def _fresh_name(lake: Lake, name: str) -> str:
     taken = set(lake.campaigns())
     names = (name if n == 1 else f"{name}-{n}" for n in range(1, 10_000))
     return next(n for n in names if n not in taken)
-
-
-def _cobot(
-    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
-    plan: EvidencePlan | None, seed: int, progress: Progress | None,
-) -> MeasuredWays:  # fmt: skip
-    from dtwin.train.circle_evidence import measured_circles
-
-    return measured_circles(
-        bundle,
-        seed=seed,
-        tcp_mm=np.asarray(geometry.get("tcp_mm", [0.0, 0.0, 0.0]), float),
-        plan=plan or _plan_of(registry, version),
-        progress=progress,
-    )
-
-
-def _mill(
-    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
-    plan: EvidencePlan | None, seed: int, progress: Progress | None,
-) -> MeasuredWays:  # fmt: skip
-    from dtwin.acquire.virtual_mill import virtual_mill
-    from dtwin.train.mill_evidence import measured_mill
-
-    if "hidden" not in geometry:
-        raise InputError(
-            "no virtual mill of this machine can be moved from here",
-            code="evidence.mill",
-            got=f"machine_geometry {', '.join(geometry)}",
-            allowed="a campaign of dtwin simulate --machine mill",
-            hint="dtwin demo mill measures its own evidence; else: dtwin campaign --with VERSION",
-        )
-    chosen = plan or _plan_of(registry, version)
-    return measured_mill(
-        bundle,
-        partial(virtual_mill, str(geometry["hidden"])),
-        seed=seed,
-        plan=replace(chosen, repeats=max(chosen.repeats, 3)),
-        delay_s=float(geometry["correction_delay_s"]),
-        progress=progress,
-    )
-
-
-def _lathe(
-    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
-    plan: EvidencePlan | None, seed: int, progress: Progress | None,
-) -> MeasuredWays:  # fmt: skip
-    from dtwin.pipeline.lathe_evidence import measured_days
-
-    logged = registry.metrics(version)
-    return measured_days(bundle, logged, str(geometry.get("truth", "")), seed, progress)
-
-
-def _turning(
-    registry: Registry, version: RegisteredVersion, bundle: Bundle, geometry: Mapping[str, Any],
-    plan: EvidencePlan | None, seed: int, progress: Progress | None,
-) -> MeasuredWays:  # fmt: skip
-    from dtwin.pipeline.turning_evidence import measured_tones
-
-    return measured_tones(bundle, str(geometry.get("truth", "")), seed=seed, progress=progress)
-
-
-_MEASURED = {"mill": _mill, "lathe": _lathe, "turning": _turning}
-
-
-def _plan_of(registry: Registry, version: RegisteredVersion) -> EvidencePlan:
-    from dtwin.train.circle_evidence import plan_within
-
-    trained = registry.read_json(version, CONDITIONS_FILE)
-    return plan_within([(p, float(r), float(f)) for p, r, f in trained])

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
-from dtwin.kinds.registry import kind_named
+from dtwin.kinds.registry import kind_named, machine_of_type
 from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
@@ -279,7 +279,8 @@ def _against(kept: Sequence[Record], despite: Sequence[str]) -> list[Verdict]:
 
 def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> None:
     """Keep what the serving host must know; only robots have a chain and a tool to know of."""
-    if geometry.get("type") not in ("mill", "turning", "lathe", "volumetric"):
+    known = machine_of_type(geometry.get("type"))
+    if known is None or known.robot:
         write_machine(machine, home, dict(geometry))
 
 

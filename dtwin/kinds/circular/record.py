@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
@@ -25,6 +26,12 @@ class _Circular(Kind):
     stated = ("plane", "radius_mm", "feed_mm_min")
     goes_round = True
     laws = True
+
+    @property
+    def machines(self) -> Sequence[VirtualMachine]:
+        from dtwin.kinds.circular.machines import MACHINES
+
+        return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.circular.plan import planned

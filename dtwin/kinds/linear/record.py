@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import FileReader, Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
@@ -26,6 +27,12 @@ class _Linear(Kind):
     instead: ClassVar[Mapping[str, str]] = {
         "laws": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation"
     }
+
+    @property
+    def machines(self) -> Sequence[VirtualMachine]:
+        from dtwin.kinds.linear.machines import MACHINES
+
+        return MACHINES
 
     @property
     def readers(self) -> Mapping[str, FileReader]:

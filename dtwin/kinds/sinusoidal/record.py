@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
@@ -25,6 +26,12 @@ class _Sinusoidal(Kind):
     instead: ClassVar[Mapping[str, str]] = {
         "laws": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation"
     }
+
+    @property
+    def machines(self) -> Sequence[VirtualMachine]:
+        from dtwin.kinds.sinusoidal.machines import MACHINES
+
+        return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.sinusoidal.plan import planned

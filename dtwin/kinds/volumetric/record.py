@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.kinds.machine import VirtualMachine
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -21,6 +22,12 @@ class _Volumetric(Kind):
         "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a "
         "twin of heat"
     }
+
+    @property
+    def machines(self) -> Sequence[VirtualMachine]:
+        from dtwin.kinds.volumetric.machines import MACHINES
+
+        return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.volumetric.plan import planned
