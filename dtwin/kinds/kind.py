@@ -12,6 +12,8 @@ from dtwin.errors import InputError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import plotly.graph_objects as go
+
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
@@ -49,6 +51,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "programs": ("writing motion programs", "motion that a control runs by itself"),
     "detectable": ("telling what a plan could detect", "a grid on which runs are compared"),
     "judge_run": ("a check of runs", "a judgement of one run"),
+    "drawings": ("a picture of a run", "a figure of one run"),
     "rows": ("a twin of paths", "a grid on which runs are compared"),
     "laws": ("a law or a formula for what a twin leaves", "runs of one circle"),
     "twin_correction": ("the correction of a twin", "a bundle of the effects of a twin"),
@@ -104,6 +107,35 @@ class Planned:
     order_text: str = ""
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """A figure of one run.
+
+    Attributes
+    ----------
+    name : str
+        Of the figure, in its address.
+    title : str
+        What it shows, for those who do not see it.
+    height : int
+        Pixels.
+    draw : callable
+        ``draw(run, floor_um)``: the plotly figure; ``floor_um`` is called for the noise floor of the
+        campaign, NaN when it is not known, by figures that show it.
+    half : bool
+        Whether two such figures stand side by side.
+    note : str
+        What must be said before it.
+    """
+
+    name: str
+    title: str
+    height: int
+    draw: Callable[[Run, Callable[[], float]], go.Figure]
+    half: bool = False
+    note: str = ""
+
+
 class Kind:
     """A kind of campaign; a verb that it lacks raises :class:`NotOffered`.
 
@@ -121,6 +153,8 @@ class Kind:
         Whether a check tells the figures of all runs in one table, not run by run.
     laws : bool
         Whether a law is searched for what a twin leaves.
+    always_fitted : str
+        What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str
         Dialects of its programs, the usual first; empty when they are alike for all controls.
     instead : mapping of str to str
@@ -133,6 +167,7 @@ class Kind:
     goes_round: ClassVar[bool] = False
     in_one_table: ClassVar[bool] = False
     laws: ClassVar[bool] = False
+    always_fitted: ClassVar[str] = ""
     controls: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
 
@@ -189,6 +224,11 @@ class Kind:
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
         """Return the text of what a check found, besides that of each run."""
         return []
+
+    @property
+    def drawings(self) -> Sequence[Drawing]:
+        """Figures of one run, in the order of its page."""
+        raise self.lacks("drawings")
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         """Return the grid on which runs are compared, and the runs on it."""

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
@@ -14,12 +13,9 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
-from dtwin.physics.circular import fit_circle, residual_um
-from dtwin.physics.tone_grid import TONE, tone_row
+from dtwin.kinds.registry import kind_named, kinds
 from dtwin.physics.volumetric.motions import FAMILIES
 from dtwin.pipeline.measuring import ingest
-from dtwin.report.plots import error_figure, polar_figure, spectrum_figure
-from dtwin.schema import Floats, Run
 from dtwin.workbench import campaigns
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.jobs import Tell
@@ -28,7 +24,6 @@ from dtwin.workbench.reading import campaign_floor
 from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
 
 router = APIRouter()
-_NOISE_QUANTILE = 3.0
 
 
 class Told(BaseModel):
@@ -87,10 +82,14 @@ def campaign_page(request: Request, name: str) -> Response:
     )
     rungs = {twin: bench.twins.history(twin) for twin in bench.twin_names()}
     fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
+    kind = kind_named(overview.kind)
+    paths = kind.offers("rows")
     return rendered(
         request, "campaign.html", title=f"Campaign {name}", campaign=overview, runs=rows,
-        findings=findings, effects=campaigns.possible_effects(rows, bench.library),
-        families=FAMILIES.values(), suggested=_free_name(list(rungs), overview.machine), fitted=fitted,
+        findings=findings, kind=kind, paths=paths,
+        effects=campaigns.possible_effects(rows, bench.library) if paths else FAMILIES.values(),
+        with_twins=[known.name for known in kinds() if known.always_fitted],
+        suggested=_free_name(list(rungs), overview.machine), fitted=fitted,
     )  # fmt: skip
 
 
@@ -99,34 +98,28 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
     """Show one run."""
     bench = bench_of(request)
     row = _row(bench, name, run_id)
+    kind = kind_named(row["kind"])
     return rendered(
-        request, "run.html", title=f"Run {run_id}", campaign=name, row=row,
+        request, "run.html", title=f"Run {run_id}", campaign=name, row=row, kind=kind,
         findings=campaigns.findings_of(row),
+        drawings=kind.drawings if kind.offers("drawings") else (),
     )  # fmt: skip
 
 
-@router.get("/api/campaigns/{name}/runs/{run_id}/{kind}")
-def run_figure(request: Request, name: str, run_id: str, kind: str) -> Response:
-    """Return a figure of a run: polar, angle, time or spectrum; along a travel or tone ``along``."""
+@router.get("/api/campaigns/{name}/runs/{run_id}/{figure}")
+def run_figure(request: Request, name: str, run_id: str, figure: str) -> Response:
+    """Return a figure of a run: one of the drawings of its kind."""
     bench = bench_of(request)
     row = _row(bench, name, run_id)
+    drawings = {drawing.name: drawing for drawing in kind_named(row["kind"]).drawings}
+    if figure not in drawings:
+        raise InputError(
+            "there is no such figure of the run", code="page.unknown", where=run_id,
+            got=figure[:40], allowed=", ".join(drawings),
+        )  # fmt: skip
     key = ("run", name, run_id, row["content_sha256"], row["metadata_version"])
     run = bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
-    if kind == "along":
-        return drawn(_along(run))
-    angle, left = _centred(run)
-    curves = {run_id: (angle, left)}
-    title = f"{run_id}: error after centre and radius"
-    if kind == "spectrum":
-        return drawn(_spectrum(run_id, left, run.meta.sample_rate_hz))
-    floor_um = campaign_floor(bench, name).um
-    if kind == "polar":
-        radius = float(run.meta.radius_mm or 100.0)
-        return drawn(polar_figure(curves, radius, title=title, floor_um=floor_um))
-    if kind == "time":
-        curves = {run_id: (np.asarray(run.samples["t_s"], float)[_window(run)], left)}
-        return drawn(error_figure(curves, title=title, floor_um=floor_um, x_title="time, s"))
-    return drawn(error_figure(curves, title=title, floor_um=floor_um))
+    return drawn(drawings[figure].draw(run, lambda: campaign_floor(bench, name).um))
 
 
 @router.post("/api/trays")
@@ -219,58 +212,6 @@ def _row(bench: Bench, name: str, run_id: str) -> Any:
     raise InputError(
         "no such run in the campaign", code="page.unknown", where=name, got=run_id[:100]
     )
-
-
-def _window(run: Run) -> slice:
-    return slice(*run.window) if run.window is not None else slice(None)
-
-
-def _centred(run: Run) -> tuple[Floats, Floats]:
-    window = _window(run)
-    if not {"angle_deg", "deviation_um"} <= set(run.samples):
-        raise InputError(
-            "only runs of circular tests are drawn here",
-            code="run.kind",
-            where=run.meta.run_id,
-            got=run.meta.kind,
-            allowed="circular",
-        )
-    angle = np.asarray(run.samples["angle_deg"], float)[window]
-    deviation = np.asarray(run.samples["deviation_um"], float)[window]
-    radius = float(run.meta.radius_mm or 100.0)
-    return angle, residual_um(angle, deviation, radius, fit_circle(angle, deviation, radius))
-
-
-def _along(run: Run) -> Any:
-    """Draw a sweep over its positions, and a tone over the phase of its command."""
-    title = f"{run.meta.run_id}: error as measured"
-    if run.meta.kind == "sinusoidal":
-        reduced = tone_row(run, 0.0)
-        curves = {"tool minus command": (TONE.points, reduced.y_um)}
-        return error_figure(curves, title=title, x_title="phase of the command, deg")
-    if not {"position_mm", "direction", "error_um"} <= set(run.samples):
-        raise InputError(
-            "this run has no error over a path", code="run.kind", where=run.meta.run_id,
-            got=run.meta.kind, allowed="linear, sinusoidal",
-        )  # fmt: skip
-    position, error = (np.asarray(run.samples[n], float) for n in ("position_mm", "error_um"))
-    ways = np.asarray(run.samples["direction"])
-    curves = {str(way): (position[ways == way], error[ways == way]) for way in np.unique(ways)}
-    return error_figure(curves, title=title, x_title="position, mm")
-
-
-def _spectrum(run_id: str, left_um: Floats, rate_hz: float) -> Any:
-    n = left_um.size
-    window = np.hanning(n)
-    amplitude = 2.0 * np.abs(np.fft.rfft((left_um - left_um.mean()) * window)) / window.sum()
-    # Lines of noise alone are Rayleigh distributed; the median is not moved by a few true lines.
-    upper = amplitude[n // 4 :]
-    floor = _NOISE_QUANTILE * float(np.median(upper)) / float(np.sqrt(np.log(4.0)))
-    return spectrum_figure(
-        np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz), dtype=np.float64), amplitude, floor,
-        title=f"{run_id}: spectrum of one run (its upper half gives the noise; one run has no "
-        "repeats)",
-    )  # fmt: skip
 
 
 def _free_name(taken: list[str], machine: str) -> str:

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from dtwin.kinds.kind import Kind, Planned
+from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
@@ -26,6 +26,7 @@ class _Circular(Kind):
     stated = ("plane", "radius_mm", "feed_mm_min")
     goes_round = True
     laws = True
+    always_fitted = "Centre and radius of every set-up are always fitted."
 
     @property
     def machines(self) -> Sequence[VirtualMachine]:
@@ -69,6 +70,12 @@ class _Circular(Kind):
         from dtwin.report.circular_checking import circular_result
 
         return circular_result(run) if run.meta.radius_mm else {}
+
+    @property
+    def drawings(self) -> Sequence[Drawing]:
+        from dtwin.kinds.circular.drawings import DRAWINGS
+
+        return DRAWINGS
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.gridding import CIRCLE, rows_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import FileReader, Kind, Planned
+from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
 
 if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
@@ -23,6 +23,7 @@ class _Linear(Kind):
     name = "linear"
     columns = ("t_s", "position_mm", "direction", "error_um")
     stated = ("axis",)
+    always_fitted = "The zero of every set-up is always fitted."
     controls = ("opencnc", "iso")
     instead: ClassVar[Mapping[str, str]] = {
         "laws": "dtwin twin correct serves the effects of the twin; dtwin lathe fit fits an equation"
@@ -84,6 +85,12 @@ class _Linear(Kind):
         from dtwin.report.positioning import positioning_lines
 
         return positioning_lines(result["positioning"])
+
+    @property
+    def drawings(self) -> Sequence[Drawing]:
+        from dtwin.kinds.linear.drawings import DRAWINGS
+
+        return DRAWINGS
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.stroke_grid import stroke_rows

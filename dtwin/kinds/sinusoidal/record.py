@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from dtwin.kinds.kind import Kind, Planned
+from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
@@ -23,6 +23,7 @@ class _Sinusoidal(Kind):
     name = "sinusoidal"
     columns = ("t_s", "cmd_z_mm", "act_z_mm")
     in_one_table = True
+    always_fitted = "The zero of every set-up is always fitted."
     instead: ClassVar[Mapping[str, str]] = {
         "laws": "dtwin twin correct serves the effects of the twin; dtwin turning fit fits an equation"
     }
@@ -68,6 +69,12 @@ class _Sinusoidal(Kind):
         from dtwin.report.turning import tone_lines
 
         return tone_lines(result["runs"])
+
+    @property
+    def drawings(self) -> Sequence[Drawing]:
+        from dtwin.kinds.sinusoidal.drawings import DRAWINGS
+
+        return DRAWINGS
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.tone_grid import TONE, tone_row

@@ -1,0 +1,135 @@
+"""Figures of one run: what a kind draws is what was measured, and nothing else is drawn."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named, kinds
+from dtwin.schema import Campaign, Floats, Run, RunMeta
+from dtwin.store import Lake
+from dtwin.workbench.access import Access
+from dtwin.workbench.bench import Bench
+from dtwin.workbench.server import application
+
+RATE_HZ, PERIOD_S = 250.0, 4.0
+T_S = np.arange(round(2.0 * PERIOD_S * RATE_HZ)) / RATE_HZ
+ANGLE_DEG = 360.0 * T_S / PERIOD_S
+LOBES_UM = 3.0 * np.cos(2.0 * np.radians(ANGLE_DEG))
+
+
+def circle() -> Run:
+    meta = RunMeta("c1", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=9425.0,
+                   sample_rate_hz=RATE_HZ)  # fmt: skip
+    moved_um = 5.0 + 20.0 * np.cos(np.radians(ANGLE_DEG)) + LOBES_UM
+    return Run(meta, {"t_s": T_S, "angle_deg": ANGLE_DEG, "deviation_um": moved_um})
+
+
+def sweeps() -> Run:
+    position = np.array([0.0, 10.0, 20.0, 20.0, 10.0, 0.0])
+    ways = np.repeat(np.array(["forward", "reverse"], dtype=object), 3)
+    samples = {"t_s": np.arange(6.0), "position_mm": position, "direction": ways,
+               "error_um": np.array([0.0, 1.0, 2.0, 5.0, 4.0, 3.0])}  # fmt: skip
+    return Run(RunMeta("s1", kind="linear", condition={"axis": "X"}, sample_rate_hz=1.0), samples)
+
+
+def tone() -> Run:
+    t_s = np.arange(3000) / 1000.0
+    told_mm = 0.005 * np.sin(2.0 * np.pi * 10.0 * t_s)
+    condition: dict[str, float | str] = {"axis": "Z", "amplitude_um": 5.0, "frequency_hz": 10.0}
+    meta = RunMeta("t1", kind="sinusoidal", condition=condition, sample_rate_hz=1000.0)
+    return Run(meta, {"t_s": t_s, "cmd_z_mm": told_mm, "tool_z_mm": 1.1 * told_mm})
+
+
+RUNS = {"circular": circle, "linear": sweeps, "sinusoidal": tone}
+
+
+def no_floor() -> float:
+    return math.nan
+
+
+def figure(kind: str, name: str, floor_um: Any = no_floor) -> Any:
+    (drawing,) = (d for d in kind_named(kind).drawings if d.name == name)
+    return drawing.draw(RUNS[kind](), floor_um)
+
+
+def values(trace: Any, axis: str = "y") -> Floats:
+    return np.asarray(getattr(trace, axis), dtype=float)
+
+
+def test_every_kind_that_draws_is_drawn_here() -> None:
+    assert {kind.name for kind in kinds() if kind.offers("drawings")} == set(RUNS)
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_every_drawing_has_a_name_of_its_own_and_shows_the_run(kind: str) -> None:
+    drawings = kind_named(kind).drawings
+    assert len({drawing.name for drawing in drawings}) == len(drawings)
+    assert all(drawing.draw(RUNS[kind](), no_floor).data for drawing in drawings)
+
+
+@pytest.mark.parametrize(("name", "across"), [("angle", ANGLE_DEG), ("time", T_S)])
+def test_a_circle_is_drawn_without_its_centre_and_radius(name: str, across: Floats) -> None:
+    (curve,) = figure("circular", name).data
+    assert values(curve, "x") == pytest.approx(across, abs=1e-3)
+    assert values(curve) == pytest.approx(LOBES_UM, abs=0.01)
+
+
+def test_the_spectrum_of_a_circle_has_the_line_of_its_lobes() -> None:
+    lines = figure("circular", "spectrum").data[0]
+    top = int(np.argmax(values(lines)))
+    assert values(lines, "x")[top] == pytest.approx(2.0 / PERIOD_S, abs=0.01)
+    assert values(lines)[top] == pytest.approx(3.0, rel=0.01)
+
+
+def test_the_floor_is_asked_for_only_where_it_is_shown() -> None:
+    def refused() -> float:
+        raise AssertionError("asked for")
+
+    figure("circular", "spectrum", refused)
+    figure("linear", "along", refused)
+    with pytest.raises(AssertionError, match="asked for"):
+        figure("circular", "polar", refused)
+
+
+def test_sweeps_are_drawn_over_their_positions() -> None:
+    forward, reverse = figure("linear", "along").data
+    assert (forward.name, reverse.name) == ("forward", "reverse")
+    assert values(reverse, "x") == pytest.approx([20.0, 10.0, 0.0])
+    assert values(reverse) == pytest.approx([5.0, 4.0, 3.0])
+
+
+def test_a_tone_is_drawn_over_the_phase_of_its_command() -> None:
+    (curve,) = figure("sinusoidal", "along").data
+    phase = np.radians(values(curve, "x"))
+    assert values(curve) == pytest.approx(0.5 * np.sin(phase), abs=1e-3)
+
+
+@pytest.mark.parametrize(("kind", "name"), [("circular", "angle"), ("linear", "along")])
+def test_a_run_without_the_columns_is_refused(kind: str, name: str) -> None:
+    (drawing,) = (d for d in kind_named(kind).drawings if d.name == name)
+    run = Run(RunMeta("empty", kind=kind), {"t_s": T_S})
+    with pytest.raises(InputError) as refused:
+        drawing.draw(run, no_floor)
+    assert (refused.value.code, refused.value.got) == ("run.columns", "t_s")
+
+
+def test_the_page_of_a_run_shows_what_its_kind_draws(tmp_path: Path) -> None:
+    home = Home(tmp_path)
+    Lake(home.lake).commit(Campaign("z", "m", kind="linear"), [sweeps()])
+    bench = Bench(home, Access("127.0.0.1", 8765))
+    client = TestClient(application(bench), base_url="http://127.0.0.1:8765")
+    page = client.get("/campaigns/z/runs/s1").text
+    assert "/api/campaigns/z/runs/s1/along" in page
+    assert "/polar" not in page
+    drawn = client.get("/api/campaigns/z/runs/s1/along").json()
+    assert [trace["name"] for trace in drawn["data"]] == ["forward", "reverse"]
+    absent = client.get("/api/campaigns/z/runs/s1/polar")
+    assert (absent.status_code, absent.json()["error"]["allowed"]) == (404, "along")
