@@ -18,7 +18,7 @@ from dtwin.physics import localise
 from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
-from dtwin.physics.grading import laws_of, survivors, variables
+from dtwin.physics.grading import laws_of, survivors
 from dtwin.physics.law_search import search_laws
 from dtwin.physics.laws import LawTest
 from dtwin.physics.material import IMMATERIAL
@@ -269,10 +269,10 @@ def _quiet(blank: Diagnosis) -> Verdict:
 
 
 def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
-    """Tell whether an effect is small and no variable of its law, though changed, confirms it."""
-    tested = any(test.variable not in ("time", "delay") for test in tests)
+    """Tell whether an effect is small, and a variable of its law, though changed, does not confirm it."""
     small = effect.size_um < _SPOKEN_OF * found.systematic_um[0]
-    return tested and small and not variables(effect.top, tests)[0]
+    changed = [test for test in tests if test.variable not in ("time", "delay")]
+    return small and not all(test.confirmed for test in changed)
 
 
 def _with_foreign(
