@@ -10,8 +10,8 @@ import numpy as np
 from rows import PUBLISHED
 
 from dtwin.config import published_table
-from studies.machines.ballbar_simulator import Convention, radial_error_um
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
+from studies.machines.ballbar_simulator import Convention, radial_error_um
 
 _SLOWEST, _FASTEST = 300.0, 6000.0
 # The width of a spike is not published.
