@@ -7,6 +7,7 @@ from typing import Any
 
 from prefect import flow
 
+from dtwin.kinds.registry import kind_named
 from dtwin.pipeline.drift import DriftCheck
 from dtwin.pipeline.twin_watch import TwinView
 from flows import _artifacts, _plots, _tasks
@@ -44,10 +45,10 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
             "Error over the path angle as the file counts it from its own start, first run of "
             "each condition, without its own centre and radius",
         )
-    check, twins = None, []
-    if figures["kind"] == "circular":
-        twins = _tasks.look_at_twins(figures["machine"], campaign)
-        check = _tasks.champion_drift(figures["machine"], campaign)
+    twins = _tasks.look_at_twins(figures["machine"], campaign)
+    kind = kind_named(figures["kind"])
+    judged = kind.offers("drift_is_judged")
+    check = _tasks.champion_drift(figures["machine"], campaign) if judged else None
     publish_twins(campaign, twins)
     publish_drift(check)
     return {
@@ -57,6 +58,7 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
         "warnings": sum(f["severity"] == "warning" for _, f in findings),
         "twins": {view.name: view.headline for view in twins},
         "drift": check.as_dict() if check else None,
+        "not_judged": "" if judged else kind.lacks("drift_is_judged").message,
         "scope": WHAT_IT_IS,
     }
 

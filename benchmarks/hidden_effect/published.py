@@ -10,8 +10,8 @@ import numpy as np
 from rows import PUBLISHED
 
 from dtwin.config import published_table
-from studies.machines.ballbar_simulator import Convention, radial_error_um
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
+from studies.machines.ballbar_simulator import Convention, radial_error_um
 
 _SLOWEST, _FASTEST = 300.0, 6000.0
 # The width of a spike is not published.
@@ -40,7 +40,7 @@ def published_case(
     rms = {label: _shows_um(part, feeds, law) for label, part in _parts(machine).items()}
     asked = {label: value for label, value in rms.items() if value >= noise_um}
     also = tuple(label for label, value in rms.items() if 0.0 < value < noise_um)
-    return Campaign(name, name), _measured(machine, feeds, law, noise_um, rng), asked, also
+    return Campaign(name, name), measured(machine, feeds, law, noise_um, rng), asked, also
 
 
 def _parts(machine: Table) -> dict[str, dict[str, Any]]:
@@ -85,9 +85,10 @@ def _shows_um(machine: Table, feeds: Sequence[float], law: str) -> float:
     return float(np.sqrt((out**2).mean()))
 
 
-def _measured(
+def measured(
     machine: Table, feeds: Sequence[float], law: str, noise_um: float, rng: np.random.Generator
 ) -> list[Run]:
+    """Return three repeats of every feed and direction, in random order, about a centre that is off."""
     runs: list[Run] = []
     radius = float(machine["radius"])
     circles = [(feed, sense, way) for feed in feeds for sense, way in _WAYS]

@@ -42,6 +42,8 @@ _EXPLAINED = 0.93
 _LEFT = 0.3
 _LITTLE = 0.2
 _SPOKEN_OF = 0.1
+# An exponent that is known no better tells nothing of a law.
+_VAGUE = 0.375
 
 
 def diagnose(
@@ -269,10 +271,12 @@ def _quiet(blank: Diagnosis) -> Verdict:
 
 
 def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
-    """Tell whether an effect is small and no variable of its law, though changed, confirms it."""
-    tested = any(test.variable not in ("time", "delay") for test in tests)
+    """Tell whether an effect is small, and what was changed does not confirm its law, or cannot tell."""
+    changed = [test for test in tests if test.variable not in ("time", "delay")]
     small = effect.size_um < _SPOKEN_OF * found.systematic_um[0]
-    return tested and small and not variables(effect.top, tests)[0]
+    confirmed = bool(variables(effect.top, tests)[0]) or not changed
+    vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
+    return small and (vague or not confirmed)
 
 
 def _with_foreign(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
+from dtwin.physics.whitening import harmonic_numbers
 
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
@@ -30,7 +33,7 @@ def material(
 ) -> tuple[list[Term], dict[str, list[Term]]]:
     """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
-    Every effect must explain a twentieth of what all explain, as RMS. A stand-in, by the label of
+    Every effect must explain a twentieth, as RMS, of what all explain whose harmonics are its own. A stand-in, by the label of
     the effect, is a simpler effect that loses no more in its place than laws are off.
     """
     if not terms:
@@ -38,10 +41,23 @@ def material(
     dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
     found = dictionary.add(terms)
     floor = (IMMATERIAL * floor_um(problem)) ** 2 * float(obs.mask.sum())
-    least = max(floor, _INEXACT**2 * dictionary.explained(found))
+    least = {
+        entry.label: max(floor, _INEXACT**2 * off)
+        for entry, off in zip(found, _alike(dictionary, found, obs), strict=True)
+    }
     chosen = _worthwhile(dictionary, found, least)
-    stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least) for e in chosen}
+    stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least[e.label]) for e in chosen}
     return [entry.term for entry in chosen], stand_ins
+
+
+def _alike(dictionary: Dictionary, found: list[Entry], obs: Observations) -> list[float]:
+    """Return, for each effect, the sum of squares of all effects in so far as their harmonics are its own."""
+    number = harmonic_numbers(obs.n_bins)
+    fitted = [dictionary.fitted([e]).reshape(obs.n_rows, obs.n_bins) for e in found]
+    power = np.array([np.bincount(number, (f**2).sum(axis=0)) for f in fitted])
+    share = np.sqrt(power / np.maximum(power.sum(axis=1, keepdims=True), 1e-300))
+    sums = ((share @ share.T) ** 2) @ power.sum(axis=1)
+    return np.minimum(sums, dictionary.explained(found)).tolist()
 
 
 def _stand_ins(
@@ -62,11 +78,13 @@ def _stand_ins(
     return list(best.values())
 
 
-def _worthwhile(dictionary: Dictionary, found: list[Entry], least: float) -> list[Entry]:
+def _worthwhile(
+    dictionary: Dictionary, found: list[Entry], least: Mapping[str, float]
+) -> list[Entry]:
     """Return the best of the effects found where each must explain so much: drop, add and exchange."""
 
     def worth(entries: list[Entry]) -> float:
-        return dictionary.explained(entries) - least * len(entries)
+        return dictionary.explained(entries) - sum(least[e.label] for e in entries)
 
     chosen, most = found, worth(found)
     while True:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.physics.candidates import probes
 from dtwin.physics.problem import Problem, Term, weighted_like
@@ -16,6 +17,8 @@ from dtwin.statistics import t_quantile
 _COVERAGE = 0.9545
 # Of a parameter, the share of its information that must be left when a condition is taken out.
 _SUPPORTED = 1e-6
+# Conditions of a jackknife.
+_FEWEST = 5
 
 
 def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats) -> Floats:
@@ -75,28 +78,35 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
 def _by_condition(problem: Problem, scaled: Floats, influence: Floats, left: Floats) -> Floats:
     """Return expanded uncertainties with the condition as the unit, in scaled columns, shape (k,).
 
-    Two parts: the jackknife, each condition left out once, and what a misfit of the observed
-    covariance between conditions would do at harmonics at which it is not fitted away.
+    Two parts: the jackknife, each condition left out once, where there are enough for one; and what
+    a misfit of the observed covariance between conditions would do at harmonics at which it is not
+    fitted away.
     """
     condition_of = problem.obs.condition_of
     number = int(condition_of.max()) + 1
-    rows = scaled.reshape(*influence.shape)
-    grams = np.zeros((number, scaled.shape[1], scaled.shape[1]))
-    sides = np.zeros((number, scaled.shape[1]))
+    few = number < _FEWEST
+    jackknife = 0.0 if few else _jackknife(scaled.reshape(influence.shape), left, condition_of)
+    means = condition_sums(left, condition_of) / np.bincount(condition_of)[:, None]
+    together = means @ means.T / means.shape[1]
+    summed = condition_sums(influence, condition_of)
+    coherent = np.einsum("iqk,ij,jqk->k", summed, together, summed, optimize=True)
+    factor = 2.0 if few else t_quantile(0.5 + _COVERAGE / 2.0, number - 1.0)
+    return np.asarray(factor * np.sqrt(jackknife + coherent))
+
+
+def _jackknife(rows: Floats, left: Floats, condition_of: NDArray[np.int64]) -> Floats:
+    """Return the variance of what is fitted, each condition left out once, shape (k,)."""
+    number = int(condition_of.max()) + 1
+    grams = np.zeros((number, rows.shape[2], rows.shape[2]))
+    sides = np.zeros((number, rows.shape[2]))
     for row, condition in enumerate(condition_of):
         grams[condition] += rows[row].T @ rows[row]
         sides[condition] += rows[row].T @ left[row]
     whole = grams.sum(axis=0)
-    moved = np.zeros((number, scaled.shape[1]))
+    moved = np.zeros_like(sides)
     for n in range(number):
         rest = whole - grams[n]
         supported = np.diag(rest) > _SUPPORTED * np.diag(whole)
         change = np.linalg.pinv(rest, rcond=1e-10, hermitian=True) @ (sides.sum(axis=0) - sides[n])
         moved[n, supported] = change[supported]
-    jackknife = (number - 1) / number * (moved**2).sum(axis=0)
-    means = condition_sums(left, condition_of) / np.bincount(condition_of)[:, None]
-    together = means @ means.T / means.shape[1]
-    summed = condition_sums(influence, condition_of)
-    coherent = np.einsum("iqk,ij,jqk->k", summed, together, summed, optimize=True)
-    factor = t_quantile(0.5 + _COVERAGE / 2.0, max(number - 1.0, 1.0))
-    return np.asarray(factor * np.sqrt(jackknife + coherent))
+    return np.asarray((number - 1) / number * (moved**2).sum(axis=0))

@@ -8,6 +8,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.pipeline.every_twin import every_shelf
 from dtwin.report.every_twin import comparison_text, diagnosis_text
+from dtwin.store import Lake
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class TwinView:
 
 
 def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
-    """Diagnose or compare every twin of a machine.
+    """Diagnose or compare every twin of a machine that is of the kind of a campaign.
 
     Parameters
     ----------
@@ -56,10 +57,12 @@ def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
         The machine, and a campaign of it in the lake.
     """
     views = []
+    lake = Lake(home.lake)
+    kind = lake.campaign(campaign).kind
     for twins in every_shelf(home):
         for name in twins.names():
             twin = twins.newest(name)
-            if twin.machine != machine:
+            if twin.machine != machine or lake.campaign(twin.campaign).kind != kind:
                 continue
             if twin.campaign == campaign:
                 _, found = twins.diagnose(name)
