@@ -45,13 +45,15 @@ def read_plan_file(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def planned_campaign(path: Path) -> Planned:
+def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
     """Return the campaign that a plan file plans.
 
     Parameters
     ----------
     path : Path
         As for :func:`read_plan_file`.
+    unstated : str
+        Kind of a plan that does not say its own.
 
     Raises
     ------
@@ -59,11 +61,11 @@ def planned_campaign(path: Path) -> Planned:
         When the file cannot be read, its kind is unknown, or a rule of the kind is broken.
     """
     document = read_plan_file(path)
-    return plan_kind(document).plan(document, str(path))
+    return plan_kind(document, unstated).plan(document, str(path))
 
 
-def plan_kind(document: Mapping[str, Any]) -> Kind:
-    """Return the kind of campaign that a plan asks for, the default where it does not say.
+def plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:
+    """Return the kind of campaign that a plan asks for; ``unstated`` where it does not say.
 
     Raises
     ------
@@ -71,7 +73,7 @@ def plan_kind(document: Mapping[str, Any]) -> Kind:
         When there is no such kind, or it has no plan.
     """
     head = document.get("plan")
-    name = head.get("kind", DEFAULT_KIND) if isinstance(head, dict) else DEFAULT_KIND
+    name = head.get("kind", unstated) if isinstance(head, dict) else unstated
     if name not in kind_names():
         raise InputError(
             "no plan is known for this kind", code="plan.kind", where="plan.kind",

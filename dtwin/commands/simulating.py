@@ -107,7 +107,7 @@ def _planned(machine: VirtualMachine, file: Path | None) -> Any:
 
     if file is None:
         return None
-    planned = planned_campaign(file)
+    planned = planned_campaign(file, machine.kind)
     if planned.kind != machine.kind:
         raise InputError(
             f"the virtual {machine.name} measures no such campaign", code="simulate.plan",

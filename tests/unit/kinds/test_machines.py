@@ -33,9 +33,7 @@ LINEAR = (
     '[plan]\nkind = "linear"\nname = "p"\nmachine = "m"\naxis = "Z"\nunit = "in"\nstart = 1\nend = 3\n'
     "step = 0.5\nruns = 1\ndwell_s = 6\nfeed_min = 20\novershoot = 0.1\naxis_low = 0\naxis_high = 41\n"
 )
-CIRCLES = (
-    '[plan]\nname = "p"\nmachine = "m"\n[grid]\nplane = "XY"\nradius_mm = 100\nfeed_mm_min = 500\n'
-)
+CIRCLES = '[plan]\nkind = "circular"\nname = "p"\nmachine = "m"\n[grid]\nplane = "XY"\nradius_mm = 100\nfeed_mm_min = 500\n'
 
 
 def simulate(*words: object) -> None:
@@ -114,6 +112,13 @@ def test_what_would_be_ignored_or_cannot_be_is_refused(
         simulate("--out", "out", *words)
     assert refused.value.code == code
     assert not Path("out").exists()
+
+
+def test_a_plan_that_does_not_say_its_kind_is_one_of_the_machine(tmp_path: Path) -> None:
+    plan, out = tmp_path / "plan.toml", tmp_path / "out"
+    plan.write_text(LINEAR.replace('kind = "linear"\n', ""), encoding="utf-8")
+    simulate("--machine", "lathe", "--plan", plan, "--out", out)
+    assert 'kind = "linear"' in (out / "campaign.toml").read_text(encoding="utf-8")
 
 
 class _Registry:
