@@ -43,7 +43,7 @@ _LEFT = 0.3
 _LITTLE = 0.2
 _SPOKEN_OF = 0.1
 # An exponent that is known no better tells nothing of a law.
-_VAGUE = 0.375
+_VAGUE = 0.3
 
 
 def diagnose(

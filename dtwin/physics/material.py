@@ -15,6 +15,7 @@ from dtwin.physics.whitening import harmonic_numbers
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
 _INEXACT = 0.05
+_LEAST = 0.02
 # A simpler effect stands in for another one when it loses no more than this of what that explains.
 _STANDS_IN = 0.05
 
@@ -33,7 +34,8 @@ def material(
 ) -> tuple[list[Term], dict[str, list[Term]]]:
     """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
-    Every effect must explain a twentieth, as RMS, of what all explain whose harmonics are its own. A stand-in, by the label of
+    Every effect must explain a fiftieth, as RMS, of what all explain, and a twentieth of what those
+    explain whose harmonics are its own; one of several shapes a twentieth of all. A stand-in, by the label of
     the effect, is a simpler effect that loses no more in its place than laws are off.
     """
     if not terms:
@@ -41,9 +43,12 @@ def material(
     dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
     found = dictionary.add(terms)
     floor = (IMMATERIAL * floor_um(problem)) ** 2 * float(obs.mask.sum())
+    whole = dictionary.explained(found)
+    floor = max(floor, _LEAST**2 * whole)
+    # What has several shapes can take that of any misfit.
     least = {
-        entry.label: max(floor, _INEXACT**2 * off)
-        for entry, off in zip(found, _alike(dictionary, found, obs), strict=True)
+        entry.label: max(floor, _INEXACT**2 * (whole if len(entry.term.shape) > 1 else alike))
+        for entry, alike in zip(found, _alike(dictionary, found, obs), strict=True)
     }
     chosen = _worthwhile(dictionary, found, least)
     stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least[e.label]) for e in chosen}
