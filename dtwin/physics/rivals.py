@@ -19,6 +19,8 @@ _GROUP_GAIN = 0.5
 # Between the shapes of the grid an effect may explain more.
 _NEAR = 0.3
 _GROUP_P = 0.05
+# The shape of the top effect was chosen among many: what has fewer numbers is not ruled out so soon.
+_SIMPLER_P = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,6 +225,7 @@ def _adds_nothing(
     left = candidates.visible(given, top.term)
     if not left.shape[1]:
         return True
+    simpler = _numbers(other.term) < _numbers(top.term)
     within = top.term.instance.effect.within_condition
     score = score_test(given, left, given.residual, level, within=within)
-    return score.p_value > _GROUP_P
+    return score.p_value > (_SIMPLER_P if simpler else _GROUP_P)
