@@ -163,6 +163,7 @@ def _concluded(
         or (late and f.top.term.instance.effect.within_condition)
         or _is_weak(f, tests[f.label][f.label], found)
     ]
+    doubted += _hidden_by(doubted, found, tests)
     kept = trusted(found, doubted, much)
     others = [f for f in found.found if f not in kept]
     told = much or others or _worth_telling(found, blank.noise_floor_um)
@@ -272,11 +273,32 @@ def _quiet(blank: Diagnosis) -> Verdict:
 
 def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
     """Tell whether an effect is small, and what was changed does not confirm its law, or cannot tell."""
-    changed = [test for test in tests if test.variable not in ("time", "delay")]
+    changed = _over_conditions(tests)
     small = effect.size_um < _SPOKEN_OF * found.systematic_um[0]
     confirmed = bool(variables(effect.top, tests)[0]) or not changed
     vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
     return small and (vague or not confirmed)
+
+
+def _hidden_by(
+    doubted: Sequence[Found], found: Search, tests: Mapping[str, Mapping[str, Sequence[LawTest]]]
+) -> list[Found]:
+    """Return the effects smaller than what is doubted whose own laws are not confirmed.
+
+    What is not what it seems leaves something of itself, which smaller effects take.
+    """
+    does_um = localise.systematic_rms_um(found.plain.obs, sum_um(doubted, found.plain.obs))
+    return [
+        f
+        for f in found.found
+        if f not in doubted
+        and f.size_um < does_um
+        and not all(t.confirmed for t in _over_conditions(tests[f.label][f.label]))
+    ]
+
+
+def _over_conditions(tests: Sequence[LawTest]) -> list[LawTest]:
+    return [test for test in tests if test.variable not in ("time", "delay")]
 
 
 def _with_foreign(
