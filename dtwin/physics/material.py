@@ -94,10 +94,21 @@ def hidden_by_mask(
         rest.remove(best)
         fitted = whole.fitted([*chosen, best]) - whole.fitted(chosen)
         hidden = fitted.reshape(obs.n_rows, obs.n_bins)
-        if _is_hidden(hidden, obs):
+        if _is_hidden(hidden, obs) and not _replaces(best, chosen, whole):
             chosen = [*chosen, best]
             out.append(best.term)
     return out
+
+
+def _replaces(new: Entry, chosen: list[Entry], dictionary: Dictionary) -> bool:
+    """Tell whether one of the effects chosen explains little beside a new one: that stands in its place."""
+    after = [*chosen, new]
+    both, one = dictionary.explained(after), dictionary.explained(chosen)
+    return any(
+        both - dictionary.explained([e for e in after if e is not entry])
+        < _MOSTLY * (one - dictionary.explained([e for e in chosen if e is not entry]))
+        for entry in chosen
+    )
 
 
 def _is_hidden(coefficients: Floats, obs: Observations) -> bool:
