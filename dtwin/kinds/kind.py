@@ -246,6 +246,10 @@ class Kind:
         """Return the verdicts of what needs no motion on a bundle and its metrics."""
         raise self.lacks("gates")
 
+    def recognises(self, bundle: Bundle) -> bool:
+        """Tell by its inputs whether a bundle that does not say so was made of such a campaign."""
+        return False
+
     def twin_correction(self) -> TwinWay:
         """Return how a twin of such a campaign becomes a correction."""
         raise self.lacks("twin_correction")

@@ -107,6 +107,11 @@ class _Linear(Kind):
 
         return train_positioning
 
+    def recognises(self, bundle: Bundle) -> bool:
+        from dtwin.train.positioning_bundle import is_positioning_bundle
+
+        return is_positioning_bundle(bundle)
+
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         from dtwin.train.positioning_gates import registered_positioning_gates
 

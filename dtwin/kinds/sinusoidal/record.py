@@ -91,6 +91,11 @@ class _Sinusoidal(Kind):
 
         return train_tones
 
+    def recognises(self, bundle: Bundle) -> bool:
+        from dtwin.train.tone_bundle import is_tone_bundle
+
+        return is_tone_bundle(bundle)
+
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         from dtwin.train.tone_gates import tone_gates
 

@@ -46,6 +46,11 @@ class _Volumetric(Kind):
 
         return train_volumetric
 
+    def recognises(self, bundle: Bundle) -> bool:
+        from dtwin.train.volumetric_bundle import is_volumetric_bundle
+
+        return is_volumetric_bundle(bundle)
+
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         from dtwin.train.volumetric_gates import volumetric_gates
 
