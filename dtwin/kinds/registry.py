@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from dtwin.errors import InputError
 from dtwin.kinds.kind import VERBS, Kind
 from dtwin.kinds.machine import VirtualMachine
-from dtwin.schema import DEFAULT_KIND
 
 if TYPE_CHECKING:
     from dtwin.serve.bundle import Bundle
@@ -67,6 +66,9 @@ def own_kinds() -> Iterator[Kind]:
 
 def kind_of(bundle: Bundle) -> Kind:
     """Return the kind of campaign that a bundle was made of."""
+    # The help lists virtual machines; it does not wait for numpy.
+    from dtwin.schema import DEFAULT_KIND
+
     if bundle.corrects:
         return kind_named(bundle.corrects)
     # An older one does not say it.

@@ -35,24 +35,24 @@ class _Circular(Kind):
         return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.circular.plan import planned
+        from dtwin.kinds.circular.planned import planned
         from dtwin.plan import expand
 
         return planned(expand(document, where))
 
     def usual_plan(self) -> Planned:
-        from dtwin.kinds.circular.plan import planned
+        from dtwin.kinds.circular.planned import planned
         from dtwin.plan import training_plan
 
         return planned(training_plan())
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
-        from dtwin.kinds.circular.plan import programs
+        from dtwin.kinds.circular.planned import programs
 
         return programs(planned.plan)
 
     def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        from dtwin.kinds.circular.plan import detected
+        from dtwin.kinds.circular.planned import detected
 
         return detected(planned.plan, noise_um)
 
@@ -99,7 +99,7 @@ class _Circular(Kind):
         return offline_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
-        from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles
+        from dtwin.kinds.circular.correction import freeze_circles, judge_circles
         from dtwin.pipeline.twin_correction import BY_LAW, TwinWay
 
         return TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)
