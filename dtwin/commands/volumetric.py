@@ -11,8 +11,8 @@ from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
-    from dtwin.physics.volumetric.thermal_model import ThermalModel
-    from dtwin.pipeline.volumetric_session import Session
+    from dtwin.kinds.volumetric.session import Session
+    from dtwin.kinds.volumetric.thermal_model import ThermalModel
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
@@ -46,8 +46,8 @@ def fit(
     from dtwin.config import home
     from dtwin.kinds.volumetric.judging import judged, models_of
     from dtwin.kinds.volumetric.page import volumetric_page
+    from dtwin.kinds.volumetric.session import session, with_offered
     from dtwin.kinds.volumetric.text import judged_text
-    from dtwin.pipeline.volumetric_session import session, with_offered
     from dtwin.serve.bundle_file import require_new
 
     if out is not None and against is None:

@@ -19,9 +19,11 @@ from dtwin.config import home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.volumetric.check import judge_volumetric_run
 from dtwin.kinds.volumetric.evidence import judged_hours
+from dtwin.kinds.volumetric.identify import Artefact, Balls, averaged_balls
 from dtwin.kinds.volumetric.judging import distance_changes_um
 from dtwin.kinds.volumetric.plan import BallPlan
 from dtwin.kinds.volumetric.served import ServedMill
+from dtwin.kinds.volumetric.session import session, session_in
 from dtwin.kinds.volumetric.simulate import simulate_volumetric
 from dtwin.machines.thermal_network import TRAINING
 from dtwin.machines.volumetric import (
@@ -30,8 +32,6 @@ from dtwin.machines.volumetric import (
     VolumetricMill,
     VolumetricParameters,
 )
-from dtwin.physics.volumetric.identify import Artefact, Balls, averaged_balls
-from dtwin.pipeline.volumetric_session import session, session_in
 from dtwin.schema import Run, RunMeta, SignalGroup
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle

@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.pipeline.twins import Twins
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -75,6 +79,17 @@ class _Sinusoidal(Kind):
         from dtwin.kinds.sinusoidal.drawings import DRAWINGS
 
         return DRAWINGS
+
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
+        from dtwin.pipeline.twins import Twins
+
+        return Twins(home, library)
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.report import twins
+
+        return twins
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.tone_grid import TONE, tone_row

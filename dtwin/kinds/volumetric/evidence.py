@@ -10,8 +10,8 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
 from dtwin.kinds.volumetric.judging import distance_changes_um
-from dtwin.physics.volumetric.thermal_model import independent
-from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
+from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
+from dtwin.kinds.volumetric.thermal_model import independent
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle

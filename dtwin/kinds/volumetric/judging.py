@@ -7,17 +7,17 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.kinds.volumetric.chain import coefficient, design
+from dtwin.kinds.volumetric.identify import Balls
 from dtwin.kinds.volumetric.intervals import (
     IntervalCurve,
     interval_curve,
     reduction_pct,
     worse_steps,
 )
+from dtwin.kinds.volumetric.session import Session, Strokes, with_offered
 from dtwin.kinds.volumetric.slots import SLOTS, slot_places_mm, slot_ranges_um
-from dtwin.physics.volumetric.chain import coefficient, design
-from dtwin.physics.volumetric.identify import Balls
-from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
-from dtwin.pipeline.volumetric_session import Session, Strokes, with_offered
+from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.schema import Floats
 from dtwin.statistics import rms
 

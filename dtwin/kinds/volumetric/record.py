@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.physics.effect import Effect
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -40,6 +44,17 @@ class _Volumetric(Kind):
 
         # Between the poses the array is turned: gaps in time are no lost samples.
         return judge_volumetric_run(run)
+
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> HeatTwins:
+        from dtwin.kinds.volumetric.twins import HeatTwins
+
+        return HeatTwins(home)
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.kinds.volumetric import twin_report
+
+        return twin_report
 
     def training(self) -> Callable[..., Training]:
         from dtwin.kinds.volumetric.training import train_volumetric

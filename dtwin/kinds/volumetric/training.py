@@ -10,8 +10,8 @@ import numpy as np
 
 from dtwin.kinds.volumetric.bundle import volumetric_bundle
 from dtwin.kinds.volumetric.judging import distance_changes_um
-from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal
-from dtwin.pipeline.volumetric_session import Session, session_in
+from dtwin.kinds.volumetric.session import Session, session_in
+from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle

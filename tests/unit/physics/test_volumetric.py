@@ -7,11 +7,11 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric.bundle import volumetric_bundle
+from dtwin.kinds.volumetric.chain import COEFFICIENTS, coefficient, design, identifiability
+from dtwin.kinds.volumetric.identify import Artefact, Balls
 from dtwin.kinds.volumetric.intervals import interval_curve, reduction_pct, worse_steps
 from dtwin.kinds.volumetric.slots import slot_errors_um, slot_places_mm, slot_ranges_um
-from dtwin.physics.volumetric.chain import COEFFICIENTS, coefficient, design, identifiability
-from dtwin.physics.volumetric.identify import Artefact, Balls
-from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
+from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.serve.runtime import CompiledBundle
 from studies.volumetric_paper import printed_agree
 

@@ -14,10 +14,10 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.physics.volumetric.heat_series import HeatSeries
-from dtwin.physics.volumetric.heat_twin import KIND, HeatFit, heat_figures
-from dtwin.physics.volumetric.motions import HeatTerm, family_of, motion_words
-from dtwin.physics.volumetric.thermal_model import fit_thermal, inflation
+from dtwin.kinds.volumetric.heat_series import HeatSeries
+from dtwin.kinds.volumetric.heat_twin import KIND, HeatFit, heat_figures
+from dtwin.kinds.volumetric.motions import HeatTerm, family_of, motion_words
+from dtwin.kinds.volumetric.thermal_model import fit_thermal, inflation
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail, holm, t_tail
 
@@ -109,7 +109,7 @@ class HeatDiagnosis:
     headline : str
         In words.
     figures : dict of str to float
-        Errors at the balls, as :func:`dtwin.physics.volumetric.heat_twin.heat_figures` has them.
+        Errors at the balls, as :func:`dtwin.kinds.volumetric.heat_twin.heat_figures` has them.
     lack_of_fit_p : float
         Of the hypothesis that the twin leaves nothing but noise of the motions.
     movers : tuple of Mover

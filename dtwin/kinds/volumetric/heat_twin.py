@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.physics.volumetric.chain import coefficient
-from dtwin.physics.volumetric.heat_series import FEWEST_CYCLES, HeatSeries
-from dtwin.physics.volumetric.motions import HeatTerm, motion_words
-from dtwin.physics.volumetric.thermal_model import ThermalModel, independent
+from dtwin.kinds.volumetric.chain import coefficient
+from dtwin.kinds.volumetric.heat_series import FEWEST_CYCLES, HeatSeries
+from dtwin.kinds.volumetric.motions import HeatTerm, motion_words
+from dtwin.kinds.volumetric.thermal_model import ThermalModel, independent
 from dtwin.schema import Floats
 
 FORMAT = "dtwin-heat-twin-1"

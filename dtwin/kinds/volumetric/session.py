@@ -10,8 +10,8 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.physics.volumetric.heat_series import require_temperatures
-from dtwin.physics.volumetric.identify import Artefact, Balls, Identified, averaged_balls
+from dtwin.kinds.volumetric.heat_series import require_temperatures
+from dtwin.kinds.volumetric.identify import Artefact, Balls, Identified, averaged_balls
 from dtwin.pipeline.campaign_name import in_lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run

@@ -11,9 +11,10 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
-from dtwin.physics.volumetric.heat_diagnosis import HeatDiagnosis, diagnose_heat
-from dtwin.physics.volumetric.heat_series import HeatSeries
-from dtwin.physics.volumetric.heat_twin import (
+from dtwin.kinds.volumetric.data import HeatLoaded, load_heat
+from dtwin.kinds.volumetric.heat_diagnosis import HeatDiagnosis, diagnose_heat
+from dtwin.kinds.volumetric.heat_series import HeatSeries
+from dtwin.kinds.volumetric.heat_twin import (
     FORMAT,
     KIND,
     HeatTwin,
@@ -23,8 +24,7 @@ from dtwin.physics.volumetric.heat_twin import (
     heat_twin_from,
     heat_twin_of,
 )
-from dtwin.physics.volumetric.motions import HeatTerm, heat_terms
-from dtwin.pipeline.heat_data import HeatLoaded, load_heat
+from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
 from dtwin.pipeline.twin_shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 from dtwin.schema import Floats, require_name
 
@@ -105,7 +105,7 @@ class HeatTwins(TwinShelf):
         campaign : str
             Name in the lake, or a folder.
         effects : sequence of str
-            Error motions or families, as :func:`dtwin.physics.volumetric.motions.heat_terms` takes them.
+            Error motions or families, as :func:`dtwin.kinds.volumetric.motions.heat_terms` takes them.
         name : str
             Name of the twin.
         robust : bool

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
-from dtwin.physics.volumetric.chain import COEFFICIENTS, Identifiability, design, identifiability
+from dtwin.kinds.volumetric.chain import COEFFICIENTS, Identifiability, design, identifiability
 from dtwin.schema import Floats
 
 FIXED_POSE = 0

@@ -11,11 +11,11 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.physics.volumetric.chain import COEFFICIENTS, design
-from dtwin.physics.volumetric.heat_series import HeatSeries
-from dtwin.physics.volumetric.identify import FIXED_POSE, Artefact, Balls, Settled
+from dtwin.kinds.volumetric.chain import COEFFICIENTS, design
+from dtwin.kinds.volumetric.heat_series import HeatSeries
+from dtwin.kinds.volumetric.identify import FIXED_POSE, Artefact, Balls, Settled
+from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
 from dtwin.pipeline.campaign_name import in_lake
-from dtwin.pipeline.volumetric_session import REFERENCE_CYCLES, Session, session_in
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail
 from dtwin.store import Lake

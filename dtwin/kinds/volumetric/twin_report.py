@@ -7,11 +7,11 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from dtwin.physics.volumetric.chain import COEFFICIENTS
-from dtwin.physics.volumetric.heat_diagnosis import MATERIAL
-from dtwin.physics.volumetric.heat_series import body_of
-from dtwin.physics.volumetric.heat_twin import HeatTwin
-from dtwin.physics.volumetric.motions import FAMILIES, Family, family_of, motion_words
+from dtwin.kinds.volumetric.chain import COEFFICIENTS
+from dtwin.kinds.volumetric.heat_diagnosis import MATERIAL
+from dtwin.kinds.volumetric.heat_series import body_of
+from dtwin.kinds.volumetric.heat_twin import HeatTwin
+from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
 from dtwin.report.html import Section, Table
 from dtwin.report.plots import COLOURS, styled
 from dtwin.report.text import micrometres, table
@@ -22,7 +22,7 @@ _SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}
 _UNIT = "unit of replication: the cycle, fewer where heat lasts"
 
 
-def heat_twin_text(twin: HeatTwin) -> str:
+def twin_text(twin: HeatTwin) -> str:
     """Return a twin for the terminal."""
     figures = twin.figures
     head = (
@@ -52,7 +52,7 @@ def term_table(twin: HeatTwin) -> Table:
     return Table(("effect", "what", "family", "inputs", "driven by"), rows)
 
 
-def heat_comparison_text(result: Mapping[str, Any]) -> str:
+def comparison_text(result: Mapping[str, Any]) -> str:
     """Return a comparison for the terminal."""
     days, motions = _day_table(result), _motion_table(result)
     return "\n".join(
@@ -73,7 +73,7 @@ def heat_comparison_text(result: Mapping[str, Any]) -> str:
     )
 
 
-def heat_diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
+def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
     lines = [
         f"{result['verdict']}: {result['headline']}",
@@ -108,7 +108,7 @@ def heat_diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     return "\n".join([*lines, *_advice(name, result)])
 
 
-def heat_comparison_sections(result: Mapping[str, Any]) -> list[Section]:
+def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
     """Return measured against predicted: motion by motion and day by day."""
     said = (
         f"Version {result['version']} against {result['campaign']}: {result['runs']} cycles, "
@@ -126,22 +126,22 @@ def heat_comparison_sections(result: Mapping[str, Any]) -> list[Section]:
     ]
 
 
-def heat_diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
+def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return what is missing."""
     said = (
         _SEVERITY.get(result["verdict"], "warning"),
         f"{result['verdict']}: {result['headline']}",
     )
     figures = [ranked_figure(result)] if result["candidates"] else []
-    return Section("What is missing", [], [said], [], figures, [heat_diagnosis_text(name, result)])
+    return Section("What is missing", [], [said], [], figures, [diagnosis_text(name, result)])
 
 
-def heat_twin_section(twin: HeatTwin) -> Section:
+def twin_section(twin: HeatTwin) -> Section:
     """Return the twin and its error motions."""
-    return Section("The twin", [heat_twin_text(twin).split("\n")[1]], tables=[term_table(twin)])
+    return Section("The twin", [twin_text(twin).split("\n")[1]], tables=[term_table(twin)])
 
 
-def heat_history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
+def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
     """Return how the error fell."""
     figure = waterfall_figure(rungs, begun="no effects")
     return Section("From version to version", figures=[figure], code=[history_text(rungs)])
