@@ -1,1 +1,3 @@
 """Ball arrays: the record of the kind."""
+
+__all__: list[str] = []
