@@ -73,6 +73,19 @@ class DeltaFiles:
             return []
         return sorted(self._verified(self._open(version)))
 
+    def is_earlier(self) -> bool:
+        """Tell whether no entry of the log has a hash of the live files: version 0.1 wrote none."""
+        if not self.exists():
+            return False
+        try:
+            return not any(LIVE in path.read_text(encoding="utf-8") for path in self._entries())
+        except (OSError, ValueError):
+            return False
+
+    def earlier_files(self) -> list[str]:
+        """Return the live files of a table whose log has no hashes, sorted."""
+        return sorted(self._open().get_add_actions()["path"].to_pylist()) if self.exists() else []
+
     def accepted(self, schemas: Iterable[pa.Schema]) -> pa.Schema:
         """Return the columns of several files that are to be written.
 
@@ -300,11 +313,15 @@ class DeltaFiles:
             ]
         except (DeltaError, OSError, ValueError, TypeError, AttributeError) as error:
             raise self._damaged(str(error)) from error
-        if hashes != [live_hash(live)[LIVE]]:
-            raise self._damaged(
-                "the newest entry does not agree with the files that are live, or an earlier "
-                "version of dtwin wrote it"
+        if self.is_earlier():
+            raise StoreError(
+                "an earlier version of dtwin made this lake",
+                code="store.earlier",
+                where=str(self.folder),
+                hint="dtwin migrate",
             )
+        if hashes != [live_hash(live)[LIVE]]:
+            raise self._damaged("the newest entry does not agree with the files that are live")
         return live
 
     def _open(self, version: int | None = None) -> DeltaTable:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,6 +51,7 @@ def register(app: typer.Typer) -> None:
     app.command()(runs)
     app.command()(plan)
     app.command()(repair)
+    app.command()(migrate)
 
 
 def examples(
@@ -252,6 +254,28 @@ def repair(
         return "\n".join([*lines, *(f"recovered {run_text(r)}" for r in found)])
 
     emit(payload, text, as_json=as_json)
+
+
+def migrate(as_json: Json = False) -> None:
+    """Take over a home that an earlier version of dtwin made: lake, twins, machines.
+
+    Runs are compared with the hashes that their ingest stored; the old lake stays beside the new one.
+    """
+    from dtwin.config import home
+    from dtwin.pipeline.migrating import migrate as take_over
+
+    found = take_over(home(), ProgressLine("migrate", quiet=as_json))
+
+    def text() -> str:
+        if not (found.before or found.documents or found.machines):
+            return "nothing to do: this version made all of it"
+        lines = [f"{found.n_runs} runs of {len(found.campaigns)} campaigns taken over"]
+        lines += [f"the lake as it was: {found.before}"] if found.before else []
+        lines.append(f"{found.documents} documents of twins hashed as they are")
+        sealed = ", ".join(found.machines) or "none"
+        return "\n".join([*lines, f"machines sealed as they are: {sealed}"])
+
+    emit(asdict(found), text, as_json=as_json)
 
 
 def _told(

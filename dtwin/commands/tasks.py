@@ -20,6 +20,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "leave-out",
         "restore",
         "repair",
+        "migrate",
     ),
     "Understand": ("twin", "effects", "dynamics", "report", "papers"),
     "Correct": (

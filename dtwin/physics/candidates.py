@@ -17,7 +17,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.physics.score import NoiseLevel, Score, score_test
 from dtwin.physics.state import AXES_OF
-from dtwin.physics.whitening import from_harmonics, to_harmonics
+from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 
 _PITCH_MM = (2.0, 60.0)
@@ -155,8 +155,7 @@ class Candidates:
         """Return the whitened columns of a term, shape (rows * n, k)."""
         key = (term.label, tuple(sorted(term.shape.items())))
         if key not in self._columns:
-            columns = self.obs.regressors(term.instance, term.shape)
-            self._columns[key] = to_harmonics(columns)
+            self._columns[key] = self.obs.harmonics(term.instance, term.shape)
         weighted = self._columns[key] * problem.weights[:, None]
         return weighted.reshape(-1, weighted.shape[2])
 

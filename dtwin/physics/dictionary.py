@@ -106,18 +106,27 @@ class Dictionary:
         return self._room_gram[: len(self._right), : len(self._right)]
 
     def add_pitches(self, chosen: Sequence[Entry]) -> None:
-        """Take in the pitches at which what a set leaves repeats most."""
+        """Take in the pitches at which what a set leaves repeats most, and those of the axis's screw in it."""
         left = self._residual - self.fitted(chosen)
         rows = left.reshape(self._problem.obs.n_rows, -1)
-        have = {e.label for e in chosen}
-        self.add(
-            Term(instance, {_PITCH: pitch})
+        have = {e.label: e.term for e in chosen}
+        periodic = [
+            instance
             for instance in self._candidates.instances
-            if instance.label not in have
-            and instance.effect.shapes
-            and instance.effect.shapes[0].name == _PITCH
-            for pitch in likely_pitches(self._problem.obs, rows, instance, 1)
-        )
+            if instance.effect.shapes and instance.effect.shapes[0].name == _PITCH
+        ]
+        for instance in periodic:
+            # An axis has one screw.
+            pitches = [
+                term.shape[_PITCH]
+                for label, term in have.items()
+                if term.instance.axis == instance.axis
+                and _PITCH in term.shape
+                and label != instance.label
+            ]
+            if instance.label not in have:
+                pitches += likely_pitches(self._problem.obs, rows, instance, 1)
+            self.add(Term(instance, {_PITCH: pitch}) for pitch in pitches)
 
     def fitted(self, chosen: Sequence[Entry]) -> Floats:
         """Return what a set explains, whitened, shape (rows * n,)."""

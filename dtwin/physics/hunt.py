@@ -36,7 +36,7 @@ def best_set(
     candidates: Candidates,
     known: Sequence[Term],
     beside: Callable[[Problem], Problem],
-) -> tuple[list[Term], Observations]:
+) -> tuple[list[Term], Observations, list[Term]]:
     """Return the effects that explain a campaign best, and the observations that told.
 
     Parameters
@@ -57,6 +57,8 @@ def best_set(
     obs : Observations
         The campaign; without the neighbourhood of reversals when the library's laws do not hold
         to within the noise, there or everywhere.
+    everywhere : list of Term
+        The effects that explain all of the campaign best.
 
     Notes
     -----
@@ -70,6 +72,7 @@ def best_set(
     obs = problem.obs
     hunt = Hunt(problem, candidates, level)
     chosen = hunt.run([])
+    everywhere = [entry.term for entry in chosen]
     for number in range(_ROUNDS - 1):
         if hunt.left(chosen) < _MISFIT * level * obs.mask.sum():
             break
@@ -85,7 +88,7 @@ def best_set(
     terms = [entry.term for entry in chosen]
     if obs is problem.obs and obs.grid.kind == "circular" and _is_sharp(problem, terms):
         obs = _away_from_reversals(obs)
-    return terms, obs
+    return terms, obs, everywhere
 
 
 class Hunt:

@@ -10,12 +10,16 @@ from dtwin.physics.candidates import Candidates
 from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
-from dtwin.physics.whitening import harmonic_numbers
+from dtwin.physics.whitening import from_harmonics, harmonic_numbers
+from dtwin.schema import Floats
 
 # Smaller effects are not reported: the library's laws are not exact either.
 IMMATERIAL = 0.08
 _INEXACT = 0.05
 _LEAST = 0.02
+# As RMS, of what all explain.
+_MUCH = 0.1
+_MOSTLY = 0.5
 # A simpler effect stands in for another one when it loses no more than this of what that explains.
 _STANDS_IN = 0.05
 
@@ -53,6 +57,64 @@ def material(
     chosen = _worthwhile(dictionary, found, least)
     stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least[e.label]) for e in chosen}
     return [entry.term for entry in chosen], stand_ins
+
+
+def hidden_by_mask(
+    everywhere: Sequence[Term],
+    found: Sequence[Term],
+    obs: Observations,
+    known: Sequence[Term],
+    candidates: Candidates,
+    problem: Problem,
+) -> list[Term]:
+    """Return the effects that explain much beside those found, and most of it where the search did not look.
+
+    Parameters
+    ----------
+    everywhere : sequence of Term
+        Effects that explain the whole campaign best.
+    found : sequence of Term
+        Effects that were found in a part of it.
+    obs : Observations
+        That part.
+    known, candidates, problem
+        What the twin knows, the library, and the whole campaign.
+    """
+    whole = Dictionary(unweighted(problem.obs, known), Candidates(problem.obs, []))
+    chosen = whole.add(found)
+    have = {entry.label for entry in chosen}
+    rest = [entry for entry in whole.add(everywhere) if entry.label not in have]
+    least = _MUCH**2 * whole.explained([*chosen, *rest])
+    out: list[Term] = []
+    while rest:
+        before = whole.explained(chosen)
+        best = max(rest, key=lambda entry: whole.explained([*chosen, entry]))
+        if whole.explained([*chosen, best]) - before < least:
+            break
+        rest.remove(best)
+        fitted = whole.fitted([*chosen, best]) - whole.fitted(chosen)
+        hidden = fitted.reshape(obs.n_rows, obs.n_bins)
+        if _is_hidden(hidden, obs) and not _replaces(best, chosen, whole):
+            chosen = [*chosen, best]
+            out.append(best.term)
+    return out
+
+
+def _replaces(new: Entry, chosen: list[Entry], dictionary: Dictionary) -> bool:
+    """Tell whether one of the effects chosen explains little beside a new one: that stands in its place."""
+    after = [*chosen, new]
+    both, one = dictionary.explained(after), dictionary.explained(chosen)
+    return any(
+        both - dictionary.explained([e for e in after if e is not entry])
+        < _MOSTLY * (one - dictionary.explained([e for e in chosen if e is not entry]))
+        for entry in chosen
+    )
+
+
+def _is_hidden(coefficients: Floats, obs: Observations) -> bool:
+    """Tell whether most of what an effect does lies outside of the part that is looked at."""
+    um = from_harmonics(coefficients)
+    return bool((um**2)[~obs.mask].sum() > _MOSTLY * (um**2).sum())
 
 
 def _alike(dictionary: Dictionary, found: list[Entry], obs: Observations) -> list[float]:

@@ -18,6 +18,7 @@ from dtwin.physics.grid import Grid, PathCondition
 from dtwin.physics.gridding import CIRCLE, Indices
 from dtwin.physics.kept_columns import condition_key, kept_columns
 from dtwin.physics.state import State
+from dtwin.physics.whitening import to_harmonics
 from dtwin.schema import Campaign, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
@@ -222,6 +223,29 @@ class Observations:
                 key = self._condition_keys[number]
                 out[self.condition_of == number] = kept_columns(instance, shape, key, make)
         return np.where(self.mask[:, :, None], out, 0.0)
+
+    def harmonics(self, instance: Instance, shape: Shape) -> Floats:
+        """Return the columns of an effect as coefficients of harmonics, shape (rows, n, parameters)."""
+        effect, masks = instance.effect, self._condition_masks
+        if effect.within_condition or effect.needs or masks is None:
+            return to_harmonics(self.regressors(instance, shape))
+        columns = [
+            kept_columns(
+                instance, shape, key, partial(_averaged, self.grid, instance, shape, state)
+            )
+            for key, state in zip(self._condition_keys, self._condition_states, strict=True)
+        ]
+        once = to_harmonics(np.stack(columns) * masks[:, :, None])
+        return np.asarray(once[self.condition_of])
+
+    @cached_property
+    def _condition_masks(self) -> NDArray[np.bool_] | None:
+        """Where runs of each condition were measured; None when repeats differ in that."""
+        first = np.array(
+            [np.flatnonzero(self.condition_of == i)[0] for i in range(len(self.conditions))]
+        )
+        masks = self.mask[first]
+        return masks if np.array_equal(masks[self.condition_of], self.mask) else None
 
     @cached_property
     def _condition_keys(self) -> list[Hashable]:

@@ -11,7 +11,7 @@ from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.hunt import best_set
 from dtwin.physics.localise import in_angle, systematic_rms_um
-from dtwin.physics.material import IMMATERIAL, floor_um, material
+from dtwin.physics.material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics.problem import Problem, Term, weighted_like
 from dtwin.physics.rivals import Found, described, refined_candidate
 from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level
@@ -116,10 +116,11 @@ def search(
     before_um = systematic_rms_um(problem.obs, in_angle(plain))
     top = _leading(first, plain, candidates)
     terms: list[Term] = []
+    sharp: list[Term] = []
     stand_ins: dict[str, list[Term]] = {}
     told, library = problem, candidates
     if top is not None or fit <= _FIT_IS_FINE:
-        terms, obs = best_set(problem, candidates, known, beside)
+        terms, obs, everywhere = best_set(problem, candidates, known, beside)
         terms, stand_ins = material(terms, obs, known, candidates, problem)
         if obs is not problem.obs and problem.noise is not None:
             told, library = (
@@ -129,11 +130,40 @@ def search(
         terms = _significant(terms or ([top.term] if top else []), told, library, first)
         if not terms and top is not None:
             terms = [top.term]
+        if told is not problem:
+            beside_them = candidates.given(problem, terms)
+            sharp = hidden_by_mask(everywhere, terms, obs, known, candidates, problem)
+            sharp = _significant(sharp, beside_them, candidates, first)
+    found = _described(terms, sharp, stand_ins, told, library, problem, plain, candidates)
+    terms = [*terms, *sharp]
     last, plain_last = candidates.given(problem, terms), candidates.given(plain, terms)
-    found = described(terms, stand_ins, told, library, problem, plain, candidates)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
     return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
+
+
+def _described(
+    terms: list[Term],
+    sharp: list[Term],
+    stand_ins: dict[str, list[Term]],
+    told: Problem,
+    library: Candidates,
+    problem: Problem,
+    plain: Problem,
+    candidates: Candidates,
+) -> tuple[Found, ...]:
+    """Return what was found away from reversals, and beside it what happens at reversals."""
+    found = described(
+        terms, stand_ins, library.given(told, sharp), library, candidates.given(problem, sharp),
+        candidates.given(plain, sharp), candidates,
+    ) if sharp else described(terms, stand_ins, told, library, problem, plain, candidates)  # fmt: skip
+    if not sharp:
+        return found
+    beside = candidates.given(problem, terms)
+    at = described(
+        sharp, {}, beside, candidates, beside, candidates.given(plain, terms), candidates
+    )
+    return tuple(sorted([*found, *at], key=lambda f: -f.size_um))
 
 
 def adjusted(tested: Sequence[Candidate]) -> dict[str, float]:

@@ -145,7 +145,8 @@ class _Projected:
         key = number, logs.tobytes()
         if key not in self._kept:
             problem, term = self._problem, _at(self._terms[number], logs)
-            whitened = problem.whitened(problem.obs.regressors(term.instance, term.shape))
+            columns = problem.obs.harmonics(term.instance, term.shape) * problem.weights[:, None]
+            whitened = columns.reshape(-1, columns.shape[2])
             self._kept[key] = whitened - problem.basis @ (problem.basis.T @ whitened)
         return self._kept[key]
 

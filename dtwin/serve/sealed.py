@@ -22,13 +22,18 @@ from dtwin.serve.fields import only_fields
 
 CHAMPION, TRIAL, MACHINE, BARRED = "champion.json", "trial.json", "machine.json", "barred.json"
 SEAL = "seal.json"
-_FILES = (CHAMPION, TRIAL, MACHINE, BARRED)
+SEALED = (CHAMPION, TRIAL, MACHINE, BARRED)
 _LOCK = "seal.lock"
 _MAX_BYTES = 100_000
 # A reader may see the file of before and the seal of after.
 _LOOKS, _BETWEEN_S = 5, 0.01
 _Allowed = dict[str, list[str | None]]
 _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())
+
+
+def is_sealed(folder: Path) -> bool:
+    """Tell whether the files of a machine have a seal; before version 0.2 they had none."""
+    return (folder / SEAL).exists()
 
 
 def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> Path:
@@ -57,7 +62,7 @@ def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> 
     with locked(folder):
         allowed = _allowed(folder)
         if allowed is None:
-            allowed = {file: [_digest(folder / file)] for file in _FILES}
+            allowed = {file: [_digest(folder / file)] for file in SEALED}
         _write_seal(folder, allowed | {name: [*allowed[name][-1:], digest]})
         if content is None:
             _remove(path)
@@ -126,11 +131,11 @@ def locked(folder: Path) -> Iterator[None]:
 
 def _allowed(folder: Path) -> _Allowed | None:
     """Return the checksums that each file may have, the newest last; None without a seal."""
-    path = folder / SEAL
-    if not path.exists():
+    if not is_sealed(folder):
         return None
+    path = folder / SEAL
     try:
-        found = only_fields(parse_json(read_bytes(path, _MAX_BYTES), path), _FILES, str(path))
+        found = only_fields(parse_json(read_bytes(path, _MAX_BYTES), path), SEALED, str(path))
     except InputError as error:
         raise _broken(path, "seal.broken", "the seal of a machine's files is not whole") from error
     for digests in found.values():
@@ -162,5 +167,5 @@ def _broken(path: Path, code: str, text: str) -> GateRefusal:
     return GateRefusal(
         text, code=code, where=str(path),
         hint=f"put the folder back from a copy; or look whether champion, machine and withdrawn versions "
-        f"are right, remove {SEAL} there, and dtwin promote again",
+        f"are right, remove {SEAL} there, and dtwin promote again; of a home that an earlier version made: dtwin migrate",
     )  # fmt: skip

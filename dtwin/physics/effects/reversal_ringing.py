@@ -13,9 +13,9 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
     t_s = state.since_reversal_s[axis]
-    swing = np.exp(-t_s * 1e3 / shape["decay_ms"]) * state.last_end[axis] * state.sensitivity[axis]
-    swing = swing * state.feed_mm_s / 100.0
     phase = 2.0 * np.pi * shape["frequency_hz"] * t_s
+    swing = np.exp(-shape["damping_ratio"] * phase) * state.last_end[axis] * state.sensitivity[axis]
+    swing = swing * state.feed_mm_s / 100.0
     return stacked(swing * np.cos(phase), swing * np.sin(phase))
 
 
@@ -31,7 +31,7 @@ EFFECT = Effect(
     meaning=(
         "The jerk of the reversal excites a mode of the structure or of the servo, which dies out."
     ),
-    formula="F A exp(-t_r / T) cos(2 pi f t_r + p)",
+    formula="F A exp(-2 pi d f t_r) cos(2 pi f t_r + p)",
     looks_like=(
         "A decaying wave that begins at every reversal; its length in degrees grows with the feed."
     ),
@@ -43,7 +43,8 @@ EFFECT = Effect(
     reference="[D] kinematics of a free damped oscillation",
     shapes=(
         ShapeParameter("frequency_hz", "Hz", 10.0, (4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0)),
-        ShapeParameter("decay_ms", "ms", 150.0, (60.0, 150.0, 400.0)),
+        # What is damped more is no mode of a structure: a spike after a reversal looks like that.
+        ShapeParameter("damping_ratio", "1", 0.05, (0.015, 0.05, 0.16)),
     ),
     confusables=(
         "structural_resonance",

@@ -13,9 +13,9 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 3))
     t_s = state.since_reversal_s[axis]
-    swing = np.exp(-t_s * 1e3 / shape["decay_ms"]) * state.last_end[axis] * state.sensitivity[axis]
-    swing = swing * state.feed_mm_s / 100.0
     phase = 2.0 * np.pi * shape["frequency_hz"] * t_s
+    swing = np.exp(-shape["damping_ratio"] * phase) * state.last_end[axis] * state.sensitivity[axis]
+    swing = swing * state.feed_mm_s / 100.0
     bend = -1e-3 * state.acceleration_mm_s2[axis] * state.sensitivity[axis]
     return stacked(bend, swing * np.cos(phase), swing * np.sin(phase))
 
@@ -34,7 +34,7 @@ EFFECT = Effect(
         "A mode of low stiffness between drive and tool: it deflects with the acceleration "
         "of the path and rings when an axis reverses."
     ),
-    formula="c F^2/R cos^2(t) + F A exp(-t_r / T) cos(2 pi f t_r + p)",
+    formula="c F^2/R cos^2(t) + F A exp(-2 pi d f t_r) cos(2 pi f t_r + p)",
     looks_like=(
         "An oval that grows with the square of the feed, with a decaying wave after reversals."
     ),
@@ -46,7 +46,8 @@ EFFECT = Effect(
     reference="[D] second-order mode driven by the acceleration of the path",
     shapes=(
         ShapeParameter("frequency_hz", "Hz", 10.0, (4.0, 6.0, 9.0, 13.0, 18.0, 25.0, 35.0)),
-        ShapeParameter("decay_ms", "ms", 150.0, (60.0, 150.0, 400.0)),
+        # What is damped more is no mode of a structure: a spike after a reversal looks like that.
+        ShapeParameter("damping_ratio", "1", 0.05, (0.015, 0.05, 0.16)),
     ),
     confusables=(
         "inertial_compliance",
