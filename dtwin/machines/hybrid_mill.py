@@ -21,8 +21,8 @@ from dtwin.units import UM_PER_MM
 
 STROKE_MM = {"X": 400.0, "Y": 150.0, "Z": 150.0, "W": 150.0}
 """Published."""
-FASTEST_MM_MIN = 3000.0
-SPINDLE_V = 2.5
+_FASTEST_MM_MIN = 3000.0
+_SPINDLE_V = 2.5
 MODE_HZ = 194.0
 ITEMS = (
     "ProgramPositionCommand", "ProgramPositionFeedback", "PositionError",
@@ -215,10 +215,10 @@ class HybridMill:
                 got=str(np.abs(corners).max(axis=0).tolist()) if corners.ndim == 2 else "no corners",
                 allowed="X within ±200 mm, Y within ±75 mm",
             )  # fmt: skip
-        if not 1.0 <= feed_mm_min <= FASTEST_MM_MIN:
+        if not 1.0 <= feed_mm_min <= _FASTEST_MM_MIN:
             raise InputError(
                 "the mill cannot drive this feed", code="hybrid.feed",
-                got=f"{feed_mm_min:g} mm/min", allowed=f"1 to {FASTEST_MM_MIN:g} mm/min",
+                got=f"{feed_mm_min:g} mm/min", allowed=f"1 to {_FASTEST_MM_MIN:g} mm/min",
             )  # fmt: skip
         parts = [_move(here, there, feed_mm_min / 60.0) for here, there in pairwise(corners)]
         place, speed, gain = (np.concatenate([p[k] for p in parts], axis=1) for k in range(3))
@@ -290,7 +290,7 @@ def _scalars(command: Command, rng: np.random.Generator) -> dict[str, Floats]:
     return {
         "CoordinatedSpeedTargetActual": speed,
         "MFO": np.full(len(speed), 100.0),
-        "AnalogInput0": SPINDLE_V + 0.001 * rng.standard_normal(len(speed)),
+        "AnalogInput0": _SPINDLE_V + 0.001 * rng.standard_normal(len(speed)),
     }
 
 
