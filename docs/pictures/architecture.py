@@ -16,10 +16,8 @@ import grimp
 
 Edges = Mapping[str, set[str]]
 BASE = "modules and records"
-BASE_SAYS = (
-    "Single modules of dtwin, from the lake down to units and errors, and the records of kinds"
-)
-WIDTH, HEIGHT, GAP, DROP, MARGIN = 136, 30, 22, 34, 12
+BASE_SAYS = "Single modules, from the lake down to units and errors, and the records of kinds."
+WIDTH, HEIGHT, GAP, DROP, MARGIN, WORDS = 144, 30, 22, 34, 12, 640
 PASSES = "->"
 _RECORDS = ("registry", "kind", "machine")
 
@@ -110,12 +108,13 @@ def picture() -> str:
     height = 2 * MARGIN + top * (HEIGHT + DROP) + HEIGHT
     return "\n".join(
         [
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" '
-            f'width="{width}" height="{height}" font-family="sans-serif" role="img" '
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width + WORDS} {height}" '
+            f'width="{width + WORDS}" height="{height}" font-family="sans-serif" role="img" '
             'aria-label="Packages of dtwin and their imports, each above what it imports">',
-            f'<rect width="{width}" height="{height}" fill="white"/>',
+            f'<rect width="{width + WORDS}" height="{height}" fill="white"/>',
             *(_line([place[stop] for stop, _ in way]) for way in ways),
-            *(_box(name, place[name]) for name in sorted(floor, key=place.__getitem__)),
+            *(_box(name, place[name]) for name in sorted(floor)),
+            *_words(width, height, sorted(floor, key=lambda name: place[name][::-1])),
             "</svg>\n",
         ]
     )
@@ -153,12 +152,22 @@ def _line(stops: list[tuple[float, float]]) -> str:
 def _box(name: str, middle: tuple[float, float]) -> str:
     x, y = middle
     return (
-        f"<g><title>{escape(_says(name))}</title>"
         f'<rect x="{x - WIDTH / 2:g}" y="{y:g}" width="{WIDTH}" height="{HEIGHT}" rx="5" '
         'fill="#eef2f7" stroke="#33475b"/>'
         f'<text x="{x:g}" y="{y + HEIGHT / 2 + 4:g}" font-size="12.5" text-anchor="middle" '
-        f'fill="#1a1a1a">{escape(name)}</text></g>'
+        f'fill="#1a1a1a">{escape(name)}</text>'
     )
+
+
+def _words(left: float, height: float, names: list[str]) -> list[str]:
+    """Return what every box says of itself, from the highest down."""
+    step = (height - 2 * MARGIN) / len(names)
+    return [
+        f'<text font-size="12" fill="#333" y="{MARGIN + (number + 0.5) * step:.1f}">'
+        f'<tspan x="{left + GAP:g}" font-weight="bold">{escape(name)}</tspan>'
+        f'<tspan x="{left + GAP:g}" dy="15">{escape(_says(name))}</tspan></text>'
+        for number, name in enumerate(names)
+    ]
 
 
 def _says(name: str) -> str:

@@ -231,8 +231,7 @@ class OpenHome:
 
     def diagnose(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Name the effect that a twin lacks, or say why it cannot be named."""
-        _, found = self._twins(name).diagnose(name, seed=seed)
-        return of_diagnosis(name, found.as_dict())
+        return of_diagnosis(*self._twins(name).diagnose(name, seed=seed))
 
     def add(self, name: str, effect: str, axis: str = "") -> TwinResult:
         """Add an effect, refit, and return the new version."""
@@ -246,8 +245,9 @@ class OpenHome:
 
     def discover(self, name: str, *, seed: int = 0) -> DiagnosisResult:
         """Add all that these runs can tell, one version each; return the last diagnosis."""
-        _, _, said = self._twins(name).discover(name, seed=seed)
-        return of_diagnosis(name, said.as_dict())
+        twins = self._twins(name)
+        _, _, said = twins.discover(name, seed=seed)
+        return of_diagnosis(twins.newest(name), said)
 
     def history(self, name: str) -> pd.DataFrame:
         """Return one row for each version of a twin: action, error before and after, verdict."""
@@ -314,7 +314,7 @@ def open_home(folder: str | Path | None = None, effects: Iterable[str | Path] = 
     """
     quiet_environment()
     root = home() if folder is None else Home(Path(folder).expanduser().absolute())
-    return OpenHome(root, effects)
+    return OpenHome(root.tightened(), effects)
 
 
 def _silent(done: int, total: int, what: str) -> None:

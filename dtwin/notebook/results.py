@@ -25,7 +25,7 @@ class Result:
     Attributes
     ----------
     document : mapping
-        What the command prints with ``--json``.
+        The result as plain records, JSON-ready: what ``--json`` prints of it.
     text : str
         The same for people.
     """
@@ -192,8 +192,10 @@ def of_comparison(found: Any) -> ComparisonResult:
     )  # fmt: skip
 
 
-def of_diagnosis(name: str, document: Mapping[str, Any]) -> DiagnosisResult:
-    """Return a diagnosis of a twin as a result."""
+def of_diagnosis(twin: Any, found: Any) -> DiagnosisResult:
+    """Return a diagnosis of a version of a twin as a result."""
+    name: str = twin.name
+    document = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
     return DiagnosisResult(
         document, report.diagnosis_text(name, document),
         lambda: _figures([report.diagnosis_section(name, document)]),
