@@ -17,12 +17,12 @@ import time
 
 import numpy as np
 
-from dtwin.acquire.virtual_turning import QUICK, virtual_runs, virtual_slide
 from dtwin.features.windows import StreamingWindow
-from dtwin.pipeline.turning_fit import fitted_tones
+from dtwin.kinds.sinusoidal.fit import fitted_tones
+from dtwin.kinds.sinusoidal.groups import groups_of
+from dtwin.kinds.sinusoidal.simulate import QUICK, virtual_runs, virtual_slide
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.tone_groups import groups_of
 
 TICK_US, BUDGET_US, PREEMPTED_US = 125.0, 12.5, 5.0
 

@@ -8,19 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.virtual_lathe import mapping_plan, verification_plan, virtual_lathe
-from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
-from dtwin.linear_plan import LinearPlan
-from dtwin.machines.lathe import UM_PER_IN
-from dtwin.pipeline.lathe_compensation import Figures, measured
-from dtwin.progress import Progress
-from dtwin.report.positioning import before_after_figures
-from dtwin.schema import Floats
-from dtwin.serve.runtime import CompiledBundle
-from dtwin.statistics import rms
-from dtwin.train.net_training import ALGORITHMS, Trained, train_net
-from dtwin.train.positioning_bundle import deployed_bundle, flanks_of, printed_pair
-from dtwin.train.positioning_models import (
+from dtwin.kinds.linear.bundle import deployed_bundle, flanks_of, printed_pair
+from dtwin.kinds.linear.loop import Figures, measured
+from dtwin.kinds.linear.models import (
     Averages,
     Bidirectional,
     PositionModel,
@@ -30,7 +20,17 @@ from dtwin.train.positioning_models import (
     fit_single,
     whole_turns,
 )
-from dtwin.train.small_net import new_net
+from dtwin.kinds.linear.net_training import ALGORITHMS, Trained, train_net
+from dtwin.kinds.linear.plan import LinearPlan
+from dtwin.kinds.linear.report import before_after_figures
+from dtwin.kinds.linear.simulate import mapping_plan, verification_plan, virtual_lathe
+from dtwin.kinds.linear.small_net import new_net
+from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
+from dtwin.machines.lathe import UM_PER_IN
+from dtwin.progress import Progress
+from dtwin.schema import Floats
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.statistics import rms
 from studies.paper_line import Line, by_what_is_left, calibrated, left_open, worst, yes_or_no
 
 # Steps of tables, in inches.

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.kinds.circular.freeze import wrong_way
 from dtwin.machines.mill import Correction
 from dtwin.machines.mill_drive import STEP_S
 from dtwin.progress import Progress
@@ -17,7 +18,6 @@ from dtwin.serve.graph import Node
 from dtwin.serve.proof import with_vectors
 from dtwin.serve.safety import REASONS, Guard
 from dtwin.train.gates import evidence_gate, offline_gates
-from dtwin.train.twin_bundle import wrong_way
 from studies.mill_story_session import LaterSession, Way, later_session
 from studies.thesis_mill import MACHINE
 

@@ -9,25 +9,25 @@ from typing import Any
 import numpy as np
 from sklearn.metrics import r2_score
 
-from dtwin.acquire.virtual_turning import (
+from dtwin.features.sine import ToneErrors, tone_errors
+from dtwin.kinds.sinusoidal.candidates import narx_candidate
+from dtwin.kinds.sinusoidal.fit import FittedTones, fitted_tones
+from dtwin.kinds.sinusoidal.gates import features_used
+from dtwin.kinds.sinusoidal.groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
+from dtwin.kinds.sinusoidal.simulate import (
     PUBLISHED,
     QUICK,
     record_group,
     virtual_runs,
     virtual_slide,
 )
-from dtwin.features.sine import ToneErrors, tone_errors
+from dtwin.kinds.sinusoidal.training import what_was_seen
+from dtwin.kinds.sinusoidal.trial import trial
 from dtwin.machines.turning import Instruments, Slide
-from dtwin.pipeline.turning_fit import FittedTones, fitted_tones
-from dtwin.pipeline.turning_trial import trial
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
-from dtwin.train.tone_candidates import narx_candidate
-from dtwin.train.tone_gates import features_used
-from dtwin.train.tone_groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
-from dtwin.train.tone_training import what_was_seen
 from dtwin.units import UM_PER_MM
 from studies.paper_line import Line, by_what_is_left, calibrated, worst, yes_or_no
 
@@ -252,7 +252,7 @@ def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
     Parameters
     ----------
     cut : mapping
-        From :func:`dtwin.pipeline.turning_trial.trial`.
+        From :func:`dtwin.kinds.sinusoidal.trial.trial`.
     """
     row = next(r for r in cut["rows"] if r["frequency_hz"] == 40.0)
     before, after, less = row["before"], row["after"], row["reduction"]

@@ -6,11 +6,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from dtwin.acquire.virtual_volumetric import parameters_of, simulate_volumetric
 from dtwin.config import Home
-from dtwin.physics.volumetric.intervals import reduction_pct
-from dtwin.pipeline.volumetric import judged, models_of
-from dtwin.pipeline.volumetric_session import Session, session, with_offered
+from dtwin.kinds.volumetric.intervals import reduction_pct
+from dtwin.kinds.volumetric.judging import judged, models_of
+from dtwin.kinds.volumetric.session import Session, session, with_offered
+from dtwin.kinds.volumetric.simulate import parameters_of, simulate_volumetric
 from dtwin.progress import Progress
 from studies.paper_line import Line, by_what_is_left, left_open, worst, yes_or_no
 

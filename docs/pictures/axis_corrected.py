@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.acquire.linear_matrix import LinearTest
-from dtwin.acquire.virtual_lathe import virtual_lathe
-from dtwin.pipeline.lathe_compensation import exact_correction, looped, measured
-from dtwin.pipeline.lathe_evidence import evidence_plan
+from dtwin.kinds.linear.evidence import evidence_plan
+from dtwin.kinds.linear.loop import exact_correction, looped, measured
+from dtwin.kinds.linear.matrix import LinearTest
+from dtwin.kinds.linear.simulate import virtual_lathe
 from dtwin.schema import Floats
 from dtwin.serve.bundle_file import load_bundle
 

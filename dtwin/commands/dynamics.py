@@ -61,9 +61,9 @@ def split(
     """Part static from dynamic error in every run, against the slow reference."""
     from dtwin.atomic import write_text
     from dtwin.config import home
-    from dtwin.pipeline.ballbar_dynamics import split_campaign
-    from dtwin.pipeline.dynamics_ways import TWIN_EFFECTS, DynamicsRequest
-    from dtwin.report.dynamics import dynamics_page, dynamics_text
+    from dtwin.kinds.circular.dynamics import split_campaign
+    from dtwin.kinds.circular.dynamics_report import dynamics_page, dynamics_text
+    from dtwin.kinds.circular.dynamics_ways import TWIN_EFFECTS, DynamicsRequest
     from dtwin.train.particle_swarm import SwarmSettings
 
     chosen = TWIN_EFFECTS if effects is None else tuple(e.strip() for e in effects.split(","))

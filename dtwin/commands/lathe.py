@@ -11,7 +11,7 @@ from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
 if TYPE_CHECKING:
-    from dtwin.linear_plan import LinearPlan
+    from dtwin.kinds.linear.plan import LinearPlan
     from dtwin.serve.bundle import Bundle
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
@@ -44,8 +44,8 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit the positioning error of an axis, judge the equation, write it as a bundle."""
-    from dtwin.pipeline.lathe_fit import fitted, judged, write_judged
-    from dtwin.report.lathe import gate_lines
+    from dtwin.kinds.linear.fit import fitted, judged, write_judged
+    from dtwin.kinds.linear.text import gate_lines
 
     if model not in MODELS or (campaign is None) != (model == "printed"):
         raise InputError(
@@ -96,9 +96,9 @@ def compensate(
 ) -> None:
     """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
     from dtwin.commands.modelling import bundle_on_virtual
-    from dtwin.linear_plan import read_linear_plan
-    from dtwin.pipeline.lathe_compensation import before_and_after
-    from dtwin.report.lathe import compensation_text
+    from dtwin.kinds.linear.loop import before_and_after
+    from dtwin.kinds.linear.plan import read_linear_plan
+    from dtwin.kinds.linear.text import compensation_text
 
     chosen = None if plan is None else read_linear_plan(plan)
     path, told = bundle_on_virtual(model, machine)
@@ -128,9 +128,9 @@ def paper(
 def _in_real_time(
     bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool
 ) -> None:
-    from dtwin.acquire.virtual_lathe import verification_plan
-    from dtwin.pipeline.lathe_wall_clock import paced
-    from dtwin.report.lathe import wall_clock_text
+    from dtwin.kinds.linear.simulate import verification_plan
+    from dtwin.kinds.linear.text import wall_clock_text
+    from dtwin.kinds.linear.wall_clock import paced
 
     found = {"model": told} | paced(bundle, plan or verification_plan(), seconds)
     emit(found, lambda: f"{told}\n{wall_clock_text(found)}", as_json=as_json)

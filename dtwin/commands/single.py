@@ -10,7 +10,7 @@ import typer
 from dtwin.commands.output import emit
 
 if TYPE_CHECKING:
-    from dtwin.pipeline.single_recording import Study
+    from dtwin.kinds.circular.recording import Study
     from dtwin.schema import Floats
 
 File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
@@ -41,9 +41,9 @@ def study(
     as_json: Json = False,
 ) -> None:
     """Tell from one file what can be told: fitted on one pass, judged on the other."""
+    from dtwin.kinds.circular.recording import study_recording, ur10e_geometry
+    from dtwin.kinds.circular.recording_report import recording_sections, recording_text
     from dtwin.physics.library import Library
-    from dtwin.pipeline.single_recording import study_recording, ur10e_geometry
-    from dtwin.report.single import recording_sections, recording_text
 
     geometry = None if robot_centre_mm is None else ur10e_geometry(robot_centre_mm, bar_zero_deg)
     found = study_recording(file, Library(effects_path or ()), geometry)

@@ -48,9 +48,9 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit amplitude and phase error of tones, judge the equations, write them as a bundle."""
-    from dtwin.pipeline.turning_fit import MODELS, fitted_tones, folder_groups, write_tones
-    from dtwin.report.lathe import gate_lines
-    from dtwin.train.tone_bundle import ACTIONS
+    from dtwin.kinds.linear.text import gate_lines
+    from dtwin.kinds.sinusoidal.bundle import ACTIONS
+    from dtwin.kinds.sinusoidal.fit import MODELS, fitted_tones, folder_groups, write_tones
 
     if model not in MODELS or action not in ACTIONS:
         raise InputError(
@@ -107,9 +107,9 @@ def compensate(
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
     from dtwin.atomic import write_text
     from dtwin.commands.modelling import bundle_on_virtual
-    from dtwin.pipeline.turning_trial import TRIAL_HZ, trial
+    from dtwin.kinds.sinusoidal.report import trial_section, trial_text
+    from dtwin.kinds.sinusoidal.trial import TRIAL_HZ, trial
     from dtwin.report.html import page
-    from dtwin.report.turning import trial_section, trial_text
     from dtwin.serve.bundle_file import load_bundle
 
     chosen = tuple(frequency or TRIAL_HZ)

@@ -15,7 +15,7 @@ from dtwin.commands.output import emit
 from dtwin.commands.tasks import TwinCommands
 
 if TYPE_CHECKING:
-    from dtwin.pipeline.heat_twins import HeatTwins
+    from dtwin.kinds.volumetric.twins import HeatTwins
     from dtwin.pipeline.twins import Twins
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
@@ -82,8 +82,8 @@ def compare_twin(
     Runs with the controller's positions (cmd_x_mm, act_x_mm ...) are split into what the
     controller saw, quasi-static and dynamic error.
     """
+    from dtwin.kinds.volumetric.twins import HeatComparison
     from dtwin.pipeline.encoder_comparison import cutoff_of, no_controller_columns
-    from dtwin.pipeline.heat_twins import HeatComparison
     from dtwin.report.every_twin import comparison_sections, comparison_text
 
     asked = split_cycles is not None or split_hz is not None

@@ -11,8 +11,8 @@ from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
-    from dtwin.physics.volumetric.thermal_model import ThermalModel
-    from dtwin.pipeline.volumetric_session import Session
+    from dtwin.kinds.volumetric.session import Session
+    from dtwin.kinds.volumetric.thermal_model import ThermalModel
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
@@ -44,10 +44,10 @@ def fit(
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
     from dtwin.atomic import write_text
     from dtwin.config import home
-    from dtwin.pipeline.volumetric import judged, models_of
-    from dtwin.pipeline.volumetric_session import session, with_offered
-    from dtwin.report.volumetric import judged_text
-    from dtwin.report.volumetric_page import volumetric_page
+    from dtwin.kinds.volumetric.judging import judged, models_of
+    from dtwin.kinds.volumetric.page import volumetric_page
+    from dtwin.kinds.volumetric.session import session, with_offered
+    from dtwin.kinds.volumetric.text import judged_text
     from dtwin.serve.bundle_file import require_new
 
     if out is not None and against is None:
@@ -122,8 +122,8 @@ def paper(
 def _write(out: Path, training: Session, other: Session) -> list[str]:
     """Write models without memory as a bundle; return what is switched off in it."""
     from dtwin.config import home
-    from dtwin.pipeline.volumetric import judged, models_of
-    from dtwin.pipeline.volumetric_training import serving_bundle
+    from dtwin.kinds.volumetric.judging import judged, models_of
+    from dtwin.kinds.volumetric.training import serving_bundle
     from dtwin.serve.bundle_file import save_bundle
     from dtwin.store import Lake
 

@@ -14,10 +14,15 @@ if TYPE_CHECKING:
 
     import plotly.graph_objects as go
 
+    from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.pipeline.twins import Twins
+    from dtwin.report.html import Section
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -52,6 +57,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "detectable": ("telling what a plan could detect", "a grid on which runs are compared"),
     "judge_run": ("a check of runs", "a judgement of one run"),
     "drawings": ("a picture of a run", "a figure of one run"),
+    "twins": ("a twin", "effects, and a fit of them"),
     "rows": ("a twin of paths", "a grid on which runs are compared"),
     "laws": ("a law or a formula for what a twin leaves", "runs of one circle"),
     "twin_correction": ("the correction of a twin", "a bundle of the effects of a twin"),
@@ -134,6 +140,31 @@ class Drawing:
     draw: Callable[[Run, Callable[[], float]], go.Figure]
     half: bool = False
     note: str = ""
+
+
+class TwinReport(Protocol):
+    """How twins of a kind are told; results are what their ``as_dict`` gives."""
+
+    def twin_text(self, twin: Any, /) -> str:
+        """Return a twin for the terminal."""
+
+    def comparison_text(self, result: Mapping[str, Any], /) -> str:
+        """Return a comparison for the terminal."""
+
+    def diagnosis_text(self, name: str, result: Mapping[str, Any], /) -> str:
+        """Return a diagnosis for the terminal."""
+
+    def diagnosis_section(self, name: str, result: Mapping[str, Any], /) -> Section:
+        """Return a diagnosis for a report."""
+
+    def twin_section(self, twin: Any, /) -> Section:
+        """Return a twin for a report."""
+
+    def history_section(self, rungs: Sequence[Mapping[str, Any]], /) -> Section:
+        """Return the versions of a twin for a report."""
+
+    def comparison_sections(self, found: Any, result: Mapping[str, Any], /) -> list[Section]:
+        """Return a comparison for a report."""
 
 
 class Kind:
@@ -230,6 +261,15 @@ class Kind:
         """Figures of one run, in the order of its page."""
         raise self.lacks("drawings")
 
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins | HeatTwins:
+        """Return the twins of a home that are of such campaigns, with a library of effects."""
+        raise self.lacks("twins")
+
+    @property
+    def twin_report(self) -> TwinReport:
+        """How twins of such campaigns are told."""
+        raise self.lacks("twins")
+
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         """Return the grid on which runs are compared, and the runs on it."""
         raise self.lacks("rows")
@@ -245,6 +285,10 @@ class Kind:
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         """Return the verdicts of what needs no motion on a bundle and its metrics."""
         raise self.lacks("gates")
+
+    def recognises(self, bundle: Bundle) -> bool:
+        """Tell by its inputs whether a bundle that does not say so was made of such a campaign."""
+        return False
 
     def twin_correction(self) -> TwinWay:
         """Return how a twin of such a campaign becomes a correction."""

@@ -6,10 +6,14 @@ from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
+from typing import TYPE_CHECKING
 
 from dtwin.errors import InputError
 from dtwin.kinds.kind import VERBS, Kind
 from dtwin.kinds.machine import VirtualMachine
+
+if TYPE_CHECKING:
+    from dtwin.serve.bundle import Bundle
 
 _OWN = ("circular", "linear", "sinusoidal", "volumetric", "placement")
 
@@ -58,6 +62,17 @@ def kinds() -> Iterator[Kind]:
 def own_kinds() -> Iterator[Kind]:
     """Yield the kinds of dtwin: cheap, and no plug-in can break it."""
     return map(kind_named, _OWN)
+
+
+def kind_of(bundle: Bundle) -> Kind:
+    """Return the kind of campaign that a bundle was made of."""
+    # The help lists virtual machines; it does not wait for numpy.
+    from dtwin.schema import DEFAULT_KIND
+
+    if bundle.corrects:
+        return kind_named(bundle.corrects)
+    # An older one does not say it.
+    return next((kind for kind in own_kinds() if kind.recognises(bundle)), kind_named(DEFAULT_KIND))
 
 
 def machines(of: Iterable[Kind] | None = None) -> Iterator[VirtualMachine]:

@@ -37,7 +37,7 @@ from dtwin.store import Lake
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from dtwin.pipeline.heat_twins import HeatTwins
+    from dtwin.kinds.volumetric.twins import HeatTwins
     from dtwin.pipeline.twins import Twins
 
 _TOLD = (

@@ -14,8 +14,7 @@ from dtwin.report import every_twin as report
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from dtwin.pipeline.heat_twins import HeatTwins
-    from dtwin.pipeline.twins import Twins
+    from dtwin.pipeline.twin_shelf import TwinShelf
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -173,7 +172,7 @@ class IngestResult:
         )
 
 
-def of_twin(twins: Twins | HeatTwins, twin: Any) -> TwinResult:
+def of_twin(twins: TwinShelf, twin: Any) -> TwinResult:
     """Return a version of a twin as a result."""
 
     def draw() -> Sequence[go.Figure]:

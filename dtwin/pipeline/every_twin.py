@@ -1,17 +1,20 @@
-"""The one place that knows which kind of campaign has which kind of twin."""
+"""The twins that suit a campaign, whatever its kind."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from dtwin.config import Home
+from dtwin.kinds.registry import kind_named, kinds
 from dtwin.physics.effect import Effect
-from dtwin.physics.volumetric.heat_twin import KIND
 from dtwin.pipeline.campaign_name import in_lake
-from dtwin.pipeline.heat_twins import HeatTwins
 from dtwin.pipeline.twin_shelf import kind_of
-from dtwin.pipeline.twins import Twins
 from dtwin.store import Lake
+
+if TYPE_CHECKING:
+    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.pipeline.twins import Twins
 
 
 def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> Twins | HeatTwins:
@@ -26,7 +29,7 @@ def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> Twins | 
     name : str
         The twin.
     """
-    return HeatTwins(home) if kind_of(home, name) == KIND else Twins(home, library)
+    return kind_named(kind_of(home, name)).twins(home, library)
 
 
 def twins_for(
@@ -49,10 +52,10 @@ def twins_for(
         When there is no such campaign.
     """
     name = in_lake(home, campaign)
-    heat = Lake(home.lake).campaign(name).kind == KIND
-    return (HeatTwins(home) if heat else Twins(home, library)), name
+    return kind_named(Lake(home.lake).campaign(name).kind).twins(home, library), name
 
 
-def every_shelf(home: Home) -> tuple[Twins, HeatTwins]:
-    """Return all twins of a home, kind by kind."""
-    return Twins(home), HeatTwins(home)
+def every_shelf(home: Home) -> list[Twins | HeatTwins]:
+    """Return all twins of a home: those of tests of a path, and kind by kind those of others."""
+    shelves = [kind.twins(home, None) for kind in kinds() if kind.offers("twins")]
+    return list({shelf.kind: shelf for shelf in shelves}.values())

@@ -5,15 +5,17 @@ from __future__ import annotations
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics.twin import Twin
-from dtwin.physics.volumetric.heat_twin import HeatTwin
 from dtwin.pipeline.documents import read_document, write_document
 from dtwin.pipeline.twin_registration import VERSIONS, log_soon, place_of
-from dtwin.schema import require_name
+from dtwin.schema import DEFAULT_KIND, require_name
+
+if TYPE_CHECKING:
+    from dtwin.kinds.volumetric.heat_twin import HeatTwin
 
 PATHS = "paths"
 """Kind of a twin that names none: it is of tests of a path."""
@@ -215,7 +217,7 @@ class TwinShelf:
 
 
 def kind_of(home: Home, name: str) -> str:
-    """Return the kind of a twin: ``volumetric``, or ``paths`` for every other and for none."""
+    """Return the kind of campaign of a twin; of a path, and of none, the default one."""
     require_name(name, "the twin")
     paths = sorted((home.root / "twins" / name).glob(VERSIONS))
-    return str(read_document(paths[-1]).get("kind", PATHS)) if paths else PATHS
+    return str(read_document(paths[-1]).get("kind", DEFAULT_KIND)) if paths else DEFAULT_KIND

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import plotly.graph_objects as go
@@ -26,6 +26,9 @@ from dtwin.report.twin_plots import (
 )
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
+
+if TYPE_CHECKING:
+    from dtwin.pipeline.twin_data import Comparison
 
 _OVERLAYS = 4
 _COORDINATES = ("angle_deg", "position_mm", "phase_deg")
@@ -282,10 +285,9 @@ def effect_text(effect: Effect) -> str:
     return "\n".join(line for line in lines if line)
 
 
-def comparison_sections(
-    obs: Observations, before_um: Floats, residual_um: Floats, result: Mapping[str, Any]
-) -> list[Section]:
+def comparison_sections(found: Comparison, result: Mapping[str, Any]) -> list[Section]:
     """Return measured against predicted: by condition, as a map, and overlaid."""
+    obs, before_um, residual_um = found.obs, found.before_um, found.residual_um
     means = localise.condition_means(obs, residual_um)
     measured = localise.condition_means(obs, before_um)
     floor = float(result["noise_floor_um"])

@@ -11,12 +11,11 @@ from typing import Any, Literal
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
-from dtwin.kinds.registry import kind_named, machine_of_type
+from dtwin.kinds.registry import kind_of, machine_of_type
 from dtwin.serve.barred import allow, bar
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import save_bundle
 from dtwin.serve.pointer import clear_trial, machine_folder, on_trial, write_machine, write_pointer
-from dtwin.train.corrected_kind import corrected_kind
 from dtwin.train.evidence import Evidence
 from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
@@ -46,7 +45,7 @@ def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle,
             got=bundle.machine,
             allowed=found.machine,
         )
-    verdicts = kind_named(corrected_kind(bundle)).gates(bundle, registry.metrics(found))
+    verdicts = kind_of(bundle).gates(bundle, registry.metrics(found))
     barred = found.tags.get("state") == "barred"
     verdicts.append(Verdict("not barred", not barred, found.tags.get("state", "candidate")))
     return bundle, verdicts

@@ -12,10 +12,10 @@ from fastapi import Request
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
 from dtwin.pipeline.every_twin import every_shelf, twins_with
-from dtwin.pipeline.heat_twins import HeatTwins
 from dtwin.pipeline.twins import Twins
 from dtwin.store import Lake
 from dtwin.workbench.access import Access

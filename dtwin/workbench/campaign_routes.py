@@ -14,7 +14,7 @@ from starlette.responses import JSONResponse, Response
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.physics.volumetric.motions import FAMILIES
+from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.pipeline.measuring import ingest
 from dtwin.workbench import campaigns
 from dtwin.workbench.bench import Bench, bench_of

@@ -7,15 +7,15 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from dtwin.physics.volumetric.motions import FAMILIES
-from dtwin.pipeline.heat_twins import HeatTwins
+from dtwin.kinds.volumetric.motions import FAMILIES
+from dtwin.kinds.volumetric.twin_report import day_figure, motion_figure, term_table
+from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.report.every_twin import (
     comparison_sections,
     diagnosis_section,
     history_section,
     twin_section,
 )
-from dtwin.report.heat_twins import day_figure, motion_figure, term_table
 from dtwin.report.html import Section
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of

@@ -8,8 +8,8 @@ from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse
 
+from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.physics.twin import Twin
-from dtwin.physics.volumetric.heat_twin import HeatTwin
 from dtwin.pipeline.every_twin import twins_for
 from dtwin.schema import require_name
 from dtwin.workbench import reading

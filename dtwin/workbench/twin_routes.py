@@ -254,9 +254,7 @@ def _sections(bench: Bench, name: str) -> list[Section]:
     """Return the whole story of a twin of tests of a path."""
     found = reading.view(bench, name)
     sections = [twin_section(found.twin)]
-    sections += comparison_sections(
-        found.obs, found.comparison.before_um, found.comparison.residual_um, found.result
-    )
+    sections += comparison_sections(found.comparison, found.result)
     diagnosis = reading.diagnosis_of(bench, name, found.twin.version)
     if diagnosis is not None:
         sections.append(diagnosis_section(name, _with_nan(diagnosis)))

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_lathe import simulate_lathe, verification_plan
 from dtwin.cli import app
 from dtwin.errors import DtwinError
+from dtwin.kinds.linear.simulate import simulate_lathe, verification_plan
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 WORN = "lead_error,pitch_error,backlash,screw_error,screw_error_by_direction"

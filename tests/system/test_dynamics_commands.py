@@ -12,12 +12,12 @@ import pytest
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_hexapod import VirtualHexapodBench, feed_sweep
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.pipeline.ballbar_dynamics import split_runs
-from dtwin.pipeline.dynamics_ways import DynamicsRequest
+from dtwin.kinds.circular.dynamics import split_runs
+from dtwin.kinds.circular.dynamics_ways import DynamicsRequest
+from dtwin.kinds.circular.simulate_hexapod import VirtualHexapodBench, feed_sweep
 from dtwin.schema import Campaign, Direction, Run
 from dtwin.train.registry import Registry
 

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_volumetric import TRUTHS, simulate_volumetric
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError, StoreError
+from dtwin.kinds.volumetric.simulate import TRUTHS, simulate_volumetric
+from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.machines.volumetric import SENSITIVITY, VolumetricParameters
-from dtwin.pipeline.heat_twins import HeatTwins
 from dtwin.pipeline.twin_watch import look_at
 from dtwin.pipeline.twins import Twins
 from dtwin.plan_file import planned_campaign

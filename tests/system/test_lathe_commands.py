@@ -15,18 +15,18 @@ import pytest
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_lathe import mapping_plan, simulate_lathe, verification_plan
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.pipeline.lathe_compensation import campaign_test
-from dtwin.pipeline.lathe_fit import fitted
+from dtwin.kinds.linear.fit import fitted
+from dtwin.kinds.linear.gates import registered_positioning_gates
+from dtwin.kinds.linear.loop import campaign_test
+from dtwin.kinds.linear.simulate import mapping_plan, simulate_lathe, verification_plan
 from dtwin.pipeline.scheduled import scheduled_training
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
-from dtwin.train.positioning_gates import registered_positioning_gates
 from dtwin.train.registry import Registry
 from studies.lathe_paper import Size, lathe_paper
 from studies.report.papers import lathe_paper_text

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from dtwin.acquire.b5r import read_b5r
 from dtwin.cli import app
 from dtwin.errors import InputError
-from dtwin.physics.library import Library
-from dtwin.pipeline.single_models import (
+from dtwin.kinds.circular.recording import ur10e_geometry
+from dtwin.kinds.circular.recording_models import (
     candidate_terms,
     grow,
     harmonic_columns,
@@ -26,9 +26,9 @@ from dtwin.pipeline.single_models import (
     passes_of,
     setup_terms,
 )
-from dtwin.pipeline.single_passes import align
-from dtwin.pipeline.single_recording import ur10e_geometry
-from dtwin.report.single import recording_text
+from dtwin.kinds.circular.recording_passes import align
+from dtwin.kinds.circular.recording_report import recording_text
+from dtwin.physics.library import Library
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "data" / "samples" / "ur10e_xy_r100_f5000.b5r"

@@ -14,16 +14,16 @@ from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import open_source
-from dtwin.acquire.served_slide import ServedSlide
-from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_slide
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
+from dtwin.kinds.sinusoidal.plan import TonePlan
+from dtwin.kinds.sinusoidal.served import ServedSlide
+from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_slide
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
-from dtwin.tone_plan import TonePlan
 from flows._runtime import run
 from flows.papers import turning_paper_flow
 from studies.paper_line import ANSWERS

@@ -16,14 +16,14 @@ from dtwin.acquire.virtual_mill import geometry_of_mill, virtual_mill
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DtwinError
+from dtwin.kinds.circular.freeze import wrong_way
+from dtwin.kinds.circular.mill_evidence import measured_mill
 from dtwin.report.correction import correction_text
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import resolve
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.gates import evidence_gate
-from dtwin.train.mill_evidence import measured_mill
-from dtwin.train.twin_bundle import wrong_way
 
 ROOT = Path(__file__).parents[2]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]

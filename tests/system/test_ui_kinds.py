@@ -9,13 +9,13 @@ from collections.abc import Iterator
 import pytest
 from workbench_server import Workbench, running_workbench
 
-from dtwin.acquire.virtual_lathe import simulate_lathe
-from dtwin.acquire.virtual_turning import Grid, simulate_turning
-from dtwin.acquire.virtual_volumetric import TRUTHS, simulate_volumetric
-from dtwin.ball_plan import BallPlan
 from dtwin.config import Home
-from dtwin.linear_plan import linear_plan
-from dtwin.pipeline.heat_twins import HeatTwins
+from dtwin.kinds.linear.plan import linear_plan
+from dtwin.kinds.linear.simulate import simulate_lathe
+from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning
+from dtwin.kinds.volumetric.plan import BallPlan
+from dtwin.kinds.volumetric.simulate import TRUTHS, simulate_volumetric
+from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.pipeline.twins import Twins
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]

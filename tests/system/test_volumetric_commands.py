@@ -14,13 +14,17 @@ from axis_control import AxisControl
 from shown_commands import blocks, follow, here, page
 from typer.testing import CliRunner
 
-from dtwin.acquire.served_mill import ServedMill
-from dtwin.acquire.virtual_volumetric import simulate_volumetric
-from dtwin.acquire.volumetric_quality import judge_volumetric_run
-from dtwin.ball_plan import BallPlan
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.kinds.volumetric.check import judge_volumetric_run
+from dtwin.kinds.volumetric.evidence import judged_hours
+from dtwin.kinds.volumetric.identify import Artefact, Balls, averaged_balls
+from dtwin.kinds.volumetric.judging import distance_changes_um
+from dtwin.kinds.volumetric.plan import BallPlan
+from dtwin.kinds.volumetric.served import ServedMill
+from dtwin.kinds.volumetric.session import session, session_in
+from dtwin.kinds.volumetric.simulate import simulate_volumetric
 from dtwin.machines.thermal_network import TRAINING
 from dtwin.machines.volumetric import (
     HELD_OUT_POSES,
@@ -28,10 +32,6 @@ from dtwin.machines.volumetric import (
     VolumetricMill,
     VolumetricParameters,
 )
-from dtwin.physics.volumetric.identify import Artefact, Balls, averaged_balls
-from dtwin.pipeline.volumetric import distance_changes_um
-from dtwin.pipeline.volumetric_evidence import judged_hours
-from dtwin.pipeline.volumetric_session import session, session_in
 from dtwin.schema import Run, RunMeta, SignalGroup
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.laser_program import laser_program
-from dtwin.linear_plan import duration_s, linear_advice, linear_plan, read_linear_plan
+from dtwin.kinds.linear.plan import duration_s, linear_advice, linear_plan, read_linear_plan
+from dtwin.kinds.linear.program import laser_program
 
 EXAMPLE: dict[str, Any] = {
     "name": "z", "machine": "lathe", "axis": "Z", "unit": "in", "start": 1.0, "end": 7.0,

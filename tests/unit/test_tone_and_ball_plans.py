@@ -9,21 +9,21 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from dtwin.acquire.virtual_turning import planned_runs, virtual_slide
-from dtwin.ball_plan import ball_advice, ball_plan
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import HORIZON_S, WINDOW_S
-from dtwin.machines.turning_drift import RoomDrift
-from dtwin.plan_file import planned_campaign
-from dtwin.tone_plan import (
+from dtwin.kinds.sinusoidal.plan import (
     FORETOLD_S,
     LEARNED_S,
     duration_s,
     tone_advice,
     tone_plan,
 )
+from dtwin.kinds.sinusoidal.simulate import planned_runs, virtual_slide
+from dtwin.kinds.volumetric.plan import ball_advice, ball_plan
+from dtwin.machines.turning_drift import RoomDrift
+from dtwin.plan_file import planned_campaign
 
 TONES: dict[str, Any] = {
     "name": "tones", "machine": "slide", "frequencies_hz": [10, 20, 40], "amplitudes_um": [2, 6, 11],

@@ -64,7 +64,7 @@ class _Mill(VirtualMachine):
 
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:
         from dtwin.acquire.virtual_mill import virtual_mill
-        from dtwin.train.mill_evidence import measured_mill
+        from dtwin.kinds.circular.mill_evidence import measured_mill
 
         geometry = request.geometry
         if "hidden" not in geometry:
@@ -94,7 +94,7 @@ class _Hexapod(VirtualMachine):
     robot = True
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
-        from dtwin.acquire.virtual_hexapod import VirtualHexapodBench, feed_sweep
+        from dtwin.kinds.circular.simulate_hexapod import VirtualHexapodBench, feed_sweep
 
         plan = request.plan or feed_sweep(quick=request.quick)
         return _on_bench(VirtualHexapodBench(request.seed), plan, request, progress)

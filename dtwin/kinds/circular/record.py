@@ -9,10 +9,14 @@ from typing import TYPE_CHECKING, Any
 from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.pipeline.twins import Twins
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -35,24 +39,24 @@ class _Circular(Kind):
         return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.circular.plan import planned
+        from dtwin.kinds.circular.planned import planned
         from dtwin.plan import expand
 
         return planned(expand(document, where))
 
     def usual_plan(self) -> Planned:
-        from dtwin.kinds.circular.plan import planned
+        from dtwin.kinds.circular.planned import planned
         from dtwin.plan import training_plan
 
         return planned(training_plan())
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
-        from dtwin.kinds.circular.plan import programs
+        from dtwin.kinds.circular.planned import programs
 
         return programs(planned.plan)
 
     def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        from dtwin.kinds.circular.plan import detected
+        from dtwin.kinds.circular.planned import detected
 
         return detected(planned.plan, noise_um)
 
@@ -77,6 +81,17 @@ class _Circular(Kind):
 
         return DRAWINGS
 
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
+        from dtwin.pipeline.twins import Twins
+
+        return Twins(home, library)
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.report import twins
+
+        return twins
+
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.gridding import CIRCLE, rows_of
 
@@ -99,7 +114,7 @@ class _Circular(Kind):
         return offline_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
-        from dtwin.pipeline.correction_of_circles import freeze_circles, judge_circles
+        from dtwin.kinds.circular.correction import freeze_circles, judge_circles
         from dtwin.pipeline.twin_correction import BY_LAW, TwinWay
 
         return TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)

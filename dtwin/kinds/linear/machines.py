@@ -21,7 +21,7 @@ class _Lathe(VirtualMachine):
     clocks = ("machine", "wall")
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
-        from dtwin.acquire.virtual_lathe import simulate_lathe
+        from dtwin.kinds.linear.simulate import simulate_lathe
 
         out, truth = request.out, request.options["truth"]
         readings, alarms = simulate_lathe(
@@ -38,7 +38,7 @@ class _Lathe(VirtualMachine):
         return Simulated(payload, lines)
 
     def served(self, request: Request) -> ServedMachine:
-        from dtwin.acquire.served_lathe import ServedLathe
+        from dtwin.kinds.linear.served import ServedLathe
 
         if request.quick:
             raise InputError(
@@ -48,7 +48,7 @@ class _Lathe(VirtualMachine):
         return ServedLathe(request.plan, request.options["truth"], request.seed)
 
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:
-        from dtwin.pipeline.lathe_evidence import measured_days
+        from dtwin.kinds.linear.evidence import measured_days
 
         logged, truth = request.registry.metrics(request.version), request.geometry.get("truth", "")
         return measured_days(request.bundle, logged, str(truth), request.seed, request.progress)

@@ -1,78 +1,336 @@
-"""A positioning test before anything moves: advice, program, what it could detect."""
+"""A positioning test as data, before anything moves: checked numbers, targets, advice, time."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.kind import Planned
-from dtwin.laser_program import laser_program
-from dtwin.linear_plan import LinearPlan, duration_s, linear_advice, linear_plan, targets_mm
-from dtwin.physics.experiment import Detectable, detectable
-from dtwin.physics.library import Library
-from dtwin.physics.observations import observe
-from dtwin.plan_file import plan_settings
-from dtwin.schema import Campaign, Run, RunMeta
+from dtwin.plan_file import broken_rule, filled, plan_settings, read_plan_file
+from dtwin.schema import Finding, Floats, require_name
+
+MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
+# Angles of the screw that show five harmonics of its turn.
+ENOUGH_PHASES = 11
+_AXES = "XYZ"
+# The limits are those of the published test, in inches, inches a minute and seconds.
+_SMALLEST_STEP_IN = 1e-4
+_FEED_IN_MIN = (0.1, 50.0)
+_DWELL_S = (1.0, 99.0)
+_RUNS = (1, 99)
+_MOST_OVERSHOOT_IN = 1.0
+# Coarser than this, steps of a plan are not written.
+_GRAIN = {"in": 1e-4, "mm": 1e-3}
+_TURN_S = 0.3
 
 
-def planned(document: Mapping[str, Any], where: str) -> Planned:
-    """Return a positioning test as its plan file states it."""
-    plan = linear_plan(plan_settings(document, where), where)
-    total_s = duration_s(plan)
-    return Planned(
-        kind="linear",
-        plan=plan,
-        summary={
-            "name": plan.name,
-            "machine": plan.machine,
-            "kind": "linear",
-            "axis": plan.axis,
-            "targets": plan.count,
-            "runs": plan.runs,
-            "readings": plan.readings,
-        },
-        duration_s=total_s,
-        findings=linear_advice(plan),
-        lines=(
-            f"{plan.name} on {plan.machine}: axis {plan.axis}, {plan.count} targets from {plan.start:g} "
-            f"to {plan.end:g} {plan.unit}, {plan.runs} runs, {plan.readings} readings, about "
-            f"{total_s / 3600:z.1f} h",
-        ),
-    )
+@dataclass(frozen=True)
+class LinearPlan:
+    """A bidirectional positioning test of one axis; lengths are in ``unit``.
+
+    Attributes
+    ----------
+    name, machine : str
+        Names of the campaign and of the machine.
+    axis : str
+        ``X``, ``Y`` or ``Z``.
+    unit : str
+        ``in`` or ``mm``.
+    start, end, step : float
+        First and last target, and from one to the next.
+    runs : int
+        Sweeps forward and back.
+    dwell_s : float
+        Halt of the machine at each target.
+    feed_min : float
+        Feed in ``unit`` a minute.
+    overshoot : float
+        How far the axis goes beyond both ends before it turns.
+    axis_low, axis_high : float
+        Travel limits of the axis.
+    axes : str
+        Letters of the machine's axes.
+    pitch : float
+        Travel in one turn of the screw; 0 when unknown.
+    laser_dwell_s, window : float
+        Of the laser's own trigger: it reads when the axis has been within ``window`` of the next
+        target for ``laser_dwell_s``.
+    """
+
+    name: str
+    machine: str
+    axis: str
+    unit: str
+    start: float
+    end: float
+    step: float
+    runs: int
+    dwell_s: float
+    feed_min: float
+    overshoot: float
+    axis_low: float
+    axis_high: float
+    axes: str = "XZ"
+    pitch: float = 0.0
+    laser_dwell_s: float = 4.0
+    window: float = 0.05
+
+    @property
+    def count(self) -> int:
+        """Number of targets."""
+        return round((self.end - self.start) / self.step) + 1
+
+    @property
+    def targets(self) -> tuple[float, ...]:
+        """Targets from start to end."""
+        return tuple(round(self.start + k * self.step, 9) for k in range(self.count))
+
+    @property
+    def readings(self) -> int:
+        """Readings of the whole test."""
+        return 2 * self.count * self.runs
+
+    def mm(self, length: float) -> float:
+        """Return a length of the plan in mm."""
+        return length * MM_PER[self.unit]
 
 
-def programs(plan: LinearPlan, control: str) -> dict[str, str]:
-    """Return the program of the test, by file name."""
-    return {f"{plan.name}.nc": laser_program(plan, control)}
+def read_linear_plan(path: Path) -> LinearPlan:
+    """Read a plan file of kind ``linear``.
+
+    Parameters
+    ----------
+    path : Path
+        TOML with one table ``[plan]``: ``kind = "linear"`` and the attributes of a plan.
+
+    Raises
+    ------
+    InputError
+        With the first rule that is broken.
+    """
+    return linear_plan(plan_settings(read_plan_file(path), str(path)), str(path))
 
 
-def detected(plan: LinearPlan, noise_um: float) -> list[Detectable]:
-    """Return the size from which each effect is seen on the sweeps."""
-    obs = observe(campaign_of(plan), empty_runs(plan))
-    return detectable(obs, Library(), noise_um=noise_um)
+def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
+    """Return a plan whose numbers obey every rule.
+
+    Parameters
+    ----------
+    stated : mapping
+        Attributes of a plan.
+    where : str
+        Where they come from, for error messages.
+
+    Raises
+    ------
+    InputError
+        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    """
+    plan = filled(LinearPlan, stated, where)
+    check_linear(plan, where)
+    return plan
 
 
-def campaign_of(plan: LinearPlan) -> Campaign:
-    """Return the campaign that a plan becomes."""
-    pitch = {"screw_pitch_mm": plan.mm(plan.pitch)} if plan.pitch > 0.0 else {}
-    return Campaign(plan.name, plan.machine, kind="linear", machine_geometry=pitch)
+def check_linear(plan: LinearPlan, where: str) -> None:
+    """Refuse a plan that breaks one of the thirteen rules of the published macro.
+
+    Raises
+    ------
+    InputError
+        With the rule, what was given and what is allowed.
+    """
+    require_name(plan.name, "plan.name")
+    require_name(plan.machine, "plan.machine")
+    if plan.unit not in MM_PER:
+        raise broken_rule("unit", "the unit of length is unknown", where, plan.unit, "in, mm")
+    unit, span = plan.unit, plan.end - plan.start
+    inch = 25.4 / MM_PER[unit]
+    smallest = _SMALLEST_STEP_IN * inch
+    feeds = (_FEED_IN_MIN[0] * inch, _FEED_IN_MIN[1] * inch)
+    over = _MOST_OVERSHOOT_IN * inch
+    low, high = plan.axis_low, plan.axis_high
+    rules: tuple[tuple[str, bool, str, object, str], ...] = (
+        ("axis", plan.axis in tuple(_AXES), "no axis of a machine", plan.axis, "X, Y, Z"),
+        ("axis", plan.axis in plan.axes, "the machine has no such axis", plan.axis, plan.axes),
+        ("end", plan.start < plan.end, "the test must end above its start", plan.end,
+         f"above {plan.start:g} {unit}"),
+        ("start", low <= plan.start <= high, "the start lies outside of the travel", plan.start,
+         f"{low:g} to {high:g} {unit}"),
+        ("end", low <= plan.end <= high, "the end lies outside of the travel", plan.end,
+         f"{low:g} to {high:g} {unit}"),
+        ("step", plan.step >= smallest, "the step is too small", plan.step,
+         f"{smallest:g} {unit} or more"),
+        ("step", plan.step <= span, "the step is longer than the test", plan.step,
+         f"up to {span:g} {unit}"),
+        ("step", _divides(plan.step, span, smallest), "the step does not divide the range",
+         plan.step, f"a whole fraction of {span:g} {unit}"),
+        ("dwell_s", _DWELL_S[0] <= plan.dwell_s <= _DWELL_S[1], "the dwell is out of range",
+         plan.dwell_s, f"{_DWELL_S[0]:g} to {_DWELL_S[1]:g} s"),
+        ("runs", _RUNS[0] <= plan.runs <= _RUNS[1], "the count of runs is out of range", plan.runs,
+         f"{_RUNS[0]} to {_RUNS[1]}"),
+        ("feed_min", feeds[0] <= plan.feed_min <= feeds[1], "the feed is out of range",
+         plan.feed_min, f"{feeds[0]:g} to {feeds[1]:g} {unit}/min"),
+        ("overshoot", 0.0 < plan.overshoot <= over, "the overshoot is out of range",
+         plan.overshoot, f"above 0, up to {over:g} {unit}"),
+        ("overshoot", plan.start - plan.overshoot >= low and plan.end + plan.overshoot <= high,
+         "there is no room for the overshoot", plan.overshoot,
+         f"up to {max(0.0, min(plan.start - low, high - plan.end)):g} {unit}"),
+    )  # fmt: skip
+    for name, kept, what, got, allowed in rules:
+        if not kept:
+            raise broken_rule(name, what, where, got, allowed)
 
 
-def empty_runs(plan: LinearPlan) -> list[Run]:
-    """Return the runs of a plan as if they had been measured, each up and down, with no error."""
-    up = targets_mm(plan)
-    position, ways = np.concatenate([up, up[::-1]]), np.repeat(["forward", "reverse"], len(up))
-    condition: dict[str, float | str] = {"axis": plan.axis, "feed_mm_min": plan.mm(plan.feed_min)}
-    each_s = duration_s(plan) / plan.runs
-    samples = {
-        "t_s": np.linspace(0.0, each_s, len(position)),
-        "position_mm": position,
-        "direction": ways.astype(object),
-        "error_um": np.zeros(len(position)),
-    }
-    return [
-        Run(RunMeta(str(n), kind="linear", repeat=n, setup="s1", condition=condition), samples)
-        for n in range(1, plan.runs + 1)
-    ]
+def _divides(step: float, span: float, tolerance: float) -> bool:
+    """Tell whether whole steps fit, to the tolerance of the control, counted from both ends."""
+    return step > 0.0 and abs(span - round(span / step) * step) < tolerance
+
+
+def duration_s(plan: LinearPlan) -> float:
+    """Return the time of the whole test: dwells, feed motions, turns at both ends."""
+    span = plan.end - plan.start
+    travel = plan.runs * (2.0 * span + 4.0 * plan.overshoot)
+    halts = plan.runs * (2 * plan.count + 2)
+    return halts * (plan.dwell_s + _TURN_S) + travel / (plan.feed_min / 60.0)
+
+
+def phases(step: float, span: float, pitch: float, grain: float) -> int:
+    """Return at how many angles of the screw targets lie.
+
+    Parameters
+    ----------
+    step, span, pitch : float
+        Of the targets, of the whole test, and of the screw, in one unit.
+    grain : float
+        Smallest length that is told apart.
+    """
+    whole_step, whole_pitch = round(step / grain), round(pitch / grain)
+    repeats = whole_pitch // math.gcd(whole_step, whole_pitch)
+    return min(repeats, round(span / step) + 1)
+
+
+def better_step(plan: LinearPlan, longest: float) -> float | None:
+    """Return the step nearest to the planned one that divides the range and meets the screw often.
+
+    Parameters
+    ----------
+    plan : LinearPlan
+        Has a pitch.
+    longest : float
+        Longest step that may be advised.
+    """
+    grain, span = _GRAIN[plan.unit], plan.end - plan.start
+    whole = round(span / grain)
+    best: float | None = None
+    for parts in range(1, min(whole, 100_000) + 1):
+        if whole % parts:
+            continue
+        step = whole // parts * grain
+        usable = step <= longest and phases(step, span, plan.pitch, grain) >= ENOUGH_PHASES
+        if usable and (best is None or abs(step - plan.step) < abs(best - plan.step)):
+            best = round(step, 6)
+    return best
+
+
+def linear_advice(plan: LinearPlan) -> list[Finding]:
+    """Say what the test cannot tell, and where laser and machine will miss each other.
+
+    Parameters
+    ----------
+    plan : LinearPlan
+        A plan that breaks no rule.
+    """
+    return [*_pitch_advice(plan), *_trigger_advice(plan), *_size_advice(plan)]
+
+
+def _pitch_advice(plan: LinearPlan) -> list[Finding]:
+    if plan.pitch <= 0.0:
+        return [
+            Finding(
+                "plan.pitch_unknown", "info",
+                "the pitch of the screw is not stated: nothing can be said about its cyclic error",
+            )
+        ]  # fmt: skip
+    span, unit, found = plan.end - plan.start, plan.unit, []
+    count = phases(plan.step, span, plan.pitch, _GRAIN[unit])
+    if count < ENOUGH_PHASES:
+        step = better_step(plan, math.inf)
+        advised = "" if step is None else f"; {step:g} {unit} does better"
+        seen = (
+            "does not see the cyclic error: it divides into the pitch and is folded into the slow error"
+            if count == 1
+            else f"meets {count} angles of the screw, enough for {(count - 1) // 2} harmonics of its turn"
+        )
+        found.append(
+            Finding(
+                "plan.step_and_pitch", "warning" if count < 5 else "info",
+                f"a step of {plan.step:g} {unit} {seen}{advised}",
+                {"phases_1": float(count)},
+            )
+        )  # fmt: skip
+    if plan.step > plan.pitch / 10.0 * (1 + 1e-9):
+        found.append(
+            Finding(
+                "plan.too_coarse_for_a_table", "info",
+                f"fit to check an axis; a table that is to correct the cyclic error needs steps of "
+                f"{plan.pitch / 10:g} {unit} or less",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _trigger_advice(plan: LinearPlan) -> list[Finding]:
+    found = []
+    if plan.dwell_s <= plan.laser_dwell_s:
+        found.append(
+            Finding(
+                "plan.dwell_too_short", "warning",
+                f"the machine halts {plan.dwell_s:g} s, the laser wants {plan.laser_dwell_s:g} s "
+                "from when the axis enters its window: readings will be missed; halt half as long again",
+            )
+        )  # fmt: skip
+    if plan.window >= plan.step / 2.0:
+        found.append(
+            Finding(
+                "plan.window_too_wide", "warning",
+                f"windows of {plan.window:g} {plan.unit} around targets {plan.step:g} apart overlap: "
+                "the laser may count one halt for two targets",
+            )
+        )  # fmt: skip
+    if plan.overshoot <= plan.window:
+        found.append(
+            Finding(
+                "plan.overshoot_in_window", "warning",
+                f"the axis turns {plan.overshoot:g} {plan.unit} beyond the ends, within the laser's "
+                f"window of {plan.window:g}: the laser cannot tell that it has turned",
+            )
+        )  # fmt: skip
+    return found
+
+
+def _size_advice(plan: LinearPlan) -> list[Finding]:
+    found = []
+    hours = duration_s(plan) / 3600.0
+    if hours > 2.0:
+        found.append(
+            Finding(
+                "plan.long", "warning",
+                f"{plan.readings} readings take about {hours:z.0f} h: the machine's temperature will "
+                "drift more than readings repeat; take fewer targets or fewer runs, or log temperatures",
+                {"duration_s": hours * 3600.0},
+            )
+        )  # fmt: skip
+    if plan.runs < 2:
+        found.append(
+            Finding("plan.no_repeats", "warning", "one run: the noise floor cannot be known")
+        )
+    return found
+
+
+def targets_mm(plan: LinearPlan) -> Floats:
+    """Return the targets in mm, shape (count,)."""
+    return np.array(plan.targets) * MM_PER[plan.unit]

@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.pipeline.twins import Twins
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -37,38 +41,38 @@ class _Linear(Kind):
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
-        from dtwin.acquire.linear_runs import read_laser_runs
+        from dtwin.kinds.linear.read import read_laser_runs
 
         return {".txt": read_laser_runs, ".las": read_laser_runs}
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.linear.plan import planned
+        from dtwin.kinds.linear.planned import planned
 
         return planned(document, where)
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
-        from dtwin.kinds.linear.plan import programs
+        from dtwin.kinds.linear.planned import programs
 
         return programs(planned.plan, control)
 
     def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        from dtwin.kinds.linear.plan import detected
+        from dtwin.kinds.linear.planned import detected
 
         return detected(planned.plan, noise_um)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.acquire.linear_runs import with_pitch
+        from dtwin.kinds.linear.read import with_pitch
 
         return with_pitch(run, campaign)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.acquire.linear_quality import judge_linear_run
         from dtwin.acquire.quality import judge_clock
+        from dtwin.kinds.linear.check import judge_linear_run
 
         return [*judge_clock(run), *judge_linear_run(run)]
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.acquire.linear_quality import judge_linear_campaign
+        from dtwin.kinds.linear.check import judge_linear_campaign
 
         whole = [run for run in runs if run.samples]
         return judge_linear_campaign(whole) if whole else []
@@ -77,12 +81,12 @@ class _Linear(Kind):
         return True
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.report.positioning import positioning_result
+        from dtwin.kinds.linear.report import positioning_result
 
         return {"positioning": positioning_result(runs)}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.report.positioning import positioning_lines
+        from dtwin.kinds.linear.report import positioning_lines
 
         return positioning_lines(result["positioning"])
 
@@ -91,6 +95,17 @@ class _Linear(Kind):
         from dtwin.kinds.linear.drawings import DRAWINGS
 
         return DRAWINGS
+
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
+        from dtwin.pipeline.twins import Twins
+
+        return Twins(home, library)
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.report import twins
+
+        return twins
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.stroke_grid import stroke_rows
@@ -103,17 +118,22 @@ class _Linear(Kind):
         return stroke_errors(runs)
 
     def training(self) -> Callable[..., Training]:
-        from dtwin.train.positioning_training import train_positioning
+        from dtwin.kinds.linear.training import train_positioning
 
         return train_positioning
 
+    def recognises(self, bundle: Bundle) -> bool:
+        from dtwin.kinds.linear.bundle import is_positioning_bundle
+
+        return is_positioning_bundle(bundle)
+
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.train.positioning_gates import registered_positioning_gates
+        from dtwin.kinds.linear.gates import registered_positioning_gates
 
         return registered_positioning_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
-        from dtwin.pipeline.correction_of_axis import freeze_axis, judge_axis
+        from dtwin.kinds.linear.correction import freeze_axis, judge_axis
         from dtwin.pipeline.twin_correction import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})

@@ -20,7 +20,7 @@ class _Turning(VirtualMachine):
     clocks = ("machine",)
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
-        from dtwin.acquire.virtual_turning import simulate_turning
+        from dtwin.kinds.sinusoidal.simulate import simulate_turning
 
         out, truth = request.out, request.options["truth"]
         groups = simulate_turning(
@@ -31,13 +31,13 @@ class _Turning(VirtualMachine):
         return Simulated(payload, [f"{groups} groups in {out}", f"next: dtwin check {out}"])
 
     def served(self, request: Request) -> ServedMachine:
-        from dtwin.acquire.served_slide import ServedSlide, tone_check
+        from dtwin.kinds.sinusoidal.served import ServedSlide, tone_check
 
         tones = request.plan or tone_check(quick=request.quick)
         return ServedSlide(tones, request.options["truth"], request.seed)
 
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:
-        from dtwin.pipeline.turning_evidence import measured_tones
+        from dtwin.kinds.sinusoidal.evidence import measured_tones
 
         truth = str(request.geometry.get("truth", ""))
         return measured_tones(request.bundle, truth, seed=request.seed, progress=request.progress)

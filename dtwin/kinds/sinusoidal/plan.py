@@ -1,77 +1,241 @@
-"""A campaign of tones before anything moves: order, advice, what it could detect."""
+"""A campaign of tones as data, before anything moves: checked numbers, order, advice, time."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from datetime import UTC, datetime, timedelta
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.kind import Planned
-from dtwin.physics.experiment import Detectable, detectable
-from dtwin.physics.library import Library
-from dtwin.physics.observations import observe
-from dtwin.plan_file import plan_settings
-from dtwin.schema import Campaign, Run, RunMeta
-from dtwin.tone_plan import ToneGroup, TonePlan, duration_s, tone_advice, tone_plan
-from dtwin.units import UM_PER_MM
+from dtwin.plan_file import broken_rule, filled
+from dtwin.schema import Finding, require_name
 
-_EPOCH = datetime(2026, 1, 1, tzinfo=UTC)
-_ENOUGH_PER_PERIOD, _SLOWEST_HZ, _ENOUGH_S = 20.0, 100.0, 2.0
-
-
-def planned(document: Mapping[str, Any], where: str) -> Planned:
-    """Return tones as their plan file states them."""
-    plan = tone_plan(plan_settings(document, where), where)
-    total_s, groups = duration_s(plan), plan.groups
-    first = ", ".join(f"{g.frequency_hz:g} Hz {g.amplitude_um:g} um" for g in groups[:3])
-    return Planned(
-        kind="sinusoidal",
-        plan=plan,
-        summary={
-            "name": plan.name,
-            "machine": plan.machine,
-            "kind": "sinusoidal",
-            "axis": plan.axis,
-            "groups": plan.count,
-        },
-        duration_s=total_s,
-        findings=tone_advice(plan),
-        lines=(
-            f"{plan.name} on {plan.machine}: axis {plan.axis}, {len(plan.frequencies_hz)} frequencies, "
-            f"{len(plan.amplitudes_um)} amplitudes, {plan.repeats} times, {plan.count} groups of "
-            f"{plan.seconds:g} s, about {total_s / 60.0:z.0f} min",
-            f"  in random order (seed {plan.seed}), repeat by repeat: {first} ...",
-        ),
-        order=tuple(vars(group) for group in groups),
-    )
+# Share of the control bandwidth up to which a slide may be driven.
+SAFE_SHARE = 0.8
+FEWEST_PER_PERIOD = 10.0
+# Five seconds for the features, one for what they foretell.
+LEARNED_S, FORETOLD_S = 6.0, 1.0
+# The slide swings in before a group, and the next one is set up.
+BETWEEN_S = 2.5
+_FEWEST_TONES = 3
+_MOST_GROUPS = 2000
+_LONG_H = 2.0
+_G_PER_UM_HZ2 = (2.0 * math.pi) ** 2 * 1e-6 / 9.80665
+# What a good accelerometer's noise leaves of a tone that is weaker.
+_WEAK_G = 3e-4
 
 
-def detected(plan: TonePlan, noise_um: float) -> list[Detectable]:
-    """Return the size from which each effect is seen in the tones."""
-    campaign = Campaign(plan.name, plan.machine, kind="sinusoidal")
-    runs = [empty_run(plan, n, group) for n, group in enumerate(plan.groups, start=1)]
-    return detectable(observe(campaign, runs), Library(), noise_um=noise_um)
+@dataclass(frozen=True)
+class ToneGroup:
+    """One group: what is commanded, and which repeat it is."""
+
+    frequency_hz: float
+    amplitude_um: float
+    repeat: int
 
 
-def empty_run(plan: TonePlan, number: int, group: ToneGroup) -> Run:
-    """Return a tone as if it had been measured, with a tool that does what it is told.
+@dataclass(frozen=True)
+class TonePlan:
+    """Every amplitude at every frequency, several times.
 
-    It is as short and as slowly sampled as its harmonics allow: only the condition counts.
+    Attributes
+    ----------
+    name, machine : str
+        Names of the campaign and of the machine.
+    frequencies_hz, amplitudes_um : tuple of float
+        What is commanded.
+    repeats : int
+        How often each group is measured.
+    seconds : float
+        Length of each group.
+    axis : str
+        The axis that moves.
+    bandwidth_hz : float
+        Control bandwidth of the axis; 0 when unknown.
+    sample_hz : float
+        Rate of the instruments.
+    seed : int
+        Of the order: every repeat is a pass over all groups in an order of its own.
     """
-    rate_hz = min(plan.sample_hz, max(_ENOUGH_PER_PERIOD * group.frequency_hz, _SLOWEST_HZ))
-    t_s = np.arange(round(min(plan.seconds, _ENOUGH_S) * rate_hz)) / rate_hz
-    told_mm = group.amplitude_um / UM_PER_MM * np.sin(2.0 * np.pi * group.frequency_hz * t_s)
-    axis = plan.axis.lower()
-    condition: dict[str, float | str] = {
-        "axis": plan.axis,
-        "amplitude_um": group.amplitude_um,
-        "frequency_hz": group.frequency_hz,
-    }
-    begun = timedelta(seconds=(number - 1) * duration_s(plan) / plan.count)
-    meta = RunMeta(
-        str(number), kind="sinusoidal", repeat=group.repeat, setup="s1", condition=condition,
-        started=(_EPOCH + begun).isoformat(), sample_rate_hz=rate_hz,
+
+    name: str
+    machine: str
+    frequencies_hz: tuple[float, ...]
+    amplitudes_um: tuple[float, ...]
+    repeats: int = 1
+    seconds: float = LEARNED_S
+    axis: str = "Z"
+    bandwidth_hz: float = 0.0
+    sample_hz: float = 1000.0
+    seed: int = 1
+
+    @property
+    def groups(self) -> tuple[ToneGroup, ...]:
+        """All groups in the order of measuring, so that drift is no amplitude and no frequency."""
+        rng = np.random.default_rng(self.seed)
+        grid = [(f, a) for f in self.frequencies_hz for a in self.amplitudes_um]
+        return tuple(
+            ToneGroup(grid[i][0], grid[i][1], repeat)
+            for repeat in range(1, self.repeats + 1)
+            for i in rng.permutation(len(grid))
+        )
+
+    @property
+    def count(self) -> int:
+        """Number of groups, repeats counted."""
+        return len(self.frequencies_hz) * len(self.amplitudes_um) * self.repeats
+
+
+def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:
+    """Return a plan whose numbers obey every rule.
+
+    Parameters
+    ----------
+    stated : mapping
+        Attributes of a plan.
+    where : str
+        Where they come from, for error messages.
+
+    Raises
+    ------
+    InputError
+        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    """
+    plan = filled(TonePlan, stated, where)
+    require_name(plan.name, "plan.name")
+    require_name(plan.machine, "plan.machine")
+    rules: tuple[tuple[str, bool, object, str], ...] = (
+        ("frequencies_hz", _distinct(plan.frequencies_hz, 1e4), plan.frequencies_hz,
+         "different frequencies above 0, up to 10000 Hz"),
+        ("amplitudes_um", _distinct(plan.amplitudes_um, 1e5), plan.amplitudes_um,
+         "different amplitudes above 0, up to 100000 um"),
+        ("repeats", 1 <= plan.repeats <= 99, plan.repeats, "1 to 99"),
+        ("repeats", plan.count <= _MOST_GROUPS, f"{plan.count} groups", f"{_MOST_GROUPS} in all"),
+        ("seconds", 1.0 <= plan.seconds <= 600.0, plan.seconds, "1 to 600 s"),
+        ("axis", plan.axis in ("X", "Y", "Z"), plan.axis, "X, Y, Z"),
+        ("bandwidth_hz", 0.0 <= plan.bandwidth_hz <= 1e5, plan.bandwidth_hz,
+         "above 0, or 0 when unknown"),
+        ("sample_hz", 1.0 <= plan.sample_hz <= 1e6, plan.sample_hz, "1 to 1000000 Hz"),
+        ("seed", plan.seed >= 0, plan.seed, "0 or more"),
     )  # fmt: skip
-    return Run(meta, {"t_s": t_s, f"cmd_{axis}_mm": told_mm, f"tool_{axis}_mm": told_mm})
+    for name, kept, got, allowed in rules:
+        if not kept:
+            raise broken_rule(name, f"{name} cannot be", where, got, allowed)
+    return plan
+
+
+def duration_s(plan: TonePlan) -> float:
+    """Return the time of the whole campaign."""
+    return plan.count * (plan.seconds + BETWEEN_S)
+
+
+def tone_advice(plan: TonePlan) -> list[Finding]:
+    """Say what may harm the slide, and what the campaign cannot tell.
+
+    Parameters
+    ----------
+    plan : TonePlan
+        A plan that breaks no rule.
+    """
+    return [*_drive_advice(plan), *_sampling_advice(plan), *_size_advice(plan)]
+
+
+def _drive_advice(plan: TonePlan) -> list[Finding]:
+    if plan.bandwidth_hz == 0.0:
+        return [
+            Finding(
+                "plan.bandwidth_unknown", "info",
+                "the control bandwidth of the axis is not stated: nothing can be said about how fast "
+                "it may be driven",
+            )
+        ]  # fmt: skip
+    limit = SAFE_SHARE * plan.bandwidth_hz
+    beyond = [f for f in plan.frequencies_hz if f > limit + 1e-9]
+    if not beyond:
+        return []
+    return [
+        Finding(
+            "plan.beyond_safe", "warning",
+            f"{_list(beyond)} Hz lie beyond the safe limit of {limit:g} Hz ({SAFE_SHARE:g} of the "
+            f"axis's bandwidth of {plan.bandwidth_hz:g} Hz): such groups are refused at ingest",
+            {"limit_hz": limit},
+        )
+    ]  # fmt: skip
+
+
+def _sampling_advice(plan: TonePlan) -> list[Finding]:
+    found = []
+    few = [f for f in plan.frequencies_hz if plan.sample_hz < FEWEST_PER_PERIOD * f]
+    if few:
+        found.append(
+            Finding(
+                "plan.too_few_samples", "warning",
+                f"{_list(few)} Hz at {plan.sample_hz:g} samples a second have "
+                f"{plan.sample_hz / max(few):z.1f} samples to a period: peaks are missed, and below 2 "
+                f"the tone is another one; {FEWEST_PER_PERIOD * max(few):g} Hz would do",
+            )
+        )  # fmt: skip
+    slow = [f for f in plan.frequencies_hz if f * FORETOLD_S < 1.0]
+    if slow:
+        found.append(
+            Finding(
+                "plan.too_slow", "warning",
+                f"{_list(slow)} Hz make less than a period in the last second, where amplitude and "
+                "lag are taken",
+            )
+        )  # fmt: skip
+    if plan.seconds < LEARNED_S:
+        found.append(
+            Finding(
+                "plan.too_short", "warning",
+                f"{plan.seconds:g} s of a group: features need {LEARNED_S - FORETOLD_S:g} s, what they "
+                f"foretell {FORETOLD_S:g} s more",
+            )
+        )  # fmt: skip
+    weakest = min(plan.frequencies_hz) ** 2 * min(plan.amplitudes_um) * _G_PER_UM_HZ2
+    if weakest < _WEAK_G:
+        found.append(
+            Finding(
+                "plan.weak", "info",
+                f"the weakest tone accelerates by {weakest:.1g} g: an accelerometer may hear only its "
+                "own noise, and such groups are left out of the training",
+                {"weakest_g": weakest},
+            )
+        )  # fmt: skip
+    return found
+
+
+def _size_advice(plan: TonePlan) -> list[Finding]:
+    found = []
+    if plan.repeats < 2:
+        found.append(
+            Finding("plan.no_repeats", "warning", "no repeats: the noise floor cannot be known")
+        )
+    if min(len(plan.frequencies_hz), len(plan.amplitudes_um)) < _FEWEST_TONES:
+        found.append(
+            Finding(
+                "plan.too_few_tones", "warning",
+                f"{len(plan.frequencies_hz)} frequencies and {len(plan.amplitudes_um)} amplitudes: a "
+                f"model is judged by leaving one out, which needs {_FEWEST_TONES} of each",
+            )
+        )  # fmt: skip
+    hours = duration_s(plan) / 3600.0
+    if hours > _LONG_H:
+        found.append(
+            Finding(
+                "plan.long", "warning",
+                f"{plan.count} groups take about {hours:z.1f} h: the slide will not stay as it was",
+                {"duration_s": hours * 3600.0},
+            )
+        )  # fmt: skip
+    return found
+
+
+def _distinct(values: tuple[float, ...], most: float) -> bool:
+    return len(set(values)) == len(values) and all(0.0 < v <= most for v in values)
+
+
+def _list(values: list[float]) -> str:
+    return ", ".join(f"{v:g}" for v in values)

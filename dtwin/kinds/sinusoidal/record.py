@@ -8,10 +8,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
     from dtwin.pipeline.twin_correction import TwinWay
+    from dtwin.pipeline.twins import Twins
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -35,38 +39,38 @@ class _Sinusoidal(Kind):
         return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.sinusoidal.plan import planned
+        from dtwin.kinds.sinusoidal.planned import planned
 
         return planned(document, where)
 
     def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        from dtwin.kinds.sinusoidal.plan import detected
+        from dtwin.kinds.sinusoidal.planned import detected
 
         return detected(planned.plan, noise_um)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.acquire.sinusoidal_runs import with_bandwidth
+        from dtwin.kinds.sinusoidal.check import with_bandwidth
 
         return with_bandwidth(run, campaign)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.acquire.quality import judge_clock
-        from dtwin.acquire.sinusoidal_runs import judge_sinusoidal_run
+        from dtwin.kinds.sinusoidal.check import judge_sinusoidal_run
 
         return [*judge_clock(run), *judge_sinusoidal_run(run)]
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.acquire.sinusoidal_runs import judge_sinusoidal_campaign
+        from dtwin.kinds.sinusoidal.check import judge_sinusoidal_campaign
 
         return judge_sinusoidal_campaign(runs)
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
-        from dtwin.report.turning import tone_result
+        from dtwin.kinds.sinusoidal.report import tone_result
 
         return tone_result(run)
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.report.turning import tone_lines
+        from dtwin.kinds.sinusoidal.report import tone_lines
 
         return tone_lines(result["runs"])
 
@@ -75,6 +79,17 @@ class _Sinusoidal(Kind):
         from dtwin.kinds.sinusoidal.drawings import DRAWINGS
 
         return DRAWINGS
+
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
+        from dtwin.pipeline.twins import Twins
+
+        return Twins(home, library)
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.report import twins
+
+        return twins
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         from dtwin.physics.tone_grid import TONE, tone_row
@@ -87,17 +102,22 @@ class _Sinusoidal(Kind):
         return tone_errors(runs)
 
     def training(self) -> Callable[..., Training]:
-        from dtwin.train.tone_training import train_tones
+        from dtwin.kinds.sinusoidal.training import train_tones
 
         return train_tones
 
+    def recognises(self, bundle: Bundle) -> bool:
+        from dtwin.kinds.sinusoidal.bundle import is_tone_bundle
+
+        return is_tone_bundle(bundle)
+
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.train.tone_gates import tone_gates
+        from dtwin.kinds.sinusoidal.gates import tone_gates
 
         return tone_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
-        from dtwin.pipeline.correction_of_tones import freeze_tones, judge_tones
+        from dtwin.kinds.sinusoidal.correction import freeze_tones, judge_tones
         from dtwin.pipeline.twin_correction import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(

@@ -26,7 +26,7 @@ class _WarmMill(VirtualMachine):
     clocks = ("machine",)
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
-        from dtwin.acquire.virtual_volumetric import parameters_of, simulate_volumetric
+        from dtwin.kinds.volumetric.simulate import parameters_of, simulate_volumetric
 
         out, truth, schedule = request.out, request.options["truth"], request.options["schedule"]
         cycles = simulate_volumetric(
@@ -37,7 +37,7 @@ class _WarmMill(VirtualMachine):
         return Simulated(payload, [f"{cycles} cycles in {out}", f"next: dtwin ingest {out}"])
 
     def served(self, request: Request) -> ServedMachine:
-        from dtwin.acquire.served_mill import ServedMill
+        from dtwin.kinds.volumetric.served import ServedMill
 
         truth, schedule = request.options["truth"], request.options["schedule"]
         return ServedMill(request.plan, truth, schedule, request.seed, quick=request.quick)
@@ -45,7 +45,7 @@ class _WarmMill(VirtualMachine):
     def prediction(
         self, home: Home, version: RegisteredVersion, progress: Progress | None
     ) -> Evidence:
-        from dtwin.pipeline.volumetric_evidence import volumetric_evidence
+        from dtwin.kinds.volumetric.evidence import volumetric_evidence
 
         return volumetric_evidence(home, version, progress=progress)
 

@@ -1,32 +1,185 @@
-"""A campaign of a ball array before anything moves: advice and time."""
+"""A campaign of a ball array as data, before anything moves: checked numbers, advice, time."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
-from dtwin.ball_plan import ball_advice, ball_plan
-from dtwin.kinds.kind import Planned
-from dtwin.plan_file import plan_settings
+from dtwin.plan_file import broken_rule, filled
+from dtwin.schema import Finding, require_name
+
+# Beyond this a ball moves too far while the others are touched.
+MOST_DRIFT_UM = 6.0
+# Error motions of the chain XZY, and the place of the array in each pose.
+MOTIONS, PLACE = 24, 6
+FEWEST_TABLE_BALLS = 3
+_FEWEST_BALLS, _FEWEST_POSES = 3, 4
+_REDUNDANCY = 3.0
+_FEWEST_CYCLES = 20
 
 
-def planned(document: Mapping[str, Any], where: str) -> Planned:
-    """Return cycles of a ball array as their plan file states them."""
-    plan = ball_plan(plan_settings(document, where), where)
-    return Planned(
-        kind="volumetric",
-        plan=plan,
-        summary={
-            "name": plan.name,
-            "machine": plan.machine,
-            "kind": "volumetric",
-            "cycles": plan.cycles,
-            "cycle_s": 3600.0 * plan.cycle_h,
-        },
-        duration_s=3600.0 * plan.hours,
-        findings=ball_advice(plan),
-        lines=(
-            f"{plan.name} on {plan.machine}: {plan.cycles} cycles of {60.0 * plan.cycle_h:z.0f} min, one "
-            f"every {plan.every_h:g} h, {plan.touches} balls in each, {plan.hours:g} h in all",
-        ),
-    )
+@dataclass(frozen=True)
+class BallPlan:
+    """Cycles of a ball array over days.
+
+    Attributes
+    ----------
+    name, machine : str
+        Names of the campaign and of the machine.
+    hours : float
+        Length of the campaign.
+    every_h : float
+        From the begin of a cycle to that of the next.
+    balls, poses : int
+        Balls of the array, and how often it is put elsewhere in a cycle.
+    table_balls : int
+        Balls that stand on the table, touched at both ends of a cycle.
+    ball_s : float
+        Time for one ball.
+    drift_um_h : float
+        How fast the error of the machine changes when it changes fastest; 0 when unknown.
+    """
+
+    name: str
+    machine: str
+    hours: float
+    every_h: float = 1.0
+    balls: int = 15
+    poses: int = 8
+    table_balls: int = 3
+    ball_s: float = 27.0
+    drift_um_h: float = 0.0
+
+    @property
+    def cycles(self) -> int:
+        """Number of cycles."""
+        return int(self.hours / self.every_h + 1e-9)
+
+    @property
+    def touches(self) -> int:
+        """Balls that are touched in a cycle."""
+        return self.balls * self.poses + 2 * self.table_balls
+
+    @property
+    def cycle_h(self) -> float:
+        """Length of a cycle."""
+        return self.touches * self.ball_s / 3600.0
+
+
+def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
+    """Return a plan whose numbers obey every rule.
+
+    Parameters
+    ----------
+    stated : mapping
+        Attributes of a plan.
+    where : str
+        Where they come from, for error messages.
+
+    Raises
+    ------
+    InputError
+        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    """
+    plan = filled(BallPlan, stated, where)
+    require_name(plan.name, "plan.name")
+    require_name(plan.machine, "plan.machine")
+    rules: tuple[tuple[str, bool, object, str], ...] = (
+        ("hours", 1.0 <= plan.hours <= 10_000.0, plan.hours, "1 to 10000 h"),
+        ("every_h", 0.1 <= plan.every_h <= plan.hours, plan.every_h, f"0.1 to {plan.hours:g} h"),
+        ("balls", 1 <= plan.balls <= 1000, plan.balls, "1 to 1000"),
+        ("poses", 1 <= plan.poses <= 100, plan.poses, "1 to 100"),
+        ("table_balls", 0 <= plan.table_balls <= 100, plan.table_balls, "0 to 100"),
+        ("ball_s", 1.0 <= plan.ball_s <= 3600.0, plan.ball_s, "1 to 3600 s"),
+        ("drift_um_h", 0.0 <= plan.drift_um_h <= 1e4, plan.drift_um_h, "above 0, or 0 when unknown"),
+        ("every_h", plan.cycle_h <= plan.every_h + 1e-9, plan.every_h,
+         f"{plan.cycle_h:z.2f} h or more: {plan.touches} balls at {plan.ball_s:g} s"),
+    )  # fmt: skip
+    for name, kept, got, allowed in rules:
+        if not kept:
+            raise broken_rule(name, f"{name} cannot be", where, got, allowed)
+    return plan
+
+
+def ball_advice(plan: BallPlan) -> list[Finding]:
+    """Say what the campaign cannot tell.
+
+    Parameters
+    ----------
+    plan : BallPlan
+        A plan that breaks no rule.
+    """
+    return [*_drift_advice(plan), *_ball_advice(plan), *_length_advice(plan)]
+
+
+def _drift_advice(plan: BallPlan) -> list[Finding]:
+    if plan.drift_um_h == 0.0:
+        return [
+            Finding(
+                "plan.drift_unknown", "info",
+                f"a cycle takes {60.0 * plan.cycle_h:z.0f} min; how fast the machine drifts is not stated "
+                "(drift_um_h): nothing can be said about whether that is short enough",
+            )
+        ]  # fmt: skip
+    moved = plan.drift_um_h * plan.cycle_h
+    if moved <= MOST_DRIFT_UM:
+        return []
+    longest = MOST_DRIFT_UM / plan.drift_um_h
+    fitting = int((3600.0 * longest / plan.ball_s - 2 * plan.table_balls) // plan.balls)
+    advised = f": {fitting} poses, or less time for a ball" if fitting >= _FEWEST_POSES else ""
+    return [
+        Finding(
+            "plan.cycle_too_long", "warning",
+            f"in a cycle of {60.0 * plan.cycle_h:z.0f} min the machine moves by up to {moved:z.1f} um, which "
+            f"looks like an error of place; at most {60.0 * longest:z.0f} min{advised}",
+            {"moved_um": moved, "longest_h": longest},
+        )
+    ]  # fmt: skip
+
+
+def _ball_advice(plan: BallPlan) -> list[Finding]:
+    found = []
+    if plan.table_balls < FEWEST_TABLE_BALLS:
+        found.append(
+            Finding(
+                "plan.table_balls", "warning",
+                f"{plan.table_balls} balls on the table: without {FEWEST_TABLE_BALLS} nobody knows how the "
+                "tool point moves and turns as a whole, and no cycle can be identified",
+            )
+        )  # fmt: skip
+    told = 3 * (plan.balls * plan.poses + plan.table_balls)
+    unknown = MOTIONS + PLACE * plan.poses
+    short = plan.balls < _FEWEST_BALLS or plan.poses < _FEWEST_POSES
+    if short or told < _REDUNDANCY * unknown:
+        found.append(
+            Finding(
+                "plan.too_few_balls", "warning",
+                f"{plan.balls} balls in {plan.poses} poses give {told} readings for {unknown} unknowns "
+                f"({MOTIONS} error motions and the place of the array in each pose); {_REDUNDANCY:g} for "
+                f"each unknown, {_FEWEST_BALLS} balls and {_FEWEST_POSES} poses are needed to hold poses "
+                "out as a check",
+                {"readings_1": float(told), "unknowns_1": float(unknown)},
+            )
+        )  # fmt: skip
+    return found
+
+
+def _length_advice(plan: BallPlan) -> list[Finding]:
+    found = [
+        Finding(
+            "plan.one_campaign", "info",
+            "one campaign cannot judge its own model: plan another under another schedule of heat, in "
+            "another season, as warm as the machine ever gets",
+        )
+    ]  # fmt: skip
+    if plan.cycles < _FEWEST_CYCLES:
+        found.append(
+            Finding(
+                "plan.too_few_cycles", "warning",
+                f"{plan.cycles} cycles; {_FEWEST_CYCLES} are needed to choose temperatures and to leave "
+                "spans of hours out",
+                {"cycles_1": float(plan.cycles)},
+            )
+        )  # fmt: skip
+    return found

@@ -8,7 +8,11 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Kind, Planned
 
 if TYPE_CHECKING:
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.physics.effect import Effect
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -31,23 +35,39 @@ class _Volumetric(Kind):
         return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.volumetric.plan import planned
+        from dtwin.kinds.volumetric.planned import planned
 
         return planned(document, where)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.acquire.volumetric_quality import judge_volumetric_run
+        from dtwin.kinds.volumetric.check import judge_volumetric_run
 
         # Between the poses the array is turned: gaps in time are no lost samples.
         return judge_volumetric_run(run)
 
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> HeatTwins:
+        from dtwin.kinds.volumetric.twins import HeatTwins
+
+        return HeatTwins(home)
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.kinds.volumetric import twin_report
+
+        return twin_report
+
     def training(self) -> Callable[..., Training]:
-        from dtwin.pipeline.volumetric_training import train_volumetric
+        from dtwin.kinds.volumetric.training import train_volumetric
 
         return train_volumetric
 
+    def recognises(self, bundle: Bundle) -> bool:
+        from dtwin.kinds.volumetric.bundle import is_volumetric_bundle
+
+        return is_volumetric_bundle(bundle)
+
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.train.volumetric_gates import volumetric_gates
+        from dtwin.kinds.volumetric.gates import volumetric_gates
 
         return volumetric_gates(bundle, metrics)
 

@@ -9,7 +9,9 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.ingest import ingest
-from dtwin.acquire.laser_file import (
+from dtwin.acquire.quality import judge_campaign, judge_run
+from dtwin.errors import InputError
+from dtwin.kinds.linear.laser_file import (
     LaserTest,
     linear_error,
     read_laser_file,
@@ -17,8 +19,6 @@ from dtwin.acquire.laser_file import (
     sweeps,
     write_laser_file,
 )
-from dtwin.acquire.quality import judge_campaign, judge_run
-from dtwin.errors import InputError
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
 from dtwin.store import Lake

@@ -9,10 +9,11 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from dtwin.acquire import virtual_lathe, virtual_mill, virtual_turning, virtual_volumetric
+from dtwin.acquire import virtual_mill
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.linear import simulate as virtual_lathe
 from dtwin.kinds.machine import PLAN, VirtualMachine
 from dtwin.kinds.registry import (
     kind_names,
@@ -21,6 +22,8 @@ from dtwin.kinds.registry import (
     machine_table,
     machines,
 )
+from dtwin.kinds.sinusoidal import simulate as virtual_turning
+from dtwin.kinds.volumetric import simulate as virtual_volumetric
 from dtwin.machines.thermal_network import SCHEDULES
 from dtwin.pipeline import evidence
 from dtwin.serve.machine_file import machine_folder

@@ -13,8 +13,8 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.kind import NotOffered
+from dtwin.kinds.linear.program import CONTROLS
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.laser_program import CONTROLS
 
 HEAD = {"name": "p", "machine": "m"}
 LINEAR = HEAD | {

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from dtwin.acquire.ingest import ingest
-from dtwin.acquire.virtual_lathe import simulate_lathe
 from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
-from dtwin.linear_plan import linear_plan
+from dtwin.kinds.linear.plan import linear_plan
+from dtwin.kinds.linear.simulate import simulate_lathe
 from dtwin.pipeline.twin_watch import look_at
 from dtwin.pipeline.twins import Twins
 from dtwin.store import Lake

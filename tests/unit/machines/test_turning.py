@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dtwin.acquire.virtual_turning import noiseless, record_group, virtual_slide
 from dtwin.features.sine import ToneErrors, tone_errors
+from dtwin.kinds.sinusoidal.simulate import noiseless, record_group, virtual_slide
 from dtwin.machines.turning import (
     SERVO_HZ,
     UM_S2_PER_G,

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.physics.volumetric.chain import COEFFICIENTS, design
-from dtwin.physics.volumetric.heat_diagnosis import HeatDiagnosis, diagnose_heat
-from dtwin.physics.volumetric.heat_series import HeatSeries
-from dtwin.physics.volumetric.heat_twin import (
+from dtwin.kinds.volumetric.chain import COEFFICIENTS, design
+from dtwin.kinds.volumetric.heat_diagnosis import HeatDiagnosis, diagnose_heat
+from dtwin.kinds.volumetric.heat_series import HeatSeries
+from dtwin.kinds.volumetric.heat_twin import (
     fit_heat,
     heat_figures,
     heat_twin_from,
     heat_twin_of,
 )
-from dtwin.physics.volumetric.identify import Artefact, Balls
-from dtwin.physics.volumetric.motions import FAMILIES, family_of, heat_terms
+from dtwin.kinds.volumetric.identify import Artefact, Balls
+from dtwin.kinds.volumetric.motions import FAMILIES, family_of, heat_terms
 
 NOISE = 0.5
 MOTIONS = ("EX0", "EXX1", "EZX2", "EXZ1")

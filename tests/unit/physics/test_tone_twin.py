@@ -9,9 +9,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_runs, virtual_slide
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_runs, virtual_slide
 from dtwin.parquet import write_parquet
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit

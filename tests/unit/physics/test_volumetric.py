@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.physics.volumetric.chain import COEFFICIENTS, coefficient, design, identifiability
-from dtwin.physics.volumetric.identify import Artefact, Balls
-from dtwin.physics.volumetric.intervals import interval_curve, reduction_pct, worse_steps
-from dtwin.physics.volumetric.slots import slot_errors_um, slot_places_mm, slot_ranges_um
-from dtwin.physics.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
+from dtwin.kinds.volumetric.bundle import volumetric_bundle
+from dtwin.kinds.volumetric.chain import COEFFICIENTS, coefficient, design, identifiability
+from dtwin.kinds.volumetric.identify import Artefact, Balls
+from dtwin.kinds.volumetric.intervals import interval_curve, reduction_pct, worse_steps
+from dtwin.kinds.volumetric.slots import slot_errors_um, slot_places_mm, slot_ranges_um
+from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.volumetric_bundle import volumetric_bundle
 from studies.volumetric_paper import printed_agree
 
 STROKES = {"x": (30.0, 1460.0), "y": (50.0, 1200.0), "z": (460.0, 1490.0)}

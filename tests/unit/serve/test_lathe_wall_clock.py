@@ -6,9 +6,9 @@ import time
 
 import pytest
 
-from dtwin.acquire.virtual_lathe import verification_plan
 from dtwin.errors import InputError
-from dtwin.pipeline.lathe_wall_clock import paced
+from dtwin.kinds.linear.simulate import verification_plan
+from dtwin.kinds.linear.wall_clock import paced
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle

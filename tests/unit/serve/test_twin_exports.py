@@ -18,6 +18,7 @@ from bundles import path_bundle, sensor_bundle
 from emitted import StructuredText, URScript
 
 from dtwin.errors import InputError
+from dtwin.kinds.circular.freeze import twin_bundle
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.physics.effect import Instance
@@ -29,7 +30,6 @@ from dtwin.physics.twin import Twin, ValidityBox
 from dtwin.pipeline.axis_tables import axis_table, compensation_file, csv_table
 from dtwin.pipeline.exports import Request, Source, export
 from dtwin.pipeline.gcode_compensation import compensate
-from dtwin.train.twin_bundle import twin_bundle
 
 LIBRARY = Library()
 EFFECTS: tuple[tuple[str, str, tuple[float, ...], dict[str, float]], ...] = (

@@ -9,8 +9,8 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.features.dynamics.filters import UnscentedFilter
+from dtwin.kinds.circular.filter_tuning import judge, sensitivity, tune
 from dtwin.schema import Floats
-from dtwin.train.filter_tuning import judge, sensitivity, tune
 from dtwin.train.particle_swarm import SwarmSettings, minimise
 
 SMALL = SwarmSettings(particles=8, iterations=10, seed=3)

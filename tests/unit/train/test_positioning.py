@@ -9,13 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dtwin.acquire.virtual_lathe import mapping_plan
 from dtwin.errors import InputError
-from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
-from dtwin.serve.export import to_python
-from dtwin.serve.runtime import CompiledBundle
-from dtwin.train.net_training import ALGORITHMS, train_net
-from dtwin.train.positioning_bundle import (
+from dtwin.kinds.linear.bundle import (
     Flanks,
     deployed_bundle,
     fit_harmonics,
@@ -23,15 +18,20 @@ from dtwin.train.positioning_bundle import (
     flanks_of,
     printed_pair,
 )
-from dtwin.train.positioning_gates import along, positioning_gates
-from dtwin.train.positioning_models import (
+from dtwin.kinds.linear.gates import along, positioning_gates
+from dtwin.kinds.linear.models import (
     Averages,
     Bidirectional,
     Unidirectional,
     fit_dual,
     whole_turns,
 )
-from dtwin.train.small_net import new_net
+from dtwin.kinds.linear.net_training import ALGORITHMS, train_net
+from dtwin.kinds.linear.simulate import mapping_plan
+from dtwin.kinds.linear.small_net import new_net
+from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
+from dtwin.serve.export import to_python
+from dtwin.serve.runtime import CompiledBundle
 from studies.lathe_paper import exact_averages, table_steps
 
 NETWORK = read_network()

@@ -7,7 +7,15 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from dtwin.acquire.virtual_turning import (
+from dtwin.errors import InputError
+from dtwin.features.windows import StreamingWindow
+from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, PHASE, SERVO_HZ
+from dtwin.kinds.sinusoidal.candidates import narx_candidate, searched_candidate
+from dtwin.kinds.sinusoidal.fit import FittedTones, fitted_tones
+from dtwin.kinds.sinusoidal.gates import AnsweredWindow
+from dtwin.kinds.sinusoidal.groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
+from dtwin.kinds.sinusoidal.loop import ToneCommand, run_loop
+from dtwin.kinds.sinusoidal.simulate import (
     PUBLISHED,
     QUICK,
     Grid,
@@ -15,18 +23,10 @@ from dtwin.acquire.virtual_turning import (
     virtual_runs,
     virtual_slide,
 )
-from dtwin.errors import InputError
-from dtwin.features.windows import StreamingWindow
-from dtwin.pipeline.turning_fit import FittedTones, fitted_tones
-from dtwin.pipeline.turning_loop import ToneCommand, run_loop
-from dtwin.pipeline.turning_trial import trial
+from dtwin.kinds.sinusoidal.trial import trial
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.symbolic import Found
-from dtwin.train.tone_bundle import AMPLITUDE, PHASE, SERVO_HZ
-from dtwin.train.tone_candidates import narx_candidate, searched_candidate
-from dtwin.train.tone_gates import AnsweredWindow
-from dtwin.train.tone_groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
 
 
 def measured(truth: str = "linear", grid: Grid = QUICK, **more: object) -> ToneGroups:

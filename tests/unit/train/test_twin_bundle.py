@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
+from dtwin.kinds.circular.freeze import radial_error_um, twin_bundle, wrong_way
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
@@ -23,7 +24,6 @@ from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.direction import Direction
 from dtwin.train import twin_terms as module
 from dtwin.train.traced import NotTraceable, Traced, expressions_of
-from dtwin.train.twin_bundle import radial_error_um, twin_bundle, wrong_way
 from dtwin.train.twin_terms import choose
 
 SOUND = MillParameters()

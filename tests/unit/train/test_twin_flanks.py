@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.virtual_lathe import simulate_lathe, virtual_lathe
 from dtwin.errors import InputError
-from dtwin.linear_plan import linear_plan
+from dtwin.kinds.linear.correction import test_of_runs
+from dtwin.kinds.linear.freeze import flank_graph, flanks_twin_bundle, pitch_in, reach_in
+from dtwin.kinds.linear.gates import along, positioning_gates
+from dtwin.kinds.linear.plan import linear_plan
+from dtwin.kinds.linear.simulate import simulate_lathe, virtual_lathe
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.physics.effect import Effect, Instance, Law, Parameter
 from dtwin.physics.fit import fit
@@ -22,10 +25,7 @@ from dtwin.physics.observations import Observations, observe
 from dtwin.physics.problem import Term
 from dtwin.physics.state import State
 from dtwin.physics.twin import Twin, chosen_terms, predict_um, twin_of
-from dtwin.pipeline.correction_of_axis import test_of_runs
 from dtwin.schema import Floats
-from dtwin.train.positioning_gates import along, positioning_gates
-from dtwin.train.twin_flanks import flank_graph, flanks_twin_bundle, pitch_in, reach_in
 
 LIBRARY = Library()
 PLAN = {

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.virtual_turning import Grid, simulate_turning, virtual_slide
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
+from dtwin.kinds.sinusoidal.freeze import response_at, tone_of, tone_twin_bundle
+from dtwin.kinds.sinusoidal.groups import ToneGroups, groups_of
+from dtwin.kinds.sinusoidal.loop import ToneCommand, run_loop
+from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_slide
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, chosen_terms, predict_um, twin_of
-from dtwin.pipeline.turning_loop import ToneCommand, run_loop
-from dtwin.train.tone_groups import ToneGroups, groups_of
-from dtwin.train.twin_tones import response_at, tone_of, tone_twin_bundle
 
 LIBRARY = Library()
 TONES = Grid((5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0), (2.0, 6.0, 11.0))

@@ -1,0 +1,169 @@
+"""Ways to part the static from the dynamic error of a turn: filters, slow runs, a fitted twin."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.features.dynamics.filters import (
+    MODELS,
+    Filter,
+    LowPass,
+    RandomWalkFilter,
+    Smoother,
+    UnscentedFilter,
+)
+from dtwin.features.dynamics.turns import MOST_READINGS, Turn
+from dtwin.kinds.circular.filter_tuning import sensitivity
+from dtwin.physics.circular import fit_circle, residual_um
+from dtwin.physics.fit import fit
+from dtwin.physics.gridding import bin_angle_rad
+from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations
+from dtwin.physics.twin import chosen_terms
+from dtwin.schema import Floats
+from dtwin.train.particle_swarm import SwarmSettings
+
+FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
+"""Ways to part static from dynamic: what a fitted twin says, the slow runs themselves, filters."""
+TWIN_EFFECTS = (
+    "scale_mismatch", "squareness", "straightness", "servo_mismatch", "backlash", "reversal_spike",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DynamicsRequest:
+    """What to compute.
+
+    Attributes
+    ----------
+    how : str
+        One of ``FILTERS``.
+    reference_feed_mm_min : float, optional
+        Feed of the slow reference; the slowest of the campaign without.
+    readings : int
+        Readings per revolution after resampling by angle.
+    q_um2, r_um2 : float, optional
+        Variances of the Kalman filters; the published ones without.
+    cutoff_upr : float
+        Of the low-pass.
+    alpha : float
+        Of the unscented filters.
+    tuned, fitness : str
+        What the swarm varies (``ratio``, ``alpha``, empty for nothing), and how it judges.
+    swarm : SwarmSettings
+        Size and seed of the swarm.
+    effects : tuple of str
+        Of the twin.
+    """
+
+    how: str = "twin"
+    reference_feed_mm_min: float | None = None
+    readings: int = MOST_READINGS
+    q_um2: float | None = None
+    r_um2: float | None = None
+    cutoff_upr: float = 15.0
+    alpha: float = 0.1
+    tuned: str = ""
+    fitness: str = "weighted_sum"
+    swarm: SwarmSettings = field(default_factory=SwarmSettings)
+    effects: tuple[str, ...] = TWIN_EFFECTS
+
+
+def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
+    """Return the filter that is asked for, None for the twin and for the slow reference.
+
+    Parameters
+    ----------
+    request : DynamicsRequest
+        What is wanted.
+    radius_mm : float
+        Nominal radius.
+
+    Raises
+    ------
+    InputError
+        When there is no such filter.
+    """
+    given = {"q_um2": request.q_um2, "r_um2": request.r_um2}
+    variances = {k: v for k, v in given.items() if v is not None}
+    if request.how in ("twin", "reference"):
+        return None
+    if request.how == "low-pass":
+        return LowPass(request.cutoff_upr)
+    if request.how == "rts":
+        return Smoother(**variances)
+    if request.how == "kalman":
+        return RandomWalkFilter(**variances)
+    if request.how in ("ukf", "ukf-circle"):
+        model = "circle" if request.how == "ukf-circle" else "random-walk"
+        return UnscentedFilter(model, request.alpha, radius_mm=radius_mm, **variances)
+    raise InputError(
+        "no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(FILTERS)
+    )
+
+
+def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
+    """Return the radial error about the least-squares circle, shape (n,).
+
+    Parameters
+    ----------
+    turn : Turn
+        One revolution.
+    radius_mm : float
+        Nominal radius.
+    """
+    circle = fit_circle(turn.angle_deg, turn.deviation_um, radius_mm)
+    return residual_um(turn.angle_deg, turn.deviation_um, radius_mm, circle)
+
+
+def twin_static_um(
+    obs: Observations, effects: Sequence[str], library: Library | None = None
+) -> Floats:
+    """Return what a fitted twin with its set-ups says of every row, shape (rows, 360).
+
+    Parameters
+    ----------
+    obs : Observations
+        Runs.
+    effects : sequence of str
+        Names.
+    library : Library, optional
+        Effects; the built-in ones without.
+    """
+    found = fit(obs, chosen_terms(list(effects), library or Library(), obs))
+    return np.asarray(obs.y_um - found.residual_um)
+
+
+def on_turn(static_um: Floats, turn: Turn) -> Floats:
+    """Return a row of :func:`twin_static_um` at the angles of a turn, shape (n,)."""
+    bins = np.degrees(bin_angle_rad())
+    return np.interp(turn.angle_deg, bins, static_um, period=360.0)
+
+
+def alpha_sensitivity(turn: Turn, chosen: Filter | None) -> dict[str, list[float]] | None:
+    """Return the circular deviation that an unscented filter leaves for alphas from 1e-5 to 1.
+
+    Parameters
+    ----------
+    turn : Turn
+        One revolution.
+    chosen : Filter or None
+        Anything but an unscented filter gives None.
+
+    Returns
+    -------
+    dict of str to list of float
+        ``alpha``, and um under the name of each model.
+    """
+    if not isinstance(chosen, UnscentedFilter):
+        return None
+    alphas = np.geomspace(1e-5, 1.0, 21)
+    out = {"alpha": alphas.tolist()}
+    for model in MODELS:
+        tried = [replace(chosen, model=model, alpha=float(a)) for a in alphas]
+        out[model] = sensitivity(turn.deviation_um, tried)
+    return out

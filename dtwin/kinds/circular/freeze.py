@@ -1,0 +1,261 @@
+"""A twin as a bundle: its compensable effects, as one radial error along the path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from dtwin import __version__
+from dtwin.features.motion import PATH_INPUT_UNITS
+from dtwin.kinds.circular.traced_joints import JOINT_RANGES, traced_joints
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
+from dtwin.physics.state import circular_state
+from dtwin.physics.twin import Twin, predict_um
+from dtwin.schema import PLANES, Floats, RunMeta
+from dtwin.serve.builder import Expression, GraphBuilder
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import create_bundle
+from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
+from dtwin.train.dataset import TICK_HZ
+from dtwin.train.traced import NotTraceable, Traced
+from dtwin.train.twin_terms import TwinBundle, carried, weighted
+
+ANGLE, DIRECTION, SPEED = "path_angle_rad", "direction_sign", "commanded_speed_mm_s"
+RADIUS, PLANE = "radius_mm", "plane_id"
+OUTPUT = "radial_um"
+_CONTROLLER_UNITS = {RADIUS: "mm", PLANE: "1"}
+_MARGIN = 1e-6
+_FARTHEST_RAD = 1e4
+_CLAMP_SHARE = 1.25
+_LOWEST_SLEW_UM_S = 2000.0
+
+
+def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> TwinBundle:
+    """Freeze the effects of a twin that offsets of position can correct.
+
+    Parameters
+    ----------
+    twin : Twin
+        The twin.
+    obs : Observations
+        The runs that it was fitted to: logged channels and their means come from there.
+    horizon_s : float
+        Known delay between a correction and the motion that it causes; the error is predicted
+        as far ahead along the path.
+
+    Raises
+    ------
+    InputError
+        When nothing is left to correct.
+    """
+    builder = GraphBuilder()
+    logged = _Logged(builder, obs)
+    reduced = carried(twin, lambda term: _traced(term, twin, builder, logged, horizon_s))
+    parts: dict[str, list[Expression]] = {plane: [] for plane in twin.box.planes}
+    for made in reduced.traced:
+        for plane, expression in made.items():
+            parts[plane].append(expression)
+    errors = {p: builder.total(e) for p, e in parts.items() if e}
+    total = _by_plane(builder, errors, twin.box.planes)
+    graph = builder.graph({OUTPUT: total})
+    inputs = _inputs(set(graph.inputs), twin, obs)
+    bundle = create_bundle(
+        corrects="circular",
+        name=f"twin-{twin.name}",
+        machine=twin.machine,
+        model_version=0,
+        inputs=inputs,
+        outputs=[Output(OUTPUT, "path_radial", "error")],
+        tick_graph=graph,
+        safety=_safety(reduced.twin, obs),
+        provenance=Provenance(
+            code_version=__version__,
+            table_versions={k: v for k, v in twin.data.items() if isinstance(v, int)},
+        ),
+    )
+    return TwinBundle(bundle, reduced.choices, reduced.twin)
+
+
+def wrong_way(bundle: Bundle) -> Bundle:
+    """Return the bundle with its sign lost: the predicted error is added instead of taken away."""
+    outputs = tuple(replace(o, role="correction") for o in bundle.outputs)
+    return replace(bundle, outputs=outputs)
+
+
+class _Logged(Mapping[str, Any]):
+    """Logged channels as inputs, and their rise above the campaign's mean."""
+
+    def __init__(self, builder: GraphBuilder, obs: Observations) -> None:
+        self.builder, self.obs = builder, obs
+        # Of a run, and known while the machine works; the time of a session is neither.
+        self.names = tuple(n for n in obs.logged if all(n in m.covariates for m in obs.runs))
+
+    def __contains__(self, name: object) -> bool:
+        return self._source(str(name)) is not None
+
+    def __getitem__(self, name: str) -> Traced:
+        source = self._source(name)
+        if source is None:
+            raise NotTraceable(f"it needs {name}, which is not known while the machine works")
+        value = Traced([self.builder.input(source)])
+        if source == name:
+            return value
+        mean = _mean(self.obs, source)
+        lowered: Traced = value - mean
+        return lowered
+
+    def __iter__(self) -> Any:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def _source(self, name: str) -> str | None:
+        if name in self.names:
+            return name
+        plain = name.removesuffix("_rise_c") + "_c"
+        return plain if name.endswith("_rise_c") and plain in self.names else None
+
+
+def _mean(obs: Observations, name: str) -> float:
+    values = np.array([float(m.covariates[name]) for m in obs.runs])
+    weights = obs.mask.sum(axis=1)
+    return float((values * weights).sum() / weights.sum())
+
+
+def _traced(
+    term: Term, twin: Twin, builder: GraphBuilder, logged: _Logged, horizon_s: float
+) -> dict[str, Expression]:
+    """Return the predicted radial error of a term in every plane in which it acts."""
+    weights = twin.values(term)
+    speed, radius = Traced([builder.input(SPEED)]), Traced([builder.input(RADIUS)])
+    sign = builder.input(DIRECTION)
+    angle = builder.input(ANGLE)
+    if horizon_s:
+        ahead = speed.columns[0] / radius.columns[0]
+        angle = angle + sign * ahead * horizon_s
+    forward = builder.apply("step", sign)
+    joints = traced_joints(builder, horizon_s)
+    out: dict[str, Expression] = {}
+    for plane in twin.box.planes:
+        ways = []
+        for direction in ("CCW", "CW"):
+            meta: Any = RunMeta("traced", plane=plane, direction=direction, radius_mm=radius)  # type: ignore[arg-type]
+            state = circular_state(
+                meta, Traced([angle]),  # type: ignore[arg-type]
+                feed_mm_s=speed, columns=logged, geometry={},  # type: ignore[arg-type]
+            )  # fmt: skip
+            # What a robot's joints do is an input here, not computed from its geometry.
+            state.__dict__["joints"] = joints
+            ways.append(weighted(term, state, builder, weights))
+        ccw, cw = ways
+        if any(builder.node(way).op != "const" for way in ways):
+            same = ccw.index == cw.index
+            out[plane] = ccw if same else cw + forward * (ccw - cw)
+    if not out:
+        raise NotTraceable("it acts in none of the planes that were measured")
+    return out
+
+
+def _by_plane(
+    builder: GraphBuilder, errors: Mapping[str, Expression], measured: Sequence[str]
+) -> Expression:
+    """Return the error of the plane that the machine is in; zero where no effect acts."""
+    if len(measured) == 1:
+        return next(iter(errors.values()))
+    number = builder.input(PLANE)
+    total: Expression | float = 0.0
+    for plane, error in errors.items():
+        place = PLANES.index(plane)
+        here = builder.apply("step", number - (place - 0.5))
+        gone = builder.apply("step", number - (place + 0.5))
+        total = total + (here - gone) * error
+    assert isinstance(total, Expression)
+    return total
+
+
+def _inputs(used: set[str], twin: Twin, obs: Observations) -> list[Input]:
+    box = twin.box
+    ids = [PLANES.index(p) for p in box.planes]
+    signs = [1.0 if d == "CCW" else -1.0 for d in box.directions]
+    # Between standstill and the slowest feed the effects interpolate.
+    ranges: dict[str, tuple[float, float]] = {
+        ANGLE: (-_FARTHEST_RAD, _FARTHEST_RAD),
+        DIRECTION: (min(signs), max(signs)),
+        SPEED: (0.0, box.feed_mm_min[1] / 60.0 * 1.02),
+        RADIUS: box.radius_mm,
+        PLANE: (min(ids), max(ids)),
+    }
+    # Whether or not the equation uses them: outside of what was measured nothing is corrected.
+    wanted = [ANGLE, DIRECTION, SPEED, RADIUS, PLANE]
+    joints = [name for name in JOINT_RANGES if name in used]
+    ranges |= {name: JOINT_RANGES[name] for name in joints}
+    channels = sorted(used - set(wanted) - set(joints))
+    for name in channels:
+        values = [float(m.covariates[name]) for m in obs.runs]
+        ranges[name] = (min(values), max(values))
+    out = []
+    for name in [*wanted, *joints, *channels]:
+        low, high = ranges[name]
+        margin = _MARGIN * max(1.0, abs(low), abs(high))
+        unit = PATH_INPUT_UNITS.get(name) or _CONTROLLER_UNITS.get(name) or name.rsplit("_", 1)[1]
+        source = "path" if name in PATH_INPUT_UNITS else "controller"
+        if name in channels:
+            source = "covariate"
+        frame = "path" if source == "path" else "none"
+        out.append(Input(name, unit, frame, TICK_HZ, source, low - margin, high + margin))
+    return out
+
+
+def _safety(twin: Twin, obs: Observations) -> SafetyLimits:
+    """Return a clamp above what is predicted, and a slew limit above its smooth part."""
+    predicted = predict_um(twin, obs)
+    largest = float(np.abs(predicted[obs.mask]).max())
+    steps = np.abs(np.diff(predicted, axis=1))
+    # One bin is a degree; jumps at reversals are what the slew limit is for.
+    per_rad = np.quantile(steps, 0.99, axis=1) / math.radians(1.0)
+    radii = np.array([m.radius_mm or 1.0 for m in obs.runs])
+    steepest = float((per_rad * obs.feed_mm_s / radii).max())
+    return SafetyLimits(
+        clamp_um=max(_CLAMP_SHARE * largest, 1.0),
+        slew_um_s=max(_LOWEST_SLEW_UM_S, 2.0 * steepest),
+    )
+
+
+def radial_error_um(
+    bundle: Bundle, angle_rad: Floats, *, plane: str, direction: str, radius_mm: float,
+    feed_mm_min: float, covariates: Mapping[str, float] | None = None,
+) -> Floats:  # fmt: skip
+    """Evaluate a bundle's radial error over path angles, slowly, for tables and checks.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        From ``twin_bundle``.
+    angle_rad : ndarray, shape (n,)
+        Path angles.
+    plane, direction, radius_mm, feed_mm_min
+        The circle.
+    covariates : mapping of str to float
+        Logged channels that the bundle asks for.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        um, positive outwards.
+    """
+    fixed = {
+        DIRECTION: 1.0 if direction == "CCW" else -1.0,
+        SPEED: feed_mm_min / 60.0,
+        RADIUS: radius_mm,
+        PLANE: float(PLANES.index(plane)),
+        **(covariates or {}),
+    }
+    graph = bundle.tick_graph
+    found = [graph.evaluate({**fixed, ANGLE: float(a)}, {})[0][OUTPUT] for a in angle_rad]
+    return np.array(found)

@@ -1,0 +1,124 @@
+"""From a positioning campaign to a judged bundle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.linear.bundle import deployed_bundle, printed_pair
+from dtwin.kinds.linear.gates import positioning_gates
+from dtwin.kinds.linear.loop import campaign_test
+from dtwin.kinds.linear.models import (
+    UM_PER_IN,
+    Averages,
+    PositionModel,
+    averages_of,
+)
+from dtwin.kinds.linear.training import fit_pair, flanks_from, screw_of, serving_bundle
+from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import require_new, save_bundle
+from dtwin.statistics import rms
+from dtwin.train.gates import Verdict
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A fitted equation.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        The equation.
+    pitch_in : float
+        Travel in one turn of the screw.
+    reach_in : tuple of float
+        Mapped travel.
+    figures : dict
+        What the fit leaves.
+    """
+
+    bundle: Bundle
+    pitch_in: float
+    reach_in: tuple[float, float]
+    figures: Mapping[str, Any]
+
+
+def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
+    """Fit an equation to a positioning campaign.
+
+    Parameters
+    ----------
+    campaign : Path or None
+        Campaign folder; None for the printed networks.
+    model : str
+        ``flanks``, ``pair`` or ``printed``.
+    seed : int
+        Of the networks' first weights.
+
+    Raises
+    ------
+    InputError
+        When the campaign has too few targets in a turn of the screw, or none at whole turns.
+    """
+    if campaign is None or model == "printed":
+        network = read_network()
+        bundle = deployed_bundle(printed_pair(network), "lathe-printed", "published-lathe")
+        return Fitted(bundle, PITCH_IN, MAPPED_IN, {"from": network.source})
+    machine, test = campaign_test(campaign)
+    averages = averages_of(test)
+    screw = screw_of(test, str(campaign))
+    pair = fit_pair(averages, screw, seed)
+    chosen = pair if model == "pair" else flanks_from(pair, averages, screw)
+    equation = serving_bundle(chosen, machine, screw)
+    assert equation is not None
+    figures = _figures(chosen, averages, screw.phases)
+    return Fitted(equation, screw.pitch_in, screw.reach_in, figures)
+
+
+def judged(made: Fitted) -> list[Verdict]:
+    """Return what the gates say of a fitted equation."""
+    return positioning_gates(made.bundle, made.pitch_in, made.reach_in)
+
+
+def write_judged(
+    made: Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False
+) -> bool:
+    """Write a bundle with what the gates said in its provenance; return True.
+
+    Parameters
+    ----------
+    made : Fitted
+        The equation.
+    verdicts : sequence of Verdict
+        Of the gates.
+    out : Path
+        File.
+    force : bool
+        Replace what is there.
+
+    Raises
+    ------
+    InputError
+        When the file is there.
+    """
+    require_new(out, force=force)
+    provenance = replace(made.bundle.provenance, gates={v.gate: v.passed for v in verdicts})
+    save_bundle(replace(made.bundle, provenance=provenance), out)
+    return True
+
+
+def _figures(model: PositionModel, averages: Averages, phases: int) -> dict[str, Any]:
+    direction, position, error = averages.stacked()
+    rest: Floats = (error - model.error_in(direction, position)) * UM_PER_IN
+    return {
+        "targets": len(averages.position_in),
+        "screw_phases": phases,
+        "rms_left_um": round(rms(rest), 3),
+        "largest_left_um": round(float(np.max(np.abs(rest))), 3),
+    }

@@ -1,0 +1,240 @@
+"""Before and after on the virtual lathe: a correction in the loop, watched by the laser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.ingest import open_source
+from dtwin.errors import InputError
+from dtwin.kinds.linear.bundle import RATE_HZ
+from dtwin.kinds.linear.gates import along
+from dtwin.kinds.linear.matrix import LinearTest, linear_test
+from dtwin.kinds.linear.models import PositionModel
+from dtwin.kinds.linear.plan import LinearPlan
+from dtwin.kinds.linear.report import before_after_figures
+from dtwin.kinds.linear.simulate import (
+    laser_setup,
+    motion_of_plan,
+    verification_plan,
+    virtual_lathe,
+)
+from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN, LatheRecording, VirtualLathe, Wander
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.safety import Guard
+
+PERIOD_S = 1.0 / RATE_HZ
+Figures = dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class LoopRun:
+    """One corrected test.
+
+    Attributes
+    ----------
+    test : LinearTest
+        What the laser read.
+    figures : dict
+        The four figures of a before/after table, um.
+    ticks : int
+        Cycles of the loop.
+    guard : dict of str to int
+        How often each reason of the guard acted.
+    largest_step_um : float
+        Largest change of the correction in one cycle.
+    """
+
+    test: LinearTest
+    figures: Figures
+    ticks: int
+    guard: dict[str, int]
+    largest_step_um: float
+
+
+def campaign_test(folder: Path) -> tuple[str, LinearTest]:
+    """Return the machine and the readings of a positioning campaign.
+
+    Parameters
+    ----------
+    folder : Path
+        A campaign folder.
+
+    Raises
+    ------
+    InputError
+        When it is of another kind, lacks the pitch, or a direction.
+    """
+    campaign, sources, _ = open_source(folder)
+    runs = [run for part, _ in sources for run in part]
+    if campaign.kind != "linear":
+        raise InputError(
+            "not a positioning campaign", code="lathe.kind", where=str(folder), got=campaign.kind,
+            allowed="linear",
+        )  # fmt: skip
+    usable = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
+    bad = [run.meta.run_id for run in usable if any(f.severity == "error" for f in run.findings)]
+    if not usable or bad:
+        raise InputError(
+            "the campaign cannot be used", code="lathe.campaign", where=str(folder),
+            got=", ".join(bad)[:80] or "no run in both directions", hint=f"dtwin check {folder}",
+        )  # fmt: skip
+    test = linear_test(usable)
+    if test.pitch_mm is None or len(test.position_mm) < 2:
+        raise InputError(
+            "the pitch of the screw is needed", code="lathe.pitch", where=str(folder),
+            hint="screw_pitch_mm under [campaign.machine_geometry]",
+        )  # fmt: skip
+    return campaign.machine, test
+
+
+def test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
+    """Return a recording of a whole plan in matrices.
+
+    Parameters
+    ----------
+    recording : LatheRecording
+        Every reading of the plan, none missed.
+    plan : LinearPlan
+        What was measured.
+
+    Raises
+    ------
+    InputError
+        When readings are missing.
+    """
+    if len(recording.error_um) != plan.readings:
+        raise InputError(
+            "the laser missed readings", code="lathe.missed",
+            got=f"{len(recording.error_um)} of {plan.readings}",
+        )  # fmt: skip
+    cube = recording.error_um.reshape(plan.runs, 2, plan.count)
+    targets = np.array([plan.mm(t) for t in plan.targets])
+    pitch = plan.mm(plan.pitch)
+    return LinearTest(targets, cube[:, 0].T, cube[:, 1, ::-1].T, 0, pitch)
+
+
+test_of.__test__ = False  # type: ignore[attr-defined]
+
+
+def measured(
+    lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None = None
+) -> LinearTest:
+    """Measure a plan, corrected at its halts by a model that takes a flag for the direction.
+
+    Parameters
+    ----------
+    lathe : VirtualLathe
+        The machine.
+    plan : LinearPlan
+        What to measure.
+    model : PositionModel, optional
+        The correction; none without.
+    """
+    motion = motion_of_plan(plan)
+    if model is None:
+        return test_of(lathe.measure(motion, laser_setup(plan)), plan)
+    screw = motion.position_mm - 25.4 * model.error_in(
+        _direction(motion.position_mm), motion.position_mm / MM_PER_IN
+    )
+    return test_of(lathe.measure(motion, laser_setup(plan), motion.t_s, screw), plan)
+
+
+def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
+    """Measure a plan while a bundle corrects every 10 ms, through the guard, one cycle late.
+
+    Parameters
+    ----------
+    lathe : VirtualLathe
+        The machine.
+    plan : LinearPlan
+        What to measure.
+    bundle : Bundle
+        Predicts the error from the commanded position.
+    """
+    motion = motion_of_plan(plan)
+    ticks = np.arange(motion.t_s[0], motion.t_s[-1] + PERIOD_S, PERIOD_S)
+    commanded = motion.at(ticks)
+    wanted = np.zeros((len(ticks), 3))
+    wanted[:, 2] = -along(bundle, commanded / MM_PER_IN)
+    names = [i.name for i in bundle.inputs]
+    guard = Guard(
+        bundle.safety, np.array([i.low for i in bundle.inputs]),
+        np.array([i.high for i in bundle.inputs]),
+    )  # fmt: skip
+    box = np.column_stack(
+        [commanded / MM_PER_IN if n == "position_in" else np.zeros(len(ticks)) for n in names]
+    )
+    sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, 2]
+    applied = np.concatenate([[0.0], sent[:-1]])
+    recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / 1000.0)
+    test = test_of(recording, plan)
+    return LoopRun(
+        test=test, figures=before_after_figures(test), ticks=len(ticks),
+        guard=guard.counted(), largest_step_um=float(np.max(np.abs(np.diff(sent[1:])))),
+    )  # fmt: skip
+
+
+def before_and_after(
+    bundle: Bundle, truth: str, seed: int, plan: LinearPlan | None = None
+) -> dict[str, Any]:
+    """Return figures of the virtual lathe without a bundle and with it in the loop.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        The correction.
+    truth : str
+        As for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
+    seed : int
+        Of the day: wander and noise.
+    plan : LinearPlan, optional
+        What to measure; the published verification without.
+    """
+    chosen = plan or verification_plan()
+    lathe = virtual_lathe(truth, seed)
+    before = before_after_figures(measured(lathe, chosen))
+    after = looped(lathe, chosen, bundle)
+    calm = VirtualLathe(lathe.screw, Wander(0.0, 0.0, reading_um=0.0, quantum_um=0.0), seed)
+    floor = before_after_figures(measured(lathe, chosen, exact_correction(lathe)))
+    return {
+        "clock": "machine clock, 10 ms cycle, one cycle late",
+        "before": before,
+        "after": after.figures,
+        "after_without_wander": looped(calm, chosen, bundle).figures,
+        "perfect_correction": floor,
+        "ticks": after.ticks,
+        "guard": after.guard,
+        "largest_step_um": after.largest_step_um,
+    }
+
+
+def exact_correction(lathe: VirtualLathe) -> PositionModel:
+    """Return a correction that knows the screw exactly."""
+    return _Exact(lathe)
+
+
+@dataclass(frozen=True)
+class _Exact:
+    """What would be left if the screw were known exactly: drift and noise of the test itself."""
+
+    lathe: VirtualLathe
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        there = position_in - self._flank_in(direction, position_in)
+        return self._flank_in(direction, there)
+
+    def _flank_in(self, direction: Floats, position_in: Floats) -> Floats:
+        lower, upper = self.lathe.screw.flanks_um(position_in * MM_PER_IN)
+        return np.where(direction >= 0.5, upper, lower) / UM_PER_IN
+
+
+def _direction(position: Floats) -> Floats:
+    """Return 0 or 1 of the newest motion at each knot, forward before the first."""
+    step = np.sign(np.diff(position, prepend=position[0] - 1.0))
+    last = np.maximum.accumulate(np.where(step != 0.0, np.arange(len(step)), 0))
+    return np.where(step[last] < 0.0, 1.0, 0.0)

@@ -1,0 +1,63 @@
+"""Readings of a positioning test by target, direction and run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.kinds.linear.check import TARGET_MM
+from dtwin.schema import Floats, Run
+
+
+@dataclass(frozen=True)
+class LinearTest:
+    """Readings of a bidirectional test in matrices.
+
+    Attributes
+    ----------
+    position_mm : ndarray, shape (targets,)
+        Targets that were read in both directions in every run, ascending.
+    forward_um, reverse_um : ndarray, shape (targets, runs)
+        Errors.
+    left_out : int
+        Targets that some run missed.
+    pitch_mm : float or None
+        Travel in one turn of the screw.
+    """
+
+    position_mm: Floats
+    forward_um: Floats
+    reverse_um: Floats
+    left_out: int
+    pitch_mm: float | None
+
+
+def linear_test(runs: Sequence[Run]) -> LinearTest:
+    """Put the readings of runs into matrices.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Positioning runs of one axis.
+    """
+    columns = [_by_target(run, way) for way in ("forward", "reverse") for run in runs]
+    everywhere = set.intersection(*(set(c) for c in columns))
+    anywhere = set.union(*(set(c) for c in columns))
+    targets = sorted(everywhere)
+    matrix = np.array([[c[t] for c in columns] for t in targets]).reshape(len(targets), -1)
+    pitch = runs[0].meta.condition.get("screw_pitch_mm")
+    return LinearTest(
+        position_mm=np.array(targets, dtype=float) * TARGET_MM,
+        forward_um=matrix[:, : len(runs)],
+        reverse_um=matrix[:, len(runs) :],
+        left_out=len(anywhere) - len(everywhere),
+        pitch_mm=pitch if isinstance(pitch, float) else None,
+    )
+
+
+def _by_target(run: Run, way: str) -> dict[int, float]:
+    chosen = run.samples["direction"] == way
+    numbers = np.round(run.samples["position_mm"][chosen] / TARGET_MM).astype(int)
+    return dict(zip(numbers.tolist(), run.samples["error_um"][chosen].tolist(), strict=True))

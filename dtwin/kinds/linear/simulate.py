@@ -1,0 +1,217 @@
+"""Positioning tests on the virtual lathe, written as campaign folders."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.campaign_file import write_campaign_file
+from dtwin.atomic import write_text, write_toml
+from dtwin.errors import InputError
+from dtwin.kinds.linear.laser_file import LaserTest, linear_error, write_laser_file
+from dtwin.kinds.linear.plan import LinearPlan, linear_plan
+from dtwin.kinds.linear.program import laser_program
+from dtwin.kinds.linear.read import MM_PER
+from dtwin.lathe_network import read_network
+from dtwin.machines.laser_trigger import LaserSetup
+from dtwin.machines.lathe import LatheRecording, NetworkScrew, ThreadScrew, VirtualLathe, Wander
+from dtwin.machines.lathe_control import Motion, run_program
+from dtwin.schema import Finding, Floats
+from dtwin.units import UM_PER_MM
+
+TRUTHS = ("published", "mechanism")
+_HEAD = {
+    "name": "lathe-z", "machine": "virtual-lathe", "axis": "Z", "unit": "in", "start": 1.0,
+    "end": 40.0, "runs": 4, "feed_min": 20.0, "overshoot": 0.1, "axis_low": 0.0,
+    "axis_high": 41.0, "axes": "XZ", "pitch": 0.25,
+}  # fmt: skip
+
+
+def mapping_plan() -> LinearPlan:
+    """Return the published mapping: 1 to 40 in by 0.025 in, four runs, about 20 hours."""
+    return linear_plan(
+        _HEAD | {"step": 0.025, "dwell_s": 5.4, "window": 0.01, "laser_dwell_s": 4.0}, "mapping"
+    )
+
+
+def verification_plan() -> LinearPlan:
+    """Return the published verification: every 0.52 in, which meets 25 angles of the screw."""
+    return linear_plan(_HEAD | {"step": 0.52, "dwell_s": 6.0, "name": "lathe-z-check"}, "check")
+
+
+def virtual_lathe(truth: str, seed: int, wander: Wander | None = None) -> VirtualLathe:
+    """Return the lathe.
+
+    Parameters
+    ----------
+    truth : {"published", "mechanism"}
+        The printed error of a real lathe, or a screw made of geometry that warms up.
+    seed : int
+        Of wander and noise.
+    wander : Wander, optional
+        What else moves; by default what the published scatter needs, and heating with
+        ``mechanism``.
+
+    Raises
+    ------
+    InputError
+        When there is no such lathe.
+    """
+    if truth == "published":
+        return VirtualLathe(NetworkScrew(read_network()), wander or Wander(), seed)
+    if truth == "mechanism":
+        warm = wander or Wander(offset_um=2.0, scale_um_per_m=1.0, heating_c=1.2)
+        return VirtualLathe(ThreadScrew(), warm, seed)
+    raise InputError(
+        "no such lathe", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS)
+    )
+
+
+def laser_setup(plan: LinearPlan) -> LaserSetup:
+    """Return the laser's own settings for a plan."""
+    return LaserSetup(
+        tuple(plan.mm(t) for t in plan.targets), plan.runs, plan.mm(plan.window), plan.laser_dwell_s
+    )
+
+
+def motion_of_plan(plan: LinearPlan) -> Motion:
+    """Return what the control makes of the plan's program."""
+    return run_program(laser_program(plan), plan.axis)
+
+
+def simulate_lathe(
+    folder: Path, *, plan: LinearPlan | None = None, truth: str = "published", seed: int = 0,
+    quick: bool = False,
+) -> tuple[int, tuple[Finding, ...]]:  # fmt: skip
+    """Measure the virtual lathe and write a campaign folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets the program, the laser's file, ``truth.toml`` and, last, ``campaign.toml``.
+    plan : LinearPlan, optional
+        What to measure; the published mapping without.
+    truth : str
+        As for :func:`virtual_lathe`.
+    seed : int
+        Of the machine.
+    quick : bool
+        The published verification instead of the mapping.
+
+    Returns
+    -------
+    readings, alarms : tuple
+        Readings taken, and what the laser complained of.
+
+    Raises
+    ------
+    InputError
+        When the folder holds a campaign, or the laser took no reading.
+    """
+    if (folder / "campaign.toml").exists():
+        raise InputError(
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder),
+            hint="give another --out",
+        )  # fmt: skip
+    chosen = plan or (verification_plan() if quick else mapping_plan())
+    lathe = virtual_lathe(truth, seed)
+    if chosen.pitch <= 0.0:
+        chosen = replace(chosen, pitch=lathe.screw.pitch_mm / MM_PER[chosen.unit])
+    recording = lathe.measure(motion_of_plan(chosen), laser_setup(chosen))
+    if not recording.triggered.readings:
+        alarms = "; ".join(a.message for a in recording.triggered.alarms)
+        raise InputError("the laser took no reading", code="lathe.no_reading", got=alarms[:300])
+    write_lathe_campaign(folder, chosen, recording, truth_of(lathe, truth, seed))
+    return len(recording.triggered.readings), recording.triggered.alarms
+
+
+def write_lathe_campaign(
+    folder: Path, plan: LinearPlan, recording: LatheRecording, truth: dict[str, Any],
+    *, corrected: bool = False,
+) -> None:  # fmt: skip
+    """Write what the laser recorded as a campaign folder; the campaign file comes last.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to write.
+    plan : LinearPlan
+        What was measured.
+    recording : LatheRecording
+        The readings.
+    truth : dict
+        What no instrument knows.
+    corrected : bool
+        Whether a correction was in force.
+    """
+    write_text(folder / "program.nc", laser_program(plan), "the program")
+    write_laser_file(folder / "laser.txt", laser_test(plan, recording))
+    write_toml(folder / "truth.toml", truth, "the truth")
+    period = float(np.median(np.diff(recording.t_s))) if len(recording.t_s) > 1 else 1.0
+    geometry = {
+        "type": "lathe",
+        "virtual": True,
+        "corrected": corrected,
+        "truth": truth["truth"],
+        "screw_pitch_mm": float(f"{plan.mm(plan.pitch):.6g}"),
+    }
+    instrument = {
+        "model": "virtual laser interferometer",
+        "length_unit": plan.unit,
+        "reading_period_s": round(period, 3),
+    }
+    run = {"id": plan.axis.lower(), "file": "laser.txt", "condition": {"axis": plan.axis}}
+    head = {
+        "name": plan.name, "machine": plan.machine, "kind": "linear", "machine_geometry": geometry,
+        "instrument": instrument,
+    }  # fmt: skip
+    write_campaign_file(folder, head, [run])
+
+
+def laser_test(plan: LinearPlan, recording: LatheRecording) -> LaserTest:
+    """Return the laser's rows in the plan's unit, with the averages at each target.
+
+    Parameters
+    ----------
+    plan : LinearPlan
+        What was measured.
+    recording : LatheRecording
+        The readings.
+    """
+    readings = recording.triggered.readings
+    position = np.round([r.target_mm / MM_PER[plan.unit] for r in readings], 5)
+    error = recording.error_um / UM_PER_MM / MM_PER[plan.unit]
+    shown = np.round(-error - (position - plan.start), 6)
+    error = np.round(linear_error(position, shown, plan.start, "decrease"), 6)
+    raw = np.column_stack(
+        [position, shown, error, np.zeros(len(readings)), recording.air_f, recording.air_inhg,
+         recording.material_f]
+    )  # fmt: skip
+    reverse = np.array([r.direction == "reverse" for r in readings])
+    return LaserTest(raw, _averages(position, error, reverse), [])
+
+
+def truth_of(lathe: VirtualLathe, truth: str, seed: int) -> dict[str, Any]:
+    """Return what is true of a lathe as plain values."""
+    told: dict[str, Any] = {"truth": truth, "seed": seed}
+    told |= {f"wander_{k}": v for k, v in asdict(lathe.wander).items()}
+    if isinstance(lathe.screw, ThreadScrew):
+        flat = {k: v for k, v in asdict(lathe.screw).items() if not isinstance(v, dict)}
+        told |= {f"screw_{k}": v for k, v in flat.items()}
+        for name in ("leading", "trailing"):
+            form = asdict(getattr(lathe.screw, name))
+            told |= {f"screw_{name}_{k}": v for k, v in form.items()}
+    return told
+
+
+def _averages(position: Floats, error: Floats, reverse: np.ndarray[Any, Any]) -> Floats:
+    rows = []
+    for way in (False, True):
+        targets, place = np.unique(position[reverse == way], return_inverse=True)
+        sums = np.bincount(place, weights=error[reverse == way])
+        found = np.column_stack([targets, sums / np.bincount(place)])
+        rows.append(found[::-1] if way else found)
+    return np.vstack(rows)

@@ -1,0 +1,46 @@
+"""Text of the lathe's comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.kinds.linear.report import before_after_lines
+
+
+def gate_lines(verdicts: Sequence[Any]) -> list[str]:
+    """Return one line for each gate."""
+    return [f"  {'passed' if v.passed else 'FAILED'}  {v.gate}: {v.reason}" for v in verdicts]
+
+
+def wall_clock_text(found: Mapping[str, Any]) -> str:
+    """Return how the loop kept its time."""
+    begun, work = found["jitter_ms"], found["work_ms"]
+    allowed = ", ".join(f"{name} {said}" for name, said in found["realtime"].items())
+    return "\n".join(
+        [
+            f"{found['cycles']} cycles of 10 ms on the wall clock: {found['corrected']} corrected, "
+            f"{found['missed']} missed, {found['late']} late, {found['unaccounted']} not accounted for",
+            f"begun after due, ms: p50 {begun['p50']:z.3f}, p99.9 {begun['p99.9']:z.3f}, max "
+            f"{begun['max']:z.3f}; work, ms: p50 {work['p50']:z.3f}, p99.9 {work['p99.9']:z.3f}",
+            f"the system: {allowed}",
+        ]
+    )
+
+
+def compensation_text(found: Mapping[str, Any]) -> str:
+    """Return before and after on the virtual lathe."""
+    states = {
+        "before": found["before"],
+        "after": found["after"],
+        "after, no wander": found["after_without_wander"],
+        "exact map": found["perfect_correction"],
+    }
+    acted = ", ".join(f"{name} {count}" for name, count in found["guard"].items())
+    return "\n".join(
+        [
+            *before_after_lines(states),
+            f"{found['ticks']} cycles on the {found['clock']}; guard: {acted}; largest change in one "
+            f"cycle {found['largest_step_um']:z.1f} um",
+        ]
+    )

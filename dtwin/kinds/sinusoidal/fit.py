@@ -1,0 +1,132 @@
+"""From a campaign folder of tones to a judged bundle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from dtwin.acquire.ingest import open_source
+from dtwin.acquire.quality import judge_run
+from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal.bundle import Action
+from dtwin.kinds.sinusoidal.candidates import FORMS, form_candidate, searched_candidate
+from dtwin.kinds.sinusoidal.gates import tone_gates
+from dtwin.kinds.sinusoidal.groups import ToneGroups, groups_of, heard_groups
+from dtwin.kinds.sinusoidal.training import what_was_seen
+from dtwin.progress import Progress
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.bundle_file import require_new, save_bundle
+from dtwin.train.gates import Verdict
+from dtwin.train.registry import candidate_metrics
+from dtwin.train.results import Candidate
+
+SEARCHED = "symbolic"
+MODELS = (*FORMS, SEARCHED)
+
+
+@dataclass(frozen=True)
+class FittedTones:
+    """Equations of a campaign, judged.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        With held-out scores and figures.
+    bundle : Bundle
+        What can be served.
+    verdicts : list of Verdict
+        Of the gates.
+    told : list of str
+        What the campaign shows before any equation.
+    """
+
+    candidate: Candidate
+    bundle: Bundle
+    verdicts: list[Verdict]
+    told: list[str]
+
+    @property
+    def passed(self) -> bool:
+        """Whether every gate passed."""
+        return all(v.passed for v in self.verdicts)
+
+
+def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, ToneGroups]:
+    """Return the machine and the groups of a campaign folder, runs with errors left out.
+
+    Parameters
+    ----------
+    folder : Path
+        A campaign folder.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When it is of another kind, or no run can be learned from.
+    """
+    campaign, sources, total = open_source(folder)
+    if campaign.kind != "sinusoidal":
+        raise InputError(
+            "not a campaign of tones", code="turning.kind", where=str(folder), got=campaign.kind,
+            allowed="sinusoidal",
+        )  # fmt: skip
+    usable = []
+    for done, (runs, _) in enumerate(sources, start=1):
+        usable += [r for r in runs if not any(f.severity == "error" for f in judge_run(r))]
+        if progress is not None:
+            progress(done, total, runs[0].meta.run_id if runs else "")
+    return campaign.machine, groups_of(usable, str(folder))
+
+
+def fitted_tones(
+    machine: str, everything: ToneGroups, model: str, action: Action, seed: int
+) -> FittedTones:
+    """Fit one form of equation and judge it.
+
+    Parameters
+    ----------
+    machine : str
+        That it is for.
+    everything : ToneGroups
+        All groups.
+    model : str
+        One of ``MODELS``.
+    action : str
+        What is done with the prediction.
+    seed : int
+        Of the search.
+    """
+    groups = heard_groups(everything)
+    if model == SEARCHED:
+        candidate = searched_candidate(groups, machine, None, seed, {}, action)
+    else:
+        candidate = form_candidate(groups, machine, model, {}, action)
+    bundle = Bundle.from_dict(candidate.bundle)
+    verdicts = tone_gates(bundle, candidate_metrics(candidate))
+    provenance = replace(bundle.provenance, gates={v.gate: v.passed for v in verdicts})
+    return FittedTones(
+        candidate, replace(bundle, provenance=provenance), verdicts, what_was_seen(everything)
+    )
+
+
+def write_tones(made: FittedTones, out: Path, *, force: bool = False) -> None:
+    """Write the bundle.
+
+    Parameters
+    ----------
+    made : FittedTones
+        What was fitted.
+    out : Path
+        File.
+    force : bool
+        Replace what is there.
+
+    Raises
+    ------
+    InputError
+        When the file is there.
+    """
+    require_new(out, force=force)
+    save_bundle(made.bundle, out)

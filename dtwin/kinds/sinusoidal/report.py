@@ -1,0 +1,144 @@
+"""Text of tests that command tones, and of their compensation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from dtwin.kinds.sinusoidal.check import commanded, followed, heard
+from dtwin.kinds.sinusoidal.plots import Surface, surface_figures_of, trial_figures
+from dtwin.report.html import Section, Table
+from dtwin.report.text import table
+from dtwin.schema import Run
+
+
+def tone_result(run: Run) -> dict[str, Any]:
+    """Return ``tone``: how a run followed its tone, JSON-ready.
+
+    Parameters
+    ----------
+    run : Run
+        Of kind ``sinusoidal``.
+    """
+    told, errors, sensed = commanded(run), followed(run), heard(run)
+    figures: dict[str, Any] = asdict(told)
+    if errors is not None:
+        figures |= asdict(errors) | {"amplitude_error_um": errors.amplitude_error_um}
+    if sensed is not None:
+        figures |= {"heard_share_1": sensed.share}
+    return {"tone": figures}
+
+
+_COLUMNS = (
+    ("Hz", "frequency_hz", "g"),
+    ("um", "amplitude_um", "g"),
+    ("encoder um", "encoder_um", ".3f"),
+    ("lag deg", "encoder_lag_deg", ".2f"),
+    ("tool um", "tool_um", ".3f"),
+    ("lag deg", "tool_lag_deg", ".2f"),
+    ("tracking um", "tracking_um", ".3f"),
+    ("total um", "total_um", ".3f"),
+    ("amplitude error um", "amplitude_error_um", ".3f"),
+    ("heard", "heard_share_1", ".0%"),
+)
+
+
+def tone_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return one line for each run with what encoder and tool did, and its findings.
+
+    Parameters
+    ----------
+    runs : sequence of mapping
+        From ``dtwin.report.checking.run_result``.
+    """
+    rows = []
+    for run in runs:
+        tone = run.get("tone", {})
+        cells = [format(tone[key], form) if key in tone else "-" for _, key, form in _COLUMNS]
+        told = ", ".join(f["code"] for f in run["findings"] if f["severity"] != "info")
+        rows.append([run["run"], *cells, told or "-"])
+    by_code = {f["code"]: f for run in runs for f in run["findings"]}
+    return [
+        *table(("run", *(title for title, _, _ in _COLUMNS), "findings"), rows).splitlines(),
+        *(f"{f['severity']}: {f['message']}" for f in by_code.values()),
+    ]
+
+
+_FIGURES = (
+    ("form um", "form_um", ".3f"),
+    ("phase deg", "phase_deg", ".3f"),
+    ("vector um", "vector_um", ".3f"),
+    ("p-v um", "peak_to_valley_um", ".3f"),
+)
+
+
+def trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of surfaces without and with a correction.
+
+    Parameters
+    ----------
+    found : mapping
+        From ``dtwin.kinds.sinusoidal.trial.trial``.
+    """
+    head = ["Hz", "rpm", *(f"{title}: without, with" for title, _, _ in _FIGURES), "alarm"]
+    rows = []
+    for row in found["rows"]:
+        cells = [
+            f"{row['before'][key]:{form}}, {row['after'][key]:{form}} "
+            f"({-100.0 * row['reduction'][key]:+z.1f} %)"
+            for _, key, form in _FIGURES
+        ]
+        rows.append(
+            [f"{row['frequency_hz']:g}", f"{row['spindle_rpm']:g}", *cells, row["alarm"] or "-"]
+        )
+    return head, rows
+
+
+def trial_text(found: Mapping[str, Any]) -> str:
+    """Return surfaces without and with a correction for a terminal."""
+    guard: dict[str, int] = {}
+    for row in found["rows"]:
+        for name, count in row["guard"].items():
+            guard[name] = guard.get(name, 0) + count
+    acted = ", ".join(f"{name} {count}" for name, count in guard.items())
+    worse = ", ".join(f"{f:g} Hz" for f in found["worse"]) or "none"
+    return "\n".join(
+        [
+            f"{found['surface']}; at the rim; {found['clock']}, slide {found['truth']}",
+            table(*trial_table(found)),
+            f"frequencies that became worse: {worse}; guard, ticks: {acted}",
+        ]
+    )
+
+
+def trial_section(
+    found: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]
+) -> Section:
+    """Return the section about surfaces without and with a correction.
+
+    Parameters
+    ----------
+    found : mapping
+        From ``dtwin.kinds.sinusoidal.trial.trial``.
+    surfaces : mapping of float to (Surface, Surface)
+        Without and with, by frequency; may be empty.
+    """
+    figures = trial_figures(found["rows"])
+    if surfaces:
+        figures += surface_figures_of(max(surfaces), surfaces[max(surfaces)])
+    return Section(
+        "Surfaces without and with the correction",
+        [
+            f"Bicuspid surface {found['surface']}. Form and phase error are those of the rim; vector is "
+            f"the length of the difference of both sines. {found['clock']}; virtual slide: "
+            f"{found['truth']}.",
+        ],
+        [
+            ("warning", f"{r['frequency_hz']:g} Hz: {r['alarm']}")
+            for r in found["rows"]
+            if r["alarm"]
+        ],
+        [Table(*trial_table(found))],
+        figures,
+    )

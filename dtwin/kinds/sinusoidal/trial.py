@@ -1,0 +1,164 @@
+"""A bicuspid surface cut on the virtual slide, with and without correction."""
+
+from __future__ import annotations
+
+import cmath
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from dtwin.features.sine import fit_tone
+from dtwin.kinds.sinusoidal.loop import CLOCK, LoopRecord, ToneCommand, run_loop
+from dtwin.kinds.sinusoidal.plots import Surface
+from dtwin.kinds.sinusoidal.simulate import virtual_slide
+from dtwin.machines.turning import SERVO_HZ, Slide
+from dtwin.progress import Progress
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.statistics import rms
+
+# z = 0.006 x sin 2C - 0.006 x, x and z in mm.
+SLOPE_UM_PER_MM = 6.0
+RIM_MM = 0.5
+FEED_UM_PER_REV = 2.0
+TRIAL_HZ = (5.0, 10.0, 20.0, 30.0, 40.0)
+# Before the cut the tool swings in the air: five seconds for a window, and some to settle.
+AIR_S = 9.0
+_SWELL_S = 1.0
+# The rim: where the form is largest and the published figures were taken.
+_RIM_SHARE = 0.9
+
+
+def bicuspid(frequency_hz: float) -> ToneCommand:
+    """Return the command of the surface at a tool frequency of twice the spindle's.
+
+    Parameters
+    ----------
+    frequency_hz : float
+        Of the tool.
+    """
+    per_s = FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
+    cut_s = RIM_MM / per_s
+
+    def amplitude(t: Floats) -> Floats:
+        x: Floats = np.clip(RIM_MM - per_s * (t - AIR_S), 0.0, RIM_MM)
+        return SLOPE_UM_PER_MM * x * np.minimum(t / _SWELL_S, 1.0)
+
+    return ToneCommand(
+        frequency_hz, amplitude, lambda t: -amplitude(t), AIR_S + float(np.ceil(cut_s))
+    )
+
+
+def surface_of(record: LoopRecord, frequency_hz: float) -> Surface:
+    """Return what the tool left of a run of :func:`bicuspid`."""
+    per_s = FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
+    x = RIM_MM - per_s * (record.t_s - AIR_S)
+    cut = (record.t_s >= AIR_S) & (x > 0.0)
+    turned = np.pi * frequency_hz * record.t_s[cut]
+    return Surface(x[cut], turned, record.command_um[cut], record.tool_um[cut])
+
+
+def surface_figures(surface: Surface, frequency_hz: float) -> dict[str, float]:
+    """Return form and phase error of a surface.
+
+    Parameters
+    ----------
+    surface : Surface
+        What was cut.
+    frequency_hz : float
+        Of the tool.
+
+    Returns
+    -------
+    dict
+        ``form_um``: amplitude at the rim minus the wanted one, without sign; ``phase_deg``: its lag,
+        without sign; ``vector_um``: length of the difference of both; ``peak_to_valley_um`` and
+        ``rms_um`` of the height error over the whole surface.
+    """
+    t = surface.turned_rad / (np.pi * frequency_hz)
+    rim = surface.x_mm >= _RIM_SHARE * RIM_MM
+    # Both in proportion to the wanted amplitude, which falls towards the middle.
+    size = SLOPE_UM_PER_MM * surface.x_mm[rim]
+    wanted = fit_tone(t[rim], surface.wanted_um[rim] / size, frequency_hz)
+    cut = fit_tone(t[rim], surface.cut_um[rim] / size, frequency_hz)
+    ratio = cut.phasor / wanted.phasor
+    full = SLOPE_UM_PER_MM * RIM_MM
+    error = surface.cut_um - surface.wanted_um
+    return {
+        "form_um": abs(abs(ratio) - 1.0) * full,
+        "phase_deg": abs(float(np.degrees(cmath.phase(ratio)))),
+        "vector_um": abs(ratio - 1.0) * full,
+        "peak_to_valley_um": float(np.ptp(error)),
+        "rms_um": rms(error),
+    }
+
+
+def trial(
+    bundle: Bundle, *, truth: str = "linear", seed: int = 1,
+    frequencies_hz: Sequence[float] = TRIAL_HZ, slide: Slide | None = None,
+    progress: Progress | None = None,
+) -> tuple[dict[str, Any], dict[float, tuple[Surface, Surface]]]:  # fmt: skip
+    """Cut the surface at several frequencies without and with a bundle.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Corrects tones.
+    truth : str
+        As for :func:`dtwin.kinds.sinusoidal.simulate.virtual_slide`.
+    seed : int
+        Of noise.
+    frequencies_hz : sequence of float
+        Of the tool.
+    slide : Slide, optional
+        A mechanism instead of ``truth``.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Returns
+    -------
+    found, surfaces : tuple
+        JSON-ready figures, and (without, with) by frequency.
+    """
+    mechanism = slide or virtual_slide(truth)
+    rows, surfaces = [], {}
+    for done, frequency in enumerate(frequencies_hz, start=1):
+        command = bicuspid(frequency)
+        records = [
+            run_loop(mechanism, command, given, seed=seed + done) for given in (None, bundle)
+        ]
+        cut = surface_of(records[0], frequency), surface_of(records[1], frequency)
+        surfaces[float(frequency)] = cut
+        rows.append(_row(frequency, cut, records[1]))
+        if progress is not None:
+            progress(done, len(frequencies_hz), f"{frequency:g} Hz")
+    return {
+        "clock": CLOCK,
+        "truth": truth,
+        "surface": f"z = {SLOPE_UM_PER_MM / 1000:g} x sin 2C - {SLOPE_UM_PER_MM / 1000:g} x, "
+        f"x to {RIM_MM:g} mm, {FEED_UM_PER_REV:g} um a turn",
+        "rows": rows,
+        "worse": [
+            r["frequency_hz"]
+            for r in rows
+            if min(r["reduction"]["vector_um"], r["reduction"]["rms_um"]) < 0.0
+        ],
+    }, surfaces
+
+
+def _row(frequency: float, cut: tuple[Surface, Surface], record: LoopRecord) -> dict[str, Any]:
+    before, after = (surface_figures(s, frequency) for s in cut)
+    return {
+        "frequency_hz": frequency,
+        "spindle_rpm": 30.0 * frequency,
+        "before": before,
+        "after": after,
+        "reduction": {k: 1.0 - after[k] / before[k] for k in before},
+        "windows": len(record.gains),
+        "foretold_um": record.left_um.tolist(),
+        "guard": record.guard,
+        "saturated_ticks": record.saturated,
+        "alarm": record.alarm,
+        "ticks": round(record.t_s[-1] * SERVO_HZ) + 1,
+    }

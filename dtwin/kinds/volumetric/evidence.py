@@ -1,0 +1,189 @@
+"""What an equation of heat is worth in other campaigns of the machine, hour by hour."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.errors import GateRefusal
+from dtwin.kinds.volumetric.judging import distance_changes_um
+from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
+from dtwin.kinds.volumetric.thermal_model import independent
+from dtwin.progress import Progress
+from dtwin.schema import Floats
+from dtwin.serve.bundle import Bundle
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.serve.safety import box_factor
+from dtwin.statistics import rms, t_quantile
+from dtwin.store import Lake
+from dtwin.train.evidence import WITH, WITHOUT, Evidence
+from dtwin.train.registry import RegisteredVersion, Registry
+
+DAY_H = 24.0
+# A span has at least so many cycles: fewer say nothing of their scatter.
+FEWEST_CYCLES = 8
+CLOCK = "measured without it, the prediction taken off afterwards"
+
+
+def volumetric_evidence(
+    home: Home, version: RegisteredVersion, *, progress: Progress | None = None
+) -> Evidence:
+    """Judge a registered version by every other ball-array campaign of its machine in the lake.
+
+    Campaigns during which a correction was in force judge nothing: they have been corrected already.
+
+    A correction of micrometres does not change the heat, so that it is taken off what was measured. Where a
+    temperature lies outside of the validity box it fades, as in serving. Nothing was served: only a
+    virtual machine is judged so.
+
+    Parameters
+    ----------
+    home : Home
+        Lake and registry.
+    version : RegisteredVersion
+        The version.
+    progress : callable, optional
+        Called with (done, total, what).
+
+    Raises
+    ------
+    GateRefusal
+        When the lake holds no other campaign.
+    """
+    registry, lake = Registry(home), Lake(home.lake)
+    bundle = Bundle.from_dict(registry.bundle(version))
+    trained = str(registry.read_json(version, "conditions.json")[0][0])
+    others = [name for name in lake.campaigns() if name != trained and _judges(lake, name, version)]
+    if not others:
+        raise GateRefusal(
+            "no other campaign of the machine can judge the equation", code="promote.campaign",
+            where=f"machine {version.machine}", got=f"{trained} only, which it was fitted to",
+            hint="measure under another schedule and ingest it: dtwin simulate --machine volumetric "
+            "--schedule validation --out summer",
+        )  # fmt: skip
+    tell = progress or (lambda *_: None)
+    conditions = [c for name in others for c in judged_hours(bundle, session_in(lake, name, tell))]
+    runs = [
+        {"way": WITHOUT, "campaign": name, "run_id": row["run_id"], "started": row["started"],
+         "content_sha256": row["content_sha256"]}
+        for name in others
+        for row in lake.runs(name)
+    ]  # fmt: skip
+    return Evidence(
+        "virtual", version.machine, bundle.model_sha256, {WITHOUT: tuple(others), WITH: ()},
+        tuple(conditions), tuple(runs), 0,
+        (
+            "Changes of the distances between balls. Better and worse are said of the share that "
+            "each cycle keeps of its error, by a 95 % interval that counts as many cycles as their "
+            "correlation leaves.",
+        ),
+        {"clock": CLOCK},
+    )  # fmt: skip
+
+
+def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
+    """Return what an equation leaves of a campaign, day by day, in the form that gates read.
+
+    Where cycles are far apart, several days are taken together.
+
+    Parameters
+    ----------
+    bundle : Bundle
+        Corrects the tool point by temperatures.
+    measured : Session
+        Another campaign than that of its fit.
+    """
+    correction, trusted = _corrections(bundle, measured)
+    was, left, noise = [], [], []
+    for (where, moved), values, off in zip(
+        measured.moved, measured.values, correction, strict=True
+    ):
+        was.append(rms(distance_changes_um(where, moved)))
+        left.append(rms(distance_changes_um(where, moved - off)))
+        seen = measured.artefact.predicted_um(where, values)
+        noise.append(rms(distance_changes_um(where, moved - seen)))
+    apart_h = float(np.median(np.diff(measured.hour)))
+    span_h = DAY_H * math.ceil(FEWEST_CYCLES * apart_h / DAY_H)
+    day = np.floor((measured.hour - measured.hour[0]) / span_h).astype(int)
+    # The first cycles are the reference: there is nothing to take away.
+    day[:REFERENCE_CYCLES] = -1
+    return [
+        _condition(
+            measured,
+            span_h * d,
+            span_h,
+            *(np.array(v)[day == d] for v in (was, left, noise, trusted)),
+        )
+        for d in np.unique(day[day >= 0])
+        if np.count_nonzero(day == d) > 1
+    ]
+
+
+def _judges(lake: Lake, name: str, version: RegisteredVersion) -> bool:
+    known = lake.campaign(name)
+    free = not known.machine_geometry.get("corrected", False)
+    return known.machine == version.machine and known.kind == "volumetric" and free
+
+
+def _corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[float]]:
+    """Return what the guard lets through at the balls since the reference, and how far it trusts."""
+    compiled = CompiledBundle(bundle)
+    temperatures = [i for i in bundle.inputs if i.source == "covariate"]
+    names = [i.name for i in temperatures]
+    read = measured.rise_of(names) + measured.begun_of(names)
+    low, high = (np.array([getattr(i, end) for i in temperatures]) for end in ("low", "high"))
+    limits = bundle.safety
+    span = limits.shrink_span if limits.outside == "shrink" else 0.0
+
+    def trust(temperature_c: Floats) -> float:
+        return max(float(box_factor(temperature_c, low, high, span)), 0.0)
+
+    def sent(place_mm: Floats, temperature_c: Floats) -> Floats:
+        given = {f"{axis}_mm": place_mm[:, k] for k, axis in enumerate("xyz")}
+        given |= {n: np.full(len(place_mm), t) for n, t in zip(names, temperature_c, strict=True)}
+        asked = compiled.run(np.column_stack([given[name] for name in bundle.tick_inputs]))
+        trusted = asked * trust(temperature_c)
+        length = np.linalg.norm(trusted, axis=1, keepdims=True)
+        return trusted * np.minimum(1.0, limits.clamp_um / np.maximum(length, 1e-9))
+
+    first = read[:REFERENCE_CYCLES].mean(axis=0)
+    found = [
+        sent(where.position_mm, now) - sent(where.position_mm, first)
+        for (where, _), now in zip(measured.moved, read, strict=True)
+    ]
+    return found, [trust(now) for now in read]
+
+
+def _condition(
+    measured: Session,
+    since_h: float,
+    span_h: float,
+    was: Floats,
+    left: Floats,
+    noise: Floats,
+    trusted: Floats,
+) -> dict[str, Any]:
+    ci = [_half_width(values) for values in (was, left)]
+    # With and without are of the same cycles, whose heat differs more than the correction does: what
+    # counts is the share that each cycle keeps.
+    kept = np.log(left / was)
+    change, half = float(kept.mean()), _half_width(kept)
+    begin = float(measured.hour[0]) + since_h
+    return {
+        "campaign": measured.campaign, "from_h": begin, "to_h": begin + span_h, "trained": False,
+        "before_um": float(was.mean()), "after_um": float(left.mean()),
+        "before_ci_um": ci[0], "after_ci_um": ci[1],
+        "floor_um": float(noise.mean()), "n_without": len(was), "n_with": len(was),
+        "reduction": 1.0 - float(left.mean() / was.mean()),
+        "better": change < -half, "worse": change > half,
+        "acted": {"outside_box": float(np.mean(trusted < 1.0))},
+    }  # fmt: skip
+
+
+def _half_width(values: Floats) -> float:
+    """Return half the 95 % interval of a mean of cycles that are not independent."""
+    n = min(max(independent(values), 2.0), float(len(values)))
+    return t_quantile(0.975, n - 1.0) * float(values.std(ddof=1)) / math.sqrt(n)

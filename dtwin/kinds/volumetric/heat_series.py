@@ -1,0 +1,193 @@
+"""What a ball-array campaign says hour by hour: error motions, temperatures, and what balls see."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.errors import InputError
+from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal
+from dtwin.schema import Floats
+
+SPANS = 5
+FEWEST_CYCLES = 15
+_NUMBERED = re.compile(r"_?\d*_c$")
+
+
+def body_of(sensor: str) -> str:
+    """Return what a thermocouple sits on: ``bed_07_c`` on ``bed``."""
+    return _NUMBERED.sub("", sensor)
+
+
+def require_temperatures(
+    wanted: Sequence[str], measured: Collection[str], campaign: str, offered: Sequence[str]
+) -> None:
+    """Refuse a campaign without the temperatures that are wanted.
+
+    Parameters
+    ----------
+    wanted, measured : collection of str
+        Names; measured are those without gaps.
+    campaign : str
+        Which.
+    offered : sequence of str
+        What to name instead.
+
+    Raises
+    ------
+    InputError
+        When one is missing.
+    """
+    absent = [name for name in wanted if name not in measured]
+    if absent:
+        raise InputError(
+            "the campaign lacks temperatures, or has gaps in them", code="volumetric.sensors",
+            where=campaign, got=", ".join(absent)[:160], allowed=", ".join(offered)[:300],
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class HeatSeries:
+    """A campaign cycle by cycle, as differences to its reference cycles.
+
+    The residual of a cycle at the balls is what the motions leave themselves, and ``r' G r`` of what
+    is left of the motions: the least squares that found them make the two add up.
+
+    Attributes
+    ----------
+    campaign, machine : str
+        Which.
+    hour : ndarray, shape (n,)
+        Begin of each cycle.
+    names : tuple of str
+        Error motions that were identified, all at once.
+    values : ndarray, shape (n, m)
+        Error motions, um or um/m.
+    covariance : ndarray, shape (n, m, m)
+        Of the values, from what the probe's noise does to them.
+    at_balls : ndarray, shape (n, m, m)
+        Mean square at the balls, per coordinate, of a product of two motions: ``G``.
+    left_ms_um2 : ndarray, shape (n,)
+        Mean square per coordinate of what the motions leave.
+    rise_c : dict of str to ndarray, shape (n,)
+        Every temperature without gaps, since the reference.
+    begun_c : dict of str to float
+        What they read in the reference.
+    thermocouples : tuple of str
+        Those of them that sit on the machine; the others were logged beside them.
+    """
+
+    campaign: str
+    machine: str
+    hour: Floats
+    names: tuple[str, ...]
+    values: Floats
+    covariance: Floats
+    at_balls: Floats
+    left_ms_um2: Floats
+    rise_c: Mapping[str, Floats]
+    begun_c: Mapping[str, float]
+    thermocouples: tuple[str, ...]
+    _fits: dict[tuple[bytes, tuple[str, ...]], tuple[ThermalModel, Floats]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
+
+    @property
+    def offered(self) -> tuple[str, ...]:
+        """Temperatures that were logged beside the thermocouples."""
+        return tuple(name for name in self.rise_c if name not in self.thermocouples)
+
+    @property
+    def bodies(self) -> dict[str, tuple[str, ...]]:
+        """Thermocouples by body."""
+        found: dict[str, list[str]] = {}
+        for name in self.thermocouples:
+            found.setdefault(body_of(name), []).append(name)
+        return {body: tuple(names) for body, names in found.items()}
+
+    @property
+    def floor_um(self) -> float:
+        """RMS at the balls that a perfect twin would leave: noise, and what it does to the motions."""
+        noise = np.einsum("nij,nji->n", self.at_balls, self.covariance)
+        return float(np.sqrt((self.left_ms_um2 + noise).mean()))
+
+    def uncertainty_of(self, column: int) -> Floats:
+        """Return the standard uncertainty of a motion in every cycle, shape (n,)."""
+        return np.sqrt(self.covariance[:, column, column])
+
+    def rms_um(self, left: Floats, cycles: Sequence[int] | slice = slice(None)) -> float:
+        """Return the RMS at the balls when this is left of the motions.
+
+        Parameters
+        ----------
+        left : ndarray, shape (n, m)
+            Motions less what was predicted.
+        cycles : sequence of int, optional
+            Some of them.
+        """
+        squares = self.left_ms_um2 + np.einsum("ni,nij,nj->n", left, self.at_balls, left)
+        return float(np.sqrt(squares[cycles].mean()))
+
+    def share_um(self, values: Floats, column: int) -> float:
+        """Return the RMS at the balls of one motion alone, its values given, shape (n,)."""
+        return float(np.sqrt((values**2 * self.at_balls[:, column, column]).mean()))
+
+    def spans(self) -> list[NDArray[np.int64]]:
+        """Return spans of neighbouring cycles, which are left out of a fit as a whole."""
+        return [np.asarray(s, np.int64) for s in np.array_split(np.arange(len(self.hour)), SPANS)]
+
+    def rises(self, names: Sequence[str]) -> Floats:
+        """Return temperatures by name, shape (n, names).
+
+        Raises
+        ------
+        InputError
+            When one was not measured here, or has gaps.
+        """
+        require_temperatures(names, self.rise_c, self.campaign, [*self.bodies, *self.offered])
+        return np.column_stack([np.zeros((len(self.hour), 0)), *(self.rise_c[n] for n in names)])
+
+    def allowed(self, sources: Sequence[str]) -> tuple[str, ...]:
+        """Return the temperatures that a term may use: of bodies and by name; all when empty."""
+        if not sources:
+            return self.thermocouples
+        names = [name for source in sources for name in self.bodies.get(source, (source,))]
+        self.rises(names)
+        return tuple(dict.fromkeys(names))
+
+    def driven(
+        self, name: str, motion: Floats, sensors: Sequence[str]
+    ) -> tuple[ThermalModel, Floats]:
+        """Fit a motion to temperatures; return the model and what it says of hours that were left out.
+
+        Parameters
+        ----------
+        name : str
+            The motion.
+        motion : ndarray, shape (n,)
+            Its values.
+        sensors : sequence of str
+            Temperatures to choose from.
+
+        Returns
+        -------
+        ThermalModel
+            Without memory.
+        ndarray, shape (n,)
+            Spans of hours left out in turn; the temperatures were chosen without them, too.
+        """
+        key = (name.encode() + motion.tobytes(), tuple(sensors))
+        if key not in self._fits:
+            rise = self.rises(sensors)
+            expected = np.zeros(len(motion))
+            for span in self.spans():
+                kept = np.delete(np.arange(len(motion)), span)
+                model = fit_thermal(name, motion[kept], rise[kept], sensors, static=True)
+                expected[span] = model.run(self.rises(model.sensors))[span]
+            whole = fit_thermal(name, motion, rise, sensors, static=True)
+            self._fits[key] = whole, expected
+        return self._fits[key]

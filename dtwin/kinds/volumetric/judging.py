@@ -1,0 +1,235 @@
+"""Thermal models of error motions, and what they are worth in a campaign that they never saw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.volumetric.chain import coefficient, design
+from dtwin.kinds.volumetric.identify import Balls
+from dtwin.kinds.volumetric.intervals import (
+    IntervalCurve,
+    interval_curve,
+    reduction_pct,
+    worse_steps,
+)
+from dtwin.kinds.volumetric.session import Session, Strokes, with_offered
+from dtwin.kinds.volumetric.slots import SLOTS, slot_places_mm, slot_ranges_um
+from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
+from dtwin.schema import Floats
+from dtwin.statistics import rms
+
+# An error motion is unexplained when a model takes away less than this of what can be seen.
+UNEXPLAINED_PCT = 40.0
+_HALVED = 0.5
+_SEEN = 4.0
+
+
+def models_of(
+    training: Session, *, offered: Sequence[str] = (), static: bool = False
+) -> tuple[list[ThermalModel], Session]:
+    """Fit a thermal model to every error motion; return them and the session with what was offered.
+
+    Parameters
+    ----------
+    training : Session
+        Where they are fitted.
+    offered : sequence of str
+        Other logged temperatures that may be used, too.
+    static : bool
+        Without memory.
+    """
+    whole = with_offered(training, offered)
+    names = whole.artefact.names
+    made = [
+        fit_thermal(name, whole.values[:, i], whole.rise_c, whole.sensors, static=static)
+        for i, name in enumerate(names)
+    ]
+    return made, whole
+
+
+def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
+    """Return the error motions that the models expect, in free run, shape (cycles, coefficients)."""
+    return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
+
+
+def judged(
+    models: Sequence[ThermalModel], measured: Session, training: Session | None = None
+) -> dict[str, Any]:
+    """Compare the models with a campaign.
+
+    Parameters
+    ----------
+    models : sequence of ThermalModel
+        One for each coefficient.
+    measured : Session
+        Another campaign than that of the fit, when the figures shall say anything.
+    training : Session, optional
+        The campaign of the fit: causes of what is unexplained are fitted there, and judged here.
+
+    Returns
+    -------
+    dict
+        ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how
+        long), ``slots``, ``unexplained`` and ``worse``.
+    """
+    expected = predicted(models, measured)
+    left = measured.values - expected
+    rows = [_row(model, measured, i, left[:, i]) for i, model in enumerate(models)]
+    lines = _lines(measured, left)
+    return {
+        "campaign": measured.campaign,
+        "cycles": len(measured.hour),
+        "sensors": len(measured.sensors),
+        "identified_um": _mean([found.left_um for found in measured.found]),
+        "held_out_poses_um": _mean([found.held_out_um for found in measured.found]),
+        "distances": _distances(measured, expected),
+        "coefficients": rows,
+        "lines": lines,
+        "slots": _slots(measured, left),
+        "unexplained": [
+            _unexplained(models[i], i, training, measured, row["rms_left_um"])
+            for i, row in enumerate(rows) if _is_unexplained(row)
+        ],
+        "worse": [row["name"] for row in rows if row["rms_reduction_pct"] < 0.0],
+    }  # fmt: skip
+
+
+def _is_unexplained(row: Mapping[str, Any]) -> bool:
+    return bool(
+        row["rms_reduction_pct"] < UNEXPLAINED_PCT and row["rms_um"] > _SEEN * row["uncertainty_um"]
+    )
+
+
+def _unexplained(
+    model: ThermalModel, column: int, training: Session | None, measured: Session, left_um: float
+) -> dict[str, Any]:
+    """Name the logged temperature that, fitted in one campaign, halves what is left in the other."""
+    out: dict[str, Any] = {"name": model.name, "cause": None, "tried": []}
+    if training is None:
+        return out
+    own = training.rise_of(model.sensors)
+    for channel in training.offered_c:
+        if channel not in measured.offered_c:
+            continue
+        with_it = np.column_stack([own, training.offered_rise(channel)])
+        per_k = np.linalg.lstsq(with_it, training.values[:, column], rcond=None)[0]
+        there = np.column_stack([measured.rise_of(model.sensors), measured.offered_rise(channel)])
+        after = rms(measured.values[:, column] - there @ per_k)
+        out["tried"].append({"channel": channel, "left_um": after})
+    best = min(out["tried"], key=lambda t: t["left_um"], default=None)
+    if best is not None and best["left_um"] < _HALVED * left_um:
+        out["cause"] = best["channel"]
+    return out
+
+
+def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> dict[str, Any]:
+    values = measured.values[:, column]
+    before, after = rms(values), rms(left)
+    used = measured.rise_of(model.sensors)
+    return {
+        "name": model.name,
+        "unit": coefficient(model.name).unit,
+        "p2p_um": float(np.ptp(values)),
+        "p2p_left_um": float(np.ptp(left)),
+        "rms_um": before,
+        "rms_left_um": after,
+        "rms_reduction_pct": reduction_pct(before, after),
+        "uncertainty_um": _mean([found.uncertainty[column] for found in measured.found]),
+        "sensors": list(model.sensors),
+        "memory": model.memory,
+        "largest_inflation": float(inflation(used).max()),
+    }
+
+
+def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
+    """Return how the distances between balls of the same pose change, shape (pairs,).
+
+    Parameters
+    ----------
+    where : Balls
+        Where the balls are.
+    moved_um : ndarray, shape (n, 3)
+        How the tool point moves there.
+    """
+    found = []
+    for pose in sorted(set(where.pose.tolist()) - {0}):
+        rows = np.flatnonzero(where.pose == pose)
+        one, other = np.triu_indices(len(rows), 1)
+        apart = where.position_mm[rows][one] - where.position_mm[rows][other]
+        unit = apart / np.linalg.norm(apart, axis=1)[:, None]
+        found.append(((moved_um[rows][one] - moved_um[rows][other]) * unit).sum(axis=1))
+    return np.concatenate(found)
+
+
+def _distances(measured: Session, expected: Floats) -> dict[str, float]:
+    """Return how distances between balls change, before and after; fitted and held-out poses."""
+    before: list[Floats] = []
+    after: list[Floats] = []
+    for (where, moved), values in zip(measured.moved, expected, strict=True):
+        rest = moved - measured.artefact.predicted_um(where, values)
+        before.append(distance_changes_um(where, moved))
+        after.append(distance_changes_um(where, rest))
+    was, is_now = np.concatenate(before), np.concatenate(after)
+    return {
+        "p2p_um": float(np.ptp(was)),
+        "p2p_left_um": float(np.ptp(is_now)),
+        "p2p_reduction_pct": reduction_pct(float(np.ptp(was)), float(np.ptp(is_now))),
+        "rms_um": rms(was),
+        "rms_left_um": rms(is_now),
+        "rms_reduction_pct": reduction_pct(rms(was), rms(is_now)),
+    }
+
+
+def _lines(measured: Session, left: Floats) -> list[dict[str, Any]]:
+    """Return how much the error along a line of each axis changes within jobs of every length."""
+    step_h = float(np.median(np.diff(measured.hour)))
+    steps = sorted(
+        {s for s in (1, 2, 3, 5, 8, 12, 16, 20, 30, 40, 60, 100, len(left) - 1) if s < len(left)}
+    )
+    out = []
+    for axis in "xzy":
+        place = _line_mm(dict(measured.artefact.strokes_mm), axis)
+        unit = design(place, measured.artefact.strokes_mm, measured.artefact.names)
+        for number, direction in enumerate("xyz"):
+            series = [v @ unit[:, number].T for v in (measured.values, left)]
+            before, after = (interval_curve(s, steps) for s in series)
+            worse = [step_h * s for s in worse_steps(before, after)]
+            out.append({
+                "line": axis.upper(), "direction": direction.upper(),
+                "hours": [step_h * s for s in steps],
+                "p95_um": _spread(before), "p95_left_um": _spread(after), "worse_h": worse,
+            })  # fmt: skip
+    return out
+
+
+def _line_mm(strokes: Strokes, axis: str) -> Floats:
+    """Return eleven points along an axis through the middle of the others."""
+    out = np.tile([float(np.mean(strokes[a])) for a in "xyz"], (11, 1))
+    out[:, "xyz".index(axis)] = np.linspace(*strokes[axis], 11)
+    return out
+
+
+def _slots(measured: Session, left: Floats) -> dict[str, float] | None:
+    """Return the slot test for every hour at which it may start; None when cycles are not hourly."""
+    if len(left) < SLOTS or not np.allclose(np.diff(measured.hour), 1.0):
+        return None
+    places = slot_places_mm(dict(measured.artefact.strokes_mm))
+    unit = design(places, measured.artefact.strokes_mm, measured.artefact.names)[:, 2]
+    before, after = (slot_ranges_um(v @ unit.T) for v in (measured.values, left))
+    return {
+        "mean_range_um": float(before.mean()), "mean_range_left_um": float(after.mean()),
+        "mean_reduction_pct": reduction_pct(float(before.mean()), float(after.mean())),
+        "max_range_um": float(before.max()), "max_range_left_um": float(after.max()),
+        "max_reduction_pct": reduction_pct(float(before.max()), float(after.max())),
+    }  # fmt: skip
+
+
+def _spread(curve: IntervalCurve) -> list[float]:
+    return [float(v) for v in curve.p95_spread]
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values))

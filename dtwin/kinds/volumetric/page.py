@@ -1,0 +1,77 @@
+"""What thermal models do in a campaign, as a page to look at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import plotly.graph_objects as go
+
+from dtwin.kinds.volumetric.text import finding_lines
+from dtwin.report.html import Section, Table, page
+from dtwin.report.plots import COLOURS, styled
+
+
+def volumetric_page(found: Mapping[str, Any]) -> str:
+    """Return a page that holds everything it shows.
+
+    Parameters
+    ----------
+    found : dict
+        As ``dtwin.kinds.volumetric.judging.judged`` gives it.
+    """
+    d = found["distances"]
+    told = [("note", line) for line in finding_lines(found)] or [("note", "nothing to warn of")]
+    head = ("motion", "unit", "RMS", "left", "less, %", "temperatures")
+    rows = [
+        [r["name"], r["unit"], f"{r['rms_um']:z.2f}", f"{r['rms_left_um']:z.2f}",
+         str(round(r["rms_reduction_pct"])), str(len(r["sensors"]))]
+        for r in found["coefficients"]
+    ]  # fmt: skip
+    sections = [
+        Section("What to know first", (), told),
+        Section("Error motions", (), figures=[_motions(found)]),
+        Section(
+            "How much the error changes within a job",
+            ["Spread inside a job of that length along a line through the volume, less in 95 % of them."],
+            figures=[_spread(found, direction) for direction in "XYZ"],
+        ),
+        Section("Every motion", (), tables=[Table(head, rows)]),
+    ]  # fmt: skip
+    subtitle = (
+        f"{found['cycles']} cycles; distances between balls: RMS {d['rms_um']:z.2f} to "
+        f"{d['rms_left_um']:z.2f} um (-{d['rms_reduction_pct']:z.0f} %)"
+    )
+    return page(f"Heat in {found['campaign']}", subtitle, sections)
+
+
+def _motions(found: Mapping[str, Any]) -> go.Figure:
+    figure = go.Figure()
+    names = [row["name"] for row in found["coefficients"]]
+    for label, key, colour in (
+        ("measured", "rms_um", "measured"), ("left by the model", "rms_left_um", "second"),
+    ):  # fmt: skip
+        values = [row[key] for row in found["coefficients"]]
+        figure.add_trace(go.Bar(x=names, y=values, name=label, marker_color=COLOURS[colour]))
+    figure.update_layout(title="RMS of every error motion", yaxis_title="um, um/m", barmode="group")
+    return styled(figure)
+
+
+def _spread(found: Mapping[str, Any], direction: str) -> go.Figure:
+    figure = go.Figure()
+    lines = [line for line in found["lines"] if line["direction"] == direction]
+    for line, dash in zip(lines, ("solid", "dash", "dot"), strict=True):
+        for label, key, colour in (
+            ("", "p95_um", "measured"), (", left", "p95_left_um", "second"),
+        ):  # fmt: skip
+            figure.add_trace(
+                go.Scatter(
+                    x=line["hours"], y=line[key], name=f"{line['line']} line{label}",
+                    line={"color": COLOURS[colour], "dash": dash},
+                )
+            )  # fmt: skip
+    figure.update_layout(
+        title=f"Error in {direction}", xaxis={"title": "length of the job, h", "type": "log"},
+        yaxis={"title": "um", "rangemode": "tozero"},
+    )  # fmt: skip
+    return styled(figure)

@@ -1,0 +1,229 @@
+"""Days of ball arrays and thermocouples as error motions and temperatures, cycle by cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.volumetric.heat_series import require_temperatures
+from dtwin.kinds.volumetric.identify import Artefact, Balls, Identified, averaged_balls
+from dtwin.pipeline.campaign_name import in_lake
+from dtwin.progress import Progress
+from dtwin.schema import Floats, Run
+from dtwin.store import Lake
+
+SENSORS = "thermocouples"
+REFERENCE_CYCLES = 3
+Strokes = dict[str, tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Session:
+    """A campaign, cycle by cycle, as differences to its first cycles.
+
+    Attributes
+    ----------
+    campaign : str
+        Name.
+    hour : ndarray, shape (cycles,)
+        Begin of each cycle.
+    artefact : Artefact
+        How readings become error motions.
+    moved : tuple of (Balls, ndarray)
+        Where each cycle measured, and how the tool point moved there.
+    found : tuple of Identified
+        Error motions of each cycle.
+    sensors : tuple of str
+        Thermocouples without gaps.
+    rise_c : ndarray, shape (cycles, sensors)
+        Their means over the cycle.
+    begun_c : ndarray, shape (sensors,)
+        What they read in the reference.
+    offered_c : dict of str to ndarray, shape (cycles,)
+        Other temperatures that were logged: means over the cycle, as they were read.
+    """
+
+    campaign: str
+    hour: Floats
+    artefact: Artefact
+    moved: tuple[tuple[Balls, Floats], ...]
+    found: tuple[Identified, ...]
+    sensors: tuple[str, ...]
+    rise_c: Floats
+    begun_c: Floats
+    offered_c: Mapping[str, Floats]
+
+    @property
+    def values(self) -> Floats:
+        """Error motions, shape (cycles, coefficients)."""
+        return np.array([found.values for found in self.found])
+
+    def offered_rise(self, channel: str) -> Floats:
+        """Return an offered temperature since the reference, shape (cycles,)."""
+        values = self.offered_c[channel]
+        return values - values[:REFERENCE_CYCLES].mean()
+
+    def rise_of(self, names: Sequence[str]) -> Floats:
+        """Return temperatures by name, shape (cycles, names).
+
+        Raises
+        ------
+        InputError
+            When one was not measured here, or has gaps.
+        """
+        require_temperatures(names, self.sensors, self.campaign, self.sensors)
+        return self.rise_c[:, [self.sensors.index(name) for name in names]]
+
+    def begun_of(self, names: Sequence[str]) -> Floats:
+        """Return what thermocouples read in the reference, by name, shape (names,)."""
+        return self.begun_c[[self.sensors.index(name) for name in names]]
+
+
+def session(home: Home, campaign: str, progress: Progress) -> Session:
+    """Identify the error motions of every cycle of a campaign.
+
+    Parameters
+    ----------
+    home : Home
+        Of the lake.
+    campaign : str
+        Name in the lake, or a folder, which is ingested first.
+    progress : callable
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        When it is of another kind, or its balls cannot tell the error motions.
+    """
+    return session_in(Lake(home.lake), in_lake(home, campaign), progress)
+
+
+def session_in(lake: Lake, name: str, progress: Progress) -> Session:
+    """Identify the error motions of every cycle of a campaign that is in the lake.
+
+    Parameters
+    ----------
+    lake : Lake
+        Where it is.
+    name : str
+        Campaign.
+    progress : callable
+        Called with (done, total, what).
+
+    Raises
+    ------
+    InputError
+        As for :func:`session`.
+    """
+    known = lake.campaign(name)
+    if known.kind != "volumetric":
+        raise InputError(
+            "not a ball-array campaign", code="volumetric.kind", where=name, got=known.kind,
+            allowed="volumetric",
+        )  # fmt: skip
+    runs = [
+        run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)
+    ]
+    runs.sort(key=lambda run: float(run.meta.condition.get("time_h", 0.0)))
+    if len(runs) <= REFERENCE_CYCLES:
+        raise InputError(
+            "too few usable cycles", code="volumetric.cycles", where=name, got=str(len(runs)),
+            allowed=f"more than {REFERENCE_CYCLES}", hint=f"dtwin check: what is wrong with {name}",
+        )  # fmt: skip
+    artefact = _artefact(known.machine_geometry, name)
+    balls = [_balls(run) for run in runs]
+    reference = averaged_balls(balls[:REFERENCE_CYCLES])
+    moved = tuple(artefact.variation_um(cycle, reference) for cycle in balls)
+    found = []
+    for number, (where, by) in enumerate(moved):
+        found.append(artefact.identify(where, by))
+        progress(number + 1, len(moved), f"identify {runs[number].meta.run_id}")
+    table = _temperatures(runs)
+    inside = {n: t for n, (group, t) in table.items() if group == SENSORS}
+    if not inside:
+        raise InputError(
+            "no thermocouple has readings in every cycle", code="volumetric.sensors", where=name,
+            hint=f'a signal group "{SENSORS}" with columns that end in _c',
+        )  # fmt: skip
+    absolute = np.column_stack(list(inside.values()))
+    begun = absolute[:REFERENCE_CYCLES].mean(axis=0)
+    return Session(
+        name, np.array([float(run.meta.condition.get("time_h", i)) for i, run in enumerate(runs)]),
+        artefact, moved, tuple(found), tuple(inside), absolute - begun, begun,
+        {n: t for n, (group, t) in table.items() if group != SENSORS},
+    )  # fmt: skip
+
+
+def with_offered(measured: Session, offered: Sequence[str]) -> Session:
+    """Return a session whose models may use other logged temperatures, too.
+
+    Raises
+    ------
+    InputError
+        When one was not logged.
+    """
+    absent = [name for name in offered if name not in measured.offered_c]
+    if absent:
+        raise InputError(
+            "no such temperature was logged beside the thermocouples", code="volumetric.offered",
+            where=measured.campaign, got=", ".join(absent)[:120],
+            allowed=", ".join(measured.offered_c) or "none was",
+        )  # fmt: skip
+    rises = [measured.offered_rise(name) for name in offered]
+    more = np.column_stack([measured.rise_c, *rises])
+    read = [measured.offered_c[name][:REFERENCE_CYCLES].mean() for name in offered]
+    begun = np.concatenate([measured.begun_c, np.asarray(read, dtype=np.float64)])
+    return replace(measured, sensors=(*measured.sensors, *offered), rise_c=more, begun_c=begun)
+
+
+def _artefact(geometry: Mapping[str, Any], where: str) -> Artefact:
+    if str(geometry.get("chain", "XZY")) != "XZY":
+        raise InputError(
+            "only machines that carry Y on Z on X can be identified", code="volumetric.chain",
+            where=where, got=str(geometry.get("chain"))[:20], allowed="XZY",
+        )  # fmt: skip
+    strokes: Strokes = {}
+    for axis in "xyz":
+        reach = geometry.get(f"stroke_{axis}_mm")
+        if not (isinstance(reach, list) and len(reach) == 2 and reach[0] < reach[1]):
+            raise InputError(
+                "the stroke of an axis is needed", code="volumetric.stroke",
+                where=f"{where} machine_geometry.stroke_{axis}_mm", got=str(reach)[:60],
+                allowed="two positions in mm, ascending",
+            )  # fmt: skip
+        strokes[axis] = (float(reach[0]), float(reach[1]))
+    held_out = tuple(int(pose) for pose in geometry.get("held_out_poses", ()))
+    repeat = float(geometry.get("pose_repeat_um", np.inf))
+    return Artefact(strokes, held_out, repeat)
+
+
+def _balls(run: Run) -> Balls:
+    place, error = (
+        np.stack([run.samples[name.format(axis)] for axis in "xyz"], axis=1).astype(float)
+        for name in ("{}_mm", "error_{}_um")
+    )
+    pose, ball = (np.rint(run.samples[name]).astype(np.int64) for name in ("pose_1", "ball_1"))
+    return Balls(place, error, pose, ball)
+
+
+def _temperatures(runs: Sequence[Run]) -> dict[str, tuple[str, Floats]]:
+    """Return group and mean over each cycle of every temperature that has no gap."""
+    means: dict[str, list[float]] = {}
+    groups: dict[str, str] = {}
+    for run in runs:
+        for group in run.signals:
+            for name, values in group.columns.items():
+                if name.endswith("_c"):
+                    groups.setdefault(name, group.name)
+                    means.setdefault(name, []).append(float(np.mean(values)))
+    return {
+        name: (groups[name], np.array(values))
+        for name, values in means.items()
+        if len(values) == len(runs) and np.isfinite(values).all()
+    }

@@ -1,0 +1,303 @@
+"""Twins of ball-array campaigns as text, and as sections of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import plotly.graph_objects as go
+
+from dtwin.kinds.volumetric.chain import COEFFICIENTS
+from dtwin.kinds.volumetric.heat_diagnosis import MATERIAL
+from dtwin.kinds.volumetric.heat_series import body_of
+from dtwin.kinds.volumetric.heat_twin import HeatTwin
+from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
+from dtwin.report.html import Section, Table
+from dtwin.report.plots import COLOURS, styled
+from dtwin.report.text import micrometres, table
+from dtwin.report.twin_plots import ranked_figure, waterfall_figure
+from dtwin.report.twins import history_text
+
+_SEVERITY = {"nothing_missing": "info", "unknown_effect": "error"}
+_UNIT = "unit of replication: the cycle, fewer where heat lasts"
+
+
+def twin_text(twin: HeatTwin) -> str:
+    """Return a twin for the terminal."""
+    figures = twin.figures
+    head = (
+        f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, "
+        f"campaign {twin.campaign}\n"
+        f"error at the balls {micrometres(figures['rms_before_um'])} -> "
+        f"{micrometres(figures['rms_after_um'])} um RMS, "
+        f"{micrometres(figures['held_out_rms_um'])} um on hours left out; noise floor "
+        f"{micrometres(figures['noise_floor_um'])} um ({_UNIT})\n"
+    )
+    shown = term_table(twin)
+    return "\n".join([head, table(shown.head, shown.rows) if shown.rows else "no effects yet"])
+
+
+def term_table(twin: HeatTwin) -> Table:
+    """Return the error motions of a twin, and what drives them."""
+    rows = [
+        (
+            term.label,
+            motion_words(term.motion),
+            family_of(term.motion).name,
+            str(len(model.sensors)),
+            _bodies(model.sensors),
+        )
+        for term, model in zip(twin.terms, twin.models, strict=True)
+    ]
+    return Table(("effect", "what", "family", "inputs", "driven by"), rows)
+
+
+def comparison_text(result: Mapping[str, Any]) -> str:
+    """Return a comparison for the terminal."""
+    days, motions = _day_table(result), _motion_table(result)
+    return "\n".join(
+        [
+            f"twin {result['twin']} version {result['version']} against campaign "
+            f"{result['campaign']} ({result['runs']} cycles)",
+            table(days.head, days.rows),
+            f"error at the balls {micrometres(result['rms_before_um'])} -> "
+            f"{micrometres(result['residual_rms_um'])} um RMS, of which error "
+            f"motions are {micrometres(result['systematic_rms_um'])} um; noise floor "
+            f"{micrometres(result['noise_floor_um'])} um ({_UNIT})",
+            "most left, RMS at the balls:",
+            table(motions.head, motions.rows),
+            "largest, noise left aside:",
+            *(f"  {_place(place)}" for place in result["where"]),
+            *(f"warning: {warning}" for warning in result["warnings"]),
+        ]
+    )
+
+
+def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
+    """Return a diagnosis for the terminal."""
+    lines = [
+        f"{result['verdict']}: {result['headline']}",
+        f"residual at the balls {micrometres(result['residual_rms_um'])} um RMS, of which error "
+        f"motions are {micrometres(result['systematic_rms_um'])} um; noise floor "
+        f"{micrometres(result['noise_floor_um'])} um ({_UNIT})",
+    ]
+    if result["candidates"]:
+        head = ("motion", "seen, um", "after, um", "told on hours left out", "p", "by", "in group")
+        rows = [
+            (
+                c["effect"],
+                micrometres(c["seen_um"]),
+                micrometres(c["rms_after_um"]),
+                f"{100 * c['cv_gain']:z.0f} %" if c["cv_gain"] > 0.0 else "nothing",
+                f"{c['p_value']:.1g}",
+                _told_by(c),
+                "yes" if c["in_group"] else "",
+            )
+            for c in result["candidates"]
+        ]
+        lines.append(table(head, rows))
+        now = result["residual_rms_um"]
+        if any(c["add"] and c["rms_after_um"] > now for c in result["candidates"]):
+            lines.append("more after than now: it offsets another at these balls until both are in")
+    if result["quiet"]:
+        lines.append(
+            f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}"
+        )
+    if result["next_experiment"]:
+        lines.append(f"next: {result['next_experiment']['text']}")
+    return "\n".join([*lines, *_advice(name, result)])
+
+
+def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
+    """Return measured against predicted: motion by motion and day by day."""
+    said = (
+        f"Version {result['version']} against {result['campaign']}: {result['runs']} cycles, "
+        f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} um RMS at the "
+        f"balls, noise floor {micrometres(result['noise_floor_um'])} um ({_UNIT})."
+    )
+    return [
+        Section(
+            "Measured against predicted",
+            [said],
+            [("warning", warning) for warning in result["warnings"]],
+            figures=[motion_figure(result), day_figure(result)],
+        ),
+        Section("Where it fails", [_place(place) for place in result["where"]]),
+    ]
+
+
+def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
+    """Return what is missing."""
+    said = (
+        _SEVERITY.get(result["verdict"], "warning"),
+        f"{result['verdict']}: {result['headline']}",
+    )
+    figures = [ranked_figure(result)] if result["candidates"] else []
+    return Section("What is missing", [], [said], [], figures, [diagnosis_text(name, result)])
+
+
+def twin_section(twin: HeatTwin) -> Section:
+    """Return the twin and its error motions."""
+    return Section("The twin", [twin_text(twin).split("\n")[1]], tables=[term_table(twin)])
+
+
+def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
+    """Return how the error fell."""
+    figure = waterfall_figure(rungs, begun="no effects")
+    return Section("From version to version", figures=[figure], code=[history_text(rungs)])
+
+
+def family_dict(family: Family) -> dict[str, Any]:
+    """Return a family of error motions as a JSON-ready mapping."""
+    members = [m for m in COEFFICIENTS if family_of(m).name == family.name]
+    return {**vars(family), "kinds": ["volumetric"], "per": "error motion", "motions": members}
+
+
+def family_text(family: Family) -> str:
+    """Return what a family of error motions is, for the terminal."""
+    members = family_dict(family)["motions"]
+    return "\n".join(
+        [
+            f"{family.name}: {family.title}",
+            family.meaning,
+            f"looks like: {family.looks_like}",
+            "error motions: " + ", ".join(f"{m} ({motion_words(m)})" for m in members),
+            f"told apart by: {family.separate_by}",
+            f"remedy: {family.remedy}",
+            "reference: ISO 230-1 (names), ISO 230-3 (thermal effects)",
+        ]
+    )
+
+
+def family_named(name: str) -> Family | None:
+    """Return a family by its own name or by that of an error motion; None when it is neither."""
+    if name in FAMILIES or name not in COEFFICIENTS:
+        return FAMILIES.get(name)
+    return family_of(name)
+
+
+def _told_by(candidate: Mapping[str, Any]) -> str:
+    if candidate["explained_by"]:
+        return str(candidate["explained_by"])
+    if not candidate["add"]:
+        return "nothing logged"
+    alone = [label.partition("@")[2] for label in candidate["confounded_with"]]
+    return " or ".join(alone) if alone else _bodies(candidate["temperatures"])
+
+
+def _bodies(sensors: Sequence[str]) -> str:
+    """Return the bodies of thermocouples, each once; any other temperature as it is called."""
+    return ", ".join(dict.fromkeys(map(body_of, sensors)))
+
+
+def _place(place: Mapping[str, Any]) -> str:
+    where = f"pose {place['pose']}" if place["pose"] else "balls on the table"
+    first, last = place["hours"]
+    return (
+        f"{where}, in {place['axis']}, {first:g} to {last:g} h: "
+        f"{micrometres(place['residual_rms_um'])} um"
+    )
+
+
+def _day_table(result: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            f"{c['hours'][0]:g} to {c['hours'][1]:g} h",
+            str(c["cycles"]),
+            micrometres(c["rms_before_um"]),
+            micrometres(c["rms_after_um"]),
+        )
+        for c in result["conditions"]
+    ]
+    return Table(("hours", "cycles", "before, um", "after, um"), rows)
+
+
+def _motion_table(result: Mapping[str, Any], most: int = 6) -> Table:
+    worst = sorted(result["motions"], key=lambda m: -m["rms_after_um"])[:most]
+    rows = [
+        (
+            m["effect"],
+            m["in_twin"] or "no",
+            micrometres(m["rms_before_um"]),
+            micrometres(m["rms_after_um"]),
+            micrometres(m["noise_um"]),
+        )
+        for m in worst
+    ]
+    return Table(("motion", "in the twin", "before, um", "after, um", "of it noise"), rows)
+
+
+def motion_figure(result: Mapping[str, Any]) -> go.Figure:
+    """Return every error motion at the balls: measured, left, and its noise.
+
+    Parameters
+    ----------
+    result : dict
+        A comparison, as its ``as_dict`` gives it.
+    """
+    rows = sorted(result["motions"], key=lambda m: -m["rms_before_um"])
+    figure = go.Figure()
+    for label, key, colour in (
+        ("measured", "rms_before_um", "measured"), ("left by the twin", "rms_after_um", "second"),
+        ("noise of the motion", "noise_um", "floor"),
+    ):  # fmt: skip
+        figure.add_trace(
+            go.Bar(
+                x=[m["effect"] for m in rows], y=[m[key] for m in rows], name=label,
+                marker_color=COLOURS[colour],
+            )
+        )  # fmt: skip
+    figure.update_layout(
+        title="Every error motion at the balls",
+        yaxis={"title": "RMS, um", "type": "log", "dtick": 1},
+        xaxis_tickangle=-60,
+        barmode="group",
+    )
+    return styled(figure)
+
+
+def day_figure(result: Mapping[str, Any]) -> go.Figure:
+    """Return the error at the balls day by day, measured and left.
+
+    Parameters
+    ----------
+    result : dict
+        A comparison, as its ``as_dict`` gives it.
+    """
+    days = result["conditions"]
+    named = [f"{d['hours'][0]:g} to {d['hours'][1]:g}" for d in days]
+    figure = go.Figure()
+    for label, key, colour in (
+        ("measured", "rms_before_um", "measured"), ("left by the twin", "rms_after_um", "second"),
+    ):  # fmt: skip
+        figure.add_trace(
+            go.Bar(
+                x=named, y=[d[key] for d in days], name=label, marker_color=COLOURS[colour],
+            )
+        )  # fmt: skip
+    figure.add_trace(
+        go.Scatter(
+            x=named, y=[result["noise_floor_um"]] * len(days), mode="lines", name="noise floor",
+            line={"color": COLOURS["floor"], "dash": "dash"},
+        )
+    )  # fmt: skip
+    figure.update_layout(
+        title="Error at the balls, day by day", yaxis_title="RMS, um", xaxis_title="hours",
+        barmode="group",
+    )  # fmt: skip
+    return styled(figure)
+
+
+def _advice(name: str, result: Mapping[str, Any]) -> list[str]:
+    group = [c for c in result["candidates"] if c["in_group"]]
+    best = next((c for c in group if c["add"]), None)
+    if best is None:
+        return ["nothing to add"] if not group else ["nothing that was logged would help"]
+    lines = [f"try: dtwin twin add {name} {best['add']}"]
+    if result["verdict"] == "ambiguous":
+        alone = best["confounded_with"][0]
+        lines.append(
+            f"that takes the temperatures that fit best here; {alone} takes those of one body. Which is "
+            "right shows when they part, and only then can the twin be trusted in another season"
+        )
+    return [*lines, f"remedy: {best['remedy']}"]
