@@ -64,7 +64,7 @@ def split(
     from dtwin.kinds.circular.dynamics import split_campaign
     from dtwin.kinds.circular.dynamics_report import dynamics_page, dynamics_text
     from dtwin.kinds.circular.dynamics_ways import TWIN_EFFECTS, DynamicsRequest
-    from dtwin.train.particle_swarm import SwarmSettings
+    from dtwin.kinds.circular.particle_swarm import SwarmSettings
 
     chosen = TWIN_EFFECTS if effects is None else tuple(e.strip() for e in effects.split(","))
     found = split_campaign(

@@ -22,8 +22,8 @@ from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import worse_in_sample
 
 if TYPE_CHECKING:
+    from dtwin.train.results import Training
     from dtwin.train.symbolic import Engine
-    from dtwin.train.training import Training
 
 CONDITIONS_FILE = "conditions.json"
 

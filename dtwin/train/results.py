@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
+
+if TYPE_CHECKING:
+    from dtwin.kinds.circular.physics_fit import PhysicsFit
 
 FRESH_RUN = "fresh_run.rms_um"
 """Metric: RMS error on runs that only the coefficients were fitted without, in um."""
@@ -251,3 +254,25 @@ def condition_name(condition: Mapping[str, Any]) -> str:
     if "approached" in condition:
         return f"{condition['axis']} {condition['approached']}"
     return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g}"
+
+
+@dataclass(frozen=True)
+class Training:
+    """A training and what later steps need of it.
+
+    Attributes
+    ----------
+    report : TrainingReport
+        Candidates and data.
+    geometry : dict
+        The machine's geometry.
+    conditions : tuple of (plane, radius_mm, feed_mm_min)
+        What was trained; of tones (name, frequency_hz, amplitude_um).
+    fit : PhysicsFit, optional
+        The fitted physics library of circles.
+    """
+
+    report: TrainingReport
+    geometry: Mapping[str, Any]
+    conditions: tuple[tuple[str, float, float], ...]
+    fit: PhysicsFit | None = None

@@ -20,6 +20,8 @@ from running_servers import running_up
 from dtwin.cli import main
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.kinds.circular.physics_fit import predicted_left_out
+from dtwin.kinds.circular.term_columns import TermColumns
 from dtwin.pipeline.evidence import make_champion, measure, proven
 from dtwin.pipeline.modelling import put_on_trial, train
 from dtwin.serve.pointer import resolve
@@ -27,12 +29,10 @@ from dtwin.store import Lake
 from dtwin.train.candidate_runs import training_candidates
 from dtwin.train.circle_evidence import EvidencePlan, measured_circles
 from dtwin.train.dataset import load_ticks
-from dtwin.train.physics_fit import predicted_left_out
 from dtwin.train.promotion import history, promote, rollback
 from dtwin.train.registry import Registry
 from dtwin.train.rows import gather
 from dtwin.train.symbolic import OperonEngine
-from dtwin.train.term_columns import TermColumns
 from dtwin.workbench.models import judged
 from flows._artifacts import slug
 from flows.page import shown_steps

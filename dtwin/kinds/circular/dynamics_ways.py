@@ -18,6 +18,7 @@ from dtwin.features.dynamics.filters import (
 )
 from dtwin.features.dynamics.turns import MOST_READINGS, Turn
 from dtwin.kinds.circular.filter_tuning import sensitivity
+from dtwin.kinds.circular.particle_swarm import SwarmSettings
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import bin_angle_rad
@@ -25,7 +26,6 @@ from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import chosen_terms
 from dtwin.schema import Floats
-from dtwin.train.particle_swarm import SwarmSettings
 
 FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
 """Ways to part static from dynamic: what a fitted twin says, the slow runs themselves, filters."""

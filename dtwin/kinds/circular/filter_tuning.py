@@ -19,8 +19,8 @@ from dtwin.features.dynamics.figures import (
     weighted_sum,
 )
 from dtwin.features.dynamics.filters import Filter, UnscentedFilter
+from dtwin.kinds.circular.particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
-from dtwin.train.particle_swarm import SwarmSettings, minimise
 from dtwin.train.registry import Registry, environment
 
 TUNED = ("ratio", "alpha")

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
+    from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
-    from dtwin.train.training import Training
 
 
 class _Circular(Kind):
@@ -61,17 +61,17 @@ class _Circular(Kind):
         return detected(planned.plan, noise_um)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.acquire.circular_quality import judge_circular_run
+        from dtwin.kinds.circular.check import judge_circular_run
 
         return judge_circular_run(run)
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.acquire.circular_quality import judge_circular_campaign
+        from dtwin.kinds.circular.check import judge_circular_campaign
 
         return judge_circular_campaign(runs)
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
-        from dtwin.report.circular_checking import circular_result
+        from dtwin.kinds.circular.report import circular_result
 
         return circular_result(run) if run.meta.radius_mm else {}
 
@@ -104,7 +104,7 @@ class _Circular(Kind):
         return circle_errors(runs)
 
     def training(self) -> Callable[..., Training]:
-        from dtwin.train.training import train_campaign
+        from dtwin.kinds.circular.training import train_campaign
 
         return train_campaign
 

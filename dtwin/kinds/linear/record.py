@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
+    from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
-    from dtwin.train.training import Training
 
 
 class _Linear(Kind):

@@ -46,9 +46,8 @@ from dtwin.serve.export import to_text
 from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
-from dtwin.train.results import Candidate, TrainingReport
+from dtwin.train.results import Candidate, Training, TrainingReport
 from dtwin.train.symbolic import Engine
-from dtwin.train.training import Training
 
 TABLE = "table and backlash"
 _FEWEST_RUNS = 2

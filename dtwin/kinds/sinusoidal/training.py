@@ -19,9 +19,8 @@ from dtwin.kinds.sinusoidal.groups import (
 from dtwin.progress import StageProgress
 from dtwin.statistics import rms
 from dtwin.store import Lake
-from dtwin.train.results import TrainingReport
+from dtwin.train.results import Training, TrainingReport
 from dtwin.train.symbolic import Engine
-from dtwin.train.training import Training
 
 
 def train_tones(

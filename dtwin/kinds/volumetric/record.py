@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
-    from dtwin.train.training import Training
+    from dtwin.train.results import Training
 
 
 class _Volumetric(Kind):

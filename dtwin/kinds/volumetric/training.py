@@ -18,9 +18,8 @@ from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms
 from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
-from dtwin.train.results import Candidate, Scores, TrainingReport
+from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
-from dtwin.train.training import Training
 
 HELD_OUT = "hours"
 SPANS = 5

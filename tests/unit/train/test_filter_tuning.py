@@ -10,8 +10,8 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.features.dynamics.filters import UnscentedFilter
 from dtwin.kinds.circular.filter_tuning import judge, sensitivity, tune
+from dtwin.kinds.circular.particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
-from dtwin.train.particle_swarm import SwarmSettings, minimise
 
 SMALL = SwarmSettings(particles=8, iterations=10, seed=3)
 ANGLE = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)

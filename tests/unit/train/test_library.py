@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dtwin.features.motion import PATH_INPUTS
+from dtwin.kinds.circular.library import Gear, Library, Mode, free_step, weighted_sum
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.tape import Tape
-from dtwin.train.library import Gear, Library, Mode, free_step, weighted_sum
 
 
 @pytest.mark.parametrize("mode", [Mode(9.4, 0.035), Mode(26.0, 0.1)])

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.kinds.circular.library import RINGING, RIPPLE, Gear, Library, Mode
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun
-from dtwin.train.library import RINGING, RIPPLE, Gear, Library, Mode
 
 
 class TermColumns:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from dtwin.kinds.circular.library import FLANK_RAD, Gear
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.dataset import input_column
-from dtwin.train.library import FLANK_RAD, Gear
 from dtwin.train.rows import Rows
 
 _COARSE = np.arange(20.0, 460.0, 4.0)

@@ -8,6 +8,8 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
+from dtwin.kinds.circular.library import Library, equation_text, weighted_sum
+from dtwin.kinds.circular.physics_fit import DEAD_SHARE, PhysicsFit
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
@@ -15,8 +17,6 @@ from dtwin.serve.export import to_c, to_latex, to_python
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.latency import bundle_latency
-from dtwin.train.library import Library, equation_text, weighted_sum
-from dtwin.train.physics_fit import DEAD_SHARE, PhysicsFit
 from dtwin.train.results import FRESH_RUN, Candidate, Scores
 from dtwin.train.rows import Rows
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from typing import Any
 
 from sklearn.exceptions import ConvergenceWarning
 
 from dtwin.errors import InputError
+from dtwin.kinds.circular.physics_candidate import physics_candidate
+from dtwin.kinds.circular.physics_fit import fit_physics, predicted_fresh, predicted_left_out
+from dtwin.kinds.circular.symbolic_candidate import symbolic_candidate
+from dtwin.kinds.circular.term_columns import TermColumns
 from dtwin.progress import StageProgress
 from dtwin.store import Lake
 from dtwin.train.candidates import (
@@ -23,38 +25,12 @@ from dtwin.train.candidates import (
 )
 from dtwin.train.dataset import load_ticks
 from dtwin.train.inputs import generic_inputs
-from dtwin.train.physics_candidate import physics_candidate
-from dtwin.train.physics_fit import PhysicsFit, fit_physics, predicted_fresh, predicted_left_out
-from dtwin.train.results import Candidate, TrainingReport
+from dtwin.train.results import Candidate, Training, TrainingReport
 from dtwin.train.rows import gather, noise_floor_um, thinned
 from dtwin.train.symbolic import Engine, OperonEngine
-from dtwin.train.symbolic_candidate import symbolic_candidate
-from dtwin.train.term_columns import TermColumns
 
 # Comparison models look at fewer rows than the physics library, to be ready in seconds.
 _COMPARED_EVERY = 6
-
-
-@dataclass(frozen=True)
-class Training:
-    """A training and what later steps need of it.
-
-    Attributes
-    ----------
-    report : TrainingReport
-        Candidates and data.
-    geometry : dict
-        The machine's geometry.
-    conditions : tuple of (plane, radius_mm, feed_mm_min)
-        What was trained; of tones (name, frequency_hz, amplitude_um).
-    fit : PhysicsFit, optional
-        The fitted physics library of circles.
-    """
-
-    report: TrainingReport
-    geometry: Mapping[str, Any]
-    conditions: tuple[tuple[str, float, float], ...]
-    fit: PhysicsFit | None = None
 
 
 def train_campaign(

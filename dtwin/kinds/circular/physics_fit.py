@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.circular.gram import Sums, forward_order, solve, sums_of, total
+from dtwin.kinds.circular.library import Gear, Library
+from dtwin.kinds.circular.mode_search import find_modes
+from dtwin.kinds.circular.order_search import find_gears
+from dtwin.kinds.circular.term_columns import TermColumns
 from dtwin.progress import Progress
 from dtwin.schema import Floats
-from dtwin.train.gram import Sums, forward_order, solve, sums_of, total
-from dtwin.train.library import Gear, Library
-from dtwin.train.mode_search import find_modes
-from dtwin.train.order_search import find_gears
 from dtwin.train.rows import Rows, gather, thinned
-from dtwin.train.term_columns import TermColumns
 
 RIDGE = 1e-3
 # Within this of the best held-out error the smaller equation wins.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from dtwin.kinds.circular.library import Mode
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun, input_column
-from dtwin.train.library import Mode
 from dtwin.train.rows import Rows
 
 _FREQUENCIES_HZ = np.arange(4.0, 40.01, 0.25)
