@@ -27,7 +27,7 @@ from dtwin.acquire.recording import SUFFIX, Recorder
 from dtwin.acquire.recovery import Sealed, recover_folder, seal
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError, InputError, StoreError
-from dtwin.schema import Finding, require_name
+from dtwin.schema import DEFAULT_KIND, Finding, require_name
 
 _INTENT = ".intent.json"
 _LOCK = ".recording.lock"
@@ -288,7 +288,7 @@ def _enter(
                 "campaign": {
                     "name": intent["campaign"],
                     "machine": intent["machine"],
-                    "kind": "circular",
+                    "kind": DEFAULT_KIND,
                     "started": intent["started"],
                     **intent["head"],
                 }

@@ -17,7 +17,7 @@ from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest
 from dtwin.progress import Progress
-from dtwin.schema import Direction, Run
+from dtwin.schema import DEFAULT_KIND, Direction, Run
 
 MANIFEST = "manifest.jsonl"
 
@@ -200,7 +200,7 @@ def _write_toml(
     head = {
         "name": plan.name,
         "machine": plan.machine,
-        "kind": "circular",
+        "kind": DEFAULT_KIND,
         "started": done[tests[0].test_id]["started"],
         **bench.describe(),
     }

@@ -219,7 +219,7 @@ def write_runs(
         if progress is not None:
             progress(number + 1, len(runs), run.meta.run_id)
     head = {
-        "name": campaign.name, "machine": campaign.machine, "kind": "circular",
+        "name": campaign.name, "machine": campaign.machine, "kind": campaign.kind,
         "machine_geometry": dict(campaign.machine_geometry),
     }  # fmt: skip
     write_campaign_file(folder, head, [_entry(run.meta) for run in runs])

@@ -44,6 +44,7 @@ _LITTLE = 0.2
 _SPOKEN_OF = 0.1
 # An exponent that is known no better tells nothing of a law.
 _VAGUE = 0.3
+_DWARFED = 0.4
 
 
 def diagnose(
@@ -164,7 +165,7 @@ def _concluded(
         or _is_weak(f, tests[f.label][f.label], found)
     ]
     doubted += _hidden_by(doubted, found, tests)
-    kept = trusted(found, doubted, much)
+    kept = [f for f in trusted(found, doubted, much) if much or not _is_dwarfed(f, found)]
     others = [f for f in found.found if f not in kept]
     told = much or others or _worth_telling(found, blank.noise_floor_um)
     unresolved = _unresolved(found, others) if told else None
@@ -278,6 +279,12 @@ def _is_weak(effect: Found, tests: Sequence[LawTest], found: Search) -> bool:
     confirmed = bool(variables(effect.top, tests)[0]) or not changed
     vague = any(not t.confirmed and t.uncertainty > _VAGUE for t in changed)
     return small and (vague or not confirmed)
+
+
+def _is_dwarfed(effect: Found, found: Search) -> bool:
+    """Tell whether what is certainly left is so much larger that an effect may be a part of it."""
+    certain = found.lack_of_fit[-1] <= LACK_OF_FIT
+    return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
 
 
 def _hidden_by(

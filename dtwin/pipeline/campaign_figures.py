@@ -7,6 +7,7 @@ from typing import Any
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.quality import judge_campaign, without_samples
 from dtwin.config import Home
+from dtwin.kinds.registry import kind_named
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.progress import Progress
 from dtwin.report.checking import run_result
@@ -85,7 +86,7 @@ def error_curves(
     lake = Lake(home.lake)
     curves: dict[str, dict[str, tuple[Floats, Floats]]] = {}
     for row in lake.runs(campaign):
-        if row["kind"] != "circular" or not row["radius_mm"]:
+        if not (kind_named(row["kind"]).goes_round and row["radius_mm"]):
             continue
         feed = f" F{row['feed_mm_min']:g}" if row["feed_mm_min"] else ""
         name = f"{row['plane']} R{row['radius_mm']:g}{feed}"

@@ -16,7 +16,7 @@ from dtwin.errors import InputError
 from dtwin.physics.problem import Term
 from dtwin.physics.state import AXES_OF, State
 from dtwin.physics.twin import Twin
-from dtwin.schema import Floats
+from dtwin.schema import DEFAULT_KIND, Floats
 
 AXES = "XYZ"
 # Far from the last reversal: play is taken up, friction slides.
@@ -194,7 +194,7 @@ def _looking_along(axis: str, plane: str, motion: Motion, columns: Mapping[str, 
     # A radius of which nothing may depend: reversals lie that far away.
     extra: dict[str, Any] = {name: np.full(n, value) for name, value in columns.items()}
     return State(
-        kind="circular",
+        kind=DEFAULT_KIND,
         axes=(first, second),
         plane=plane,
         position_mm=at,

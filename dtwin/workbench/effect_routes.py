@@ -12,6 +12,7 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.atomic import write_text
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
 from dtwin.physics.effect import Effect
 from dtwin.physics.gridding import fine_angle_rad
 from dtwin.physics.library import Library, instances
@@ -95,7 +96,7 @@ def _checked(bench: Bench, path: Path, source: str) -> Effect:
 
 def _compute(effect: Effect) -> None:
     """Compute an effect on a circle, so that a mistake shows before a fit."""
-    if effect.needs or "circular" not in effect.kinds:
+    if effect.needs or not any(kind_named(kind).goes_round for kind in effect.kinds):
         return
     meta = RunMeta("trial", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=1200.0)
     state = circular_state(meta, fine_angle_rad(), feed_mm_s=20.0, columns={}, geometry={})
