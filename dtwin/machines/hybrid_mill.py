@@ -28,7 +28,7 @@ ITEMS = (
     "ProgramPositionCommand", "ProgramPositionFeedback", "PositionError",
     "VelocityFeedbackAverage", "CurrentFeedbackAverage",
 )  # fmt: skip
-SENSOR_CORNER_HZ, SENSOR_NOISE_G = 0.5, 50e-6
+_SENSOR_CORNER_HZ, SENSOR_NOISE_G = 0.5, 50e-6
 _G_MM_S2 = 9806.65
 _ACCELERATION_MM_S2 = 200.0
 _AMPERE_PER_MM_S2 = 0.004
@@ -297,7 +297,7 @@ def _scalars(command: Command, rng: np.random.Generator) -> dict[str, Floats]:
 def _sensors(command: Command, error_um: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return table and frame in g: what moves, above the corner of the sensors, and their noise."""
     shaken = np.gradient(np.gradient(error_um / UM_PER_MM, STEP_S, axis=1), STEP_S, axis=1)
-    keep = np.exp(-2.0 * np.pi * SENSOR_CORNER_HZ * STEP_S)
+    keep = np.exp(-2.0 * np.pi * _SENSOR_CORNER_HZ * STEP_S)
     moved = _high_passed((command.acceleration_mm_s2 + shaken) / _G_MM_S2, keep)
     noise = SENSOR_NOISE_G * rng.standard_normal((2, *moved.shape))
     return moved + noise[0], 0.03 * moved + noise[1]

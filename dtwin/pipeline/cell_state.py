@@ -16,7 +16,7 @@ from dtwin.errors import InputError, StoreError
 from dtwin.schema import require_name
 
 COBOT, MILL, NONE = "cobot", "mill", "none"
-WAITING, RUNNING, DONE, INTERRUPTED = "waiting", "running", "done", "interrupted"
+_WAITING, RUNNING, DONE, INTERRUPTED = "waiting", "running", "done", "interrupted"
 _QUARTERS = 4
 STEPS: tuple[tuple[str, str], ...] = (
     ("load", COBOT),
@@ -63,7 +63,7 @@ class CellFile:
                 hint=f"dtwin cell resume --cell {self.name}, or dtwin cell clear --cell {self.name}",
             )  # fmt: skip
         steps = [
-            {"part": part + 1, "step": step, "twin": twin, "state": WAITING, "result": {}}
+            {"part": part + 1, "step": step, "twin": twin, "state": _WAITING, "result": {}}
             for part in range(parts)
             for step, twin in STEPS
         ]
