@@ -1,0 +1,95 @@
+"""A sixth kind of others goes through every verb; nothing of dtwin knows it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from starlette.testclient import TestClient
+from typer.testing import CliRunner
+
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.kinds import registry
+from dtwin.kinds.kind import NotOffered
+from dtwin.physics import library
+from dtwin.serve.bundle_file import load_bundle
+from dtwin.serve.pointer import resolve
+from dtwin.serve.runtime import CompiledBundle
+from dtwin.workbench.access import Access
+from dtwin.workbench.bench import Bench
+from dtwin.workbench.server import application
+
+POINTS = {
+    "dtwin.kinds": [EntryPoint("rotary", "sixth_kind.kind:KIND", "dtwin.kinds")],
+    library.ENTRY_POINTS: [
+        EntryPoint("off_centre", "sixth_kind.effects:OFF_CENTRE", library.ENTRY_POINTS),
+        EntryPoint("worm_error", "sixth_kind.effects:WORM_ERROR", library.ENTRY_POINTS),
+    ],
+}
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2]))
+    for module in (registry, library):
+        monkeypatch.setattr(module, "entry_points", lambda group: POINTS.get(group, []))
+    registry._of_others.cache_clear()
+    registry.kind_named.cache_clear()
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    yield
+    registry._of_others.cache_clear()
+    registry.kind_named.cache_clear()
+
+
+def said(*words: object) -> Any:
+    done = CliRunner().invoke(app, [*map(str, words), "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.stdout
+    return json.loads(done.stdout)
+
+
+def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text('[plan]\nkind = "rotary"\nrepeats = 3\n', encoding="utf-8")
+    assert said("plan", plan)["total_s"] == pytest.approx(3 * 72.0)
+    assert said("simulate", "--machine", "table", "--out", "turns", "--plan", plan)["runs"] == 6
+    checked = said("check", "turns")
+    assert min(checked["span_um"].values()) > 20.0
+    (ingested,) = said("ingest", "turns")["campaigns"]
+    assert len(ingested["added"]) == 6
+    said("twin", "fit", "table", "--effects", "off_centre", "--name", "c-axis")
+    found = said("twin", "diagnose", "c-axis")
+    assert found["headline"].startswith("worm_error C is missing: 24 waves a turn")
+    assert said("twin", "discover", "c-axis")["added"] == ["worm_error C"]
+    # Triangles have thrice as many waves, too, which nothing in the library knows.
+    assert said("twin", "compare", "c-axis")["headline"].startswith("72 waves a turn")
+    said("twin", "show", "c-axis", "--html", "page.html")
+    assert "worm_error" in (tmp_path / "page.html").read_text(encoding="utf-8")
+    trained = said("train", "table")
+    assert trained["candidates"][0]["scores"]["run"]["r2"] > 0.99
+    promoted = said("promote", trained["version"], "--machine", "table-1")
+    assert promoted["champion"], promoted["reason"]
+    assert all(condition["better"] for condition in promoted["evidence"]["conditions"])
+    home = Home(tmp_path / "home")
+    served = load_bundle(resolve("latest", "table-1", home).path, "table-1").bundle
+    predicted = CompiledBundle(served).run(np.array([[45.0], [90.0]]))
+    assert abs(predicted).max() > 1.0
+    browser = TestClient(
+        application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765"
+    )
+    assert "Error over the turn" in browser.get("/campaigns/table/runs/r001").text
+    drawn = browser.get("/api/campaigns/table/runs/r001/turn").json()
+    assert len(drawn["data"]) == 1
+
+
+def test_what_the_sixth_kind_lacks_is_refused_by_its_name(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.toml"
+    plan.write_text('[plan]\nkind = "rotary"\n', encoding="utf-8")
+    with pytest.raises(NotOffered, match="what a plan could detect is not offered for rotary"):
+        said("plan", plan, "--check")
