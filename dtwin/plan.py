@@ -15,7 +15,7 @@ from dtwin.errors import InputError
 from dtwin.plan_file import read_plan_file
 from dtwin.schema import Direction, Finding, Plane, require_name, standard_plane
 
-MAX_TESTS = 100_000
+_MAX_TESTS = 100_000
 # A ball-bar mount lets a bar swing through half a turn in a vertical plane.
 _FULL_TURNS_DEG = 720.0
 _HALF_TURN_DEG = 190.0
@@ -183,12 +183,12 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
             got=str(repeats)[:40],
             allowed="1 to 1000",
         )
-    if len(planes) * len(radii) * len(feeds) * repeats > MAX_TESTS:
+    if len(planes) * len(radii) * len(feeds) * repeats > _MAX_TESTS:
         raise InputError(
             "the grid is absurdly large",
             code="plan.size",
             where=where,
-            allowed=f"{MAX_TESTS} tests",
+            allowed=f"{_MAX_TESTS} tests",
         )
     seed = int(head.get("seed", 1))
     tests = _ordered(planes, radii, feeds, repeats, seed)

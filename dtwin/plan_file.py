@@ -61,10 +61,10 @@ def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
         When the file cannot be read, its kind is unknown, or a rule of the kind is broken.
     """
     document = read_plan_file(path)
-    return plan_kind(document, unstated).plan(document, str(path))
+    return _plan_kind(document, unstated).plan(document, str(path))
 
 
-def plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:
+def _plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:
     """Return the kind of campaign that a plan asks for; ``unstated`` where it does not say.
 
     Raises

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from dtwin.errors import StoreError
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 
-INCOMPLETE = "recording.incomplete"
+_INCOMPLETE = "recording.incomplete"
 RUN_SCHEMA = pa.schema(
     [
         *(
@@ -83,7 +83,7 @@ AMENDMENT_SCHEMA = pa.schema(
 # Of a row of ``runs``: what a campaign file states of the campaign as a whole.
 OF_CAMPAIGN = ("machine", "kind", "geometry_json", "instrument_json")
 # What may be stated anew by an amendment, besides findings and whether the run is left out.
-OF_RUN = (
+_OF_RUN = (
     "plane",
     "direction",
     "radius_mm",
@@ -96,7 +96,7 @@ OF_RUN = (
 )
 _CONTENT = (
     *OF_CAMPAIGN,
-    *OF_RUN,
+    *_OF_RUN,
     "campaign",
     "run_id",
     "sample_rate_hz",
@@ -190,7 +190,7 @@ def run_row(campaign: Campaign, run: Run) -> dict[str, Any]:
         "direction": meta.direction,
         "setup": meta.setup,
         "started": meta.started or campaign.started,
-        "status": "incomplete" if any(f.code == INCOMPLETE for f in run.findings) else "complete",
+        "status": "incomplete" if any(f.code == _INCOMPLETE for f in run.findings) else "complete",
         "source": run.source,
         "samples_sha256": columns_sha256(run.samples),
         "condition_json": json.dumps(dict(meta.condition)),
@@ -231,7 +231,7 @@ def differences(stored: Mapping[str, Any], stated: Mapping[str, Any]) -> list[st
     """
     told = []
     for name in (
-        *OF_CAMPAIGN, *OF_RUN, "sample_rate_hz", "window_start", "window_end", "correction"
+        *OF_CAMPAIGN, *_OF_RUN, "sample_rate_hz", "window_start", "window_end", "correction"
     ):  # fmt: skip
         was, now = stored[name], stated[name]
         if name.endswith("_json"):
@@ -285,7 +285,7 @@ def amended(
             "metadata_version": records[-1]["version"] if records else 0,
             "left_out": left_out,
         }
-        if any(name in stated for name in (*OF_CAMPAIGN, *OF_RUN)):
+        if any(name in stated for name in (*OF_CAMPAIGN, *_OF_RUN)):
             now["content_sha256"] = _hash({"raw": row["content_sha256"], "stated": stated})
         found.append(now)
     return found

@@ -357,7 +357,7 @@ def _require_installed() -> None:
             raise MissingPart(
                 f"{package} is not installed",
                 code=f"{package}.absent",
-                hint=f"pip install 'dtwin[{extra}]'",
+                hint=f"pip install '.[{extra}]' in a checkout of dtwin",
             )
 
 

@@ -43,7 +43,7 @@ def _index(library: Library) -> str:
     return (
         "# Effects\n\nEvery physical cause that `dtwin twin diagnose` knows. A law says how the "
         "amplitude grows with feed F and radius R, and whether it changes sign with the direction "
-        "of motion. Your own effect is [one Python file](../tutorials/missing-effect.md).\n\n"
+        "of motion. Your own effect is [one Python file](../how-to/add-an-effect.md).\n\n"
         + head
         + "\n".join(rows)
         + "\n"

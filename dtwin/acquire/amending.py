@@ -28,7 +28,7 @@ _OF_CAMPAIGN = ("machine", "instrument", "machine_geometry")
 _OF_RUN = ("plane", "direction", "radius_mm", "feed_mm_min", "repeat", "setup", "started")
 _ALLOWED = ", ".join(["machine", *_OF_RUN, *(f"{name}.KEY" for name in _TABLES)])
 _LONGEST = 500
-AMENDED, LEFT_OUT = "campaign.amended", "campaign.left_out"
+AMENDED, _LEFT_OUT = "campaign.amended", "campaign.left_out"
 
 
 def amend(
@@ -138,8 +138,8 @@ def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
         first = records[0]
         names = [record["run_id"] for record in records]
         changed = json.loads(first["changes_json"])
-        code = LEFT_OUT if "left_out" in changed else AMENDED
-        if code == LEFT_OUT:
+        code = _LEFT_OUT if "left_out" in changed else AMENDED
+        if code == _LEFT_OUT:
             what = "left out" if changed["left_out"] else "taken in again"
         else:
             fields = sorted({n for r in records for n in json.loads(r["changes_json"])})

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from dtwin.errors import InputError
 
-CAMPAIGN_FILE = "campaign.toml"
+_CAMPAIGN_FILE = "campaign.toml"
 # Of downloads and copies that go on, and of recordings.
 _IN_THE_MAKING = (".part", ".partial", ".tmp", ".crdownload", ".arrows", ".intent.json")
 Stamp = tuple[tuple[str, int, int], ...]
@@ -126,7 +126,7 @@ def _things(folder: Path) -> Iterator[tuple[Path, bool]]:
     next(folder.iterdir(), None)
     for base, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-        if CAMPAIGN_FILE in files:
+        if _CAMPAIGN_FILE in files:
             folders.clear()
             yield Path(base), True
             continue

@@ -23,10 +23,10 @@ from dtwin.errors import DeviceError, InputError
 from dtwin.links.opened import OpenAndClose
 from dtwin.schema import Finding, Floats
 
-MASTER_HZ = 13_107_200.0 / 256.0
+_MASTER_HZ = 13_107_200.0 / 256.0
 SLOWEST_DIVISOR = 31
 FULL_SCALE_MV = 5000.0
-OVERRUN = "overrun: the host read too slowly (-200279)"
+_OVERRUN = "overrun: the host read too slowly (-200279)"
 
 _OVERWRITTEN = -200279
 
@@ -184,7 +184,7 @@ class AccelerometerTask(OpenAndClose):
         """Return the next block by columns, as ``Instrument`` has it."""
         block, lost = self.read_block()
         columns = {c.name: row.copy() for c, row in zip(self.channels, block, strict=True)}
-        return Reading(columns, lost, OVERRUN if lost else "")
+        return Reading(columns, lost, _OVERRUN if lost else "")
 
     def newest_window(self, n_samples: int) -> tuple[Floats | None, float]:
         """Return the newest samples that were read, and the age of the last one in s.
@@ -320,14 +320,14 @@ class AccelerometerTask(OpenAndClose):
 
 def module_rates_hz() -> tuple[float, ...]:
     """Return the rates of an NI-9234, fastest first: 51 200 Hz divided by 1 to 31."""
-    return tuple(MASTER_HZ / divisor for divisor in range(1, SLOWEST_DIVISOR + 1))
+    return tuple(_MASTER_HZ / divisor for divisor in range(1, SLOWEST_DIVISOR + 1))
 
 
 def _require_sense(
     channels: Sequence[AccelerometerChannel], rate_hz: float, block_s: float
 ) -> None:
     names = [c.name for c in channels]
-    slowest = MASTER_HZ / SLOWEST_DIVISOR
+    slowest = _MASTER_HZ / SLOWEST_DIVISOR
     problem = None
     if not names or len(set(names)) < len(names):
         problem = "no channel, or a name twice"
@@ -339,7 +339,7 @@ def _require_sense(
         problem = "a sensitivity that is not positive"
     elif not all(0 < (c.range_g or c.full_scale_g) <= c.full_scale_g for c in channels):
         problem = "a range beyond the module's full scale of 5 V"
-    elif not slowest * 0.999 <= rate_hz <= MASTER_HZ * 1.001:
+    elif not slowest * 0.999 <= rate_hz <= _MASTER_HZ * 1.001:
         problem = f"{rate_hz:g} Hz; an NI-9234 samples at 1651.6 to 51200 Hz"
     elif not 0.001 <= block_s <= 10.0:
         problem = f"blocks of {block_s:g} s; 0.001 to 10 s are sensible"

@@ -50,7 +50,7 @@ def fill(task: AccelerometerTask, ring: SampleRing) -> None:
         ring.write(block, lost, time.monotonic())
 
 
-def keep_filling(task: AccelerometerTask, ring: SampleRing, say: Say) -> None:
+def _keep_filling(task: AccelerometerTask, ring: SampleRing, say: Say) -> None:
     """Fill the ring, over as many openings as it takes.
 
     Parameters
@@ -130,7 +130,7 @@ def main() -> int:
             timeout_s=setup["timeout_s"],
         ) as task:  # fmt: skip
             say({"ready": True, "rate_hz": task.rate_hz})
-            keep_filling(task, ring, say)
+            _keep_filling(task, ring, say)
     except DtwinError as error:
         say({"fault": error.as_dict(), "missing": type(error).__name__ == "MissingPart"})
         return error.exit_code

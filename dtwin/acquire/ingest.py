@@ -17,7 +17,7 @@ from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Finding, Run
 from dtwin.store import Lake, RejectedRows
 
-BATCH_RUNS = 24
+_BATCH_RUNS = 24
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ def _batches(
     for done, (more, rows) in enumerate(sources, start=1):
         runs += more
         rejected += rows
-        if len(runs) >= BATCH_RUNS:
+        if len(runs) >= _BATCH_RUNS:
             yield runs, rejected, done
             runs, rejected = [], []
     if runs:

@@ -121,18 +121,18 @@ def _virtual_cobot(**settings: Any) -> Bench:
 _ALL = (
     Entry(
         "accelerometers", "instrument", "acceleration in g, NI-9234 class modules",
-        "dtwin[daq] and the NI-DAQmx driver, or an NI gRPC device server", _accelerometers,
+        "the extra daq and the NI-DAQmx driver, or an NI gRPC device server", _accelerometers,
     ),
     Entry(
-        "serial", "instrument", "any columns of a device on a serial line", "dtwin[serve]", _serial
+        "serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial
     ),
     Entry(
         "controller", "instrument", "joints, path and corrections of a UR robot",
-        "dtwin[serve]", _robot,
+        "the extra serve", _robot,
     ),
     Entry(
         "virtual-cobot", "bench", "circular tests with ball bar, accelerometers and controller",
-        "dtwin[serve]", _virtual_cobot,
+        "the extra serve", _virtual_cobot,
     ),
 )  # fmt: skip
 

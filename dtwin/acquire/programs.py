@@ -7,7 +7,7 @@ import math
 from dtwin.plan import PlannedTest, arc_deg
 from dtwin.schema import Direction
 
-FEED_IN_MM = 1.5
+_FEED_IN_MM = 1.5
 _WORD = {
     "XY": ("G17", "X", "Y", "I", "J"),
     "YZ": ("G19", "Y", "Z", "J", "K"),
@@ -26,7 +26,7 @@ def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) 
         Directions in the order they are run.
     """
     plane_code, a, b, i, j = _WORD[test.plane]
-    r, outside = test.radius_mm, test.radius_mm + FEED_IN_MM
+    r, outside = test.radius_mm, test.radius_mm + _FEED_IN_MM
     lines = [
         "%",
         f"({test.test_id} {test.plane} R{r:g} F{test.feed_mm_min:g} {test.setup})",
@@ -53,8 +53,8 @@ def _half_turn(test: PlannedTest, direction: Direction, code: str) -> list[str]:
         angle = math.radians(angle_deg)
         return radius * math.cos(angle), radius * math.sin(angle)
 
-    outside, first = point(begin, test.radius_mm + FEED_IN_MM), point(begin, test.radius_mm)
-    last, away = point(end, test.radius_mm), point(end, test.radius_mm + FEED_IN_MM)
+    outside, first = point(begin, test.radius_mm + _FEED_IN_MM), point(begin, test.radius_mm)
+    last, away = point(end, test.radius_mm), point(end, test.radius_mm + _FEED_IN_MM)
     return [
         f"G1 {a}{outside[0]:z.4f} {b}{outside[1]:z.4f}",
         "M0 (load the bar)",
@@ -102,7 +102,7 @@ def urscript(
         begin = 0.0 if test.plane == "XY" else (-5.0 if sign > 0 else 185.0)
         arcs = [180.0] * 4 if test.plane == "XY" else [190.0]
         lines += [
-            f"  movel({pose(begin, test.radius_mm + FEED_IN_MM)},1.2,0.25)",
+            f"  movel({pose(begin, test.radius_mm + _FEED_IN_MM)},1.2,0.25)",
             "  sleep(2.5)",
             f"  movel({pose(begin, test.radius_mm)},1.2,{speed:z.6f})",
         ]
@@ -113,5 +113,5 @@ def urscript(
                 f"  movec({pose(via, test.radius_mm)},{pose(end, test.radius_mm)},1.2,{speed:z.6f},0)",
             ]
             begin = end
-        lines += [f"  movel({pose(begin, test.radius_mm + FEED_IN_MM)},1.2,0.25)"]
+        lines += [f"  movel({pose(begin, test.radius_mm + _FEED_IN_MM)},1.2,0.25)"]
     return "\n".join([*lines, "end", ""])

@@ -11,7 +11,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.schema import Finding, Run
 
 # No ball bar, laser or probe resolves less: such readings are in another unit.
-MIN_SPREAD_UM = 0.02
+_MIN_SPREAD_UM = 0.02
 
 
 def judge_run(run: Run) -> list[Finding]:
@@ -41,7 +41,7 @@ def _too_small(run: Run) -> list[Finding]:
     found = []
     for name in ("deviation_um", "error_um"):
         spread = float(np.std(run.samples[name])) if name in run.samples else np.inf
-        if 0.0 < spread < MIN_SPREAD_UM:
+        if 0.0 < spread < _MIN_SPREAD_UM:
             found.append(
                 Finding(
                     "reading.too_small",

@@ -28,7 +28,7 @@ from dtwin.units import require_units
 SUFFIX = ".arrows"
 STREAM_KEY = b"dtwin.recording"
 BLOCK_KEY = b"dtwin.block"
-LONGEST_GAP_S = 3600.0
+_LONGEST_GAP_S = 3600.0
 
 
 class Recorder:
@@ -127,7 +127,7 @@ class Recorder:
             As for ``append``.
         """
         self._require_open()
-        most = int(LONGEST_GAP_S * self.rate_hz)
+        most = int(_LONGEST_GAP_S * self.rate_hz)
         if not 0 < n_lost <= most:
             raise InputError(
                 "a gap of this length cannot be recorded",

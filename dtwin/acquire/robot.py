@@ -14,8 +14,8 @@ from dtwin.links.opened import OpenAndClose
 from dtwin.links.ur import UrLink
 from dtwin.schema import Finding, Floats
 
-GROUP = "controller"
-LOST_STATES = "states missing by the controller's clock"
+_GROUP = "controller"
+_LOST_STATES = "states missing by the controller's clock"
 
 _WHOLE = ("segment_id", "applied_sequence", "runtime_running", "safety_ok")
 COLUMNS: dict[str, np.dtype[Any]] = {
@@ -46,7 +46,7 @@ class RobotRecorder(OpenAndClose):
         How long to wait for the controller, and for a state.
     """
 
-    name = GROUP
+    name = _GROUP
 
     def __init__(
         self, host: str, rate_hz: float = 125.0, *, block_s: float = 0.2, timeout_s: float = 5.0
@@ -71,7 +71,7 @@ class RobotRecorder(OpenAndClose):
 
     def describe(self) -> Description:
         """Return the recorded part of a state."""
-        return Description(GROUP, self._rate_hz, COLUMNS, {"host": self.host})
+        return Description(_GROUP, self._rate_hz, COLUMNS, {"host": self.host})
 
     def check(self) -> tuple[Finding, ...]:
         """Return whether the controller is stopped or runs slower than programmed."""
@@ -118,7 +118,7 @@ class RobotRecorder(OpenAndClose):
             rows.append(state)
         table = np.array(rows)
         columns = {n: table[:, layout.INDEX[n]].astype(kind) for n, kind in COLUMNS.items()}
-        return Reading(columns, lost, LOST_STATES if lost else "")
+        return Reading(columns, lost, _LOST_STATES if lost else "")
 
     def stop(self) -> None:
         """End recording; the link stays."""

@@ -29,8 +29,8 @@ from dtwin.atomic import write_text
 from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.schema import DEFAULT_KIND, Finding, require_name
 
-INTENT = ".intent.json"
-LOCK = ".recording.lock"
+_INTENT = ".intent.json"
+_LOCK = ".recording.lock"
 _ASIDE = "set-aside"
 _RUN = "\n[[run]]\n"
 InForce = Callable[[datetime, datetime], str]
@@ -151,8 +151,8 @@ def recover_runs(folder: Path, in_force: InForce = lambda begin, end: "") -> lis
         return []
     with _alone(folder):
         found = []
-        for path in sorted(folder.glob(f"*{INTENT}")):
-            run_id = path.name.removesuffix(INTENT)
+        for path in sorted(folder.glob(f"*{_INTENT}")):
+            run_id = path.name.removesuffix(_INTENT)
             intent = _read_intent(path)
             sealed = _finish(folder, run_id, in_force)
             found.append(RecordedRun(run_id, sealed, (), folder / intent["reference"]))
@@ -212,7 +212,7 @@ def _record_one(
 
 def _finish(folder: Path, run_id: str, in_force: InForce) -> tuple[Sealed, ...]:
     """Seal the streams of a run, enter it in ``campaign.toml``, and forget the intent."""
-    intent_path = folder / f"{run_id}{INTENT}"
+    intent_path = folder / f"{run_id}{_INTENT}"
     intent = _read_intent(intent_path)
     begun, ended = datetime.fromisoformat(intent["started"]), _last_written(folder, run_id)
     sealed = []
@@ -338,7 +338,7 @@ def _write_intent(request: RunRequest) -> None:
         "stated": dict(request.stated),
         "head": {name: dict(content) for name, content in request.head.items()},
     }
-    path = request.folder / f"{request.run_id}{INTENT}"
+    path = request.folder / f"{request.run_id}{_INTENT}"
     write_text(path, json.dumps(intent, indent=1), "the run's intent")
 
 
@@ -360,7 +360,7 @@ def _read_intent(path: Path) -> dict[str, Any]:
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """Hold the folder against another recording."""
-    path = folder / LOCK
+    path = folder / _LOCK
     try:
         folder.mkdir(parents=True, exist_ok=True)
         handle = path.open("w")

@@ -16,7 +16,7 @@ from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
 
 MAX_BYTES = 1_000_000
-MOST_IEPE_MA = 20.0
+_MOST_IEPE_MA = 20.0
 _SAME_RATE = 1e-3
 _TOP = {"sensors", "channel"}
 _SENSORS = {"rate_hz": True, "block_s": False, "grpc_target": False, "timeout_s": False}
@@ -162,7 +162,7 @@ def _channel(entry: Any, number: int, path: Path) -> AccelerometerChannel:
         name,
         physical,
         sensitivity,
-        _number(entry, "iepe_ma", where, 0.0, MOST_IEPE_MA) / 1000.0,
+        _number(entry, "iepe_ma", where, 0.0, _MOST_IEPE_MA) / 1000.0,
         _number(entry, "range_g", where, 1e-6, FULL_SCALE_MV / sensitivity)
         if "range_g" in entry
         else None,

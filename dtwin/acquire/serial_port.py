@@ -15,7 +15,7 @@ from dtwin.links.serial_line import SerialLink
 from dtwin.schema import Finding
 from dtwin.units import require_units
 
-LOST_FRAMES = "frames lost on the serial line"
+_LOST_FRAMES = "frames lost on the serial line"
 
 _LATE_IN_A_ROW = 3
 
@@ -102,7 +102,7 @@ class SerialInstrument(OpenAndClose):
                 self._next = (frame.sequence + 1) % SEQUENCES
         table = np.array(rows, dtype=np.float32)
         columns = {n: table[:, place].copy() for place, n in enumerate(self._columns)}
-        return Reading(columns, lost, LOST_FRAMES if lost else "")
+        return Reading(columns, lost, _LOST_FRAMES if lost else "")
 
     def stop(self) -> None:
         """Keep nothing of what has arrived."""

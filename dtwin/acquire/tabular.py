@@ -16,7 +16,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.units import require_units
 
-MAX_TABLE_BYTES = 512 * 1024**2
+_MAX_TABLE_BYTES = 512 * 1024**2
 _LONGEST_HEAD = 65_536
 # Text that names a state rather than measuring something.
 _TEXT_COLUMNS = frozenset({"direction"})
@@ -93,7 +93,7 @@ def _read_table(path: Path) -> pa.Table:
             got=suffix or "no ending",
             allowed=".csv, .parquet",
         )
-    require_bounded(path, MAX_TABLE_BYTES)
+    require_bounded(path, _MAX_TABLE_BYTES)
     try:
         if suffix == ".parquet":
             return pq.read_table(path, page_checksum_verification=True)
@@ -105,7 +105,7 @@ def _read_table(path: Path) -> pa.Table:
 def _names(path: Path) -> list[str]:
     if path.suffix.lower() != ".csv":
         return list(_read_table(path).column_names)
-    require_bounded(path, MAX_TABLE_BYTES)
+    require_bounded(path, _MAX_TABLE_BYTES)
     try:
         with pa_csv.open_csv(path, **_dialect(path)) as opened:
             return list(opened.schema.names)

@@ -18,7 +18,7 @@ from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run, RunMeta
 
 FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
-RADII_MM = (50.0, 150.0)
+_RADII_MM = (50.0, 150.0)
 REPEATS = 3
 _COOL_DOWN_S = 1800.0
 PERIOD_S = 0.002
@@ -103,12 +103,12 @@ def standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[Circu
     rng = np.random.default_rng([seed, 17])
     out: list[CircularTest] = []
     for plane in planes:
-        for radius in RADII_MM:
+        for radius in _RADII_MM:
             pairs = [(feed, repeat) for repeat in range(1, REPEATS + 1) for feed in FEEDS_MM_MIN]
             for feed, repeat in [pairs[i] for i in rng.permutation(len(pairs))]:
                 for direction in _DIRECTIONS:
                     # One stop in the middle of the session: heat goes back, drift does not.
-                    halfway = len(out) == len(planes) * len(RADII_MM) * len(pairs)
+                    halfway = len(out) == len(planes) * len(_RADII_MM) * len(pairs)
                     out.append(
                         CircularTest(
                             plane=plane, direction=direction, radius_mm=radius, feed_mm_min=feed,

@@ -1,1 +1,3 @@
 """Bodies of the command line; heavy imports happen inside them."""
+
+__all__: list[str] = []

@@ -166,7 +166,7 @@ class Part:
     floor_um: float
 
 
-PARTS = ("measured", "controller", "quasi_static", "dynamic")
+_PARTS = ("measured", "controller", "quasi_static", "dynamic")
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ class Split:
     Attributes
     ----------
     parts_um : dict of str to ndarray, shape (rows, bins)
-        By the names of ``PARTS``; the first is the sum of the others.
+        By the names of ``_PARTS``; the first is the sum of the others.
     known : ndarray of bool, shape (rows, bins)
         Where something was measured.
     condition_of : ndarray of int, shape (rows,)
@@ -239,7 +239,7 @@ def split(
     rows = zip(unseen, known, cycles_per_rev.tolist(), strict=True)
     slow = np.array([slow_part(row, mask, cycles) for row, mask, cycles in rows])
     values = (measured_um, controller_um, slow, unseen - slow)
-    parts = {n: np.where(known, v, 0.0) for n, v in zip(PARTS, values, strict=True)}
+    parts = {n: np.where(known, v, 0.0) for n, v in zip(_PARTS, values, strict=True)}
     return Split(parts, known, condition_of)
 
 

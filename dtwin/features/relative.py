@@ -10,7 +10,7 @@ from dtwin.errors import InputError
 from dtwin.features.spectrum import segment_spectra
 from dtwin.schema import Floats
 
-MIN_SEGMENTS = 4
+_MIN_SEGMENTS = 4
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,12 @@ def coherence(
             code="relative.length",
             got=f"{len(first)} and {len(second)} samples",
         )
-    if len(first) < n_segment // 2 * (MIN_SEGMENTS + 1):
+    if len(first) < n_segment // 2 * (_MIN_SEGMENTS + 1):
         raise InputError(
             "the record is too short for a coherence",
             code="relative.short",
             got=f"{len(first)} samples",
-            allowed=f"at least {n_segment // 2 * (MIN_SEGMENTS + 1)}",
+            allowed=f"at least {n_segment // 2 * (_MIN_SEGMENTS + 1)}",
         )
     a, b = segment_spectra(first, n_segment), segment_spectra(second, n_segment)
     cross = np.abs((a.conj() * b).mean(axis=0)) ** 2

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from dtwin.schema import Floats
 
 
-def reflected(signal: Floats, margin: int) -> Floats:
+def _reflected(signal: Floats, margin: int) -> Floats:
     """Return the record continued by ``margin`` samples of odd reflection at both ends."""
     margin = min(margin, len(signal) - 1)
     head = 2 * signal[0] - signal[margin:0:-1]
@@ -27,7 +27,7 @@ def above(signal: Floats, rate_hz: float, cutoff_hz: float) -> Floats:
         Sample rate and lowest frequency that is kept.
     """
     margin = min(len(signal) - 1, int(np.ceil(8 * rate_hz / cutoff_hz)))
-    longer = reflected(signal, margin)
+    longer = _reflected(signal, margin)
     spectrum = np.fft.rfft(longer)
     spectrum[np.fft.rfftfreq(len(longer), 1 / rate_hz) < cutoff_hz] = 0.0
     return np.fft.irfft(spectrum, len(longer))[margin : margin + len(signal)]

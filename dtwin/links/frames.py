@@ -15,7 +15,7 @@ from dtwin.errors import InputError
 
 VERSION = 1
 SEQUENCES = 1 << 16
-MAX_PAYLOAD = 1024
+_MAX_PAYLOAD = 1024
 
 _HEAD = struct.Struct("<BH")
 _CRC = struct.Struct("<H")
@@ -50,19 +50,19 @@ def encode(sequence: int, payload: bytes) -> bytes:
     sequence : int
         0 to 65535.
     payload : bytes
-        At most ``MAX_PAYLOAD`` bytes.
+        At most ``_MAX_PAYLOAD`` bytes.
 
     Raises
     ------
     InputError
         When number or payload do not fit.
     """
-    if not 0 <= sequence < SEQUENCES or len(payload) > MAX_PAYLOAD:
+    if not 0 <= sequence < SEQUENCES or len(payload) > _MAX_PAYLOAD:
         raise InputError(
             "this does not fit a frame",
             code="serial.frame",
             got=f"sequence {sequence}, {len(payload)} bytes",
-            allowed=f"sequence below {SEQUENCES}, at most {MAX_PAYLOAD} bytes",
+            allowed=f"sequence below {SEQUENCES}, at most {_MAX_PAYLOAD} bytes",
         )
     body = _HEAD.pack(VERSION, sequence) + payload
     return _stuffed(body + _CRC.pack(crc16(body))) + b"\x00"

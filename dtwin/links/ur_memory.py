@@ -23,7 +23,7 @@ _COUNTERS_N = 8
 _STATE_AT = _COUNTERS_N
 _CORRECTION_AT = _STATE_AT + layout.N + 1
 _WORDS = _CORRECTION_AT + layout.REGISTERS_N
-SIZE = 8 * _WORDS
+_SIZE = 8 * _WORDS
 _TRIES = 100
 
 
@@ -33,11 +33,11 @@ class SharedMemory:
     Parameters
     ----------
     descriptor : int
-        Anonymous memory file of at least ``SIZE`` bytes.
+        Anonymous memory file of at least ``_SIZE`` bytes.
     """
 
     def __init__(self, descriptor: int) -> None:
-        self._map = mmap.mmap(descriptor, SIZE)
+        self._map = mmap.mmap(descriptor, _SIZE)
         self._counters = np.frombuffer(self._map, dtype=np.int64, count=_COUNTERS_N)
         words = np.frombuffer(self._map, dtype=np.float64, count=_WORDS)
         self._state = words[_STATE_AT:_CORRECTION_AT]
@@ -47,7 +47,7 @@ class SharedMemory:
     def create() -> int:
         """Return the descriptor of new, zeroed memory."""
         descriptor = os.memfd_create("dtwin-ur")
-        os.ftruncate(descriptor, SIZE)
+        os.ftruncate(descriptor, _SIZE)
         return descriptor
 
     def write_state(self, state: layout.RobotState, received_s: float) -> None:

@@ -15,19 +15,19 @@ import numpy as np
 from dtwin.machines.daq_sensors import Sensors, Wiring
 from dtwin.schema import Floats
 
-FASTEST_HZ = 13_107_200.0 / 256.0
+_FASTEST_HZ = 13_107_200.0 / 256.0
 SLOWEST_DIVISOR = 31
 CHANNELS_PER_MODULE = 4
 
-NO_SUCH_DEVICE = -200220
+_NO_SUCH_DEVICE = -200220
 NO_SUCH_CHANNEL = -200170
 BAD_VALUE = -200077
-NO_SUCH_TASK = -200088
-OVERWRITTEN = -200279
-NOT_YET = -200284
-UNREACHABLE = -201003
-NOT_STARTED = -200983
-RESERVED = -50103
+_NO_SUCH_TASK = -200088
+_OVERWRITTEN = -200279
+_NOT_YET = -200284
+_UNREACHABLE = -201003
+_NOT_STARTED = -200983
+_RESERVED = -50103
 UNKNOWN_ATTRIBUTE = -200452
 
 _POLL_S = 0.002
@@ -117,14 +117,14 @@ class Chassis:
     def task(self, name: str) -> Task:
         """Return a task by name, or the driver's error."""
         if name not in self.tasks:
-            raise DaqFault(NO_SUCH_TASK, f"task {name!r} does not exist")
+            raise DaqFault(_NO_SUCH_TASK, f"task {name!r} does not exist")
         return self.tasks[name]
 
     def add_channel(self, task: Task, channel: Channel) -> None:
         """Add a channel that exists on a module that is there."""
         module, _, pin = channel.physical.partition("/")
         if module not in self.modules or module in self.removed:
-            raise DaqFault(NO_SUCH_DEVICE, f"device {module!r} does not exist")
+            raise DaqFault(_NO_SUCH_DEVICE, f"device {module!r} does not exist")
         if pin not in [f"ai{n}" for n in range(CHANNELS_PER_MODULE)]:
             raise DaqFault(NO_SUCH_CHANNEL, f"{channel.physical!r} does not exist")
         if not channel.sensitivity_v_g > 0:
@@ -133,10 +133,10 @@ class Chassis:
 
     def set_clock(self, task: Task, rate_hz: float, buffer_samples: int) -> None:
         """Set the rate, coerced upwards to a divided master clock, and the buffer."""
-        if not FASTEST_HZ / SLOWEST_DIVISOR * 0.999 <= rate_hz <= FASTEST_HZ * 1.001:
+        if not _FASTEST_HZ / SLOWEST_DIVISOR * 0.999 <= rate_hz <= _FASTEST_HZ * 1.001:
             raise DaqFault(BAD_VALUE, f"a rate of {rate_hz} Hz is not supported")
-        divisor = min(max(math.floor(FASTEST_HZ / rate_hz + 1e-9), 1), SLOWEST_DIVISOR)
-        task.rate_hz = FASTEST_HZ / divisor
+        divisor = min(max(math.floor(_FASTEST_HZ / rate_hz + 1e-9), 1), SLOWEST_DIVISOR)
+        task.rate_hz = _FASTEST_HZ / divisor
         least = 10_000 if task.rate_hz <= 10_000 else 100_000
         task.buffer_samples = max(buffer_samples, least)
 
@@ -147,7 +147,7 @@ class Chassis:
         for other in self.tasks.values():
             theirs = {c.physical.partition("/")[0] for c in other.channels}
             if other is not task and other.started_s is not None and mine & theirs:
-                raise DaqFault(RESERVED, "the module is in use by another task")
+                raise DaqFault(_RESERVED, "the module is in use by another task")
         task.started_s, task.position, task.skipped = self.clock(), 0, 0
         task.failed = False
 
@@ -182,7 +182,7 @@ class Chassis:
         while self.acquired(task) < first + n or self.clock() < self.silent_until_s:
             self._require_there(task)
             if self.clock() >= deadline_s:
-                raise DaqFault(NOT_YET, "the samples are not there yet", 0)
+                raise DaqFault(_NOT_YET, "the samples are not there yet", 0)
             time.sleep(_POLL_S)
         self._require_there(task)
         self._require_kept(task, first)
@@ -191,7 +191,7 @@ class Chassis:
 
     def _first(self, task: Task) -> int:
         if task.started_s is None:
-            raise DaqFault(NOT_STARTED, "the task is not started")
+            raise DaqFault(_NOT_STARTED, "the task is not started")
         start = self.acquired(task) if task.newest else task.position
         return max(start + task.offset, 0)
 
@@ -200,12 +200,12 @@ class Chassis:
         # Without permission to overwrite, the real driver stops for good.
         task.failed = task.failed or (lost and not task.overwrite)
         if lost or task.failed:
-            raise DaqFault(OVERWRITTEN, "samples were overwritten before they were read", 0)
+            raise DaqFault(_OVERWRITTEN, "samples were overwritten before they were read", 0)
 
     def _require_there(self, task: Task) -> None:
         gone = {c.physical.partition("/")[0] for c in task.channels} & self.removed
         if gone:
-            raise DaqFault(UNREACHABLE, f"device {min(gone)!r} cannot be accessed")
+            raise DaqFault(_UNREACHABLE, f"device {min(gone)!r} cannot be accessed")
 
     def _samples_g(self, task: Task, channel: Channel, first: int, n: int) -> Floats:
         wiring = Wiring(channel.powered, channel.ac_coupled)

@@ -29,7 +29,7 @@ from dtwin.units import G_MM_S2, UM_PER_MM
 
 RATE_HZ = 2048.0
 """Rate of the simulation and of the accelerometer."""
-OVERSHOOT_DEG, TURN_DEG = 180.0, 360.0
+OVERSHOOT_DEG, _TURN_DEG = 180.0, 360.0
 _REST_S = 0.25
 _ROUNDS = 8
 # Constants of the legs, as the kernel takes them.
@@ -117,7 +117,7 @@ class VirtualHexapod:
         bar = read_ballbar(p.bar, tool, RATE_HZ, centre, condition.radius_mm, clock, noise)
         t_s = np.arange(n) / p.bar.rate_hz
         degrees = np.degrees(np.interp(t_s, np.arange(len(angle)) / RATE_HZ, angle))
-        inside = np.flatnonzero((degrees * condition.sign >= 0.0) & (np.abs(degrees) < TURN_DEG))
+        inside = np.flatnonzero((degrees * condition.sign >= 0.0) & (np.abs(degrees) < _TURN_DEG))
         return HexapodRecording(
             condition, t_s, UM_PER_MM * bar, degrees, (int(inside[0]), int(inside[-1]) + 1),
             _felt(tool, p.accelerometer_noise_g, rng), tool,
@@ -180,7 +180,7 @@ def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) ->
     jerk_s = p.acceleration_mm_s2 / p.jerk_mm_s3
     speed = condition.feed_mm_min / 60.0
     ramp_s = speed / p.acceleration_mm_s2
-    length_mm = np.radians(TURN_DEG + 2.0 * OVERSHOOT_DEG) * condition.radius_mm
+    length_mm = np.radians(_TURN_DEG + 2.0 * OVERSHOOT_DEG) * condition.radius_mm
     moving_s = length_mm / speed + ramp_s + jerk_s
     ticks = np.arange(round((moving_s + 2.0 * _REST_S) * RATE_HZ)) / RATE_HZ - _REST_S
     way_mm = np.array(

@@ -21,14 +21,14 @@ from dtwin.units import UM_PER_MM
 
 STROKE_MM = {"X": 400.0, "Y": 150.0, "Z": 150.0, "W": 150.0}
 """Published."""
-FASTEST_MM_MIN = 3000.0
-SPINDLE_V = 2.5
+_FASTEST_MM_MIN = 3000.0
+_SPINDLE_V = 2.5
 MODE_HZ = 194.0
 ITEMS = (
     "ProgramPositionCommand", "ProgramPositionFeedback", "PositionError",
     "VelocityFeedbackAverage", "CurrentFeedbackAverage",
 )  # fmt: skip
-SENSOR_CORNER_HZ, SENSOR_NOISE_G = 0.5, 50e-6
+_SENSOR_CORNER_HZ, SENSOR_NOISE_G = 0.5, 50e-6
 _G_MM_S2 = 9806.65
 _ACCELERATION_MM_S2 = 200.0
 _AMPERE_PER_MM_S2 = 0.004
@@ -215,10 +215,10 @@ class HybridMill:
                 got=str(np.abs(corners).max(axis=0).tolist()) if corners.ndim == 2 else "no corners",
                 allowed="X within ±200 mm, Y within ±75 mm",
             )  # fmt: skip
-        if not 1.0 <= feed_mm_min <= FASTEST_MM_MIN:
+        if not 1.0 <= feed_mm_min <= _FASTEST_MM_MIN:
             raise InputError(
                 "the mill cannot drive this feed", code="hybrid.feed",
-                got=f"{feed_mm_min:g} mm/min", allowed=f"1 to {FASTEST_MM_MIN:g} mm/min",
+                got=f"{feed_mm_min:g} mm/min", allowed=f"1 to {_FASTEST_MM_MIN:g} mm/min",
             )  # fmt: skip
         parts = [_move(here, there, feed_mm_min / 60.0) for here, there in pairwise(corners)]
         place, speed, gain = (np.concatenate([p[k] for p in parts], axis=1) for k in range(3))
@@ -290,14 +290,14 @@ def _scalars(command: Command, rng: np.random.Generator) -> dict[str, Floats]:
     return {
         "CoordinatedSpeedTargetActual": speed,
         "MFO": np.full(len(speed), 100.0),
-        "AnalogInput0": SPINDLE_V + 0.001 * rng.standard_normal(len(speed)),
+        "AnalogInput0": _SPINDLE_V + 0.001 * rng.standard_normal(len(speed)),
     }
 
 
 def _sensors(command: Command, error_um: Floats, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Return table and frame in g: what moves, above the corner of the sensors, and their noise."""
     shaken = np.gradient(np.gradient(error_um / UM_PER_MM, STEP_S, axis=1), STEP_S, axis=1)
-    keep = np.exp(-2.0 * np.pi * SENSOR_CORNER_HZ * STEP_S)
+    keep = np.exp(-2.0 * np.pi * _SENSOR_CORNER_HZ * STEP_S)
     moved = _high_passed((command.acceleration_mm_s2 + shaken) / _G_MM_S2, keep)
     noise = SENSOR_NOISE_G * rng.standard_normal((2, *moved.shape))
     return moved + noise[0], 0.03 * moved + noise[1]

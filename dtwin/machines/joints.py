@@ -16,7 +16,7 @@ from dtwin.schema import Floats
 
 PLAY_WIDTH, FRICTION, FRICTION_WIDTH, FRICTION_RECOVERY, COMPLIANCE = range(5)
 FLEXSPLINE, TURNED, LOAD, LOAD_NM, SOFT, HYSTERESIS_NM, GEAR_FROM = range(5, 12)
-AMPLITUDE, PHASE_FORWARD, PHASE_REVERSE = range(3)
+AMPLITUDE, _PHASE_FORWARD, _PHASE_REVERSE = range(3)
 # The kernels' own names, so that numba sees plain integers.
 _COMPLIANCE, _FLEXSPLINE, _TURNED, _LOAD = COMPLIANCE, FLEXSPLINE, TURNED, LOAD
 _LOAD_NM, _SOFT, _GEAR_FROM = LOAD_NM, SOFT, GEAR_FROM
@@ -50,9 +50,9 @@ def transmission_table(parameters: JointParameters, rng: np.random.Generator) ->
     orders = np.array(parameters.orders_per_turn)
     table = np.empty((6, len(orders), 3))
     table[:, :, AMPLITUDE] = np.array(parameters.order_amplitude_urad) * _URAD
-    table[:, :, PHASE_FORWARD:] = rng.uniform(0.0, 2.0 * np.pi, (6, len(orders), 2))
+    table[:, :, _PHASE_FORWARD:] = rng.uniform(0.0, 2.0 * np.pi, (6, len(orders), 2))
     shared = orders < parameters.flank_orders_from
-    table[:, shared, PHASE_REVERSE] = table[:, shared, PHASE_FORWARD]
+    table[:, shared, _PHASE_REVERSE] = table[:, shared, _PHASE_FORWARD]
     return table
 
 
@@ -111,8 +111,8 @@ def transmission_kernel(
             if orders[m] >= joint[_GEAR_FROM]:
                 amplitude *= swollen
             turn = orders[m] * angle_rad
-            ahead = np.sin(turn + joint_orders[m, PHASE_FORWARD])
-            behind = np.sin(turn + joint_orders[m, PHASE_REVERSE])
+            ahead = np.sin(turn + joint_orders[m, _PHASE_FORWARD])
+            behind = np.sin(turn + joint_orders[m, _PHASE_REVERSE])
             error += amplitude * (forward * ahead + (1.0 - forward) * behind)
     return error
 

@@ -42,7 +42,7 @@ _QUEUE_MAX = 32
 _LET_GO = _QUEUE + 3 * _QUEUE_MAX
 # Torque behind the hysteresis of the six gears.
 _TORQUE = _LET_GO + 1
-MEMORY_N = _TORQUE + 6
+_MEMORY_N = _TORQUE + 6
 
 # Constants of the controller.
 _TICK_S, _LIMIT, _STEP, _DELAY_TICKS, _LAG, _WATCH_TICKS, _JOLTS = range(7)
@@ -119,7 +119,7 @@ def build_mechanism(
 
 def start_memory(q_rad: Floats) -> Floats:
     """Return the memory of a machine at rest at joint angles ``q_rad``."""
-    memory = np.zeros(MEMORY_N)
+    memory = np.zeros(_MEMORY_N)
     memory[_SPEED_FACTOR] = 1.0
     for place in (_Q, _PLAY, _QA):
         memory[place : place + 6] = q_rad

@@ -15,7 +15,7 @@ START_S, DURATION_S, SPEED, RAMP_S, JERK_S, KIND, RADIUS0, ANGLE0, SIGN, LENGTH 
 LINE_FROM, LINE_TOWARDS, COLUMNS = 10, 13, 16
 # Kinds of segment: straight along the radius, on the arc, straight from point to point, and on a
 # sphere, where azimuth and elevation change in proportion.
-RADIAL, ARC, LINE, SPHERE = 0.0, 1.0, 2.0, 3.0
+_RADIAL, ARC, LINE, SPHERE = 0.0, 1.0, 2.0, 3.0
 TURN, ELEVATION0, RISE = LINE_FROM, LINE_FROM + 1, LINE_FROM + 2
 
 
@@ -283,5 +283,5 @@ def _segment(
     ramp_s = speed_mm_s / motion.acceleration_mm_s2
     duration_s = length_mm / speed_mm_s + ramp_s + jerk_s
     shape = [0.0, duration_s, speed_mm_s, ramp_s, jerk_s]
-    path = [ARC if is_arc else RADIAL, radius0_mm, angle0_rad, sign, length_mm]
+    path = [ARC if is_arc else _RADIAL, radius0_mm, angle0_rad, sign, length_mm]
     return np.array([*shape, *path, *np.zeros(COLUMNS - LINE_FROM)])

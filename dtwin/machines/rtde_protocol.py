@@ -58,7 +58,7 @@ _TYPES = (
 _PATTERNS = [(re.compile(pattern), kind) for pattern, kind in _TYPES]
 
 
-def type_of(variable: str) -> str:
+def _type_of(variable: str) -> str:
     """Return the RTDE type of a variable, ``"NOT_FOUND"`` when there is no such variable."""
     for pattern, kind in _PATTERNS:
         if pattern.fullmatch(variable):
@@ -205,7 +205,7 @@ def output_recipe(number: int, payload: bytes, rate_hz: float) -> OutputRecipe:
     if not 1.0 <= wanted_hz <= rate_hz:
         raise ValueError("output frequency out of range")
     names = [name for name in payload[8:].decode("ascii").split(",") if name]
-    types = tuple(type_of(name) for name in names)
+    types = tuple(_type_of(name) for name in names)
     formats = [_FORMATS.get(kind, "d") for kind in types]
     readers = []
     for name, form in zip(names, formats, strict=True):
@@ -245,7 +245,7 @@ def input_recipe(payload: bytes) -> InputRecipe:
         When the request cannot be read.
     """
     names = tuple(name for name in payload.decode("ascii").split(",") if name)
-    types = tuple(type_of(name) for name in names)
+    types = tuple(_type_of(name) for name in names)
     packer = struct.Struct(">" + "".join(_FORMATS.get(kind, "d") for kind in types))
     if len(packer.unpack(bytes(packer.size))) != len(names):
         raise ValueError("vectors cannot be written")

@@ -8,7 +8,16 @@ from dtwin.kinematics import kernel
 from dtwin.machines.parameters import StructureParameters
 from dtwin.schema import Floats
 
-OMEGA, DAMPING, POSTURE, REACH_MM, FLANGE_SHARE, SHAPE, DRIVEN, JOLTED = 0, 1, 2, 3, 4, 5, 8, 9
+_OMEGA, _DAMPING, _POSTURE, REACH_MM, _FLANGE_SHARE, SHAPE, _DRIVEN, _JOLTED = (
+    0,
+    1,
+    2,
+    3,
+    4,
+    5,
+    8,
+    9,
+)
 _COLUMNS = 10
 
 
@@ -31,13 +40,13 @@ def mode_table(parameters: StructureParameters) -> Floats:
         (3), the two participations.
     """
     table = np.empty((len(parameters.frequency_hz), _COLUMNS))
-    table[:, OMEGA] = 2.0 * np.pi * np.array(parameters.frequency_hz)
-    table[:, DAMPING] = parameters.damping_ratio
-    table[:, POSTURE], table[:, REACH_MM] = parameters.posture_1, parameters.posture_reach_mm
-    table[:, FLANGE_SHARE] = parameters.flange_share
+    table[:, _OMEGA] = 2.0 * np.pi * np.array(parameters.frequency_hz)
+    table[:, _DAMPING] = parameters.damping_ratio
+    table[:, _POSTURE], table[:, REACH_MM] = parameters.posture_1, parameters.posture_reach_mm
+    table[:, _FLANGE_SHARE] = parameters.flange_share
     shape = np.array(parameters.shape)
-    table[:, SHAPE:DRIVEN] = shape / np.linalg.norm(shape, axis=1)[:, None]
-    table[:, DRIVEN], table[:, JOLTED] = parameters.participation, parameters.jolt_participation
+    table[:, SHAPE:_DRIVEN] = shape / np.linalg.norm(shape, axis=1)[:, None]
+    table[:, _DRIVEN], table[:, _JOLTED] = parameters.participation, parameters.jolt_participation
     return table
 
 
@@ -78,9 +87,9 @@ def modes_kernel(
     """
     c, s = np.cos(joint1_rad), np.sin(joint1_rad)
     for m in range(modes.shape[0]):
-        omega, damping = modes[m, OMEGA], modes[m, DAMPING]
-        if modes[m, POSTURE] != 0.0:
-            omega *= (modes[m, REACH_MM] / max(reach_mm, 1.0)) ** modes[m, POSTURE]
+        omega, damping = modes[m, _OMEGA], modes[m, _DAMPING]
+        if modes[m, _POSTURE] != 0.0:
+            omega *= (modes[m, REACH_MM] / max(reach_mm, 1.0)) ** modes[m, _POSTURE]
         root = np.sqrt(1.0 - damping**2)
         decay = np.exp(-damping * omega * tick_s)
         cosine = decay * np.cos(root * omega * tick_s)
@@ -90,7 +99,7 @@ def modes_kernel(
         x = c * modes[m, SHAPE] - s * modes[m, SHAPE + 1]
         y = s * modes[m, SHAPE] + c * modes[m, SHAPE + 1]
         z = modes[m, SHAPE + 2]
-        driven, jolted = modes[m, DRIVEN], modes[m, JOLTED]
+        driven, jolted = modes[m, _DRIVEN], modes[m, _JOLTED]
         push = x * (driven * acceleration[0] + jolted * jolt[0])
         push += y * (driven * acceleration[1] + jolted * jolt[1])
         push += z * (driven * acceleration[2] + jolted * jolt[2])
@@ -99,7 +108,7 @@ def modes_kernel(
         moved = held + stay * place + coast * speed
         state[2 * m + 1] = pull * place + keep * speed
         state[2 * m] = moved
-        share = modes[m, FLANGE_SHARE] * moved
+        share = modes[m, _FLANGE_SHARE] * moved
         tcp_mm[0] += x * moved
         tcp_mm[1] += y * moved
         tcp_mm[2] += z * moved

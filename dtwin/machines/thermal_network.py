@@ -119,7 +119,7 @@ TRAINING = Schedule(
         Segment(222, hall_c=18.0), Segment(234, hall_c=26.5),
     ),
 )  # fmt: skip
-VALIDATION = Schedule(
+_VALIDATION = Schedule(
     "validation",
     (
         Segment(48, hall_c=24.0), Segment(54, h2=True, hall_c=24.0), Segment(62, hall_c=24.0),
@@ -131,7 +131,7 @@ VALIDATION = Schedule(
     ),
     day_swing_c=0.7, off_from_h=18.0, night_rise_c=2.0, begun_c=25.6, season_c=24.6,
 )  # fmt: skip
-SCHEDULES = {schedule.name: schedule for schedule in (TRAINING, VALIDATION)}
+SCHEDULES = {schedule.name: schedule for schedule in (TRAINING, _VALIDATION)}
 
 
 def temperatures_c(

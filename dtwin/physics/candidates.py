@@ -22,7 +22,7 @@ from dtwin.schema import Floats
 
 _PITCH_MM = (2.0, 60.0)
 _PITCH_SHAPE = "pitch_mm"
-Complexes = NDArray[np.complex128]
+_Complexes = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,7 @@ def likely_pitches(
 
 
 @lru_cache(maxsize=32)
-def _waves(first: bool, radius_mm: float, n: int, slowest: float, fastest: float) -> Complexes:
+def _waves(first: bool, radius_mm: float, n: int, slowest: float, fastest: float) -> _Complexes:
     """Return exp(-2 pi i x r) for every bin and rate; a campaign asks for few of them often."""
     theta = bin_angle_rad()
     along = np.cos(theta) if first else np.sin(theta)

@@ -15,7 +15,7 @@ from dtwin.physics.state import AXES_OF, State, circular_state
 from dtwin.schema import Direction, Floats, Plane, Run, RunMeta
 
 N_BINS = 360
-POINTS_PER_BIN = 8
+_POINTS_PER_BIN = 8
 _SAMPLE_COLUMNS = ("t_s", "angle_deg", "deviation_um")
 _MIN_BINS = 30
 _GAP_BINS = 3
@@ -82,7 +82,7 @@ class Condition:
         return f"{self.plane} R{self.radius_mm:g} F{self.feed_mm_min:g} {self.direction}"
 
 
-def condition_of_run(meta: RunMeta) -> Condition:
+def _condition_of_run(meta: RunMeta) -> Condition:
     """Return the condition of a circular run.
 
     Raises
@@ -116,7 +116,7 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
     InputError
         When columns are missing or the run is too short.
     """
-    condition = condition_of_run(run.meta)
+    condition = _condition_of_run(run.meta)
     if not {"angle_deg", "deviation_um"} <= set(run.samples):
         raise InputError(
             "a circular run needs angle_deg and deviation_um",
@@ -223,14 +223,14 @@ def _reached_feed_mm_s(run: Run, marked: slice, angle_deg: Floats, condition: Co
 
 def fine_angle_rad() -> Floats:
     """Return the angles at which effects are evaluated, several in each bin."""
-    n = N_BINS * POINTS_PER_BIN
+    n = N_BINS * _POINTS_PER_BIN
     return np.asarray((np.arange(n) + 0.5) * (2.0 * np.pi / n), dtype=np.float64)
 
 
 def averaged(fine: Floats) -> Floats:
     """Return bin means, shape (360, k), of values at the fine angles, shape (n, k)."""
-    first = np.arange(0, len(fine), POINTS_PER_BIN)
-    return np.asarray(np.add.reduceat(fine, first, axis=0) / POINTS_PER_BIN)
+    first = np.arange(0, len(fine), _POINTS_PER_BIN)
+    return np.asarray(np.add.reduceat(fine, first, axis=0) / _POINTS_PER_BIN)
 
 
 def bin_angle_rad() -> Floats:
@@ -254,7 +254,7 @@ def _circle() -> Grid:
         points=np.arange(0.5, N_BINS),
         setup=np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1),
         setup_names=("radius_um", "centre_first_um", "centre_second_um"),
-        fine=POINTS_PER_BIN,
+        fine=_POINTS_PER_BIN,
         averaged=averaged,
         state=_state,
         described=_DESCRIBED_HARMONICS,

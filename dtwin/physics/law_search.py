@@ -13,8 +13,8 @@ from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail, holm
 
-FEED_EXPONENTS = (-1.0, 0.0, 0.5, 1.0, 2.0)
-RADIUS_EXPONENTS = (-1.0, 0.0, 1.0, 2.0, 3.0)
+_FEED_EXPONENTS = (-1.0, 0.0, 0.5, 1.0, 2.0)
+_RADIUS_EXPONENTS = (-1.0, 0.0, 1.0, 2.0, 3.0)
 HARMONICS = range(9)
 _ALPHA = 0.005
 _NEAR = 6.0
@@ -79,8 +79,8 @@ def search_laws(problem: Problem) -> list[ScalingLaw]:
     feeds = obs.feed_mm_s / np.exp(np.mean(np.log(obs.feed_mm_s)))
     radii = obs.radius_mm / np.exp(np.mean(np.log(obs.radius_mm)))
     sign = obs.sense
-    feed_laws = FEED_EXPONENTS if np.ptp(np.log(feeds)) > 0.05 else (0.0,)
-    radius_laws = RADIUS_EXPONENTS if np.ptp(np.log(radii)) > 0.05 else (0.0,)
+    feed_laws = _FEED_EXPONENTS if np.ptp(np.log(feeds)) > 0.05 else (0.0,)
+    radius_laws = _RADIUS_EXPONENTS if np.ptp(np.log(radii)) > 0.05 else (0.0,)
     odds = (False, True) if np.ptp(sign) > 0.0 else (False,)
     harmonics = [h for h in HARMONICS if h <= (obs.n_bins - 1) // 2]
     keys = list(itertools.product(harmonics, odds, feed_laws, radius_laws))

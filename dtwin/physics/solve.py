@@ -11,7 +11,7 @@ from scipy.linalg import lapack, solve_triangular
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-BLOCK_ROWS = 2048
+_BLOCK_ROWS = 2048
 _BRANCHES = 32
 _RANK = 1e-12
 
@@ -77,8 +77,8 @@ def solve_blocks(blocks: Iterable[tuple[Floats, Floats]]) -> Solution:
 
 def in_blocks(columns: Floats, right: Floats) -> Iterable[tuple[Floats, Floats]]:
     """Cut columns (n, k) and right side (n,) into blocks of rows."""
-    for start in range(0, len(right), BLOCK_ROWS):
-        yield columns[start : start + BLOCK_ROWS], right[start : start + BLOCK_ROWS]
+    for start in range(0, len(right), _BLOCK_ROWS):
+        yield columns[start : start + _BLOCK_ROWS], right[start : start + _BLOCK_ROWS]
 
 
 def _add(levels: list[list[Floats]], height: int, triangle: Floats) -> None:

@@ -88,7 +88,7 @@ def run_request(
         folder=request.out or home.campaigns / name,
         inbox=request.inbox,
         steps=circle_steps(plan) if version is None else _by_turns(home, plan, version),
-        head=campaign_head(home, plan.machine, request.robot, version),
+        head=_campaign_head(home, plan.machine, request.robot, version),
         instruments=partial(recorders, request.sensors, request.robot),
         in_force=correction_in_force(home, plan.machine),
         serving_now=partial(serving_now, home, plan.machine),
@@ -109,7 +109,7 @@ def run_request(
     return found
 
 
-def campaign_head(
+def _campaign_head(
     home: Home, machine: str, robot: str | None = None, version: RegisteredVersion | None = None
 ) -> dict[str, Mapping[str, Any]]:
     """Return what the campaign file says of machine and instrument, as far as it is known.

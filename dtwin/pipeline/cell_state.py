@@ -16,17 +16,17 @@ from dtwin.errors import InputError, StoreError
 from dtwin.schema import require_name
 
 COBOT, MILL, NONE = "cobot", "mill", "none"
-WAITING, RUNNING, DONE, INTERRUPTED = "waiting", "running", "done", "interrupted"
-QUARTERS = 4
+_WAITING, RUNNING, DONE, INTERRUPTED = "waiting", "running", "done", "interrupted"
+_QUARTERS = 4
 STEPS: tuple[tuple[str, str], ...] = (
     ("load", COBOT),
     ("hold and bolt", NONE),
-    *((f"mill quarter {k + 1}", MILL) for k in range(QUARTERS)),
+    *((f"mill quarter {k + 1}", MILL) for k in range(_QUARTERS)),
     ("to unload position", NONE),
     ("unload", COBOT),
 )
 """Steps of one part, each with the twin that is live in it."""
-MOST_PARTS = 100
+_MOST_PARTS = 100
 
 
 class CellFile:
@@ -52,10 +52,10 @@ class CellFile:
         InputError
             When a job is there that is not done, or the number of parts makes no sense.
         """
-        if not 1 <= parts <= MOST_PARTS:
+        if not 1 <= parts <= _MOST_PARTS:
             raise InputError(
                 "a job has one part or more", code="cell.parts", got=str(parts),
-                allowed=f"1 to {MOST_PARTS}",
+                allowed=f"1 to {_MOST_PARTS}",
             )  # fmt: skip
         if self._path.exists() and next_step(self.read()) is not None:
             raise InputError(
@@ -63,7 +63,7 @@ class CellFile:
                 hint=f"dtwin cell resume --cell {self.name}, or dtwin cell clear --cell {self.name}",
             )  # fmt: skip
         steps = [
-            {"part": part + 1, "step": step, "twin": twin, "state": WAITING, "result": {}}
+            {"part": part + 1, "step": step, "twin": twin, "state": _WAITING, "result": {}}
             for part in range(parts)
             for step, twin in STEPS
         ]

@@ -30,7 +30,7 @@ from dtwin.train.circle_evidence import DEFAULT_PLAN, EvidencePlan
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import verdict_lines
 
-SERVE_S = 20.0
+_SERVE_S = 20.0
 
 
 class Screen(Protocol):
@@ -66,7 +66,7 @@ class DemoSize:
 
 def full_size() -> DemoSize:
     """Return the demo of the README: 81 tests, 162 runs, twelve conditions."""
-    return DemoSize(training_plan(), DEFAULT_PLAN, SERVE_S)
+    return DemoSize(training_plan(), DEFAULT_PLAN, _SERVE_S)
 
 
 def quick_size() -> DemoSize:

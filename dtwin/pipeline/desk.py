@@ -19,7 +19,7 @@ from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError
 
-QUESTION, ANSWER = "desk.json", "desk.answer.json"
+_QUESTION, _ANSWER = "desk.json", "desk.answer.json"
 DONE, REPEAT, KEEP = "done", "repeat", "keep"
 
 
@@ -79,7 +79,7 @@ class Desk:
         """Put a question, in place of the one before."""
         self._question = question
         text = json.dumps(asdict(question), indent=1)
-        write_text(self._folder / QUESTION, text, "what the operator is asked")
+        write_text(self._folder / _QUESTION, text, "what the operator is asked")
         self.show(question.text)
 
     def answer(self) -> str | None:
@@ -96,19 +96,19 @@ class Desk:
 
     def again(self) -> None:
         """Forget an answer that led nowhere: the question stays."""
-        (self._folder / ANSWER).unlink(missing_ok=True)
+        (self._folder / _ANSWER).unlink(missing_ok=True)
 
     def clear(self) -> None:
         """Take the question away."""
         self._question = None
-        for name in (QUESTION, ANSWER):
+        for name in (_QUESTION, _ANSWER):
             (self._folder / name).unlink(missing_ok=True)
 
 
 def open_question(folder: Path) -> Mapping[str, Any] | None:
     """Return what is asked in a campaign folder, None when nothing is."""
     try:
-        found: dict[str, Any] = json.loads((folder / QUESTION).read_text(encoding="utf-8"))
+        found: dict[str, Any] = json.loads((folder / _QUESTION).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return found
@@ -172,12 +172,12 @@ def give_answer(folder: Path, question_id: str, answer: str) -> None:
             hint="look again: the campaign has gone on",
         )  # fmt: skip
     text = json.dumps({"question": question_id, "answer": answer})
-    write_text(folder / ANSWER, text, "the operator's answer")
+    write_text(folder / _ANSWER, text, "the operator's answer")
 
 
 def _answer_file(folder: Path, question: Question) -> str | None:
     try:
-        found = json.loads((folder / ANSWER).read_text(encoding="utf-8"))
+        found = json.loads((folder / _ANSWER).read_text(encoding="utf-8"))
         answer = found["answer"] if found["question"] == question.id else None
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -34,9 +34,9 @@ from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.twin_axes import AXES, own_axis_only
 from dtwin.train.twin_terms import choose
 
-EQUATIONS = ("c", "st", "python", "latex", "urscript")
+_EQUATIONS = ("c", "st", "python", "latex", "urscript")
 TABLES = ("comp", "csv", "gcode")
-FORMATS = (*EQUATIONS, *TABLES)
+FORMATS = (*_EQUATIONS, *TABLES)
 _MAX_PROGRAM_BYTES = 20_000_000
 
 
@@ -168,7 +168,7 @@ def export(source: Source, request: Request) -> Export:
     InputError
         When the form cannot hold it.
     """
-    if request.form in EQUATIONS:
+    if request.form in _EQUATIONS:
         return _equation(source, request.form)
     if source.twin is None:
         raise InputError(

@@ -13,7 +13,7 @@ from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.schema import Floats, Run
 
 # The sensor's coupling, and the usual window: 800 samples at 1651.6 Hz.
-COUPLING_HZ = 0.5
+_COUPLING_HZ = 0.5
 WINDOW_S = 800 / 1651.6
 
 
@@ -50,7 +50,7 @@ class IntegrationCheck:
     def __str__(self) -> str:
         """Return one sentence."""
         return (
-            f"double integration of ideal accelerations ({COUPLING_HZ:g} Hz coupling, restarted "
+            f"double integration of ideal accelerations ({_COUPLING_HZ:g} Hz coupling, restarted "
             f"every {1000 * WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} um RMS for this "
             f"error of {self.error_um:z.0f} um; with the spectral threshold that a particle swarm "
             f"finds best, {self.filtered_um:z.1f} um that correlate {self.filtered_correlation:z.2f} "
@@ -58,7 +58,7 @@ class IntegrationCheck:
         )
 
 
-def check_integration(run: Run) -> IntegrationCheck:
+def _check_integration(run: Run) -> IntegrationCheck:
     """Send a run's measured error through coupling, threshold and restarted integration.
 
     Parameters
@@ -72,7 +72,7 @@ def check_integration(run: Run) -> IntegrationCheck:
 
     def seen(cutoff_g2: float) -> Visibility:
         return displacement_visibility(
-            error_mm, rate_hz, window, corner_hz=COUPLING_HZ, cutoff_power=cutoff_g2
+            error_mm, rate_hz, window, corner_hz=_COUPLING_HZ, cutoff_power=cutoff_g2
         )
 
     chosen = swarm_minimum(lambda c: seen(c).lost_fraction, 1e-9, 1e3, particles=12, iterations=20)
@@ -89,7 +89,7 @@ def check_integration(run: Run) -> IntegrationCheck:
 
 def sample_check() -> IntegrationCheck:
     """Return the check for the real recording, counter-clockwise."""
-    return check_integration(read_b5r(sample_recording()).runs[0])
+    return _check_integration(read_b5r(sample_recording()).runs[0])
 
 
 def _error_mm(run: Run) -> Floats:

@@ -34,7 +34,7 @@ from dtwin.pipeline.campaign_steps import Step
 from dtwin.pipeline.desk import DONE, KEEP, REPEAT, Desk, Question
 from dtwin.schema import Finding, Run
 
-STATE = "campaign-state.json"
+_STATE = "campaign-state.json"
 SUFFIX = ".b5r"
 _POLL_S = 0.5
 _CLOSE = 1e-3
@@ -144,7 +144,7 @@ class _Campaign:
         """Read where an earlier process stopped; what it left in the making is put aside."""
         job = self._job
         job.folder.mkdir(parents=True, exist_ok=True)
-        path = job.folder / STATE
+        path = job.folder / _STATE
         if path.exists():
             known = _read_state(path)
             if known.plan != self._state.plan:
@@ -331,7 +331,7 @@ class _Campaign:
 
     def _keep(self) -> None:
         text = json.dumps(vars(self._state), indent=1)
-        write_text(self._job.folder / STATE, text, "the state of the campaign")
+        write_text(self._job.folder / _STATE, text, "the state of the campaign")
 
 
 def _read_state(path: Path) -> _State:

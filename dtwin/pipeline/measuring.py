@@ -124,7 +124,7 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
         run = lake.load(row)
         group = next((g for g in run.signals if g.name == "accelerometers"), None)
         if group is not None:
-            mine = contract_for(group.rate_hz, tuple(group.columns))
+            mine = _contract_for(group.rate_hz, tuple(group.columns))
             if contract is not None and mine != contract:
                 raise InputError(
                     "runs of the campaign have different channels or rates",
@@ -157,7 +157,7 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
     return FeatureReport(campaign, len(parts), sum(counts), contract, bad, constant, version)
 
 
-def contract_for(rate_hz: float, columns: tuple[str, ...]) -> WindowContract:
+def _contract_for(rate_hz: float, columns: tuple[str, ...]) -> WindowContract:
     """Return the window contract for accelerometers of a rate.
 
     Parameters

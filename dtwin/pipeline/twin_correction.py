@@ -35,7 +35,7 @@ _STRUCTURE = ("missing_effect", "ambiguous", "unknown_effect")
 LITTLE = 0.01
 # What differs in its spread only leaves nothing for a correction of the mean.
 MEAN_IS_TOLD = ("nothing_missing", "variance_effect")
-NOT_NEEDED = "not needed: without it the residual is at the floor"
+_NOT_NEEDED = "not needed: without it the residual is at the floor"
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
 
 def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observations) -> str:
     """Name the first thing to do: take out the weakest effect that is not needed, or look again."""
-    idle = {g.label for g in gradings if g.grade == NOT_NEEDED}
+    idle = {g.label for g in gradings if g.grade == _NOT_NEEDED}
     unneeded = [t for t in corrected.terms if t.label in idle]
     if not unneeded:
         return f"dtwin twin diagnose {name}"
@@ -249,7 +249,7 @@ def _graded(
 
 def _grading(term: Term, found: Diagnosis, way: TwinWay) -> Grading:
     if found.verdict in way.quiet:
-        return Grading(term.label, NOT_NEEDED, False)
+        return Grading(term.label, _NOT_NEEDED, False)
     named = next((s for s in found.suspects if s.label == term.label and s.in_group), None)
     if named is None:
         return Grading(term.label, f"not found again: {found.verdict}", False)

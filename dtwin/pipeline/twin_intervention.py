@@ -13,7 +13,7 @@ from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twin_shelf import TwinShelf
 from dtwin.pipeline.twins import Twins
 
-GRADE = "intervention-confirmed"
+_GRADE = "intervention-confirmed"
 # Less than this share of what was there before must be left.
 _LEFT = 0.5
 _FILE = "interventions.json"
@@ -87,7 +87,7 @@ class Intervention:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        return {**asdict(self), "grade": GRADE if self.confirmed else None}
+        return {**asdict(self), "grade": _GRADE if self.confirmed else None}
 
 
 def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Intervention:

@@ -1,1 +1,3 @@
 """Plots, tables and self-contained HTML."""
+
+__all__ = ["plots"]

@@ -18,7 +18,7 @@ from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Floats, Run
 from dtwin.store import Lake, RejectedRows
 
-MAX_DETAILED = 12
+_MAX_DETAILED = 12
 
 
 def check_source(
@@ -151,12 +151,12 @@ def render_check(result: dict[str, Any]) -> str:
     runs = result["runs"]
     lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
     kind = kind_named(result["kind"])
-    detailed = [] if kind.in_one_table else runs[:MAX_DETAILED]
+    detailed = [] if kind.in_one_table else runs[:_MAX_DETAILED]
     for run in detailed:
         lines += ["", *_render_run(run)]
-    if len(runs) > MAX_DETAILED and detailed:
-        lines += ["", *_render_rest(runs[MAX_DETAILED:])]
-    for pair in result["bidirectional"][:MAX_DETAILED]:
+    if len(runs) > _MAX_DETAILED and detailed:
+        lines += ["", *_render_rest(runs[_MAX_DETAILED:])]
+    for pair in result["bidirectional"][:_MAX_DETAILED]:
         lines.append(
             f"\n{' and '.join(pair['runs'])}: circular deviation G(b) of both directions "
             f"{pair['circular_deviation_common_centre_um']:z.1f} um about a common centre, "

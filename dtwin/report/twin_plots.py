@@ -79,7 +79,7 @@ def overlay_figure(
         figure.add_trace(
             go.Scatterpolar(
                 theta=angle, r=_drawn(curve, radius_mm, fitting), mode="lines", name=name,
-                line={"color": colour, "width": 1.6, "dash": dash_of(name)},
+                line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
                 customdata=_closed(curve),
                 hovertemplate="%{theta:z.0f} deg<br>%{customdata:z.2f} um<extra>" + name + "</extra>",
             )
@@ -125,7 +125,7 @@ def along_figure(
         figure.add_trace(
             go.Scatter(
                 x=grid.points, y=[round(float(v), 4) for v in curve], mode="lines",
-                name=name, line={"color": colour, "width": 1.6, "dash": dash_of(name)},
+                name=name, line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
                 hovertemplate="%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} um<extra>" + name + "</extra>",
             )
         )  # fmt: skip
@@ -314,7 +314,7 @@ def _axis(grid: Grid) -> dict[str, Any]:
     return {"title": f"{_ALONG[grid.coordinate]}, {_unit(grid)}", **turn}
 
 
-def dash_of(name: str) -> str:
+def _dash_of(name: str) -> str:
     """Return the line of a curve: what is computed is dashed, also for eyes without colours."""
     return "dash" if name.startswith(("predicted", "twin")) else "solid"
 

@@ -92,7 +92,7 @@ def twin_text(twin: Twin) -> str:
         f"campaign {twin.campaign}\n"
         f"error {micrometres(figures['rms_before_um'])} -> {micrometres(figures['rms_after_um'])} um RMS, of which "
         f"repeats agree on {number(figures['systematic_rms_um'])} um; noise floor "
-        f"{floor_words(figures)} (unit of replication: the run)\n"
+        f"{_floor_words(figures)} (unit of replication: the run)\n"
     )
     shown = parameter_table(twin)
     lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
@@ -102,7 +102,7 @@ def twin_text(twin: Twin) -> str:
     return "\n".join(lines)
 
 
-def floor_words(figures: Mapping[str, Any]) -> str:
+def _floor_words(figures: Mapping[str, Any]) -> str:
     """Return the noise floor with its 95 % interval, each run counted once.
 
     Parameters
@@ -134,7 +134,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         f"{result['campaign']} ({result['runs']} runs)",
         table(head, rows),
         f"residual {micrometres(result['residual_rms_um'])} um RMS, of which repeats agree on "
-        f"{number(result['systematic_rms_um'])} um; noise floor {floor_words(result)}",
+        f"{number(result['systematic_rms_um'])} um; noise floor {_floor_words(result)}",
         f"in words: {result['headline']}",
         "largest:",
         *(f"  {place_words(place)}" for place in result["where"]),
@@ -169,7 +169,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     shown = found_table(result)
     if shown.rows:
         lines.append(table(shown.head, shown.rows))
-    lines += unresolved_lines(result)
+    lines += _unresolved_lines(result)
     lines += [f"law: {law['equation']}" for law in result["laws"][:3]]
     lines += [
         f"channel: {c['name']} explains {100 * c['share']:z.0f} % of the spread between repeats "
@@ -189,7 +189,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def size_words(estimate: Mapping[str, Any]) -> str:
+def _size_words(estimate: Mapping[str, Any]) -> str:
     """Return a parameter with its uncertainty and unit."""
     if not estimate["identifiable"]:
         return "not told"
@@ -205,7 +205,7 @@ def found_table(result: Mapping[str, Any]) -> Table:
         (
             " or ".join(f"{c['effect']} {c['axis']}".strip() for c in group),
             micrometres(group[0]["size_um"]),
-            "; ".join(size_words(size) for size in group[0]["sizes"]) or "-",
+            "; ".join(_size_words(size) for size in group[0]["sizes"]) or "-",
             f"{100 * group[0]['cv_gain']:z.1f} %",
             group[0]["grade"] or "",
             ", ".join(group[0]["tested"]) or "-",
@@ -225,7 +225,7 @@ def found_table(result: Mapping[str, Any]) -> Table:
     return Table(head, rows)
 
 
-def unresolved_lines(result: Mapping[str, Any]) -> list[str]:
+def _unresolved_lines(result: Mapping[str, Any]) -> list[str]:
     """Return what is left beside what was found, and where."""
     rest = result.get("unresolved")
     if not rest:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 # Below this a growing error is noise.
-SMALLEST_UM = 0.05
+_SMALLEST_UM = 0.05
 _GROWTH = 1.05
 _RISES = 3
 _WORSE_THAN_NOTHING = 1.2
@@ -49,10 +49,10 @@ class DivergenceWatch:
         if self.without_um is None:
             self.without_um = left_um
         elif not self.alarm:
-            much = max(_NOTABLE * self.without_um, SMALLEST_UM)
+            much = max(_NOTABLE * self.without_um, _SMALLEST_UM)
             grew = left_um > _GROWTH * self._last_um and left_um > much
             self._rises = self._rises + 1 if grew else 0
-            if not left_um <= max(_WORSE_THAN_NOTHING * self.without_um, SMALLEST_UM):
+            if not left_um <= max(_WORSE_THAN_NOTHING * self.without_um, _SMALLEST_UM):
                 self.alarm = (
                     f"the correction makes it worse: {left_um:z.2f} um are foretold, "
                     f"{self.without_um:z.2f} um were without"
@@ -63,7 +63,7 @@ class DivergenceWatch:
         return self.alarm
 
     def _outside(self, left_um: float) -> str:
-        if self.without_um is not None and left_um > max(_MUCH * self.without_um, SMALLEST_UM):
+        if self.without_um is not None and left_um > max(_MUCH * self.without_um, _SMALLEST_UM):
             self._thrown += 1
             if self._thrown >= _THROWN and not self.alarm:
                 self.alarm = (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from dtwin.serve.graph import Graph, Node, Table
 
-Render = Callable[..., str]
+_Render = Callable[..., str]
 
 
 @dataclass(frozen=True)

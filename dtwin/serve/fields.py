@@ -8,7 +8,7 @@ from typing import Any
 
 from dtwin.errors import InputError
 
-MAX_TEXT = 4000
+_MAX_TEXT = 4000
 
 
 def only_fields(data: object, names: Sequence[str], where: str) -> dict[str, Any]:
@@ -72,8 +72,8 @@ def text(value: object, where: str) -> str:
     InputError
         When it is not text.
     """
-    if not isinstance(value, str) or len(value) > MAX_TEXT:
-        raise _wrong_type(where, value, f"text of at most {MAX_TEXT} characters")
+    if not isinstance(value, str) or len(value) > _MAX_TEXT:
+        raise _wrong_type(where, value, f"text of at most {_MAX_TEXT} characters")
     return value
 
 

@@ -11,9 +11,9 @@ from dtwin.errors import InputError
 from dtwin.serve.fields import number, only_fields, text, whole
 from dtwin.serve.operators import LEAVES, MAX_POWER, OPERATORS, lookup, power
 
-MAX_NODES = 4096
+_MAX_NODES = 4096
 MAX_DEPTH = 256
-MAX_TABLE_VALUES = 65536
+_MAX_TABLE_VALUES = 65536
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class Graph:
 
     def __post_init__(self) -> None:
         """Refuse a graph that cannot be evaluated safely."""
-        check_graph(self)
+        _check_graph(self)
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -158,8 +158,8 @@ class Graph:
             When a field is missing, unknown, of the wrong type or out of range.
         """
         fields = only_fields(data, ("nodes", "outputs", "updates", "tables"), where)
-        nodes = _listed(fields["nodes"], f"{where}.nodes", MAX_NODES)
-        tables = _listed(fields["tables"], f"{where}.tables", MAX_NODES)
+        nodes = _listed(fields["nodes"], f"{where}.nodes", _MAX_NODES)
+        tables = _listed(fields["tables"], f"{where}.tables", _MAX_NODES)
         return cls(
             nodes=tuple(_node_from_dict(n, f"{where}.nodes[{i}]") for i, n in enumerate(nodes)),
             outputs=_indices(fields["outputs"], f"{where}.outputs"),
@@ -168,7 +168,7 @@ class Graph:
         )
 
 
-def check_graph(graph: Graph) -> None:
+def _check_graph(graph: Graph) -> None:
     """Refuse a graph with unknown operators, wrong references or non-finite constants.
 
     Raises
@@ -176,12 +176,12 @@ def check_graph(graph: Graph) -> None:
     InputError
         With the number of the offending node.
     """
-    if not 1 <= len(graph.nodes) <= MAX_NODES:
+    if not 1 <= len(graph.nodes) <= _MAX_NODES:
         raise _wrong(
-            "the count of nodes is out of range", f"{len(graph.nodes)}", f"1 to {MAX_NODES}"
+            "the count of nodes is out of range", f"{len(graph.nodes)}", f"1 to {_MAX_NODES}"
         )
-    if sum(len(table.values) for table in graph.tables) > MAX_TABLE_VALUES:
-        raise _wrong("the tables are too large", "", f"{MAX_TABLE_VALUES} values")
+    if sum(len(table.values) for table in graph.tables) > _MAX_TABLE_VALUES:
+        raise _wrong("the tables are too large", "", f"{_MAX_TABLE_VALUES} values")
     for i, table in enumerate(graph.tables):
         _check_table(table, i)
     depths: list[int] = []
@@ -260,7 +260,7 @@ def _table_from_dict(data: object, where: str) -> Table:
     fields = only_fields(data, ("start", "spacing", "values", "periodic"), where)
     if not isinstance(fields["periodic"], bool):
         raise _wrong(f"{where}.periodic is not true or false", "", "true, false")
-    values = _listed(fields["values"], f"{where}.values", MAX_TABLE_VALUES)
+    values = _listed(fields["values"], f"{where}.values", _MAX_TABLE_VALUES)
     return Table(
         number(fields["start"], where),
         number(fields["spacing"], where),

@@ -9,15 +9,15 @@ from typing import Any, Literal
 from dtwin.errors import InputError
 from dtwin.serve.fields import number, one_of, only_fields, text, whole
 
-SOURCES = ("path", "controller", "covariate", "feature")
-INPUT_FRAMES = ("none", "path", "joint", "base", "sensor")
+_SOURCES = ("path", "controller", "covariate", "feature")
+_INPUT_FRAMES = ("none", "path", "joint", "base", "sensor")
 OUTPUT_FRAMES = (
     "path_radial", "path_tangential", "path_normal", "base_x", "base_y", "base_z",
 )  # fmt: skip
-ROLES = ("error", "correction")
-EVIDENCE = ("none", "virtual", "real")
-MAX_LISTED = 512
-LONGEST_DAYS = 36_500.0
+_ROLES = ("error", "correction")
+_EVIDENCE = ("none", "virtual", "real")
+_MAX_LISTED = 512
+_LONGEST_DAYS = 36_500.0
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Input:
     name, unit : str
         Name and unit; the unit is part of the contract.
     frame : str
-        One of ``INPUT_FRAMES``.
+        One of ``_INPUT_FRAMES``.
     rate_hz : float
         Rate at which it is renewed.
     source : str
@@ -186,8 +186,8 @@ def read_input(data: object) -> Input:
     f = only_fields(data, tuple(Input.__dataclass_fields__), "input")
     name = text(f["name"], "input.name")
     return Input(
-        name, text(f["unit"], name), one_of(f["frame"], INPUT_FRAMES, f"{name}.frame"),
-        number(f["rate_hz"], f"{name}.rate_hz"), one_of(f["source"], SOURCES, f"{name}.source"),
+        name, text(f["unit"], name), one_of(f["frame"], _INPUT_FRAMES, f"{name}.frame"),
+        number(f["rate_hz"], f"{name}.rate_hz"), one_of(f["source"], _SOURCES, f"{name}.source"),
         number(f["low"], f"{name}.low"), number(f["high"], f"{name}.high"),
     )  # fmt: skip
 
@@ -198,7 +198,7 @@ def read_output(data: object) -> Output:
     name = text(f["name"], "output.name")
     return Output(
         name, one_of(f["frame"], OUTPUT_FRAMES, f"{name}.frame"),
-        one_of(f["role"], ROLES, f"{name}.role"), one_of(f["unit"], ("um",), f"{name}.unit"),
+        one_of(f["role"], _ROLES, f"{name}.role"), one_of(f["unit"], ("um",), f"{name}.unit"),
     )  # fmt: skip
 
 
@@ -232,12 +232,12 @@ def read_provenance(data: object) -> Provenance:
         raise wrong("a gate's verdict is neither true nor false", str(gates)[:200])
     tables = mapping(f["table_versions"], "provenance.table_versions")
     valid_days = number(f["valid_days"], "provenance.valid_days")
-    if not 0.0 <= valid_days <= LONGEST_DAYS:
+    if not 0.0 <= valid_days <= _LONGEST_DAYS:
         raise wrong("evidence cannot hold for so long", f"{valid_days:g} days")
     return Provenance(
         text(f["code_version"], "code_version"), text(f["mlflow_version"], "mlflow_version"),
         {k: whole(v, f"table_versions.{k}") for k, v in tables.items()},
-        one_of(f["evidence"], EVIDENCE, "provenance.evidence"), dict(gates),
+        one_of(f["evidence"], _EVIDENCE, "provenance.evidence"), dict(gates),
         valid_days,
     )  # fmt: skip
 
@@ -260,7 +260,7 @@ def read_vectors(data: object) -> TestVectors:
     )  # fmt: skip
 
 
-def sequence(data: object, where: str, longest: int = MAX_LISTED) -> Sequence[Any]:
+def sequence(data: object, where: str, longest: int = _MAX_LISTED) -> Sequence[Any]:
     """Return a list of bounded length."""
     if not isinstance(data, list) or len(data) > longest:
         raise wrong(f"{where} is not a list of at most {longest}", type(data).__name__)
@@ -269,8 +269,8 @@ def sequence(data: object, where: str, longest: int = MAX_LISTED) -> Sequence[An
 
 def mapping(data: object, where: str) -> dict[str, Any]:
     """Return a mapping of bounded size."""
-    if not isinstance(data, dict) or len(data) > MAX_LISTED:
-        raise wrong(f"{where} is not a mapping of at most {MAX_LISTED}", type(data).__name__)
+    if not isinstance(data, dict) or len(data) > _MAX_LISTED:
+        raise wrong(f"{where} is not a mapping of at most {_MAX_LISTED}", type(data).__name__)
     return data
 
 

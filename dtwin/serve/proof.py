@@ -13,11 +13,11 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.interface import TestVectors
 from dtwin.serve.runtime import CompiledBundle
 
-TOLERANCE = 1e-12
+_TOLERANCE = 1e-12
 _TICKS = 24
 
 
-def test_window(contract: WindowContract, seed: int) -> Floats:
+def _test_window(contract: WindowContract, seed: int) -> Floats:
     """Return a made-up window, shape (channels, n), from whole-number arithmetic alone.
 
     No library's random generator or sine is used, so that every host gets the same samples.
@@ -40,9 +40,6 @@ def test_window(contract: WindowContract, seed: int) -> Floats:
     noise = (z >> np.uint64(40)).astype(np.float64) / 2**23 - 1.0
     ramp = np.arange(contract.n_samples) % 37 / 37.0 - 0.5
     return noise.reshape(len(contract.channels), -1) * 0.25 + ramp
-
-
-test_window.__test__ = False  # type: ignore[attr-defined]
 
 
 def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
@@ -68,7 +65,7 @@ def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
     named = {item.name: drawn[:, k] for k, item in enumerate(bundle.inputs)}
     inputs = _rows(named, bundle.tick_inputs)
     features = _rows(named, bundle.feature_inputs)
-    outputs = reference_outputs(bundle, inputs, features)
+    outputs = _reference_outputs(bundle, inputs, features)
     if not np.isfinite(np.array(outputs)).all():
         raise InputError(
             "the model is not finite everywhere inside its validity box",
@@ -77,13 +74,13 @@ def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
         )
     window_values: tuple[float, ...] = ()
     if bundle.window is not None:
-        found = batch_features(test_window(bundle.window, seed), bundle.window)
+        found = batch_features(_test_window(bundle.window, seed), bundle.window)
         window_values = tuple(found.values[0].reshape(-1).tolist())
     vectors = TestVectors(inputs, features, outputs, seed, window_values)
     return dataclasses.replace(bundle, vectors=vectors)
 
 
-def reference_outputs(
+def _reference_outputs(
     bundle: Bundle,
     inputs: tuple[tuple[float, ...], ...],
     features: tuple[tuple[float, ...], ...],
@@ -129,14 +126,14 @@ def prove(bundle: Bundle) -> None:
     if not len(found) or actual.shape != expected.shape:
         raise _unproved("the test vectors are missing or of the wrong shape", str(actual.shape))
     error = np.abs(actual - expected) / np.maximum(1.0, np.abs(expected))
-    if not (error <= TOLERANCE).all():
+    if not (error <= _TOLERANCE).all():
         raise _unproved("the equation gives other values here", f"difference {error.max():.3g}")
     if bundle.window is not None:
         _prove_features(bundle.window, vectors)
 
 
 def _prove_features(contract: WindowContract, vectors: TestVectors) -> None:
-    values = batch_features(test_window(contract, vectors.window_seed), contract).values
+    values = batch_features(_test_window(contract, vectors.window_seed), contract).values
     expected = np.array(vectors.window_features)
     if values.size != expected.size or values.tobytes() != expected.tobytes():
         difference = "another count"

@@ -1,1 +1,3 @@
 """Candidates, validation, gates and the model registry."""
+
+__all__: list[str] = []

@@ -23,13 +23,13 @@ from dtwin.train.latency import onnx_latency
 from dtwin.train.results import Candidate, Scores
 from dtwin.train.rows import Rows
 
-FIT_ROWS = 6000
+_FIT_ROWS = 6000
 # Share of an input's size below which its spread is that of rounding and of numerical derivatives.
 _ROUNDING = 1e-4
 HELD_OUT = ("feed_mm_min", "radius_mm")
 _PENALTIES = np.logspace(0.0, 5.0, 6)
 _SPLITS = 4
-Splits = list[tuple[NDArray[Any], NDArray[Any]]]
+_Splits = list[tuple[NDArray[Any], NDArray[Any]]]
 Family = Literal["baseline", "linear", "neighbours", "tree", "neural", "symbolic"]
 
 
@@ -50,7 +50,7 @@ class Recipe:
 
     name: str
     family: Family
-    make: Callable[[int, Splits], Any]
+    make: Callable[[int, _Splits], Any]
     columns: Literal["all", "sensor"] = "all"
 
 
@@ -258,7 +258,7 @@ def baselines(rows: Rows) -> list[Candidate]:
 def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed: int) -> Regressor:
     rng = np.random.default_rng(seed)
     usable = np.flatnonzero(inside & rows.scored)
-    chosen = rng.choice(usable, min(FIT_ROWS, usable.size), replace=False)
+    chosen = rng.choice(usable, min(_FIT_ROWS, usable.size), replace=False)
     size = np.abs(x[inside]).max(axis=0)
     # Its repeats would foretell a run that is left out, and the penalty would come out too small.
     group = rows.condition()[chosen]

@@ -17,7 +17,7 @@ from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
 from dtwin.store import Lake
 
 TICK_HZ = 500.0
-ROW_EVERY = 10
+_ROW_EVERY = 10
 _INDEX = {name: place for place, name in enumerate(STATE_FIELDS)}
 
 
@@ -88,13 +88,13 @@ def load_ticks(
     """
     found = []
     for done, row in enumerate(rows, start=1):
-        found.append(tick_run(lake.load(row), campaign))
+        found.append(_tick_run(lake.load(row), campaign))
         if progress is not None:
             progress(done, len(rows), str(row["run_id"]))
     return found
 
 
-def tick_run(run: Run, campaign: Campaign) -> TickRun:
+def _tick_run(run: Run, campaign: Campaign) -> TickRun:
     """Bring one run to the controller's clock at 500 Hz.
 
     Parameters
@@ -118,7 +118,7 @@ def tick_run(run: Run, campaign: Campaign) -> TickRun:
             got=", ".join(groups) or "no signals",
             allowed="a signal group named controller",
         )
-    states = controller_ticks(groups["controller"], run.meta, campaign.machine_geometry)
+    states = _controller_ticks(groups["controller"], run.meta, campaign.machine_geometry)
     tool = np.asarray(campaign.machine_geometry.get("tcp_mm", [0.0, 0.0, 0.0]), dtype=float)
     inputs = PathInputs(_INDEX, tool).batch(states)
     commanded_um = _commanded_deviation_um(states, run.meta)
@@ -138,14 +138,14 @@ def tick_run(run: Run, campaign: Campaign) -> TickRun:
         found.residual,
         groups.get("accelerometers"),
     )
-    return with_rows(bare, commanded_um, run.window, covered)
+    return _with_rows(bare, commanded_um, run.window, covered)
 
 
-def with_rows(
+def _with_rows(
     run: TickRun, commanded_um: Floats, window: tuple[int, int] | None, covered: NDArray[np.bool_]
 ) -> TickRun:
     """Choose the rows of a run: on the arc, covered by bar and controller, at 50 Hz."""
-    ticks = np.arange(0, commanded_um.size, ROW_EVERY)
+    ticks = np.arange(0, commanded_um.size, _ROW_EVERY)
     t_bar = ticks / TICK_HZ - run.lag_s
     inside = (t_bar > 0.05) & (t_bar < (run.bar_um.size - 1) / run.bar_rate_hz - 0.05)
     arc = ticks[inside & covered[ticks] & (np.abs(commanded_um[ticks]) < 1.0)]
@@ -157,7 +157,7 @@ def with_rows(
     return replace(run, arc=arc, scored=scored)
 
 
-def controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
+def _controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
     """Return the controller's states at 500 Hz in the order of ``STATE_FIELDS``.
 
     Parameters

@@ -35,7 +35,7 @@ _NUMPY: dict[str, Callable[..., Floats]] = {
     "abs": np.abs,
     "tanh": np.tanh,
 }
-MAX_CHARS = 20_000
+_MAX_CHARS = 20_000
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ def parse_formula(text: str, names: Sequence[str]) -> tuple[Formula, Floats]:
     InputError
         When it holds anything but numbers, inputs, arithmetic and known functions.
     """
-    if len(text) > MAX_CHARS:
-        raise _refused(f"{len(text)} characters", f"up to {MAX_CHARS}")
+    if len(text) > _MAX_CHARS:
+        raise _refused(f"{len(text)} characters", f"up to {_MAX_CHARS}")
     try:
         tree = ast.parse(text.replace("^", "**"), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

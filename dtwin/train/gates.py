@@ -19,8 +19,8 @@ from dtwin.train.dataset import TICK_HZ
 from dtwin.train.evidence import Evidence
 from dtwin.train.results import condition_name
 
-LATENCY_BUDGET_US = 100.0
-MIN_R2 = 0.2
+_LATENCY_BUDGET_US = 100.0
+_MIN_R2 = 0.2
 # An error of less than so many noise floors need not fall, it must only not grow.
 _ERROR_FLOORS = 3.0
 
@@ -114,9 +114,9 @@ def _held_out(metrics: Mapping[str, float]) -> Verdict:
         f"{group} out: " + ("not tested" if np.isnan(r2) else f"R2 {r2:z.3f}")
         for group, r2 in found.items()
     )
-    passed = all(np.isnan(r2) or r2 >= MIN_R2 for r2 in found.values())
-    passed = passed and found["feed_mm_min"] >= MIN_R2
-    return Verdict("held-out conditions", passed, f"{told}; at least {MIN_R2}")
+    passed = all(np.isnan(r2) or r2 >= _MIN_R2 for r2 in found.values())
+    passed = passed and found["feed_mm_min"] >= _MIN_R2
+    return Verdict("held-out conditions", passed, f"{told}; at least {_MIN_R2}")
 
 
 def _no_slice_worse(metrics: Mapping[str, float]) -> Verdict:
@@ -208,5 +208,5 @@ def latency_gate(metrics: Mapping[str, float]) -> Verdict:
     """Compare the time of one evaluation with its budget."""
     p99 = metrics.get("latency_p99_us", float("inf"))
     return Verdict(
-        "latency", p99 <= LATENCY_BUDGET_US, f"p99 {p99:z.2f} us of {LATENCY_BUDGET_US:g}"
+        "latency", p99 <= _LATENCY_BUDGET_US, f"p99 {p99:z.2f} us of {_LATENCY_BUDGET_US:g}"
     )

@@ -56,16 +56,16 @@ def generic_inputs(rows: Rows) -> GenericInputs:
     for k in (1, 2, 3):
         columns += [np.cos(k * angle)[:, None], np.sin(k * angle)[:, None]]
         names += [f"cos_{k}_1", f"sin_{k}_1"]
-    contract = contract_of(rows)
+    contract = _contract_of(rows)
     n_path = len(names)
     if contract is not None:
-        columns.append(np.concatenate([sensor_features(run, contract) for run in rows.runs]))
+        columns.append(np.concatenate([_sensor_features(run, contract) for run in rows.runs]))
         names += list(contract.columns)
     sensor = np.arange(len(names)) >= n_path
     return GenericInputs(np.column_stack(columns), tuple(names), sensor, contract)
 
 
-def contract_of(rows: Rows) -> WindowContract | None:
+def _contract_of(rows: Rows) -> WindowContract | None:
     """Return the window contract of a campaign's accelerometers, None when a run has none."""
     groups = [run.accelerometers for run in rows.runs]
     first = groups[0]
@@ -92,7 +92,7 @@ def window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
     return batch_features(block, contract)
 
 
-def sensor_features(run: TickRun, contract: WindowContract) -> Floats:
+def _sensor_features(run: TickRun, contract: WindowContract) -> Floats:
     """Return the newest window's features at each row of a run, shape (rows, features).
 
     The accelerometers' clock is brought to the controller's by the stops; a row sees the
@@ -107,12 +107,12 @@ def sensor_features(run: TickRun, contract: WindowContract) -> Floats:
     """
     found = window_features(run, contract)
     flat = found.values.reshape(len(found.values), -1)
-    ends_s = np.asarray(found.end_s) + accelerometer_lag_s(run, contract)
+    ends_s = np.asarray(found.end_s) + _accelerometer_lag_s(run, contract)
     newest = np.clip(np.searchsorted(ends_s, run.arc / TICK_HZ, side="right") - 1, 0, None)
     return np.asarray(flat[newest])
 
 
-def accelerometer_lag_s(run: TickRun, contract: WindowContract) -> float:
+def _accelerometer_lag_s(run: TickRun, contract: WindowContract) -> float:
     """Return controller time minus accelerometer time, by the stops; 0 when they show none."""
     if run.accelerometers is None:
         return 0.0

@@ -21,7 +21,7 @@ from dtwin.train.evidence_record import Record, contrary, records
 from dtwin.train.gates import Verdict, evidence_gate
 from dtwin.train.registry import RegisteredVersion, Registry, model_name
 
-HISTORY = "promotions.jsonl"
+_HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
 TRIAL_ONLY = "trial_only"
 Action = Literal["trial", "champion", "refused", "rollback"]
@@ -249,7 +249,7 @@ def withdraw(
 
 def history(home: Home, machine: str) -> list[dict[str, Any]]:
     """Return everything that was promoted, refused or rolled back, oldest first."""
-    path = machine_folder(machine, home) / HISTORY
+    path = machine_folder(machine, home) / _HISTORY
     if not path.exists():
         return []
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]
@@ -347,7 +347,7 @@ def _remember(
     home: Home, found: RegisteredVersion, action: Action, comment: str,
     verdicts: Sequence[Verdict], despite: Sequence[str] = (),
 ) -> None:  # fmt: skip
-    path = machine_folder(found.machine, home) / HISTORY
+    path = machine_folder(found.machine, home) / _HISTORY
     entry = {
         "time": _now(),
         "version": found.version,

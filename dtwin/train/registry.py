@@ -24,10 +24,10 @@ from dtwin.errors import InputError, StoreError
 from dtwin.processes import is_gone, process
 from dtwin.train.results import Candidate, TrainingReport, held_out_text
 
-EXPERIMENT = "dtwin"
-BUNDLE_FOLDER = "bundle"
+_EXPERIMENT = "dtwin"
+_BUNDLE_FOLDER = "bundle"
 _PROCESS = "dtwin.process"
-ALIASES = ("candidate", "champion", "previous")
+_ALIASES = ("candidate", "champion", "previous")
 _PACKAGES = ("numpy", "scipy", "scikit-learn", "pyoperon", "numba", "mlflow", "deltalake")
 
 
@@ -163,7 +163,7 @@ class Registry:
         )
         created = self.client.create_model_version(
             name,
-            source=f"runs:/{run_id}/{BUNDLE_FOLDER}",
+            source=f"runs:/{run_id}/{_BUNDLE_FOLDER}",
             run_id=run_id,
             description=description,
             tags={"candidate": candidate.name, "state": "candidate"},
@@ -197,7 +197,7 @@ class Registry:
         try:
             found = (
                 self.client.get_model_version_by_alias(name, wanted)
-                if wanted in ALIASES
+                if wanted in _ALIASES
                 else self.client.get_model_version(name, wanted)
             )
         except MlflowException as error:
@@ -234,7 +234,7 @@ class Registry:
 
     def bundle(self, found: RegisteredVersion) -> dict[str, Any]:
         """Return the bundle of a version, as data."""
-        loaded: dict[str, Any] = self.read_json(found, f"{BUNDLE_FOLDER}/bundle.json")
+        loaded: dict[str, Any] = self.read_json(found, f"{_BUNDLE_FOLDER}/bundle.json")
         return loaded
 
     def read_json(self, found: RegisteredVersion, name: str) -> Any:
@@ -333,7 +333,7 @@ class Registry:
         if candidate.latency is not None:
             files["latency.json"] = json.dumps(vars(candidate.latency), indent=1)
         if candidate.bundle is not None:
-            files[f"{BUNDLE_FOLDER}/bundle.json"] = json.dumps(candidate.bundle)
+            files[f"{_BUNDLE_FOLDER}/bundle.json"] = json.dumps(candidate.bundle)
         if candidate.onnx is not None:
             files["onnx/model.onnx"] = candidate.onnx
         self.log_files(run_id, files)
@@ -370,16 +370,16 @@ class Registry:
 
     def experiment(self) -> str:
         """Return the id of dtwin's experiment, which is made when it is not there."""
-        found = self.client.get_experiment_by_name(EXPERIMENT)
+        found = self.client.get_experiment_by_name(_EXPERIMENT)
         if found is not None:
             return str(found.experiment_id)
         local = self.uri.startswith("sqlite:")
         where = str(self.home.mlflow_artifacts) if local else None
         try:
-            return str(self.client.create_experiment(EXPERIMENT, artifact_location=where))
+            return str(self.client.create_experiment(_EXPERIMENT, artifact_location=where))
         except MlflowException:
             # Another process was first.
-            found = self.client.get_experiment_by_name(EXPERIMENT)
+            found = self.client.get_experiment_by_name(_EXPERIMENT)
             if found is None:
                 raise
             return str(found.experiment_id)

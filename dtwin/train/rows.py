@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun
 
-GROUPS = ("feed_mm_min", "radius_mm", "plane", "repeat")
+_GROUPS = ("feed_mm_min", "radius_mm", "plane", "repeat")
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from dtwin.statistics import rms
 from dtwin.train.formula import Formula, parse_formula
 
 SUBSAMPLE = 1000
-OPERON_SYMBOLS = "add,sub,mul,div,sin,cos,exp,square,constant,variable"
+_OPERON_SYMBOLS = "add,sub,mul,div,sin,cos,exp,square,constant,variable"
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class OperonEngine:
 
     def __init__(
         self, generations: int = 25, population: int = 300, max_length: int = 40,
-        symbols: str = OPERON_SYMBOLS,
+        symbols: str = _OPERON_SYMBOLS,
     ) -> None:  # fmt: skip
         self.generations, self.population, self.max_length = generations, population, max_length
         self.symbols = symbols

@@ -71,11 +71,11 @@ def axis_errors_um(
     """
     out = np.zeros(motion.position_mm.shape)
     for term in twin.terms:
-        out += term_errors_um(term, twin, motion, columns or {})
+        out += _term_errors_um(term, twin, motion, columns or {})
     return out
 
 
-def term_errors_um(term: Term, twin: Twin, motion: Motion, columns: Mapping[str, float]) -> Floats:
+def _term_errors_um(term: Term, twin: Twin, motion: Motion, columns: Mapping[str, float]) -> Floats:
     """Return what one effect adds to every axis, shape (n, 3).
 
     Parameters
@@ -143,9 +143,9 @@ def own_axis_only(
     out = {}
     for term in terms:
         try:
-            base = term_errors_um(term, twin, alone, {})[:, number]
+            base = _term_errors_um(term, twin, alone, {})[:, number]
             for reason, motion in tries.items():
-                other = term_errors_um(term, twin, motion, {})[:, number]
+                other = _term_errors_um(term, twin, motion, {})[:, number]
                 if np.abs(other - base).max() > _TOLERANCE_UM:
                     out[term.label] = reason
                     break

@@ -17,7 +17,7 @@ from dtwin.train.traced import NotTraceable, expressions_of
 Made = TypeVar("Made")
 
 # Effects whose ``correctable`` names something else than an offset of position.
-NOT_BY_OFFSETS: Mapping[str, str] = {
+_NOT_BY_OFFSETS: Mapping[str, str] = {
     "reversal_spike": "over before an offset has arrived; friction compensation of the control",
     "friction": "torque, not position, is missing; friction compensation of the control",
     "reversal_ringing": "rings faster than an offset acts; input shaping",
@@ -59,8 +59,8 @@ def choose(term: Term) -> TermChoice:
         why = "belongs to the mounting of the instrument, not to the machine"
     elif effect.source == "learned":
         why = "a description of the residual whose cause is not known"
-    elif effect.name in NOT_BY_OFFSETS:
-        why = NOT_BY_OFFSETS[effect.name]
+    elif effect.name in _NOT_BY_OFFSETS:
+        why = _NOT_BY_OFFSETS[effect.name]
     elif effect.on_spread:
         why = "differs from pass to pass"
     elif not effect.correctable:

@@ -9,9 +9,9 @@ import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from textwrap import dedent
+from textwrap import dedent, indent
 
 from typer.testing import CliRunner
 
@@ -22,10 +22,11 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: its language, and its lines."""
+    """A fenced block: its language, its lines, and its title: the file that a reader makes of it."""
 
     language: str
     lines: list[str]
+    title: str = ""
 
 
 def blocks(text: str) -> list[Block]:
@@ -37,11 +38,11 @@ def blocks(text: str) -> list[Block]:
             if open_block is not None:
                 open_block.lines.append(line)
         elif open_block is None:
-            open_block = Block(line.strip()[3:].split(" ")[0], [])
+            head = line.strip()[3:]
+            open_block = Block(head.split(" ")[0], [], head.partition('title="')[2].rstrip('"'))
         else:
-            found.append(
-                Block(open_block.language, dedent("\n".join(open_block.lines)).splitlines())
-            )
+            lines = dedent("\n".join(open_block.lines)).splitlines()
+            found.append(replace(open_block, lines=lines))
             open_block = None
     assert open_block is None, "a block is not closed"
     return found
@@ -103,14 +104,16 @@ def follow(
 ) -> list[tuple[str, str]]:
     """Run the ``sh`` blocks; every line of a ``text`` block must have been printed by the one before.
 
-    A shown line may leave its end out with an ellipsis.
+    A shown line may leave its end out with an ellipsis. A block with a title becomes that file.
 
     Returns commands with what they printed.
     """
     said: list[tuple[str, str]] = []
     recent: set[str] = set()
     for block in shown:
-        if block.language == "sh":
+        if block.title:
+            write(block, folder)
+        elif block.language == "sh":
             printed = [(command, runner(command, folder)) for command in block.lines if command]
             said += printed
             recent = {line.strip() for _, text in printed for line in text.splitlines()}
@@ -118,6 +121,24 @@ def follow(
             absent = [line for line in block.lines if not _printed(line.strip(), recent)]
             assert not absent, f"shown, but not printed: {absent}"
     return said
+
+
+IN_CLASS = ", in the class"
+_END_OF_CLASS = "\n\n\nKIND = "
+
+
+def write(block: Block, folder: Path) -> None:
+    """Write a block where its title says: a file, or the end of the class in a module of a kind."""
+    path = folder / block.title.removesuffix(IN_CLASS)
+    text = "\n".join(block.lines)
+    if block.title.endswith(IN_CLASS):
+        before = path.read_text(encoding="utf-8")
+        assert before.count(_END_OF_CLASS) == 1
+        added = indent(text, "    ")
+        path.write_text(before.replace(_END_OF_CLASS, f"\n\n{added}{_END_OF_CLASS}"), "utf-8")
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"{text}\n", encoding="utf-8")
 
 
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")

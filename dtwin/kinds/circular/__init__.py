@@ -1,1 +1,3 @@
 """Circular tests: the record of the kind."""
+
+__all__: list[str] = []

@@ -12,7 +12,7 @@ from dtwin.acquire.quality import judge_clock
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
 # A ball bar measures about a millimetre each way; more is a wrong unit or a lost ball.
-MAX_DEVIATION_UM = 2_500.0
+_MAX_DEVIATION_UM = 2_500.0
 _BALL_BAR_MM = (10.0, 5_000.0)
 _STUCK_S = 0.1
 # More than this share of a recording lost is a link that does not keep up, not a hiccup.
@@ -78,7 +78,7 @@ def _reading(run: Run) -> list[Finding]:
     deviation = run.samples["deviation_um"]
     largest = float(np.max(np.abs(deviation)))
     findings = []
-    if largest > MAX_DEVIATION_UM:
+    if largest > _MAX_DEVIATION_UM:
         findings.append(
             Finding(
                 "reading.out_of_range",

@@ -23,7 +23,7 @@ from dtwin.kinds.circular.particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
 from dtwin.train.registry import Registry, environment
 
-TUNED = ("ratio", "alpha")
+_TUNED = ("ratio", "alpha")
 _ALPHA = (1e-5, 1.0)
 # Q over R: from a filter that forgets nothing to one that believes every reading.
 _LOG10_RATIO = (-6.0, 2.0)
@@ -88,7 +88,7 @@ class Tuning:
         return asdict(self) | {"filter": self.chosen.name}
 
 
-def centred_um(deviation_um: Floats) -> Floats:
+def _centred_um(deviation_um: Floats) -> Floats:
     """Return a closed turn without mean and centre offset, to first order of the offset.
 
     Parameters
@@ -111,7 +111,7 @@ def judge(static_um: Floats, reference_um: Floats, fitness: str) -> Judged:
     fitness : str
         One of ``FITNESSES``.
     """
-    first, second = centred_um(static_um), centred_um(reference_um)
+    first, second = _centred_um(static_um), _centred_um(reference_um)
     dtw, frechet = distances_um(first, second)
     difference = relative_difference(float(np.ptp(first)), float(np.ptp(second)))
     if fitness == "eq15":
@@ -149,7 +149,7 @@ def tune(
     InputError
         When there is no such choice.
     """
-    for got, allowed, what in ((tuned, TUNED, "tuned"), (fitness, FITNESSES, "fitness")):
+    for got, allowed, what in ((tuned, _TUNED, "tuned"), (fitness, FITNESSES, "fitness")):
         if got not in allowed:
             raise InputError(
                 "no such choice", code=f"dynamics.{what}", got=got[:40], allowed=", ".join(allowed)
@@ -188,7 +188,7 @@ def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:
     filters : sequence of Filter
         For example one filter with many alphas.
     """
-    return [float(np.ptp(centred_um(chosen.static_um(turn_um)))) for chosen in filters]
+    return [float(np.ptp(_centred_um(chosen.static_um(turn_um)))) for chosen in filters]
 
 
 def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, source: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.schema import Floats
 
 # Small: it decides only what the measurements leave open.
-CENTRE_PENALTY = 0.02
+_CENTRE_PENALTY = 0.02
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def sums_of(design: Floats, target: Floats, absorbed: Floats | None = None) -> S
     """
     penalty = np.zeros((design.shape[1], design.shape[1]))
     if absorbed is not None:
-        penalty = CENTRE_PENALTY * (absorbed.T @ absorbed)
+        penalty = _CENTRE_PENALTY * (absorbed.T @ absorbed)
     return Sums(design.T @ design, design.T @ target, float(target @ target), target.size, penalty)
 
 

@@ -17,7 +17,7 @@ from dtwin.train.dataset import TICK_HZ, TickRun
 JOINTS = range(1, 7)
 # Wider than any play worth modelling, far narrower than any motion: gives the loaded flank.
 FLANK_RAD = 1e-4
-MOVING_MM_S = 0.5
+_MOVING_MM_S = 0.5
 RIPPLE, RINGING = "transmission ripple", "ringing after stops"
 _ECCENTRICITIES = (1.0, 2.0, 3.0)
 
@@ -252,7 +252,7 @@ class Library:
     def _events(self) -> dict[str, Expression]:
         """Return what is 1 for the one tick in which the path starts, or stops."""
         b = self.builder
-        moving = b.apply("step", b.input("commanded_speed_mm_s") - MOVING_MM_S)
+        moving = b.apply("step", b.input("commanded_speed_mm_s") - _MOVING_MM_S)
         before = b.state("was_moving_1")
         self.initial["was_moving_1"] = 0.0
         self.updates["was_moving_1"] = moving

@@ -32,7 +32,7 @@ _QUIET = NoiseParameters(rms_um=0.0)
 _CENTRED = SetupErrors(centre_mm=0.0, radius_um=0.0, jitter_us=0.0, trigger_samples=0.0)
 # Another session: other mountings and other noise than those of the campaign.
 _SESSION = 7919
-MakeMill = Callable[..., VirtualMill]
+_MakeMill = Callable[..., VirtualMill]
 
 
 class ServedCorrection:
@@ -72,7 +72,7 @@ class ServedCorrection:
 
 def measured_mill(
     bundle: Bundle,
-    make_mill: MakeMill,
+    make_mill: _MakeMill,
     *,
     seed: int,
     plan: EvidencePlan,
@@ -145,7 +145,7 @@ def _test(
 
 
 def _oracle(
-    bundle: Bundle, make_mill: MakeMill, plane: Plane, radius: float, feed: float, delay_s: float
+    bundle: Bundle, make_mill: _MakeMill, plane: Plane, radius: float, feed: float, delay_s: float
 ) -> Correction:
     """Return the correction that knows the machine's repeatable error, under the same guard."""
     known: dict[str, tuple[Floats, Floats]] = {}

@@ -15,7 +15,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-PUBLISHED_PARTICLES, PUBLISHED_ITERATIONS = 50, 150
+_PUBLISHED_PARTICLES, _PUBLISHED_ITERATIONS = 50, 150
 _SELF, _SOCIAL = 1.49, 1.5
 _LEAST_INERTIA, _MOST_INERTIA = 0.1, 1.1
 _FEW, _MANY = 2, 5
@@ -33,8 +33,8 @@ class SwarmSettings:
         Of everything random.
     """
 
-    particles: int = PUBLISHED_PARTICLES
-    iterations: int = PUBLISHED_ITERATIONS
+    particles: int = _PUBLISHED_PARTICLES
+    iterations: int = _PUBLISHED_ITERATIONS
     seed: int = 0
 
     def __post_init__(self) -> None:

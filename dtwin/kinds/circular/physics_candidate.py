@@ -49,7 +49,7 @@ def physics_candidate(
     rest = fit.rows.target_um - design @ fit.weights
     names = [fit.library.names[i] for i in fit.chosen]
     weights = dict(zip(names, fit.weights.tolist(), strict=True))
-    bundle = physics_bundle(fit, machine, horizon_s=horizon_s, table_versions=table_versions)
+    bundle = _physics_bundle(fit, machine, horizon_s=horizon_s, table_versions=table_versions)
     graph = bundle.tick_graph
     return Candidate(
         name="physics-library",
@@ -80,7 +80,7 @@ def physics_candidate(
     )
 
 
-def physics_bundle(
+def _physics_bundle(
     fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]
 ) -> Bundle:
     """Freeze the chosen terms into a bundle.

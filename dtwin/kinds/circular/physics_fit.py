@@ -17,9 +17,9 @@ from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.rows import Rows, gather, thinned
 
-RIDGE = 1e-3
+_RIDGE = 1e-3
 # Within this of the best held-out error the smaller equation wins.
-ELBOW = 1.03
+_ELBOW = 1.03
 _SEARCH_EVERY = 4
 _NEVER_MOVES = 1e-9
 DEAD_SHARE = 1e-3
@@ -104,7 +104,7 @@ def fit_physics(
     absorbed = terms - design
     cells = _cell_sums(rows, design, absorbed)
     chosen, front = _front(library, cells)
-    weights = solve(total(list(cells.values())).take(chosen), RIDGE)
+    weights = solve(total(list(cells.values())).take(chosen), _RIDGE)
     return PhysicsFit(
         rows, library, design, absorbed, tuple(chosen), weights, tuple(front), shift_s
     )
@@ -161,7 +161,7 @@ def predicted_fresh(fit: PhysicsFit) -> Floats:
     sums = [sums_of(design[i], rows.target_um[i], absorbed[i]) for i in scored]
     predicted = np.zeros(rows.n)
     for number in range(len(sums)):
-        weights = solve(total([*sums[:number], *sums[number + 1 :]]), RIDGE)
+        weights = solve(total([*sums[:number], *sums[number + 1 :]]), _RIDGE)
         here = rows.of_run == number
         predicted[here] = (design[here] + absorbed[here]) @ weights
     return predicted
@@ -190,7 +190,7 @@ def _coefficients_out_rms(cells: Cells, axis: int, chosen: Sequence[int]) -> flo
         outside = total([s for key, s in cells.items() if key[axis] == value]).take(chosen)
         if not inside:
             return float("nan")
-        squares += outside.residual(solve(total(inside).take(chosen), RIDGE))
+        squares += outside.residual(solve(total(inside).take(chosen), _RIDGE))
         rows += outside.rows
     return float(np.sqrt(max(squares, 0.0) / rows))
 
@@ -201,7 +201,7 @@ def _search(rows: Rows, columns: TermColumns, progress: Progress | None) -> Libr
     def explained(gears: Sequence[Gear]) -> Floats:
         terms = columns.of(Library(gears, ()), rows.runs, every=_SEARCH_EVERY)
         design = rows.without_setups(terms)
-        return design @ solve(sums_of(design, rows.target_um), RIDGE)
+        return design @ solve(sums_of(design, rows.target_um), _RIDGE)
 
     gears = find_gears(rows, explained, progress=progress)
     return Library(gears, find_modes(rows, rows.target_um - explained(gears)))
@@ -215,7 +215,7 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
     steps = np.arange(-_LAG_RANGE_S, _LAG_RANGE_S + 1e-9, _LAG_STEP_S)
     design = rows.without_setups(columns)
     for _ in range(_LAG_ROUNDS):
-        predicted = design @ solve(sums_of(design, rows.target_um), RIDGE)
+        predicted = design @ solve(sums_of(design, rows.target_um), _RIDGE)
         expected = rows.measured_um - rows.target_um + predicted
         moved = np.zeros(lags.size)
         for i, run in enumerate(rows.runs):
@@ -238,7 +238,7 @@ def _front(library: Library, cells: Cells) -> tuple[list[int], list[FrontPoint]]
         )
     everything = total(list(cells.values()))
     groups = _pairs(library, everything)
-    order = forward_order(everything, groups, RIDGE)
+    order = forward_order(everything, groups, _RIDGE)
     front: list[FrontPoint] = []
     sets: list[list[int]] = []
     chosen: list[int] = []
@@ -251,7 +251,7 @@ def _front(library: Library, cells: Cells) -> tuple[list[int], list[FrontPoint]]
     judged = np.array([[p.held_out_rms_um, p.radius_out_rms_um] for p in front])
     # A single feed, or radius, cannot be left out: its column is NaN.
     worst_of_both = np.sqrt(np.nansum(judged**2, axis=1))
-    limit = ELBOW * worst_of_both.min()
+    limit = _ELBOW * worst_of_both.min()
     best = next(i for i, error in enumerate(worst_of_both) if error <= limit)
     return sets[best], front
 

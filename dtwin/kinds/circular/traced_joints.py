@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from dtwin.serve.builder import GraphBuilder
 from dtwin.train.traced import NotTraceable, Traced
 
-N_JOINTS = 6
+_N_JOINTS = 6
 # Wider than any robot moves: plane, radius and feed are what bounds the correction.
 JOINT_RANGES: dict[str, tuple[float, float]] = {
-    **{f"q{j}_rad": (-7.0, 7.0) for j in range(1, N_JOINTS + 1)},
-    **{f"qd{j}_rad_s": (-7.0, 7.0) for j in range(1, N_JOINTS + 1)},
-    **{f"lever_{j}_mm_rad": (-3000.0, 3000.0) for j in range(1, N_JOINTS + 1)},
+    **{f"q{j}_rad": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
+    **{f"qd{j}_rad_s": (-7.0, 7.0) for j in range(1, _N_JOINTS + 1)},
+    **{f"lever_{j}_mm_rad": (-3000.0, 3000.0) for j in range(1, _N_JOINTS + 1)},
 }
 
 
@@ -46,7 +46,7 @@ def traced_joints(builder: GraphBuilder, horizon_s: float) -> TracedJoints:
     horizon_s : float
         How far ahead.
     """
-    numbers = range(1, N_JOINTS + 1)
+    numbers = range(1, _N_JOINTS + 1)
     speed = [builder.input(f"qd{j}_rad_s") for j in numbers]
     angle = [builder.input(f"q{j}_rad") for j in numbers]
     if horizon_s:

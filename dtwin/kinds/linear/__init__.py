@@ -1,1 +1,3 @@
 """Positioning tests along an axis: the record of the kind."""
+
+__all__: list[str] = []

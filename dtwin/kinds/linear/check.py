@@ -19,7 +19,7 @@ _STUCK_READINGS = 12
 _FEWEST_FOR_DRIFT = 8
 
 
-def targets_of(position_mm: Floats) -> Floats:
+def _targets_of(position_mm: Floats) -> Floats:
     """Return the targets among positions, ascending, in multiples of ``TARGET_MM``."""
     return np.unique(np.round(np.asarray(position_mm, float) / TARGET_MM)) * TARGET_MM
 
@@ -70,7 +70,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
         )  # fmt: skip
     pitch = run.meta.condition.get("screw_pitch_mm")
     if isinstance(pitch, float):
-        findings += _aliased(targets_of(position), pitch)
+        findings += _aliased(_targets_of(position), pitch)
     return findings
 
 
@@ -96,7 +96,7 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
 
 def _missed(run: Run) -> list[Finding]:
     position, direction = run.samples["position_mm"], run.samples["direction"]
-    wanted = targets_of(position)
+    wanted = _targets_of(position)
     ways = [way for way in ("forward", "reverse") if np.any(direction == way)]
     if len(ways) == 1:
         return [
@@ -109,7 +109,7 @@ def _missed(run: Run) -> list[Finding]:
     twice = 0
     for way in ways:
         at = position[direction == way]
-        found = targets_of(at)
+        found = _targets_of(at)
         absent += sorted(set(np.round(wanted, 6)) - set(np.round(found, 6)))
         twice += len(at) - len(found)
     findings = []
@@ -156,7 +156,7 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
     successive differences is twice their variance when each reading is on its own (von Neumann,
     Annals of Mathematical Statistics 12, 1941) and far less when they wander.
     """
-    deviations = run_deviations_um(runs)
+    deviations = _run_deviations_um(runs)
     n = len(deviations)
     if n < 2 or deviations.shape[1] < _FEWEST_FOR_DRIFT:
         return []
@@ -181,7 +181,7 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
     ]  # fmt: skip
 
 
-def run_deviations_um(runs: Sequence[Run]) -> Floats:
+def _run_deviations_um(runs: Sequence[Run]) -> Floats:
     """Return deviations from the mean over the runs, shape (runs, readings), in order of time.
 
     Parameters

@@ -20,7 +20,7 @@ from dtwin.schema import Run, RunMeta
 from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 
-DAYS = 3
+_DAYS = 3
 CLOCK = "machine clock, 10 ms cycle, one cycle late"
 _TARGETS = 60
 
@@ -60,18 +60,18 @@ def measured_days(
     runs: list[Run] = []
     oracle: list[Run] = []
     guards: list[Mapping[str, int]] = []
-    for day in range(DAYS):
+    for day in range(_DAYS):
         first = 1000 * (seed + 1) + 10 * day
         lathe = virtual_lathe(truth, first)
-        runs.append(run_of_test(measured(lathe, plan), plan.axis, 2 * day))
+        runs.append(_run_of_test(measured(lathe, plan), plan.axis, 2 * day))
         oracle.append(
-            run_of_test(measured(lathe, plan, exact_correction(lathe)), plan.axis, 2 * day)
+            _run_of_test(measured(lathe, plan, exact_correction(lathe)), plan.axis, 2 * day)
         )
         served = looped(virtual_lathe(truth, first + 1), plan, bundle)
-        runs.append(run_of_test(served.test, plan.axis, 2 * day + 1, bundle.model_sha256))
+        runs.append(_run_of_test(served.test, plan.axis, 2 * day + 1, bundle.model_sha256))
         guards.append(served.guard)
         if progress is not None:
-            progress(day + 1, DAYS, "days")
+            progress(day + 1, _DAYS, "days")
     shares = guard_shares(guards)
     return MeasuredWays(
         numbered(runs), CLOCK, {"one cycle of the loop": PERIOD_S}, tuple(oracle),
@@ -79,7 +79,7 @@ def measured_days(
     )  # fmt: skip
 
 
-def run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") -> Run:
+def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") -> Run:
     """Return readings of a test of one run as a run of the lake.
 
     Parameters

@@ -12,11 +12,11 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
 
-SEAM_UM = 0.25
+_SEAM_UM = 0.25
 # What a correction may change while the axis moves by less than this.
-STANDSTILL_UM = 1.0
-OUTSIDE_UM = 1.0
-LEAST_EXPLAINED = 0.9
+_STANDSTILL_UM = 1.0
+_OUTSIDE_UM = 1.0
+_LEAST_EXPLAINED = 0.9
 _CLOSE_IN = 1e-7
 _COUNT_IN = 6.23e-6
 _UM_PER_IN = 25_400.0
@@ -119,9 +119,9 @@ def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -
     )
     return [
         Verdict(
-            "held-out runs", share >= LEAST_EXPLAINED,
+            "held-out runs", share >= _LEAST_EXPLAINED,
             f"{100 * share:z.1f} % of what the runs have in common is explained in runs left out; at "
-            f"least {100 * LEAST_EXPLAINED:z.0f} %",
+            f"least {100 * _LEAST_EXPLAINED:z.0f} %",
         ),
         Verdict(
             "better than a table with backlash", rms < table,
@@ -153,9 +153,9 @@ def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -
         jumps = error[1::2] - error[::2]
         worst[name] = float(jumps[np.argmax(np.abs(jumps))]) * sign
     told = ", ".join(f"{name} {jump:+z.2f} um" for name, jump in worst.items())
-    passed = max(abs(jump) for jump in worst.values()) <= SEAM_UM
+    passed = max(abs(jump) for jump in worst.values()) <= _SEAM_UM
     return Verdict(
-        "no seam at a turn of the screw", passed, f"largest jump {told}; at most {SEAM_UM:g} um"
+        "no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} um"
     )
 
 
@@ -168,10 +168,10 @@ def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
         answers = served.along(np.array([place, end] if place < end else [end, place]))
         off[place] = float(abs(answers[1] - answers[0]))
     worst = max(off, key=lambda place: off[place] if np.isfinite(off[place]) else np.inf)
-    passed = all(value <= OUTSIDE_UM for value in off.values())
+    passed = all(value <= _OUTSIDE_UM for value in off.values())
     return Verdict(
         "ends held outside of the mapped travel", passed,
-        f"{off[worst]:z.1f} um away from the end's value at {worst:g} in; at most {OUTSIDE_UM:g} um",
+        f"{off[worst]:z.1f} um away from the end's value at {worst:g} in; at most {_OUTSIDE_UM:g} um",
     )  # fmt: skip
 
 
@@ -183,9 +183,9 @@ def _reversal(served: PathAnswers, places: Floats) -> Verdict:
         if change > worst:
             worst, where = change, place
     return Verdict(
-        "no step at reversal", worst <= STANDSTILL_UM,
+        "no step at reversal", worst <= _STANDSTILL_UM,
         f"{worst:z.2f} um at {where:z.3f} in when the axis turns back by one count "
-        f"({_COUNT_IN * _UM_PER_IN:z.2f} um); at most {STANDSTILL_UM:g} um",
+        f"({_COUNT_IN * _UM_PER_IN:z.2f} um); at most {_STANDSTILL_UM:g} um",
     )  # fmt: skip
 
 
@@ -197,7 +197,7 @@ def _standstill(served: PathAnswers, places: Floats) -> Verdict:
         answers = np.concatenate([served.along(path, way)[1:] for way in (0.0, 1.0)])
         worst = max(worst, float(np.ptp(answers)))
     return Verdict(
-        "defined at standstill", worst <= STANDSTILL_UM,
+        "defined at standstill", worst <= _STANDSTILL_UM,
         f"{worst:z.2f} um between answers at one place, by one count of jitter and either direction "
-        f"told; at most {STANDSTILL_UM:g} um",
+        f"told; at most {_STANDSTILL_UM:g} um",
     )  # fmt: skip

@@ -17,9 +17,9 @@ from dtwin.errors import InputError
 from dtwin.schema import Floats
 
 COLUMNS = ("Position", "LasRead", "LinearError", "Status", "AirTemp", "AirPress", "MatTemp")
-AVERAGE_COLUMNS = ("Position", "LinearError")
+_AVERAGE_COLUMNS = ("Position", "LinearError")
 # Three numbers of six decimals are compared.
-SIGN_TOLERANCE = 1e-6 + 1e-9
+_SIGN_TOLERANCE = 1e-6 + 1e-9
 _MAX_BYTES = 64 * 1024 * 1024
 _NAMES = frozenset(COLUMNS)
 Sense = Literal["decrease", "increase"]
@@ -81,15 +81,15 @@ def read_laser_file(path: Path) -> LaserTest:
         elif words and set(words) <= _NAMES and header:
             header = [*header, *words]
         elif words and header:
-            rows = averages if tuple(header) == AVERAGE_COLUMNS else raw
-            width = len(AVERAGE_COLUMNS) if rows is averages else len(COLUMNS)
+            rows = averages if tuple(header) == _AVERAGE_COLUMNS else raw
+            width = len(_AVERAGE_COLUMNS) if rows is averages else len(COLUMNS)
             values = _numbers(words, width)
             if values is not None:
                 rows.append(values)
             else:
                 reason = f"not {width} finite numbers"
                 rejects.append({"row": number, "reason": reason, "values": {"line": line[:120]}})
-        if raw and tuple(header) not in (COLUMNS, AVERAGE_COLUMNS):
+        if raw and tuple(header) not in (COLUMNS, _AVERAGE_COLUMNS):
             raise _wrong("the laser file has other columns", path, " ".join(header)[:120])
     if not raw:
         raise _wrong("the laser file holds no row of measurements", path, f"{len(lines)} lines")
@@ -112,7 +112,7 @@ def write_laser_file(path: Path, test: LaserTest) -> Path:
         for p, reading, error, status, air, press, mat in test.raw.tolist()
     ]
     if test.averages.size:
-        lines += ["", "\t".join(AVERAGE_COLUMNS)]
+        lines += ["", "\t".join(_AVERAGE_COLUMNS)]
         lines += [f"{p:z.5f}\t{error:z.6f}" for p, error in test.averages.tolist()]
     return write_text(path, "\n".join([*lines, ""]), "the laser file")
 
@@ -159,7 +159,7 @@ def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:
         travelled = linear_error(position, reading, 0.0, sense)
         for right in (True, False):
             zero = (stated if right else -stated) - travelled
-            if np.max(np.abs(zero - np.median(zero))) <= SIGN_TOLERANCE:
+            if np.max(np.abs(zero - np.median(zero))) <= _SIGN_TOLERANCE:
                 return sense, right
     return None, True
 

@@ -92,7 +92,7 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
     return campaign.machine, test
 
 
-def test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
+def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
     """Return a recording of a whole plan in matrices.
 
     Parameters
@@ -118,9 +118,6 @@ def test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
     return LinearTest(targets, cube[:, 0].T, cube[:, 1, ::-1].T, 0, pitch)
 
 
-test_of.__test__ = False  # type: ignore[attr-defined]
-
-
 def measured(
     lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None = None
 ) -> LinearTest:
@@ -137,11 +134,11 @@ def measured(
     """
     motion = motion_of_plan(plan)
     if model is None:
-        return test_of(lathe.measure(motion, laser_setup(plan)), plan)
+        return _test_of(lathe.measure(motion, laser_setup(plan)), plan)
     screw = motion.position_mm - 25.4 * model.error_in(
         _direction(motion.position_mm), motion.position_mm / MM_PER_IN
     )
-    return test_of(lathe.measure(motion, laser_setup(plan), motion.t_s, screw), plan)
+    return _test_of(lathe.measure(motion, laser_setup(plan), motion.t_s, screw), plan)
 
 
 def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
@@ -172,7 +169,7 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
     sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, 2]
     applied = np.concatenate([[0.0], sent[:-1]])
     recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / 1000.0)
-    test = test_of(recording, plan)
+    test = _test_of(recording, plan)
     return LoopRun(
         test=test, figures=before_after_figures(test), ticks=len(ticks),
         guard=guard.counted(), largest_step_um=float(np.max(np.abs(np.diff(sent[1:])))),

@@ -15,7 +15,7 @@ from dtwin.schema import Finding, Floats, require_name
 
 MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
 # Angles of the screw that show five harmonics of its turn.
-ENOUGH_PHASES = 11
+_ENOUGH_PHASES = 11
 _AXES = "XYZ"
 # The limits are those of the published test, in inches, inches a minute and seconds.
 _SMALLEST_STEP_IN = 1e-4
@@ -131,11 +131,11 @@ def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
         When a setting is unknown, missing or of the wrong type, or a rule is broken.
     """
     plan = filled(LinearPlan, stated, where)
-    check_linear(plan, where)
+    _check_linear(plan, where)
     return plan
 
 
-def check_linear(plan: LinearPlan, where: str) -> None:
+def _check_linear(plan: LinearPlan, where: str) -> None:
     """Refuse a plan that breaks one of the thirteen rules of the published macro.
 
     Raises
@@ -230,7 +230,7 @@ def better_step(plan: LinearPlan, longest: float) -> float | None:
         if whole % parts:
             continue
         step = whole // parts * grain
-        usable = step <= longest and phases(step, span, plan.pitch, grain) >= ENOUGH_PHASES
+        usable = step <= longest and phases(step, span, plan.pitch, grain) >= _ENOUGH_PHASES
         if usable and (best is None or abs(step - plan.step) < abs(best - plan.step)):
             best = round(step, 6)
     return best
@@ -257,7 +257,7 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
         ]  # fmt: skip
     span, unit, found = plan.end - plan.start, plan.unit, []
     count = phases(plan.step, span, plan.pitch, _GRAIN[unit])
-    if count < ENOUGH_PHASES:
+    if count < _ENOUGH_PHASES:
         step = better_step(plan, math.inf)
         advised = "" if step is None else f"; {step:g} {unit} does better"
         seen = (

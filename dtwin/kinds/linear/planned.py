@@ -50,7 +50,7 @@ def programs(plan: LinearPlan, control: str) -> dict[str, str]:
 
 def detected(plan: LinearPlan, noise_um: float) -> list[Detectable]:
     """Return the size from which each effect is seen on the sweeps."""
-    obs = observe(campaign_of(plan), empty_runs(plan))
+    obs = observe(campaign_of(plan), _empty_runs(plan))
     return detectable(obs, Library(), noise_um=noise_um)
 
 
@@ -60,7 +60,7 @@ def campaign_of(plan: LinearPlan) -> Campaign:
     return Campaign(plan.name, plan.machine, kind="linear", machine_geometry=pitch)
 
 
-def empty_runs(plan: LinearPlan) -> list[Run]:
+def _empty_runs(plan: LinearPlan) -> list[Run]:
     """Return the runs of a plan as if they had been measured, each up and down, with no error."""
     up = targets_mm(plan)
     position, ways = np.concatenate([up, up[::-1]]), np.repeat(["forward", "reverse"], len(up))

@@ -14,7 +14,7 @@ from dtwin.kinds.linear.laser_file import LaserTest, read_laser_file, sign_rule,
 from dtwin.schema import Campaign, Finding, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
-FORWARD, REVERSE = "forward", "reverse"
+_FORWARD, _REVERSE = "forward", "reverse"
 MM_PER: Mapping[str, float] = {"mm": 1.0, "in": 25.4}
 _KPA_PER_INHG = 3.386389
 _ASSUMED_PERIOD_S = 1.0
@@ -81,12 +81,12 @@ def with_pitch(run: Run, campaign: Campaign) -> Run:
     InputError
         When a direction is neither ``forward`` nor ``reverse``, or the pitch is no length.
     """
-    unknown = sorted({str(d) for d in run.samples["direction"]} - {FORWARD, REVERSE})
+    unknown = sorted({str(d) for d in run.samples["direction"]} - {_FORWARD, _REVERSE})
     if unknown:
         raise InputError(
             "a reading does not say from which side its target was approached",
             code="linear.direction", where=f"{run.source} direction", got=", ".join(unknown)[:80],
-            allowed=f"{FORWARD}, {REVERSE}",
+            allowed=f"{_FORWARD}, {_REVERSE}",
         )  # fmt: skip
     pitch = campaign.machine_geometry.get("screw_pitch_mm")
     if pitch is None:
@@ -115,7 +115,7 @@ def _columns(
 ) -> dict[str, Any]:
     rows = slice(pair[0][0].start, pair[-1][0].stop)
     direction = np.concatenate(
-        [np.full(part.stop - part.start, FORWARD if sign > 0 else REVERSE) for part, sign in pair]
+        [np.full(part.stop - part.start, _FORWARD if sign > 0 else _REVERSE) for part, sign in pair]
     ).astype(object)
     celsius = {
         name: (test.column(column)[rows] - 32.0) / 1.8

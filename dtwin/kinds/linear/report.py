@@ -14,7 +14,7 @@ from dtwin.physics.linear import linear_figures
 from dtwin.report.text import table
 from dtwin.schema import Floats, Run
 
-MAX_HARMONIC = 5
+_MAX_HARMONIC = 5
 _TREND_DEGREE = 3
 
 
@@ -41,11 +41,11 @@ def before_after_figures(test: LinearTest) -> dict[str, float | None]:
         "max_average_error_um": float(max(up.max(), down.max()) - min(up.min(), down.min())),
         "max_reversal_error_um": float(np.abs(up - down).max()),
         "max_repeat_um": float(np.ptp(both, axis=1).max()),
-        "cyclic_error_um": cyclic_um(test),
+        "cyclic_error_um": _cyclic_um(test),
     }
 
 
-def cyclic_um(test: LinearTest) -> float | None:
+def _cyclic_um(test: LinearTest) -> float | None:
     """Return the peak-to-peak cyclic error of the screw in um; None when it cannot be seen.
 
     Harmonics of the screw's turn and a cubic trend are fitted to the averages of each direction.
@@ -58,7 +58,7 @@ def cyclic_um(test: LinearTest) -> float | None:
     if test.pitch_mm is None:
         return None
     phases = phases_of(test.position_mm, test.pitch_mm)
-    harmonics = min(MAX_HARMONIC, (phases - 1) // 2)
+    harmonics = min(_MAX_HARMONIC, (phases - 1) // 2)
     if harmonics < 1 or len(test.position_mm) < 3 * (_TREND_DEGREE + 1 + 2 * harmonics):
         return None
     x = test.position_mm

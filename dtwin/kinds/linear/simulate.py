@@ -148,7 +148,7 @@ def write_lathe_campaign(
         Whether a correction was in force.
     """
     write_text(folder / "program.nc", laser_program(plan), "the program")
-    write_laser_file(folder / "laser.txt", laser_test(plan, recording))
+    write_laser_file(folder / "laser.txt", _laser_test(plan, recording))
     write_toml(folder / "truth.toml", truth, "the truth")
     period = float(np.median(np.diff(recording.t_s))) if len(recording.t_s) > 1 else 1.0
     geometry = {
@@ -171,7 +171,7 @@ def write_lathe_campaign(
     write_campaign_file(folder, head, [run])
 
 
-def laser_test(plan: LinearPlan, recording: LatheRecording) -> LaserTest:
+def _laser_test(plan: LinearPlan, recording: LatheRecording) -> LaserTest:
     """Return the laser's rows in the plan's unit, with the averages at each target.
 
     Parameters

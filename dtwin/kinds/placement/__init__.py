@@ -1,1 +1,3 @@
 """Placements: the record of the kind."""
+
+__all__: list[str] = []

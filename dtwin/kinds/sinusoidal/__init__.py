@@ -1,1 +1,3 @@
 """Tones: the record of the kind."""
+
+__all__: list[str] = []

@@ -22,7 +22,7 @@ SERVO_HZ = 8000.0
 PHASE, AMPLITUDE = COMMAND_PHASE, COMMAND_AMPLITUDE
 OUTPUT = "correction_z_um"
 # The sine follows a new window over this time: no step.
-FOLLOW_S = 0.25
+_FOLLOW_S = 0.25
 Action = Literal["inverse", "subtract", "printed"]
 ACTIONS: tuple[Action, ...] = ("inverse", "subtract", "printed")
 ROOM = 1.15
@@ -175,7 +175,7 @@ def _tick_graph(action: Action) -> Graph:
     else:
         told = 1.0 + builder.input("amplitude_error_um") / builder.apply("max", size, 0.1)
         real, imaginary = 2.0 - told * cosine, told * sine
-    share = 1.0 - float(np.exp(-1.0 / (SERVO_HZ * FOLLOW_S)))
+    share = 1.0 - float(np.exp(-1.0 / (SERVO_HZ * _FOLLOW_S)))
     updates = {}
     for name, wanted in (("sent_re_1", real), ("sent_im_1", imaginary)):
         before = builder.state(name)

@@ -21,8 +21,8 @@ from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 from dtwin.train.results import condition_name
 
 REPEATS = 3
-RECORDED_S = 4.0
-AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
+_RECORDED_S = 4.0
+_AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
 
 
 def measured_tones(
@@ -46,7 +46,7 @@ def measured_tones(
     counts: dict[str, list[Mapping[str, int]]] = defaultdict(list)
     for repeat in range(REPEATS):
         for number, frequency in enumerate(TRIAL_HZ):
-            command = ToneCommand(frequency, _swelling, np.zeros_like, AIR_S + RECORDED_S)
+            command = ToneCommand(frequency, _swelling, np.zeros_like, AIR_S + _RECORDED_S)
             for way in (None, bundle):
                 drawn = 1000 * (seed + 1) + 10 * (REPEATS * number + repeat) + (way is not None)
                 record = run_loop(slide, command, way, seed=drawn)
@@ -63,7 +63,7 @@ def measured_tones(
 
 
 def _swelling(t_s: Floats) -> Floats:
-    return np.asarray(AMPLITUDE_UM * np.minimum(t_s, 1.0))
+    return np.asarray(_AMPLITUDE_UM * np.minimum(t_s, 1.0))
 
 
 def _run(record: LoopRecord, frequency: float, seed: int, number: int, correction: str) -> Run:
@@ -77,7 +77,7 @@ def _run(record: LoopRecord, frequency: float, seed: int, number: int, correctio
     }
     meta = RunMeta(
         "e", kind="sinusoidal", sample_rate_hz=SAMPLE_HZ, correction=correction,
-        condition={"axis": "Z", "frequency_hz": frequency, "amplitude_um": AMPLITUDE_UM},
+        condition={"axis": "Z", "frequency_hz": frequency, "amplitude_um": _AMPLITUDE_UM},
         started=(EPOCH + timedelta(minutes=number)).isoformat(),
     )  # fmt: skip
     return Run(meta, samples, source="virtual slide")

@@ -20,8 +20,8 @@ from dtwin.train.gates import Verdict
 from dtwin.train.registry import candidate_metrics
 from dtwin.train.results import Candidate
 
-SEARCHED = "symbolic"
-MODELS = (*FORMS, SEARCHED)
+_SEARCHED = "symbolic"
+MODELS = (*FORMS, _SEARCHED)
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def fitted_tones(
         Of the search.
     """
     groups = heard_groups(everything)
-    if model == SEARCHED:
+    if model == _SEARCHED:
         candidate = searched_candidate(groups, machine, None, seed, {}, action)
     else:
         candidate = form_candidate(groups, machine, model, {}, action)

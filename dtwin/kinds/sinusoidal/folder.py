@@ -16,7 +16,7 @@ from dtwin.schema import Run, RunMeta
 
 # Of probe, encoder and accelerometer.
 SAMPLE_HZ = 1000.0
-BANDWIDTH_HZ = 50.0
+_BANDWIDTH_HZ = 50.0
 
 
 def write_tone_campaign(
@@ -53,7 +53,7 @@ def write_tone_campaign(
             progress(number, count, stem)
     write_toml(folder / "truth.toml", told, "the truth")
     geometry = {
-        "type": "turning", "virtual": True, "corrected": corrected, "truth": truth, "z_bandwidth_hz": BANDWIDTH_HZ,
+        "type": "turning", "virtual": True, "corrected": corrected, "truth": truth, "z_bandwidth_hz": _BANDWIDTH_HZ,
         "correction_delay_s": AnaloguePath().delay_s,
     }  # fmt: skip
     head = {

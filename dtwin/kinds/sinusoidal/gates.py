@@ -27,7 +27,7 @@ LEAST_R2 = {"r2": 0.98, "phase_r2": 0.95}
 MOST_ERROR_UM = 0.1
 # What is wrong falls to a tenth within six windows.
 MOST_RADIUS = 0.68
-TICK_BUDGET_US = 12.5
+_TICK_BUDGET_US = 12.5
 _WINDOWS = 12
 _TICKS = 200
 _STILL = 1e-3
@@ -168,7 +168,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
         ),
         _bounded(bundle),
         vectors_proved(bundle),
-        Verdict("latency", p99 <= TICK_BUDGET_US, f"p99 {p99:z.2f} us of {TICK_BUDGET_US:g}"),
+        Verdict("latency", p99 <= _TICK_BUDGET_US, f"p99 {p99:z.2f} us of {_TICK_BUDGET_US:g}"),
     ]  # fmt: skip
 
 

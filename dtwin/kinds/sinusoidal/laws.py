@@ -17,7 +17,7 @@ from dtwin.train.symbolic import Engine, Found, OperonEngine, refit
 MOST_FEATURES = 3
 # Among formulas that leave less than this share of the target's spread, the shortest is taken.
 _ENOUGH = 0.005
-SYMBOLS = "add,sub,mul,div,square,sqrt,tanh,constant,variable"
+_SYMBOLS = "add,sub,mul,div,square,sqrt,tanh,constant,variable"
 
 
 @dataclass(frozen=True)
@@ -71,10 +71,10 @@ class Law:
         return f"{self.text()}   with {units}" if units else self.text()
 
 
-Fitter = Callable[[ToneGroups], tuple[Law, Law]]
+_Fitter = Callable[[ToneGroups], tuple[Law, Law]]
 
 
-def given_form(
+def _given_form(
     groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[str]
 ) -> tuple[Law, Law]:
     """Fit equations whose form is given; the best of several starts is kept.
@@ -87,7 +87,7 @@ def given_form(
         Formulas with starting values; ``{rms}`` and the other short names stand for features.
     """
     names = {n: c for n, c in zip(groups.contract.features, groups.names, strict=True)}
-    scales = scales_of(groups)
+    scales = _scales_of(groups)
     found = []
     for starts, target in (
         (amplitude, groups.amplitude_error_um), (phase, groups.phase_error_deg)
@@ -105,7 +105,7 @@ def given_form(
 
 def power_law(groups: ToneGroups) -> tuple[Law, Law]:
     """Fit amplitude error = c acceleration^p and phase error = c frequency^p."""
-    return given_form(
+    return _given_form(
         groups, ["3.0 * exp(1.0 * log({rms}))"], ["3.0 * exp(1.5 * log({dominant_frequency}))"]
     )
 
@@ -116,7 +116,9 @@ def printed_form(groups: ToneGroups) -> tuple[Law, Law]:
         f"2.0 + 2.0 * tanh({a} * {{dominant_frequency}} + 0.1 * {{shape_factor}} + {b})"
         for a, b in ((1.0, -1.0), (0.5, -2.0), (2.0, -3.0))
     ]
-    return given_form(groups, ["3.0 * {crest_factor} * exp(0.8 * log({variance} / {rms}))"], starts)
+    return _given_form(
+        groups, ["3.0 * {crest_factor} * exp(0.8 * log({variance} / {rms}))"], starts
+    )
 
 
 def two_modes(groups: ToneGroups) -> tuple[Law, Law]:
@@ -126,7 +128,7 @@ def two_modes(groups: ToneGroups) -> tuple[Law, Law]:
     times a constant, less a term of f^2; the lag of both is f times a series in f^2.
     """
     frequency = "{dominant_frequency}"
-    return given_form(
+    return _given_form(
         groups,
         [f"{{rms}} * (3.0 - 0.5 * square({frequency}))"],
         [f"{frequency} * (1.0 + 1.0 * square({frequency}) / (1.0 - {c} * square({frequency})))"
@@ -150,8 +152,8 @@ def searched(
     seed : int
         Of the search.
     """
-    search = engine or OperonEngine(max_length=20, symbols=SYMBOLS)
-    scales, dead = scales_of(groups), dead_features(groups)
+    search = engine or OperonEngine(max_length=20, symbols=_SYMBOLS)
+    scales, dead = _scales_of(groups), dead_features(groups)
     offered = {name: values for name, values in groups.columns.items() if name not in dead}
     columns = _scaled(offered, scales)
     found, front = [], []
@@ -169,7 +171,7 @@ def searched(
     return found[0], found[1], front[0]
 
 
-def scales_of(groups: ToneGroups) -> dict[str, float]:
+def _scales_of(groups: ToneGroups) -> dict[str, float]:
     """Return the median size of each feature."""
     return {
         name: float(np.median(np.abs(values))) or 1.0 for name, values in groups.columns.items()

@@ -51,11 +51,11 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
 def detected(plan: TonePlan, noise_um: float) -> list[Detectable]:
     """Return the size from which each effect is seen in the tones."""
     campaign = Campaign(plan.name, plan.machine, kind="sinusoidal")
-    runs = [empty_run(plan, n, group) for n, group in enumerate(plan.groups, start=1)]
+    runs = [_empty_run(plan, n, group) for n, group in enumerate(plan.groups, start=1)]
     return detectable(observe(campaign, runs), Library(), noise_um=noise_um)
 
 
-def empty_run(plan: TonePlan, number: int, group: ToneGroup) -> Run:
+def _empty_run(plan: TonePlan, number: int, group: ToneGroup) -> Run:
     """Return a tone as if it had been measured, with a tool that does what it is told.
 
     It is as short and as slowly sampled as its harmonics allow: only the condition counts.

@@ -73,7 +73,7 @@ _FIGURES = (
 )
 
 
-def trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+def _trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of surfaces without and with a correction.
 
     Parameters
@@ -106,7 +106,7 @@ def trial_text(found: Mapping[str, Any]) -> str:
     return "\n".join(
         [
             f"{found['surface']}; at the rim; {found['clock']}, slide {found['truth']}",
-            table(*trial_table(found)),
+            table(*_trial_table(found)),
             f"frequencies that became worse: {worse}; guard, ticks: {acted}",
         ]
     )
@@ -139,6 +139,6 @@ def trial_section(
             for r in found["rows"]
             if r["alarm"]
         ],
-        [Table(*trial_table(found))],
+        [Table(*_trial_table(found))],
         figures,
     )

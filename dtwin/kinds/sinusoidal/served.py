@@ -28,7 +28,7 @@ from dtwin.machines.turning import (
 )
 from dtwin.schema import Floats, Run, SignalGroup
 
-ACCELERATION = "tool_z_g"
+_ACCELERATION = "tool_z_g"
 # Before a group is recorded: five seconds for a window, and some to settle.
 AIR_S = 7.0
 _SWELL_S = 1.0
@@ -61,7 +61,7 @@ class ServedSlide:
     name = "virtual slow tool servo, axis Z"
     period_s = 1.0 / SERVO_HZ
     axes = ("z",)
-    provides = (COMMAND_PHASE, COMMAND_AMPLITUDE, COMMANDED, SENT, ACCELERATION)
+    provides = (COMMAND_PHASE, COMMAND_AMPLITUDE, COMMANDED, SENT, _ACCELERATION)
     channels_hz = SAMPLE_HZ
 
     def __init__(self, plan: TonePlan, truth: str, seed: int) -> None:
@@ -75,7 +75,7 @@ class ServedSlide:
         self._rng = np.random.default_rng(seed * 10_007)
         self._machine = TurningSlide(self._slide)
         self._channel = AccelerationChannel(self._instruments.accelerometer, self._rng)
-        self._asked, self._sample = np.zeros(EVERY), {COMMANDED: 0.0, SENT: 0.0, ACCELERATION: 0.0}
+        self._asked, self._sample = np.zeros(EVERY), {COMMANDED: 0.0, SENT: 0.0, _ACCELERATION: 0.0}
         self._kept: list[tuple[float, float, float, float, float]] = []
         self._runs: list[Run] = []
         self._corrected = False
@@ -134,7 +134,7 @@ class ServedSlide:
         self._sample = {
             COMMANDED: float(wave[0]),
             SENT: float(wave[0] + arrived[0]),
-            ACCELERATION: felt,
+            _ACCELERATION: felt,
         }
         if t_s[0] >= AIR_S:
             self._kept.append(
@@ -152,7 +152,7 @@ class ServedSlide:
             "act_z_mm": np.round(encoder / step) * step * MM_PER_UM,
             "tool_z_mm": tool * MM_PER_UM,
         }
-        signal = SignalGroup("accelerometers", SAMPLE_HZ, {ACCELERATION: felt})
+        signal = SignalGroup("accelerometers", SAMPLE_HZ, {_ACCELERATION: felt})
         group = self._plan.groups[number]
         self._runs.append(
             tone_run(

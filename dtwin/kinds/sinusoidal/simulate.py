@@ -25,9 +25,9 @@ from dtwin.schema import Floats, Run, RunMeta, SignalGroup
 
 # Servo ticks to one sample of probe, encoder and accelerometer.
 EVERY = round(SERVO_HZ / SAMPLE_HZ)
-GROUP_S = 6.0
+_GROUP_S = 6.0
 # Mean of the room where the slide stands, and the noise of the thermometer in it.
-ROOM_C, THERMOMETER_C = 20.0, 0.05
+_ROOM_C, _THERMOMETER_C = 20.0, 0.05
 # The slide swings in before a group is recorded.
 _RUN_UP_S = 0.5
 TRUTHS = ("linear", "hardening", "friction")
@@ -81,7 +81,7 @@ def virtual_slide(truth: str) -> Slide:
 
 def record_group(
     slide: Slide, instruments: Instruments, frequency_hz: float, amplitude_um: float, seed: int,
-    seconds: float = GROUP_S,
+    seconds: float = _GROUP_S,
 ) -> tuple[dict[str, Floats], SignalGroup]:  # fmt: skip
     """Command one tone, six seconds without other word, and return what the instruments record.
 
@@ -221,7 +221,7 @@ class Room:
         self._rises = self._drift.rises_c(started_s, seed).tolist()
         noise = np.random.default_rng([seed, 37]).normal(size=plan.count)
         self._read_c = [
-            ROOM_C + rise + THERMOMETER_C * float(n)
+            _ROOM_C + rise + _THERMOMETER_C * float(n)
             for rise, n in zip(self._rises, noise, strict=True)
         ]
 

@@ -21,7 +21,7 @@ from dtwin.statistics import rms
 # z = 0.006 x sin 2C - 0.006 x, x and z in mm.
 SLOPE_UM_PER_MM = 6.0
 RIM_MM = 0.5
-FEED_UM_PER_REV = 2.0
+_FEED_UM_PER_REV = 2.0
 TRIAL_HZ = (5.0, 10.0, 20.0, 30.0, 40.0)
 # Before the cut the tool swings in the air: five seconds for a window, and some to settle.
 AIR_S = 9.0
@@ -38,7 +38,7 @@ def bicuspid(frequency_hz: float) -> ToneCommand:
     frequency_hz : float
         Of the tool.
     """
-    per_s = FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
+    per_s = _FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
     cut_s = RIM_MM / per_s
 
     def amplitude(t: Floats) -> Floats:
@@ -50,16 +50,16 @@ def bicuspid(frequency_hz: float) -> ToneCommand:
     )
 
 
-def surface_of(record: LoopRecord, frequency_hz: float) -> Surface:
+def _surface_of(record: LoopRecord, frequency_hz: float) -> Surface:
     """Return what the tool left of a run of :func:`bicuspid`."""
-    per_s = FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
+    per_s = _FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
     x = RIM_MM - per_s * (record.t_s - AIR_S)
     cut = (record.t_s >= AIR_S) & (x > 0.0)
     turned = np.pi * frequency_hz * record.t_s[cut]
     return Surface(x[cut], turned, record.command_um[cut], record.tool_um[cut])
 
 
-def surface_figures(surface: Surface, frequency_hz: float) -> dict[str, float]:
+def _surface_figures(surface: Surface, frequency_hz: float) -> dict[str, float]:
     """Return form and phase error of a surface.
 
     Parameters
@@ -128,7 +128,7 @@ def trial(
         records = [
             run_loop(mechanism, command, given, seed=seed + done) for given in (None, bundle)
         ]
-        cut = surface_of(records[0], frequency), surface_of(records[1], frequency)
+        cut = _surface_of(records[0], frequency), _surface_of(records[1], frequency)
         surfaces[float(frequency)] = cut
         rows.append(_row(frequency, cut, records[1]))
         if progress is not None:
@@ -137,7 +137,7 @@ def trial(
         "clock": CLOCK,
         "truth": truth,
         "surface": f"z = {SLOPE_UM_PER_MM / 1000:g} x sin 2C - {SLOPE_UM_PER_MM / 1000:g} x, "
-        f"x to {RIM_MM:g} mm, {FEED_UM_PER_REV:g} um a turn",
+        f"x to {RIM_MM:g} mm, {_FEED_UM_PER_REV:g} um a turn",
         "rows": rows,
         "worse": [
             r["frequency_hz"]
@@ -148,7 +148,7 @@ def trial(
 
 
 def _row(frequency: float, cut: tuple[Surface, Surface], record: LoopRecord) -> dict[str, Any]:
-    before, after = (surface_figures(s, frequency) for s in cut)
+    before, after = (_surface_figures(s, frequency) for s in cut)
     return {
         "frequency_hz": frequency,
         "spindle_rpm": 30.0 * frequency,

@@ -15,7 +15,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 
-POSITION_HZ, TEMPERATURE_HZ = 100.0, 1.0 / 30.0
+_POSITION_HZ, _TEMPERATURE_HZ = 100.0, 1.0 / 30.0
 # Heat moves slowly, axes at rapid traverse do not: 100 um over a second's way. Dropped at the edge of the
 # box, the correction of a whole season would jump; it fades instead.
 SAFETY = SafetyLimits(
@@ -78,11 +78,11 @@ def volumetric_bundle(
         {f"error_{axis}_um": builder.total(parts[axis] or [0.0]) for axis in "xyz"}
     )
     inputs = [
-        Input(f"{axis}_mm", "mm", "base", POSITION_HZ, "controller", *strokes_mm[axis])
+        Input(f"{axis}_mm", "mm", "base", _POSITION_HZ, "controller", *strokes_mm[axis])
         for axis in "xyz"
     ]
     inputs += [
-        Input(s, "degC", "none", TEMPERATURE_HZ, "covariate", seen_c[s][0] - BEYOND_C, seen_c[s][1] + BEYOND_C)
+        Input(s, "degC", "none", _TEMPERATURE_HZ, "covariate", seen_c[s][0] - BEYOND_C, seen_c[s][1] + BEYOND_C)
         for s in sensors
     ]  # fmt: skip
     return create_bundle(

@@ -22,7 +22,7 @@ from dtwin.store import Lake
 from dtwin.train.evidence import WITH, WITHOUT, Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 
-DAY_H = 24.0
+_DAY_H = 24.0
 # A span has at least so many cycles: fewer say nothing of their scatter.
 FEWEST_CYCLES = 8
 CLOCK = "measured without it, the prediction taken off afterwards"
@@ -106,7 +106,7 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
         seen = measured.artefact.predicted_um(where, values)
         noise.append(rms(distance_changes_um(where, moved - seen)))
     apart_h = float(np.median(np.diff(measured.hour)))
-    span_h = DAY_H * math.ceil(FEWEST_CYCLES * apart_h / DAY_H)
+    span_h = _DAY_H * math.ceil(FEWEST_CYCLES * apart_h / _DAY_H)
     day = np.floor((measured.hour - measured.hour[0]) / span_h).astype(int)
     # The first cycles are the reference: there is nothing to take away.
     day[:REFERENCE_CYCLES] = -1

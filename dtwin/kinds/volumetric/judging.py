@@ -22,7 +22,7 @@ from dtwin.schema import Floats
 from dtwin.statistics import rms
 
 # An error motion is unexplained when a model takes away less than this of what can be seen.
-UNEXPLAINED_PCT = 40.0
+_UNEXPLAINED_PCT = 40.0
 _HALVED = 0.5
 _SEEN = 4.0
 
@@ -99,7 +99,8 @@ def judged(
 
 def _is_unexplained(row: Mapping[str, Any]) -> bool:
     return bool(
-        row["rms_reduction_pct"] < UNEXPLAINED_PCT and row["rms_um"] > _SEEN * row["uncertainty_um"]
+        row["rms_reduction_pct"] < _UNEXPLAINED_PCT
+        and row["rms_um"] > _SEEN * row["uncertainty_um"]
     )
 
 

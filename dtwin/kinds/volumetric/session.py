@@ -17,7 +17,7 @@ from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.store import Lake
 
-SENSORS = "thermocouples"
+_SENSORS = "thermocouples"
 REFERENCE_CYCLES = 3
 Strokes = dict[str, tuple[float, float]]
 
@@ -145,18 +145,18 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
         found.append(artefact.identify(where, by))
         progress(number + 1, len(moved), f"identify {runs[number].meta.run_id}")
     table = _temperatures(runs)
-    inside = {n: t for n, (group, t) in table.items() if group == SENSORS}
+    inside = {n: t for n, (group, t) in table.items() if group == _SENSORS}
     if not inside:
         raise InputError(
             "no thermocouple has readings in every cycle", code="volumetric.sensors", where=name,
-            hint=f'a signal group "{SENSORS}" with columns that end in _c',
+            hint=f'a signal group "{_SENSORS}" with columns that end in _c',
         )  # fmt: skip
     absolute = np.column_stack(list(inside.values()))
     begun = absolute[:REFERENCE_CYCLES].mean(axis=0)
     return Session(
         name, np.array([float(run.meta.condition.get("time_h", i)) for i, run in enumerate(runs)]),
         artefact, moved, tuple(found), tuple(inside), absolute - begun, begun,
-        {n: t for n, (group, t) in table.items() if group != SENSORS},
+        {n: t for n, (group, t) in table.items() if group != _SENSORS},
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-MOST_INPUTS = 10
+_MOST_INPUTS = 10
 # Beyond this an autoregression never forgets: it counts, it does not lag.
 _MOST_MEMORY = 0.999
 _LEAST_MEMORY = 0.05
@@ -79,7 +79,7 @@ class ThermalModel:
 
 
 def fit_thermal(
-    name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str], *, most: int = MOST_INPUTS,
+    name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str], *, most: int = _MOST_INPUTS,
     static: bool = False,
 ) -> ThermalModel:  # fmt: skip
     """Choose sensors one by one, with and without memory, by a criterion and by parsimony.

@@ -223,7 +223,7 @@ def attach() -> Any:
     return component
 
 
-def end_with_owner() -> None:
+def _end_with_owner() -> None:
     """End when the owner closes our input, which the system does when it dies."""
     sys.stdin.buffer.read()
     os._exit(0)
@@ -232,7 +232,7 @@ def end_with_owner() -> None:
 def main() -> None:
     """Start LinuxCNC in this folder and answer on ``bridge.sock``."""
     folder = pathlib.Path.cwd()
-    threading.Thread(target=end_with_owner, daemon=True).start()
+    threading.Thread(target=_end_with_owner, daemon=True).start()
     owner = os.fdopen(os.dup(1), "w")
     with (folder / "linuxcnc.log").open("wb") as log:
         # LinuxCNC's libraries print to this process's output, too.

@@ -1,1 +1,3 @@
 """The built-in effects: one cause, one file."""
+
+__all__: list[str] = []

@@ -1,0 +1,321 @@
+"""An open home: its verbs return pandas frames, and results that draw themselves.
+
+The verbs are those of the command line, and call the same functions.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
+
+from dtwin.acquire.ingest import ingest as ingest_path
+from dtwin.config import Home, home, quiet_environment
+from dtwin.errors import InputError
+from dtwin.kinds.machine import Request
+from dtwin.kinds.registry import kind_named, machine_named
+from dtwin.notebook.results import (
+    ComparisonResult,
+    DiagnosisResult,
+    IngestResult,
+    TwinResult,
+    of_comparison,
+    of_diagnosis,
+    of_twin,
+)
+from dtwin.physics import localise
+from dtwin.physics.library import Library
+from dtwin.pipeline.every_twin import twins_for, twins_with
+from dtwin.pipeline.twin_data import load, pure_rms_um
+from dtwin.schema import Run
+from dtwin.store import Lake
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.pipeline.twins import Twins
+
+_TOLD = (
+    "plane", "radius_mm", "feed_mm_min", "direction", "axis", "setup", "repeat", "machine", "campaign",
+)  # fmt: skip
+_RUN_COLUMNS = (
+    "campaign", "run_id", "machine", "kind", "plane", "direction", "radius_mm", "feed_mm_min", "repeat",
+    "setup", "started", "sample_rate_hz", "n_samples", "n_errors", "status", "correction", "left_out",
+)  # fmt: skip
+
+
+class OpenHome:
+    """A home and the verbs on what it holds; :func:`open_home` makes one.
+
+    Attributes
+    ----------
+    home : Home
+        The folder of all state.
+    """
+
+    def __init__(self, home: Home, effects: Iterable[str | Path] = ()) -> None:
+        self.home = home
+        self._lake = Lake(home.lake)
+        self._library = Library([Path(path) for path in effects])
+
+    def __repr__(self) -> str:
+        """Return what is open."""
+        campaigns = self._lake.campaigns()
+        return f"home {self.home.root}, campaigns: {', '.join(campaigns) or 'none yet'}"
+
+    def simulate(
+        self, machine: str, out: str | Path, *, quick: bool = False, seed: int = 0,
+        hidden: str | None = None, truth: str | None = None, schedule: str | None = None,
+    ) -> Path:  # fmt: skip
+        """Measure the usual campaign of a virtual machine and return its folder.
+
+        Parameters
+        ----------
+        machine : str
+            Such as ``mill``; the page "Kinds of campaign" lists them with their options.
+        out : path
+            Campaign folder to write.
+        quick : bool
+            A small campaign.
+        seed : int
+            Of the machine.
+        hidden, truth, schedule : str, optional
+            Options of some machines.
+
+        Raises
+        ------
+        InputError
+            When there is no such machine, or it has no such option.
+        """
+        found = machine_named(machine)
+        options = found.chosen({"hidden": hidden, "truth": truth, "schedule": schedule})
+        found.simulate(Request(Path(out), seed, quick, None, options), _silent)
+        return Path(out)
+
+    def ingest(self, path: str | Path, **told: str | float) -> IngestResult:
+        """Bring a campaign folder, a ``.b5r`` or a table into the lake; safe to repeat.
+
+        Parameters
+        ----------
+        path : path
+            What was measured.
+        **told
+            Of a table that lies alone: ``plane``, ``radius_mm``, ``feed_mm_min``, ``direction``,
+            ``axis``, ``setup``, ``repeat``, ``machine``, ``campaign``.
+
+        Raises
+        ------
+        InputError
+            When the files cannot be used, or something is told that nobody asked for.
+        """
+        unknown = sorted(set(told) - set(_TOLD))
+        if unknown:
+            raise InputError(
+                "this is not told of a table", code="ingest.told", got=", ".join(unknown)[:120],
+                allowed=", ".join(_TOLD),
+            )  # fmt: skip
+        found = ingest_path(Path(path), self._lake, told=told)
+        rows = [{"run_id": run, **finding.as_dict()} for run, finding in found.findings]
+        columns = ["run_id", "severity", "code", "message"]
+        return IngestResult(
+            found.campaign, found.added, found.unchanged, found.rejected_rows,
+            pd.DataFrame(rows, columns=columns),
+        )  # fmt: skip
+
+    def runs(self, campaign: str | None = None) -> pd.DataFrame:
+        """Return one row for each run, with its conditions and covariates as columns.
+
+        Parameters
+        ----------
+        campaign : str, optional
+            Only this one.
+
+        Raises
+        ------
+        InputError
+            When there is no such campaign.
+        """
+        rows = self._lake.runs(campaign, left_out=True)
+        if campaign is not None and not rows:
+            self._lake.campaign(campaign)
+        kept = [
+            {name: row[name] for name in _RUN_COLUMNS}
+            | json.loads(row["condition_json"])
+            | json.loads(row["covariates_json"])
+            for row in rows
+        ]
+        return pd.DataFrame(kept) if kept else pd.DataFrame(columns=list(_RUN_COLUMNS))
+
+    def samples(self, campaign: str, run: str) -> pd.DataFrame:
+        """Return the samples of a run's reference instrument.
+
+        Parameters
+        ----------
+        campaign, run : str
+            As :meth:`runs` names them.
+
+        Raises
+        ------
+        InputError
+            When there is no such run.
+        """
+        return pd.DataFrame(dict(self._run(campaign, run).samples))
+
+    def signals(self, campaign: str, run: str, group: str | None = None) -> pd.DataFrame:
+        """Return the high-rate signals of one device during a run, with its own clock ``t_s``.
+
+        Parameters
+        ----------
+        campaign, run : str
+            As :meth:`runs` names them.
+        group : str, optional
+            The device, such as ``accelerometers``; may be left away when there is one.
+
+        Raises
+        ------
+        InputError
+            When the run has no such signals, or several and none was named.
+        """
+        groups = {found.name: found for found in self._run(campaign, run, signals=True).signals}
+        if group is None and len(groups) == 1:
+            (group,) = groups
+        if group not in groups:
+            raise InputError(
+                "the run has no such signals", code="notebook.signals", where=f"{campaign} {run}",
+                got=str(group)[:60], allowed=", ".join(groups) or "it has none",
+            )  # fmt: skip
+        columns = dict(groups[group].columns)
+        return pd.DataFrame({"t_s": groups[group].t_s} | columns)
+
+    def fit(
+        self, campaign: str, effects: str | Sequence[str], name: str, *, robust: bool = False
+    ) -> TwinResult:
+        """Fit effects to a campaign; an existing twin of that name gets a new version.
+
+        Parameters
+        ----------
+        campaign : str
+            Name in the lake, or a path, which is ingested first.
+        effects : str or sequence of str
+            Names; ``backlash:X`` takes one axis.
+        name : str
+            Of the twin.
+        robust : bool
+            Give runs that are far off less weight.
+
+        Raises
+        ------
+        InputError
+            When the campaign, an effect or the name cannot be used.
+        """
+        names = effects.split(",") if isinstance(effects, str) else effects
+        twins, known = twins_for(self.home, self._library, campaign)
+        made = twins.fit(
+            known, [part.strip() for part in names if part.strip()], name, robust=robust
+        )
+        return of_twin(twins, made)
+
+    def show(self, name: str, version: int | None = None) -> TwinResult:
+        """Return a version of a twin, the newest one without a number."""
+        twins = self._twins(name)
+        return of_twin(twins, twins.newest(name, version))
+
+    def compare(self, name: str, campaign: str | None = None) -> ComparisonResult:
+        """Compare a twin with measurements, those of its fit or of another campaign."""
+        return of_comparison(self._twins(name).compare(name, campaign))
+
+    def diagnose(self, name: str, *, seed: int = 0) -> DiagnosisResult:
+        """Name the effect that a twin lacks, or say why it cannot be named."""
+        return of_diagnosis(*self._twins(name).diagnose(name, seed=seed))
+
+    def add(self, name: str, effect: str, axis: str = "") -> TwinResult:
+        """Add an effect, refit, and return the new version."""
+        twins = self._twins(name)
+        return of_twin(twins, twins.add(name, effect, axis))
+
+    def remove(self, name: str, effect: str, axis: str = "") -> TwinResult:
+        """Take an effect out, refit, and return the new version."""
+        twins = self._twins(name)
+        return of_twin(twins, twins.remove(name, effect, axis))
+
+    def discover(self, name: str, *, seed: int = 0) -> DiagnosisResult:
+        """Add all that these runs can tell, one version each; return the last diagnosis."""
+        twins = self._twins(name)
+        _, _, said = twins.discover(name, seed=seed)
+        return of_diagnosis(twins.newest(name), said)
+
+    def history(self, name: str) -> pd.DataFrame:
+        """Return one row for each version of a twin: action, error before and after, verdict."""
+        return pd.DataFrame(self._twins(name).history(name)).drop(columns="mlflow")
+
+    def plot(self, campaign: str, run: str, drawing: str | None = None) -> go.Figure:
+        """Return a figure of a run, as the page of the run shows it.
+
+        Parameters
+        ----------
+        campaign, run : str
+            As :meth:`runs` names them.
+        drawing : str, optional
+            Such as ``polar`` or ``spectrum``; the first of the kind without.
+
+        Raises
+        ------
+        NotOffered
+            When nothing is drawn of this kind of campaign.
+        InputError
+            When there is no such drawing.
+        """
+        found = self._run(campaign, run)
+        drawings = {known.name: known for known in kind_named(found.meta.kind).drawings}
+        wanted = next(iter(drawings)) if drawing is None else drawing
+        if wanted not in drawings:
+            raise InputError(
+                "there is no such figure of the run", code="notebook.figure", got=wanted[:40],
+                where=f"{campaign} {run}", allowed=", ".join(drawings),
+            )  # fmt: skip
+        return drawings[wanted].draw(found, lambda: self._floor_um(campaign))
+
+    def _twins(self, name: str) -> Twins | HeatTwins:
+        return twins_with(self.home, self._library, name)
+
+    def _run(self, campaign: str, run: str, *, signals: bool = False) -> Run:
+        rows = {row["run_id"]: row for row in self._lake.runs(campaign, left_out=True)}
+        if not rows:
+            self._lake.campaign(campaign)
+        if run not in rows:
+            raise InputError(
+                "no such run in the campaign", code="run.unknown", where=f"campaign {campaign}",
+                got=run[:100], allowed=", ".join(sorted(rows))[:400],
+            )  # fmt: skip
+        return self._lake.load(rows[run], signals=signals)
+
+    def _floor_um(self, campaign: str) -> float:
+        try:
+            obs = load(self.home, campaign).obs
+        except InputError:
+            return math.nan
+        return pure_rms_um(obs, localise.residual_um(obs, []))
+
+
+def open_home(folder: str | Path | None = None, effects: Iterable[str | Path] = ()) -> OpenHome:
+    """Open the folder that holds all state; it is made with the first thing that is kept.
+
+    Parameters
+    ----------
+    folder : path, optional
+        ``DTWIN_HOME``, by default ``.dtwin`` in the current folder, without.
+    effects : sequence of paths
+        Your own effect files, or folders of them. Their code is run.
+    """
+    quiet_environment()
+    root = home() if folder is None else Home(Path(folder).expanduser().absolute())
+    return OpenHome(root.tightened(), effects)
+
+
+def _silent(done: int, total: int, what: str) -> None:
+    """Take progress that nobody watches."""

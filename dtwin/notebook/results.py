@@ -1,0 +1,210 @@
+"""What the verbs of a notebook return: readable as text, as frames, and as figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import pandas as pd
+
+from dtwin.errors import InputError
+from dtwin.report import every_twin as report
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+    from dtwin.pipeline.twin_shelf import TwinShelf
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Result:
+    """What a verb found; shown as text, it is what the command prints.
+
+    Attributes
+    ----------
+    document : mapping
+        The result as plain records, JSON-ready: what ``--json`` prints of it.
+    text : str
+        The same for people.
+    """
+
+    document: Mapping[str, Any]
+    text: str
+    _draw: Callable[[], Sequence[go.Figure]]
+
+    def __repr__(self) -> str:
+        """Return the text."""
+        return self.text
+
+    def plot(self, number: int = 0) -> go.Figure:
+        """Return a figure of the report about this result.
+
+        Parameters
+        ----------
+        number : int
+            Which one, from 0.
+
+        Raises
+        ------
+        InputError
+            When there are not so many.
+        """
+        drawn = self._draw()
+        if not 0 <= number < len(drawn):
+            raise InputError(
+                "there is no such figure of the result", code="notebook.figure", got=str(number),
+                allowed=f"0 to {len(drawn) - 1}" if drawn else "this result has no figure",
+            )  # fmt: skip
+        return drawn[number]
+
+    def _frame(self, name: str) -> pd.DataFrame:
+        """Return rows of the document; columns that hold records are left out."""
+        frame = pd.DataFrame(list(self.document[name]))
+        return frame[[column for column in frame if not frame[column].map(_holds_records).any()]]
+
+
+class TwinResult(Result):
+    """A version of a twin; ``plot()`` shows how the error fell up to it."""
+
+    @property
+    def name(self) -> str:
+        """Of the twin."""
+        return str(self.document["twin"])
+
+    @property
+    def version(self) -> int:
+        """From 1."""
+        return int(self.document["version"])
+
+    @property
+    def rms_before_um(self) -> float:
+        """Measured error, set-ups taken out."""
+        return float(self.document["figures"]["rms_before_um"])
+
+    @property
+    def rms_after_um(self) -> float:
+        """What the twin leaves of it."""
+        return float(self.document["figures"]["rms_after_um"])
+
+    @property
+    def noise_floor_um(self) -> float:
+        """What repeats of one condition disagree by; NaN without repeats."""
+        return float(self.document["figures"]["noise_floor_um"])
+
+    @property
+    def parameters(self) -> pd.DataFrame:
+        """One row for each: effect, axis, name, value, uncertainty (k = 2), unit."""
+        return self._frame("parameters")
+
+
+class ComparisonResult(Result):
+    """A twin against measurements; ``plot()`` shows where it fails, ``plot(1)`` the worst condition."""
+
+    @property
+    def residual_rms_um(self) -> float:
+        """What the twin leaves."""
+        return float(self.document["residual_rms_um"])
+
+    @property
+    def noise_floor_um(self) -> float:
+        """What repeats of one condition disagree by; NaN without repeats."""
+        return float(self.document["noise_floor_um"])
+
+    @property
+    def conditions(self) -> pd.DataFrame:
+        """RMS of every condition before and after."""
+        return self._frame("conditions")
+
+    @property
+    def where(self) -> pd.DataFrame:
+        """Where the residual is largest."""
+        return self._frame("where")
+
+
+class DiagnosisResult(Result):
+    """What a twin lacks; ``plot()`` shows the candidates, ranked."""
+
+    @property
+    def verdict(self) -> str:
+        """One word, such as ``missing_effect`` or ``nothing_missing``."""
+        return str(self.document["verdict"])
+
+    @property
+    def headline(self) -> str:
+        """The same in words."""
+        return str(self.document["headline"])
+
+    @property
+    def candidates(self) -> pd.DataFrame:
+        """Effects that were considered, best first; ``in_group`` marks those that are reported."""
+        return self._frame("candidates")
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class IngestResult:
+    """What came into the lake.
+
+    Attributes
+    ----------
+    campaign : str
+        Name of the campaign.
+    added, unchanged : tuple of str
+        Run ids.
+    rejected_rows : int
+        Rows without a usable number.
+    findings : DataFrame
+        What is noteworthy: ``run_id`` (empty for the whole campaign), ``severity``, ``code``,
+        ``message``.
+    """
+
+    campaign: str
+    added: tuple[str, ...]
+    unchanged: tuple[str, ...]
+    rejected_rows: int
+    findings: pd.DataFrame
+
+    def __repr__(self) -> str:
+        """Return one line."""
+        return (
+            f"{self.campaign}: {len(self.added)} runs added, {len(self.unchanged)} unchanged, "
+            f"{self.rejected_rows} rows rejected, {len(self.findings)} findings"
+        )
+
+
+def of_twin(twins: TwinShelf, twin: Any) -> TwinResult:
+    """Return a version of a twin as a result."""
+
+    def draw() -> Sequence[go.Figure]:
+        rungs = [rung for rung in twins.history(twin.name) if rung["version"] <= twin.version]
+        return _figures([report.history_section(twin, rungs)])
+
+    return TwinResult(twin.as_dict(), report.twin_text(twin), draw)
+
+
+def of_comparison(found: Any) -> ComparisonResult:
+    """Return a comparison as a result."""
+    document = found.as_dict()
+    return ComparisonResult(
+        document, report.comparison_text(document),
+        lambda: _figures(report.comparison_sections(found, document)),
+    )  # fmt: skip
+
+
+def of_diagnosis(twin: Any, found: Any) -> DiagnosisResult:
+    """Return a diagnosis of a version of a twin as a result."""
+    name: str = twin.name
+    document = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
+    return DiagnosisResult(
+        document, report.diagnosis_text(name, document),
+        lambda: _figures([report.diagnosis_section(name, document)]),
+    )  # fmt: skip
+
+
+def _figures(sections: Sequence[Any]) -> Sequence[go.Figure]:
+    return [figure for section in sections for figure in section.figures]
+
+
+def _holds_records(value: object) -> bool:
+    parts = value if isinstance(value, list | tuple) else [value]
+    return any(isinstance(part, Mapping) for part in parts)

@@ -1,0 +1,117 @@
+"""An open home on a small lake: what its verbs return, and what they refuse."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import dtwin
+from dtwin.kinds.kind import NotOffered
+from dtwin.notebook.open_home import OpenHome
+from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
+from dtwin.store import Lake
+
+T_S = np.arange(200) / 100.0
+
+
+def group(name: str) -> SignalGroup:
+    return SignalGroup(name, 1000.0, {f"{name}_g": np.arange(50.0)}, start_s=2.0)
+
+
+def circle(run_id: str, *groups: SignalGroup) -> Run:
+    meta = RunMeta(
+        run_id, plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=18850.0,
+        sample_rate_hz=100.0, covariates={"temperature_c": 21.5},
+    )  # fmt: skip
+    angle = 180.0 * T_S
+    samples = {
+        "t_s": T_S, "angle_deg": angle, "deviation_um": len(run_id) * np.cos(np.radians(2 * angle)),
+    }  # fmt: skip
+    return Run(meta, samples, signals=groups)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> OpenHome:
+    opened = dtwin.open_home(tmp_path_factory.mktemp("workshop"))
+    lake = Lake(opened.home.lake)
+    runs = [circle("a"), circle("bb", group("wrist")), circle("ccc", group("wrist"), group("base"))]
+    lake.commit(Campaign("rounds", "cell-3"), runs)
+    put = {"t_s": T_S, "error_x_um": T_S, "error_y_um": T_S}
+    placed = Run(RunMeta("p1", kind="placement", condition={"part": "lid"}), put)
+    lake.commit(Campaign("parts", "cell-3", kind="placement"), [placed])
+    return opened
+
+
+def test_opening_makes_nothing_and_shows_what_is_there(tmp_path: Path, home: OpenHome) -> None:
+    dtwin.open_home(tmp_path / "other")
+    assert not (tmp_path / "other").exists()
+    assert repr(home) == f"home {home.home.root}, campaigns: parts, rounds"
+
+
+def test_a_home_that_is_not_named_is_that_of_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "set"))
+    assert dtwin.open_home().home.root == tmp_path / "set"
+
+
+def test_runs_have_their_conditions_and_covariates_as_columns(home: OpenHome) -> None:
+    assert home.runs().groupby("campaign").size().to_dict() == {"parts": 1, "rounds": 3}
+    rounds = home.runs("rounds")
+    assert rounds.run_id.tolist() == ["a", "bb", "ccc"]
+    assert rounds.temperature_c.tolist() == [21.5] * 3
+    assert rounds.radius_mm.tolist() == [100.0] * 3
+    assert home.runs("parts").part.tolist() == ["lid"]
+
+
+def test_an_empty_home_has_the_columns_of_runs(tmp_path: Path) -> None:
+    runs = dtwin.open_home(tmp_path / "new").runs()
+    assert runs.empty
+    assert {"campaign", "run_id", "left_out"} <= set(runs)
+
+
+def test_samples_and_signals_are_what_was_measured(home: OpenHome) -> None:
+    samples = home.samples("rounds", "bb")
+    assert samples.deviation_um.to_numpy() == pytest.approx(2.0 * np.cos(2.0 * np.pi * T_S))
+    signals = home.signals("rounds", "bb")
+    pd.testing.assert_frame_equal(signals, home.signals("rounds", "bb", "wrist"))
+    assert signals.t_s.iloc[[0, -1]].tolist() == pytest.approx([2.0, 2.049])
+    assert signals.wrist_g.tolist() == list(range(50))
+
+
+def test_a_run_is_drawn_as_its_page_draws_it(home: OpenHome) -> None:
+    angle = home.plot("rounds", "ccc", "angle")
+    assert max(angle.data[0].y) == pytest.approx(3.0, abs=0.05)
+    assert home.plot("rounds", "ccc").data[0].type == "scatterpolar"
+
+
+def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path) -> None:
+    refusals = {
+        "campaign.unknown": (lambda: home.runs("squares"), "parts, rounds"),
+        "run.unknown": (lambda: home.samples("rounds", "z"), "a, bb, ccc"),
+        "notebook.signals": (lambda: home.signals("rounds", "ccc"), "wrist, base"),
+        "notebook.figure": (
+            lambda: home.plot("rounds", "a", "histogram"), "polar, angle, time, spectrum",
+        ),
+        "simulate.option": (
+            lambda: home.simulate("mill", tmp_path / "m", truth="published"), "--hidden",
+        ),
+        "twin.unknown": (lambda: home.compare("nobody"), "none yet"),
+    }  # fmt: skip
+    for code, (verb, allowed) in refusals.items():
+        with pytest.raises(dtwin.InputError) as refused:
+            verb()
+        assert (refused.value.code, refused.value.allowed) == (code, allowed)
+    with pytest.raises(dtwin.InputError) as none:
+        home.signals("rounds", "a")
+    assert none.value.allowed == "it has none"
+    with pytest.raises(dtwin.InputError) as told:
+        home.ingest(tmp_path / "x.csv", radius=100.0)
+    assert (told.value.code, told.value.got) == ("ingest.told", "radius")
+    with pytest.raises(NotOffered):
+        home.plot("parts", "p1")
+    with pytest.raises(NotOffered):
+        home.fit("parts", ["backlash"], name="p")
