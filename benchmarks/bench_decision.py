@@ -30,9 +30,17 @@ from dtwin.serve.runtime import CompiledBundle
 
 CHANNELS = tuple(f"{place}_{axis}_g" for place in ("wrist", "base") for axis in "xyz")
 FEATURES = (
-    "mean_absolute_value", "variance", "rms", "shape_factor", "impulse_factor", "crest_factor",
-    "kurtosis", "skewness", "mean_frequency", "band_power",
-)  # fmt: skip
+    "mean_absolute_value",
+    "variance",
+    "rms",
+    "shape_factor",
+    "impulse_factor",
+    "crest_factor",
+    "kurtosis",
+    "skewness",
+    "mean_frequency",
+    "band_power",
+)
 CONTRACT = WindowContract(25_600.0, 1500, 51, CHANNELS, FEATURES, (500.0, 2000.0))
 
 
@@ -48,11 +56,10 @@ def compiled() -> CompiledBundle:
     graph = g.graph({"radial_error_um": g.total(terms)})
     inputs = [
         Input(name, PATH_INPUT_UNITS[name], "path", 500.0, "path", -2000.0, 2000.0)
-        for name in PATH_INPUTS if name in graph.inputs
-    ]  # fmt: skip
-    inputs += [
-        Input(name, "g", "sensor", 500.0, "feature", 0.0, 5.0) for name in CONTRACT.columns[2::10]
+        for name in PATH_INPUTS
+        if name in graph.inputs
     ]
+    inputs += [Input(name, "g", "sensor", 500.0, "feature", 0.0, 5.0) for name in CONTRACT.columns[2::10]]
     return CompiledBundle(
         create_bundle(
             name="bench",
@@ -125,10 +132,7 @@ def main() -> None:
             "usual_script": microseconds(lambda: usual_script(sensors.block), 500 // fewer),
         }
 
-    result: dict[str, Any] = {
-        "load_before": os.getloadavg()[0],
-        "nodes": len(bundle.tick_graph.nodes),
-    }
+    result: dict[str, Any] = {"load_before": os.getloadavg()[0], "nodes": len(bundle.tick_graph.nodes)}
     result["as any process"] = all_four()
     with realtime() as allowed:
         result["as the loop, by default"] = all_four()
@@ -141,8 +145,7 @@ def main() -> None:
     if arguments.json:
         print(json.dumps(result))
         return
-    print("6 channels x 1500 samples x 10 features, one core; load before "
-          f"{result['load_before']:.2f}")  # fmt: skip
+    print(f"6 channels x 1500 samples x 10 features, one core; load before {result['load_before']:.2f}")
     for how in ("as any process", "as the loop, by default"):
         print(how)
         for name, value in result[how].items():

@@ -43,9 +43,7 @@ class EquationModel(mlflow.pyfunc.PythonModel):  # type: ignore[name-defined,mis
     def load_context(self, context: object) -> None:
         self.model = load_bundle(Path(context.artifacts["bundle"]))  # type: ignore[attr-defined]
 
-    def predict(
-        self, context: object, model_input: pd.DataFrame, params: object = None
-    ) -> np.ndarray:
+    def predict(self, context: object, model_input: pd.DataFrame, params: object = None) -> np.ndarray:
         return self.model.run(model_input[list(NAMES)].to_numpy())[:, 0]
 
 
@@ -60,11 +58,14 @@ def equation() -> CompiledBundle:
     inputs = [Input(n, PATH_INPUT_UNITS[n], "path", 500.0, "path", *boxes[n]) for n in NAMES]
     return CompiledBundle(
         create_bundle(
-            name="bench", machine="bench", model_version=1, inputs=inputs,
+            name="bench",
+            machine="bench",
+            model_version=1,
+            inputs=inputs,
             outputs=[Output("radial_error_um", "path_radial")],
             tick_graph=g.graph({"radial_error_um": g.total(terms)}),
         )
-    )  # fmt: skip
+    )
 
 
 def pyfunc_of(model: CompiledBundle, rows: pd.DataFrame, folder: Path) -> object:

@@ -20,9 +20,17 @@ from dtwin.features.windows import WindowContract, batch_features
 
 RATE_HZ, N, CHANNELS, BAND_HZ = 25_600.0, 1500, 9, (500.0, 2000.0)
 SELECTION = (
-    "mean_absolute_value", "variance", "rms", "shape_factor", "impulse_factor", "crest_factor",
-    "kurtosis", "skewness", "mean_frequency", "band_power",
-)  # fmt: skip
+    "mean_absolute_value",
+    "variance",
+    "rms",
+    "shape_factor",
+    "impulse_factor",
+    "crest_factor",
+    "kurtosis",
+    "skewness",
+    "mean_frequency",
+    "band_power",
+)
 
 
 def recording(windows: int) -> np.ndarray:
@@ -43,10 +51,17 @@ def usual_script(x: np.ndarray) -> np.ndarray:
             power = np.abs(np.fft.rfft(w - np.mean(w))) ** 2
             power[-1] /= 2
             out[i, c] = (
-                mav, np.var(w), rms, rms / mav, peak / mav, peak / rms,
-                scipy.stats.kurtosis(w, fisher=False), scipy.stats.skew(w),
-                np.sum(frequency * power) / np.sum(power), 2 * np.sum(power[band]) / N**2,
-            )  # fmt: skip
+                mav,
+                np.var(w),
+                rms,
+                rms / mav,
+                peak / mav,
+                peak / rms,
+                scipy.stats.kurtosis(w, fisher=False),
+                scipy.stats.skew(w),
+                np.sum(frequency * power) / np.sum(power),
+                2 * np.sum(power[band]) / N**2,
+            )
     return out
 
 
@@ -56,11 +71,16 @@ def by_tsfel() -> Callable[[np.ndarray], object]:
 
     wanted = {
         "statistical": (
-            "Mean absolute deviation", "Variance", "Root mean square", "Max", "Kurtosis",
-            "Skewness", "Mean",
+            "Mean absolute deviation",
+            "Variance",
+            "Root mean square",
+            "Max",
+            "Kurtosis",
+            "Skewness",
+            "Mean",
         ),
         "spectral": ("Spectral centroid", "Fundamental frequency", "Max power spectrum"),
-    }  # fmt: skip
+    }
     every = tsfel.get_features_by_domain()
     chosen = {d: {k: every[d][k] for k in names if k in every[d]} for d, names in wanted.items()}
     count = sum(len(v) for v in chosen.values())
@@ -72,9 +92,7 @@ def by_tsfel() -> Callable[[np.ndarray], object]:
         with contextlib.redirect_stdout(io.StringIO()):
             # Window by window and without worker processes, which is its fastest way here.
             return [
-                tsfel.time_series_features_extractor(
-                    chosen, frame.iloc[i : i + N], fs=RATE_HZ, verbose=0, n_jobs=None
-                )
+                tsfel.time_series_features_extractor(chosen, frame.iloc[i : i + N], fs=RATE_HZ, verbose=0, n_jobs=None)
                 for i in range(0, len(frame), N)
             ]
 

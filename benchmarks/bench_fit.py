@@ -81,8 +81,10 @@ def main() -> None:
         for name in ("lstsq", "blocks"):
             out = subprocess.run(
                 [sys.executable, __file__, "--step", name, *["--short"][: int(arguments.short)]],
-                capture_output=True, text=True, check=True,
-            )  # fmt: skip
+                capture_output=True,
+                text=True,
+                check=True,
+            )
             got = json.loads(out.stdout)
             if name not in best or got["seconds"] < best[name]["seconds"]:
                 best[name] = got
@@ -93,8 +95,7 @@ def main() -> None:
     print(f"{rows:g} rows x {COLUMNS} columns, condition {CONDITION:g}; load before {load:.2f}")
     for name, got in best.items():
         print(
-            f"  {name:7s} {got['seconds']:7.3f} s  {got['extra_mb']:7.1f} MB extra  "
-            f"relative error {got['error']:.1e}"
+            f"  {name:7s} {got['seconds']:7.3f} s  {got['extra_mb']:7.1f} MB extra  relative error {got['error']:.1e}"
         )
     print(f"  {ratio:.1f} times faster")
 

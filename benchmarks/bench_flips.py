@@ -28,14 +28,7 @@ from dtwin.serve.barred import bar, barred_why
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
-from dtwin.serve.pointer import (
-    machine_folder,
-    on_trial,
-    read_machine,
-    resolve,
-    write_machine,
-    write_pointer,
-)
+from dtwin.serve.pointer import machine_folder, on_trial, read_machine, resolve, write_machine, write_pointer
 from dtwin.store import Lake
 
 FLIPS, SEED = 10_000, 1
@@ -52,9 +45,15 @@ def made_home(root: Path) -> Home:
         angle = 30.0 * t_s * (1.0 if way == "CCW" else -1.0)
         error = 4.0 * np.cos(np.radians(2 * angle)) + 0.3 * rng.standard_normal(t_s.size)
         meta = RunMeta(
-            f"r{number}", plane="XY", direction=way, radius_mm=100.0, feed_mm_min=3141.6,
-            repeat=1 + number // 2, sample_rate_hz=20.0, covariates={"temperature_c": 20.0},
-        )  # fmt: skip
+            f"r{number}",
+            plane="XY",
+            direction=way,
+            radius_mm=100.0,
+            feed_mm_min=3141.6,
+            repeat=1 + number // 2,
+            sample_rate_hz=20.0,
+            covariates={"temperature_c": 20.0},
+        )
         signals = SignalGroup("accelerometers", 100.0, {"x_g": rng.normal(size=600).astype("f4")})
         samples = {"t_s": t_s, "angle_deg": angle, "deviation_um": error}
         runs.append(Run(meta, samples, signals=(signals,)))
@@ -79,11 +78,13 @@ def promoted(home: Home) -> None:
     for version, state in ((3, "champion"), (4, "trial")):
         g = GraphBuilder()
         made = create_bundle(
-            name="harmonic", machine="cobot-a", model_version=version,
+            name="harmonic",
+            machine="cobot-a",
+            model_version=version,
             inputs=[Input("path_angle_rad", "rad", "path", 500.0, "path", -50.0, 50.0)],
             outputs=[Output("radial_error_um", "path_radial")],
             tick_graph=g.graph({"radial_error_um": 20.0 * g.apply("sin", g.input("path_angle_rad"))}),
-        )  # fmt: skip
+        )
         path = save_bundle(made, machine_folder("cobot-a", home) / f"v{version:04d}.json")
         write_pointer("cobot-a", home, path, version, state)  # type: ignore[arg-type]
 

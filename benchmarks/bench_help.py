@@ -22,18 +22,14 @@ def main() -> None:
     chosen = parser.parse_args()
     times_s = {"dtwin --help": [], "python -c pass": []}  # type: dict[str, list[float]]
     for _ in range(1 if chosen.short else chosen.repeats):
-        for name, command in (("dtwin --help", ["-m", "dtwin", "--help"]),
-                              ("python -c pass", ["-c", "pass"])):  # fmt: skip
+        for name, command in (("dtwin --help", ["-m", "dtwin", "--help"]), ("python -c pass", ["-c", "pass"])):
             begun = time.perf_counter()
             subprocess.run([sys.executable, *command], check=True, stdout=subprocess.DEVNULL)
             times_s[name].append(time.perf_counter() - begun)
     result: dict[str, Any] = {
-        name: {"median_s": round(statistics.median(t), 3), "max_s": round(max(t), 3)}
-        for name, t in times_s.items()
+        name: {"median_s": round(statistics.median(t), 3), "max_s": round(max(t), 3)} for name, t in times_s.items()
     }
-    result["ratio"] = round(
-        result["dtwin --help"]["median_s"] / max(result["python -c pass"]["median_s"], 1e-3), 1
-    )
+    result["ratio"] = round(result["dtwin --help"]["median_s"] / max(result["python -c pass"]["median_s"], 1e-3), 1)
     if chosen.json:
         print(json.dumps(result))
         return

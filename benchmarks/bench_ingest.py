@@ -52,10 +52,14 @@ def signals(seconds: float) -> dict[str, np.ndarray]:
 
 def plain(columns: dict[str, np.ndarray], folder: Path) -> None:
     pq.write_table(
-        pa.table(columns), folder / "plain.parquet", compression="zstd", compression_level=1,
-        use_dictionary=False, column_encoding=dict.fromkeys(columns, "BYTE_STREAM_SPLIT"),
+        pa.table(columns),
+        folder / "plain.parquet",
+        compression="zstd",
+        compression_level=1,
+        use_dictionary=False,
+        column_encoding=dict.fromkeys(columns, "BYTE_STREAM_SPLIT"),
         write_page_checksum=True,
-    )  # fmt: skip
+    )
 
 
 def signal_file(columns: dict[str, np.ndarray], folder: Path) -> None:
@@ -151,10 +155,11 @@ def measured(folder: Path, seconds: float, repeats: int) -> dict[str, dict[str, 
             shutil.rmtree(folder / root, ignore_errors=True)
         for name in STEPS:
             out = subprocess.run(
-                [sys.executable, __file__, "--step", name, "--folder", str(folder),
-                 "--seconds", str(seconds)],
-                capture_output=True, text=True, check=True,
-            )  # fmt: skip
+                [sys.executable, __file__, "--step", name, "--folder", str(folder), "--seconds", str(seconds)],
+                capture_output=True,
+                text=True,
+                check=True,
+            )
             got = json.loads(out.stdout)
             if name not in best or got["seconds"] < best[name]["seconds"]:
                 best[name] = got
@@ -204,14 +209,12 @@ def main() -> None:
     for got in steps.values():
         got["x_plain"] = got["seconds"] / steps["plain"]["seconds"]
     if arguments.json:
-        print(
-            json.dumps(
-                {"load_before": load, "steps": steps, "bit_flips": flips, "signal_file_mb": size_mb}
-            )
-        )
+        print(json.dumps({"load_before": load, "steps": steps, "bit_flips": flips, "signal_file_mb": size_mb}))
         return
-    print(f"{seconds:g} s x {len(CHANNELS)} channels x {RATE_HZ / 1e3:g} kS/s, file {size_mb:.1f} MB; "
-          f"load before {load:.2f}")  # fmt: skip
+    print(
+        f"{seconds:g} s x {len(CHANNELS)} channels x {RATE_HZ / 1e3:g} kS/s, file {size_mb:.1f} MB; "
+        f"load before {load:.2f}"
+    )
     print(f"  {'step':12s} {'seconds':>8s} {'x plain':>8s} {'peak / raw':>11s}")
     for name, got in steps.items():
         line = f"  {name:12s} {got['seconds']:8.3f} {got['x_plain']:8.2f}"

@@ -73,16 +73,20 @@ def model() -> CompiledBundle:
     terms += [0.5 * g.input(name) for name in features]
     graph = g.graph({"radial_error_um": g.total(terms)})
     inputs = [
-        Input(n, PATH_INPUT_UNITS[n], "path", 500.0, "path", -2000.0, 2000.0)
-        for n in PATH_INPUTS if n in graph.inputs
-    ] + [Input(n, "g", "sensor", 100.0, "feature", 0.0, 5.0) for n in features]  # fmt: skip
+        Input(n, PATH_INPUT_UNITS[n], "path", 500.0, "path", -2000.0, 2000.0) for n in PATH_INPUTS if n in graph.inputs
+    ] + [Input(n, "g", "sensor", 100.0, "feature", 0.0, 5.0) for n in features]
     return CompiledBundle(
         create_bundle(
-            name="bench", machine="bench", model_version=1, inputs=inputs, window=CONTRACT,
-            outputs=[Output("radial_error_um", "path_radial")], tick_graph=graph,
+            name="bench",
+            machine="bench",
+            model_version=1,
+            inputs=inputs,
+            window=CONTRACT,
+            outputs=[Output("radial_error_um", "path_radial")],
+            tick_graph=graph,
             safety=SafetyLimits(trips_to_latch=1_000_000),
         )
-    )  # fmt: skip
+    )
 
 
 class NotedLink:
@@ -177,9 +181,8 @@ def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
     never = set(ticks) - set(answered)
     # A correction that the next one overtook on its way needs not arrive: the newer one was in force.
     used_in_time = {
-        t for t in ticks
-        if min(acted.get(t, np.inf), acted.get(t + 1, np.inf)) - t * PERIOD_S < 2.5 * PERIOD_S
-    }  # fmt: skip
+        t for t in ticks if min(acted.get(t, np.inf), acted.get(t + 1, np.inf)) - t * PERIOD_S < 2.5 * PERIOD_S
+    }
     # A stalled controller hands over two states at once and reads the correction too late.
     stalled = {t - back for t in log["late_ticks"].tolist() for back in range(3)}
     sound = set(ticks) - stalled
@@ -198,18 +201,18 @@ def judge(notes: np.ndarray, late_s: np.ndarray, log: Any) -> dict[str, Any]:
         "not_noticed_but_used_in_time": len(((late | never) - marked) & used_in_time),
         "only_in_the_loop": len((marked & set(ticks)) - late - never),
         "stamp_to_controller_ms": {
-            "p50": round(float(p50), 3), "p99": round(float(p99), 3),
-            "p99.9": round(float(p999), 3), "max": round(float(delays_s.max()) * 1e3, 3),
+            "p50": round(float(p50), 3),
+            "p99": round(float(p99), 3),
+            "p99.9": round(float(p999), 3),
+            "max": round(float(delays_s.max()) * 1e3, 3),
         },
-    }  # fmt: skip
+    }
 
 
 def start_controller(host: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}"]
     options = ["--repeat-forever", "--control", "--realtime"]
-    return subprocess.Popen(
-        [*command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+    return subprocess.Popen([*command, *options], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
 
 def measure(seconds: float, host: str, folder: Path, clients: Sequence[str]) -> dict[str, Any]:
@@ -228,9 +231,9 @@ def measure_one(name: str, seconds: float, host: str, folder: Path) -> dict[str,
         out, log = folder / "client.npz", folder / "log.npz"
         before = _ask(controller, "status")
         subprocess.run(
-            [sys.executable, __file__, "--client", name, "--host", host, "--out", str(out),
-             "--seconds", str(seconds)], check=True,
-        )  # fmt: skip
+            [sys.executable, __file__, "--client", name, "--host", host, "--out", str(out), "--seconds", str(seconds)],
+            check=True,
+        )
         after = _ask(controller, "status")
         _ask(controller, "latency_log", path=str(log))
         with np.load(out) as client_file, np.load(log) as log_file:
@@ -252,33 +255,48 @@ def _ask(controller: subprocess.Popen[str], action: str, **more: Any) -> dict[st
 
 
 def show(result: dict[str, Any]) -> None:
-    print(f"{result['seconds']:g} s per client at 500 Hz; load before {result['load_before']:.2f}; controller with real-time priority: "
-          f"{result['controller_realtime']}")  # fmt: skip
+    print(
+        f"{result['seconds']:g} s per client at 500 Hz; load before {result['load_before']:.2f}; controller with real-time priority: "
+        f"{result['controller_realtime']}"
+    )
     head = ("client", "ticks", "late", "never", "share %", "p50 ms", "p99 ms", "p99.9", "max")
     print("  ".join(f"{h:>9s}" for h in head))
     for name, one in result["clients"].items():
         delay = one["stamp_to_controller_ms"]
-        cells = (one["ticks"], one["answered_late"], one["never_answered"],
-                 f"{100 * one['late_share']:.3f}", *(f"{v:.2f}" for v in delay.values()))  # fmt: skip
+        cells = (
+            one["ticks"],
+            one["answered_late"],
+            one["never_answered"],
+            f"{100 * one['late_share']:.3f}",
+            *(f"{v:.2f}" for v in delay.values()),
+        )
         print(f"{name}\n{'':9s}  " + "  ".join(f"{c!s:>9s}" for c in cells))
-        print(f"           ticks that the controller itself made late: "
-              f"{one['controller_late_ticks']}; share without these and the two before each: "
-              f"{100 * one['late_share_sound']:.3f} % of {one['sound_ticks']}")  # fmt: skip
+        print(
+            f"           ticks that the controller itself made late: "
+            f"{one['controller_late_ticks']}; share without these and the two before each: "
+            f"{100 * one['late_share_sound']:.3f} % of {one['sound_ticks']}"
+        )
         own = one["own_status"]
         if own:
             timing, age = own["timing"], own["timing"]["window_age_ms"]
             filter_ms = 1e3 * FILTER_SAMPLES / CONTRACT.rate_hz
-            print(f"           counted by the loop itself: late {timing['late_ticks']}, missed "
-                  f"{timing['missed_states']}, share {100 * timing['late_share']:.3f} %; "
-                  f"real-time: {own['realtime']['priority']}, memory lock: "
-                  f"{own['realtime']['memory_lock']}")  # fmt: skip
-            print(f"           late or unanswered by the controller's notes and not by the loop's: "
-                  f"{one['not_noticed_by_the_loop']}, of these used in time all the same, or overtaken "
-                  f"in time by the next one: {one['not_noticed_but_used_in_time']}; the other way round: "
-                  f"{one['only_in_the_loop']}")  # fmt: skip
-            print(f"           sensor age (made windows, modelled): filter {filter_ms:.2f} ms, "
-                  f"block p50 {age['p50'] - filter_ms:.1f} p99 {age['p99'] - filter_ms:.1f} ms, "
-                  f"half a window {5e2 * CONTRACT.n_samples / CONTRACT.rate_hz:.1f} ms")  # fmt: skip
+            print(
+                f"           counted by the loop itself: late {timing['late_ticks']}, missed "
+                f"{timing['missed_states']}, share {100 * timing['late_share']:.3f} %; "
+                f"real-time: {own['realtime']['priority']}, memory lock: "
+                f"{own['realtime']['memory_lock']}"
+            )
+            print(
+                f"           late or unanswered by the controller's notes and not by the loop's: "
+                f"{one['not_noticed_by_the_loop']}, of these used in time all the same, or overtaken "
+                f"in time by the next one: {one['not_noticed_but_used_in_time']}; the other way round: "
+                f"{one['only_in_the_loop']}"
+            )
+            print(
+                f"           sensor age (made windows, modelled): filter {filter_ms:.2f} ms, "
+                f"block p50 {age['p50'] - filter_ms:.1f} p99 {age['p99'] - filter_ms:.1f} ms, "
+                f"half a window {5e2 * CONTRACT.n_samples / CONTRACT.rate_hz:.1f} ms"
+            )
     if "naive" not in result["clients"]:
         return
     naive = result["clients"]["naive"]["late_share"]
@@ -302,9 +320,7 @@ def main() -> None:
         return
     load, seconds = os.getloadavg()[0], 3.0 if chosen.short else chosen.seconds
     with tempfile.TemporaryDirectory() as folder:
-        result = {"load_before": load} | measure(
-            seconds, chosen.host, Path(folder), chosen.only or CLIENTS
-        )
+        result = {"load_before": load} | measure(seconds, chosen.host, Path(folder), chosen.only or CLIENTS)
     if chosen.json:
         print(json.dumps(result))
     else:

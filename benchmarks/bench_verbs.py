@@ -68,9 +68,8 @@ def measured(home: Home, when: str, twins: int) -> dict[str, float]:
 def cpu_s(home: Home, when: str, *words: str) -> float:
     settings = {"DTWIN_HOME": str(home.root), "DTWIN_MLFLOW": when}
     done = subprocess.Popen(
-        [sys.executable, "-m", "dtwin", *words],
-        env={**os.environ, **settings}, stdout=subprocess.DEVNULL,
-    )  # fmt: skip
+        [sys.executable, "-m", "dtwin", *words], env={**os.environ, **settings}, stdout=subprocess.DEVNULL
+    )
     # Of this process alone: what it leaves in the background is nobody's child.
     _, status, used = os.wait4(done.pid, 0)
     done.returncode = os.waitstatus_to_exitcode(status)

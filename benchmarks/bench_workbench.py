@@ -30,14 +30,23 @@ from dtwin.store import Lake
 
 NAME = "bench"
 PAGES = (
-    "/campaigns", f"/campaigns/{NAME}", f"/campaigns/{NAME}/runs/r0001",
-    f"/api/campaigns/{NAME}/runs/r0001/polar", f"/api/campaigns/{NAME}/runs/r0001/spectrum",
-    "/twins", f"/twins/{NAME}", f"/api/twins/{NAME}/overlay/polar?condition=3",
+    "/campaigns",
+    f"/campaigns/{NAME}",
+    f"/campaigns/{NAME}/runs/r0001",
+    f"/api/campaigns/{NAME}/runs/r0001/polar",
+    f"/api/campaigns/{NAME}/runs/r0001/spectrum",
+    "/twins",
+    f"/twins/{NAME}",
+    f"/api/twins/{NAME}/overlay/polar?condition=3",
     f"/api/twins/{NAME}/overlay/angle?condition=3&condition=5&condition=7",
-    f"/api/twins/{NAME}/overlay/harmonics?condition=3", f"/api/twins/{NAME}/map",
-    f"/api/twins/{NAME}/runs?condition=3", f"/twins/{NAME}/diagnose", f"/twins/{NAME}/versions",
-    f"/api/twins/{NAME}/waterfall", "/effects",
-)  # fmt: skip
+    f"/api/twins/{NAME}/overlay/harmonics?condition=3",
+    f"/api/twins/{NAME}/map",
+    f"/api/twins/{NAME}/runs?condition=3",
+    f"/twins/{NAME}/diagnose",
+    f"/twins/{NAME}/versions",
+    f"/api/twins/{NAME}/waterfall",
+    "/effects",
+)
 
 
 def made_runs(count: int) -> list[Run]:
@@ -56,9 +65,7 @@ def made_runs(count: int) -> list[Run]:
         sign = 1.0 if direction == "CCW" else -1.0
         turn = np.linspace(0.0, 720.0, 2000, endpoint=False)
         theta = np.radians(sign * turn)
-        error = 0.015 * radius * np.sin(2 * theta) - 1.5 * np.sign(sign * np.sin(theta)) * np.cos(
-            theta
-        )
+        error = 0.015 * radius * np.sin(2 * theta) - 1.5 * np.sign(sign * np.sin(theta)) * np.cos(theta)
         speed = np.degrees(feed / 60.0 / radius)
         samples = {
             "t_s": turn / speed,
@@ -66,10 +73,15 @@ def made_runs(count: int) -> list[Run]:
             "deviation_um": error + rng.normal(0.0, 0.5, turn.size),
         }
         meta = RunMeta(
-            f"r{number:04d}", plane=plane, direction=direction, radius_mm=radius,
-            feed_mm_min=feed, repeat=number // len(grid) + 1, setup=f"{plane}-{radius:g}".lower(),
+            f"r{number:04d}",
+            plane=plane,
+            direction=direction,
+            radius_mm=radius,
+            feed_mm_min=feed,
+            repeat=number // len(grid) + 1,
+            setup=f"{plane}-{radius:g}".lower(),
             sample_rate_hz=2000.0 / float(samples["t_s"][-1]),
-        )  # fmt: skip
+        )
         runs.append(Run(meta, samples))
     return runs
 
@@ -108,27 +120,36 @@ def main() -> None:
             twins.diagnose(NAME)
         diagnosed_s = time.perf_counter() - begun
         result = {
-            "runs": chosen.runs, "fit_s": round(fitted_s, 1), "diagnose_s": round(diagnosed_s, 1) if chosen.diagnose else None,
-            "load_average": os.getloadavg()[0], **measured(folder, chosen.repeats),
-        }  # fmt: skip
+            "runs": chosen.runs,
+            "fit_s": round(fitted_s, 1),
+            "diagnose_s": round(diagnosed_s, 1) if chosen.diagnose else None,
+            "load_average": os.getloadavg()[0],
+            **measured(folder, chosen.repeats),
+        }
     if chosen.json:
         print(json.dumps(result))
         return
     diagnosed = f", diagnosis {result['diagnose_s']} s" if chosen.diagnose else ""
-    print(f"{result['runs']} runs; in the background: fit {result['fit_s']} s{diagnosed}; "
-          f"load {result['load_average']:.1f}")  # fmt: skip
+    print(
+        f"{result['runs']} runs; in the background: fit {result['fit_s']} s{diagnosed}; "
+        f"load {result['load_average']:.1f}"
+    )
     print("answers in ms: first after the start, then median and longest")
     print(f"{'':56s} {'first':>8s} {'median':>8s} {'longest':>8s} {'kB':>7s}")
     for page, found in result["pages"].items():
-        print(f"{page:56s} {found['first_ms']:8.0f} {found['median_ms']:8.0f} "
-              f"{found['longest_ms']:8.0f} {found['kb']:7.0f}")  # fmt: skip
+        print(
+            f"{page:56s} {found['first_ms']:8.0f} {found['median_ms']:8.0f} "
+            f"{found['longest_ms']:8.0f} {found['kb']:7.0f}"
+        )
 
 
 def measured(folder: str, repeats: int) -> dict[str, object]:
     server = subprocess.Popen(
         [sys.executable, "-m", "dtwin", "ui", "--no-browser"],
-        env=os.environ | {"DTWIN_HOME": folder}, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        env=os.environ | {"DTWIN_HOME": folder},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     try:
         assert server.stdout is not None
         found = re.search(r"(http://[^/]+)/\?token=(\S+)", server.stdout.readline())
@@ -140,9 +161,11 @@ def measured(folder: str, repeats: int) -> dict[str, object]:
             first, size = asked(base + page, cookie)
             times = [asked(base + page, cookie)[0] for _ in range(repeats)]
             pages[page] = {
-                "first_ms": round(first, 1), "median_ms": round(statistics.median(times), 1),
-                "longest_ms": round(max(times), 1), "kb": round(size / 1024, 1),
-            }  # fmt: skip
+                "first_ms": round(first, 1),
+                "median_ms": round(statistics.median(times), 1),
+                "longest_ms": round(max(times), 1),
+                "kb": round(size / 1024, 1),
+            }
         return {"pages": pages}
     finally:
         server.terminate()

@@ -64,22 +64,25 @@ def _first_shipped(sound: CobotParameters) -> CobotParameters:
     joints = sound.joints
     gears = _gears(
         orders_per_turn=(1.0, 2.0, 3.0, 100.0, 200.0, 400.0),
-        flexspline_1=0.0, load_1=0.0, soft_1=0.0, hysteresis_nm=0.0,
+        flexspline_1=0.0,
+        load_1=0.0,
+        soft_1=0.0,
+        hysteresis_nm=0.0,
         order_amplitude_urad=tuple(
-            tuple(a / k for a, k in zip(row, _ORDERS_BY, strict=True))
-            for row in joints.order_amplitude_urad
+            tuple(a / k for a, k in zip(row, _ORDERS_BY, strict=True)) for row in joints.order_amplitude_urad
         ),
         play_width_urad=tuple(width / 3.0 for width in joints.play_width_urad),
         friction_urad=tuple(lost / 0.941 for lost in joints.friction_urad),
         compliance_urad_nm=tuple(c / 0.371 for c in joints.compliance_urad_nm),
         length_error_mm=joints.length_error_mm / 0.301,
         zero_error_urad=joints.zero_error_urad / 0.301,
-    )  # fmt: skip
+    )
     first, *others = sound.structure.shape
     modes = _modes(
-        posture_1=0.0, shape=((first[0] / 0.866, *first[1:]), *others),
+        posture_1=0.0,
+        shape=((first[0] / 0.866, *first[1:]), *others),
         jolt_participation=tuple(p / 1.047 for p in sound.structure.jolt_participation),
-    )  # fmt: skip
+    )
     return modes(gears(sound))
 
 
@@ -124,22 +127,23 @@ def tried(name: str, seed: int, repeats: int) -> dict[str, Any]:
             runs = [
                 evaluate_circle(
                     run_circle(
-                        cobot, bundle, tcp_mm, CircleCondition(plane, radius, feed, turn),
-                        "evidence", 101 + number, way,
+                        cobot, bundle, tcp_mm, CircleCondition(plane, radius, feed, turn), "evidence", 101 + number, way
                     )[0],
                     turn,
                 )
                 for number in range(repeats)
                 for turn in ("CCW", "CW")
-            ]  # fmt: skip
+            ]
             left[way] = float(rms_per_run(runs).mean())
         trained = feed in size.evidence.trained_feeds
         conditions.append({"feed_mm_min": feed, "trained": trained, **left})
     return {
-        "member": name, "proposed": report.proposed, "conditions": conditions,
+        "member": name,
+        "proposed": report.proposed,
+        "conditions": conditions,
         "r2": {group: score.r2 for group, score in scores.items()},
         "passed": all(v.passed for v in made.verdicts),
-    }  # fmt: skip
+    }
 
 
 def text(found: list[dict[str, Any]]) -> str:
@@ -152,15 +156,7 @@ def text(found: list[dict[str, Any]]) -> str:
             cells += [f"{before:z.1f} -> {after:z.1f}", f"{best:z.1f}"]
         r2 = ", ".join(f"{group} {value:z.3f}" for group, value in one["r2"].items())
         rows.append([one["member"], r2, "yes" if one["passed"] else "no", *cells])
-    head = [
-        "cobot",
-        "R2 left out",
-        "gates",
-        "unseen feed, um",
-        "oracle",
-        "trained feed, um",
-        "oracle",
-    ]
+    head = ["cobot", "R2 left out", "gates", "unseen feed, um", "oracle", "trained feed, um", "oracle"]
     return table(head, rows)
 
 

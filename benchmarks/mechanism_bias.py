@@ -30,10 +30,17 @@ TABLE = Path(__file__).parents[1] / "data" / "published" / "ballbar_simulator.to
 NOISE_UM, REPEATS, FEEDS_MM_MIN = 0.1, 3, (300.0, 1000.0, 6000.0)
 UNITS, SERVO_MS = 0.2, 0.01
 EFFECTS = (
-    "scale_mismatch", "squareness", "straightness", "servo_mismatch", "backlash",
-    "backlash_taper", "lateral_play", "lateral_play_taper", "cyclic_error",
+    "scale_mismatch",
+    "squareness",
+    "straightness",
+    "servo_mismatch",
+    "backlash",
+    "backlash_taper",
+    "lateral_play",
+    "lateral_play_taper",
+    "cyclic_error",
     "cyclic_error_by_direction",
-)  # fmt: skip
+)
 
 
 def built(machine: dict[str, Any]) -> MillParameters:
@@ -73,10 +80,7 @@ def wanted(machine: dict[str, Any]) -> dict[tuple[str, str, str], float]:
         low = axis.lower()
         bow = machine[f"straightness_{low}"] * per_100_mm**2
         out["straightness", axis, "bow_at_100_mm"] = bow
-        for effect, name, key in (
-            ("backlash", "backlash", "backlash"),
-            ("lateral_play", "play", "lateral_play"),
-        ):
+        for effect, name, key in (("backlash", "backlash", "backlash"), ("lateral_play", "play", "lateral_play")):
             if f"{key}_{low}" in machine:
                 first, second = machine[f"{key}_{low}"]
                 out[effect, axis, name] = (first + second) / 2
@@ -105,11 +109,15 @@ def compared(machine: dict[str, Any], seed: int) -> list[dict[str, Any]]:
         limit = SERVO_MS if key[0] == "servo_mismatch" else UNITS
         rows.append(
             {
-                "parameter": " ".join(key), "unit": estimate.unit, "set": truth,
-                "found": estimate.value, "uncertainty": estimate.uncertainty, "bias": bias,
+                "parameter": " ".join(key),
+                "unit": estimate.unit,
+                "set": truth,
+                "found": estimate.value,
+                "uncertainty": estimate.uncertainty,
+                "bias": bias,
                 "within": abs(bias) <= limit,
             }
-        )  # fmt: skip
+        )
     return rows
 
 

@@ -40,9 +40,11 @@ def __getattr__(name: str) -> Any:
         from dtwin.errors import MissingPart
 
         raise MissingPart(
-            "a notebook needs a package that is not installed here", code="package.missing",
-            got=str(error.name), hint="pip install '.[report]' in a checkout of dtwin",
-        ) from error  # fmt: skip
+            "a notebook needs a package that is not installed here",
+            code="package.missing",
+            got=str(error.name),
+            hint="pip install '.[report]' in a checkout of dtwin",
+        ) from error
 
 
 def __dir__() -> list[str]:

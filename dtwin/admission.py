@@ -93,7 +93,6 @@ def fresh(campaign: str, known: Rows, rows: Rows) -> dict[str, dict[str, Any]]:
                 code="campaign.differs",
                 where=f"campaign {campaign}",
                 got="; ".join(told)[:600],
-                hint="another machine or instrument: another campaign name; a mistake: "
-                f"dtwin amend {campaign} --set …",
+                hint=f"another machine or instrument: another campaign name; a mistake: dtwin amend {campaign} --set …",
             )
     return new

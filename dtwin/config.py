@@ -23,13 +23,9 @@ SETTINGS: dict[str, tuple[str, str]] = {
     "DTWIN_HOME": ("`./.dtwin`", "folder of all state: lake, models, bundles, logs, servers"),
     "DTWIN_FOLDERS": (
         "none",
-        "folders besides `DTWIN_HOME`, parted by `:`, that flows started on the Prefect page may "
-        "read and write",
+        "folders besides `DTWIN_HOME`, parted by `:`, that flows started on the Prefect page may read and write",
     ),
-    "MLFLOW_TRACKING_URI": (
-        "a SQLite file in `DTWIN_HOME`",
-        "where models are logged and registered",
-    ),
+    "MLFLOW_TRACKING_URI": ("a SQLite file in `DTWIN_HOME`", "where models are logged and registered"),
     "DTWIN_MLFLOW": (
         "later",
         "`later`: MLflow is told of a twin's version in the background; `now`: before the command ends",
@@ -139,9 +135,8 @@ class Home:
         when = os.environ.get("DTWIN_MLFLOW") or "later"
         if when not in ("now", "later"):
             raise InputError(
-                "the setting is not known", code="settings.value", where="DTWIN_MLFLOW",
-                got=when, allowed="now, later",
-            )  # fmt: skip
+                "the setting is not known", code="settings.value", where="DTWIN_MLFLOW", got=when, allowed="now, later"
+            )
         return when == "now"
 
 

@@ -13,12 +13,7 @@ import pyarrow as pa
 from deltalake import DeltaTable
 from deltalake.exceptions import CommitFailedError, DeltaError, TableNotFoundError
 from deltalake.schema import Schema as DeltaSchema
-from deltalake.transaction import (
-    AddAction,
-    CommitProperties,
-    PostCommitHookProperties,
-    RemoveAction,
-)
+from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
 
 from dtwin.atomic import make_folder, sync
 from dtwin.delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
@@ -152,8 +147,7 @@ class DeltaFiles:
             now_ms = int(time.time() * 1000)
             new = {file.name: file for file in written if file.name not in live}
             actions: list[AddAction | RemoveAction] = [
-                AddAction(f.name, f.size, {}, now_ms, True, json.dumps({"numRecords": f.rows}))
-                for f in new.values()
+                AddAction(f.name, f.size, {}, now_ms, True, json.dumps({"numRecords": f.rows})) for f in new.values()
             ]
             if not actions:
                 return table.version()
@@ -169,9 +163,7 @@ class DeltaFiles:
             hint="wait for the other ingest to finish and run this again",
         )
 
-    def _written(
-        self, table: DeltaTable, actions: list[AddAction | RemoveAction], live: Iterable[str]
-    ) -> int:
+    def _written(self, table: DeltaTable, actions: list[AddAction | RemoveAction], live: Iterable[str]) -> int:
         """Commit actions after which these files are live; sync, and return the version."""
         try:
             table.create_write_transaction(
@@ -308,9 +300,7 @@ class DeltaFiles:
             # Not table.history: of an older version it returns the newest entries.
             entry = self._entry(table.version()).read_text(encoding="utf-8")
             actions = [json.loads(line) for line in entry.splitlines()]
-            hashes = [
-                action["commitInfo"].get(LIVE) for action in actions if "commitInfo" in action
-            ]
+            hashes = [action["commitInfo"].get(LIVE) for action in actions if "commitInfo" in action]
         except (DeltaError, OSError, ValueError, TypeError, AttributeError) as error:
             raise self._damaged(str(error)) from error
         if self.is_earlier():
@@ -349,9 +339,7 @@ class DeltaFiles:
             return table
         properties = CommitProperties(live_hash(self._verified(table)), max_commit_retries=0)
         try:
-            table.alter.add_columns(
-                fresh, commit_properties=properties, post_commithook_properties=_KEEP_LOG
-            )
+            table.alter.add_columns(fresh, commit_properties=properties, post_commithook_properties=_KEEP_LOG)
         except CommitFailedError:
             return self._with_columns(schema)
         except (DeltaError, OSError) as error:

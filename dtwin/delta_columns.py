@@ -66,6 +66,4 @@ def declared(field: pa.Field, folder: Path) -> Field:
     """Return the Delta field of a column, with its unit."""
     unit = unit_of(field.name)
     metadata = {} if unit is None else {"unit": unit}
-    return Field(
-        field.name, PrimitiveType(sort_of(field, folder)), nullable=True, metadata=metadata
-    )
+    return Field(field.name, PrimitiveType(sort_of(field, folder)), nullable=True, metadata=metadata)

@@ -28,9 +28,7 @@ class Batch:
         self.written: list[Written] = []
         self.schema = table.accepted([table_of(columns).schema for columns in parts])
 
-    def write(
-        self, stem: str, columns: Mapping[str, NDArray[Any]], encoded: Encoded | None = None
-    ) -> str:
+    def write(self, stem: str, columns: Mapping[str, NDArray[Any]], encoded: Encoded | None = None) -> str:
         """Write one file, as it was read where its columns were not replaced; return its name."""
         table = table_of(columns)
         if encoded is not None and encoded.columns is columns:

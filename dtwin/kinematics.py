@@ -211,9 +211,7 @@ def inverse_kernel(
 
 
 @kernel
-def _forward_many(
-    q_rad: Floats, dh: Floats, tcp_mm: Floats, positions: Floats, rotations: Floats
-) -> None:
+def _forward_many(q_rad: Floats, dh: Floats, tcp_mm: Floats, positions: Floats, rotations: Floats) -> None:
     for n in range(q_rad.shape[0]):
         positions[n], rotations[n] = forward_kernel(q_rad[n], dh, tcp_mm)
 
@@ -276,9 +274,7 @@ class KinematicChain:
         """Return d(position)/d(joints), shape (3, 6), in mm/rad."""
         return jacobian_kernel(q_rad, self.dh, tcp_mm)[:3]
 
-    def inverse(
-        self, position_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats
-    ) -> Floats:
+    def inverse(self, position_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats) -> Floats:
         """Return joint angles (6,) that reach a pose, on the branch of the seed.
 
         Raises
@@ -290,9 +286,7 @@ class KinematicChain:
         self._require_reached(left)
         return q_rad
 
-    def inverse_many(
-        self, positions_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats
-    ) -> Floats:
+    def inverse_many(self, positions_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats) -> Floats:
         """Return joint angles (n, 6) along a path of constant rotation, each seeding the next.
 
         Raises

@@ -109,10 +109,7 @@ def read_network(path: Path | None = None) -> LatheNetwork:
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            "the network cannot be read",
-            code="network.file",
-            where=str(file),
-            got=repr(error)[:120],
+            "the network cannot be read", code="network.file", where=str(file), got=repr(error)[:120]
         ) from error
 
 

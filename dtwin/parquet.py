@@ -31,8 +31,7 @@ def table_of(columns: Mapping[str, NDArray[Any] | Sequence[Any]]) -> pa.Table:
     """
     arrays = [_array(values) for values in columns.values()]
     fields = [
-        pa.field(name, array.type, metadata=_unit_metadata(name))
-        for name, array in zip(columns, arrays, strict=True)
+        pa.field(name, array.type, metadata=_unit_metadata(name)) for name, array in zip(columns, arrays, strict=True)
     ]
     return pa.table(arrays, schema=pa.schema(fields))
 
@@ -98,9 +97,7 @@ def read_parquet(path: Path) -> pa.Table:
     return read_encoded(path)[0]
 
 
-def read_encoded(
-    path: Path, verify: Callable[[memoryview], None] | None = None
-) -> tuple[pa.Table, memoryview | None]:
+def read_encoded(path: Path, verify: Callable[[memoryview], None] | None = None) -> tuple[pa.Table, memoryview | None]:
     """Read a table as :func:`read_parquet` does, and the bytes that it was verified from.
 
     Parameters
@@ -126,9 +123,7 @@ def read_encoded(
         data = memoryview(buffer)
         if verify is not None:
             verify(data)
-        table = pq.ParquetFile(
-            pa.BufferReader(buffer), page_checksum_verification=verify is None
-        ).read()
+        table = pq.ParquetFile(pa.BufferReader(buffer), page_checksum_verification=verify is None).read()
     # Damaged names of columns end in UnicodeDecodeError.
     except (OSError, pa.ArrowException, ValueError) as error:
         raise StoreError(

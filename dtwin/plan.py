@@ -184,12 +184,7 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
             allowed="1 to 1000",
         )
     if len(planes) * len(radii) * len(feeds) * repeats > _MAX_TESTS:
-        raise InputError(
-            "the grid is absurdly large",
-            code="plan.size",
-            where=where,
-            allowed=f"{_MAX_TESTS} tests",
-        )
+        raise InputError("the grid is absurdly large", code="plan.size", where=where, allowed=f"{_MAX_TESTS} tests")
     seed = int(head.get("seed", 1))
     tests = _ordered(planes, radii, feeds, repeats, seed)
     plan = Plan(
@@ -234,11 +229,7 @@ def advice(plan: Plan) -> list[Finding]:
         )
     if len({test.feed_mm_min for test in plan.tests}) < 2:
         findings.append(
-            Finding(
-                "plan.one_feed",
-                "warning",
-                "one feed only: no effect that grows with feed can be named",
-            )
+            Finding("plan.one_feed", "warning", "one feed only: no effect that grows with feed can be named")
         )
     if not plan.calibrated_length and len({test.radius_mm for test in plan.tests}) > 1:
         findings.append(
@@ -302,10 +293,7 @@ def _numbers(grid: Mapping[str, Any], name: str, where: str) -> list[float]:
     values = _listed(grid, name, where)
     if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
         raise InputError(
-            f"{name} must be numbers",
-            code="plan.grid",
-            where=f"{where} grid.{name}",
-            got=repr(values)[:80],
+            f"{name} must be numbers", code="plan.grid", where=f"{where} grid.{name}", got=repr(values)[:80]
         )
     return [float(v) for v in values]
 

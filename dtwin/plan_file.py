@@ -36,13 +36,9 @@ def read_plan_file(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise InputError(
-            "the plan cannot be read", code="plan.file", where=str(path), got=error.strerror
-        ) from error
+        raise InputError("the plan cannot be read", code="plan.file", where=str(path), got=error.strerror) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(
-            "the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)
-        ) from error
+        raise InputError("the plan is not valid TOML", code="plan.toml", where=str(path), got=str(error)) from error
 
 
 def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
@@ -76,9 +72,12 @@ def _plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:
     name = head.get("kind", unstated) if isinstance(head, dict) else unstated
     if name not in kind_names():
         raise InputError(
-            "no plan is known for this kind", code="plan.kind", where="plan.kind",
-            got=str(name)[:40], allowed=", ".join(k.name for k in kinds() if k.offers("plan")),
-        )  # fmt: skip
+            "no plan is known for this kind",
+            code="plan.kind",
+            where="plan.kind",
+            got=str(name)[:40],
+            allowed=", ".join(k.name for k in kinds() if k.offers("plan")),
+        )
     kind = kind_named(name)
     kind.require("plan")
     return kind
@@ -119,22 +118,21 @@ def filled(plan: type[_Plan], stated: Mapping[str, Any], where: str) -> _Plan:
     unknown = sorted(set(stated) - set(known))
     if unknown:
         raise InputError(
-            "unknown setting of a plan", code="plan.setting", where=where,
-            got=", ".join(unknown[:5]), allowed=", ".join(known),
-        )  # fmt: skip
+            "unknown setting of a plan",
+            code="plan.setting",
+            where=where,
+            got=", ".join(unknown[:5]),
+            allowed=", ".join(known),
+        )
     missing = [f.name for f in fields(plan) if f.name not in stated and f.default is MISSING]
     if missing:
-        raise InputError(
-            "the plan lacks settings", code="plan.setting", where=where, got=", ".join(missing)
-        )
+        raise InputError("the plan lacks settings", code="plan.setting", where=where, got=", ".join(missing))
     return plan(**{name: _typed(name, known[name], stated[name], where) for name in stated})
 
 
 def broken_rule(name: str, what: str, where: str, got: object, allowed: str) -> InputError:
     """Return what is said of a setting that breaks a rule."""
-    return InputError(
-        what, code=f"plan.{name}", where=f"{where} plan.{name}", got=str(got)[:60], allowed=allowed
-    )
+    return InputError(what, code=f"plan.{name}", where=f"{where} plan.{name}", got=str(got)[:60], allowed=allowed)
 
 
 def _typed(name: str, kind: str, value: Any, where: str) -> Any:
@@ -151,9 +149,12 @@ def _typed(name: str, kind: str, value: Any, where: str) -> Any:
         if right:
             return float(value) if kind == "float" else value
     raise InputError(
-        f"{name} is of the wrong kind", code="plan.setting", where=f"{where} plan.{name}",
-        got=repr(value)[:60], allowed=wanted,
-    )  # fmt: skip
+        f"{name} is of the wrong kind",
+        code="plan.setting",
+        where=f"{where} plan.{name}",
+        got=repr(value)[:60],
+        allowed=wanted,
+    )
 
 
 def _is_number(value: Any) -> bool:

@@ -49,16 +49,7 @@ RUN_SCHEMA = pa.schema(
             )
         ),
         *((name, pa.float64()) for name in ("radius_mm", "feed_mm_min", "sample_rate_hz")),
-        *(
-            (name, pa.int64())
-            for name in (
-                "repeat",
-                "n_samples",
-                "window_start",
-                "window_end",
-                "n_errors",
-            )
-        ),
+        *((name, pa.int64()) for name in ("repeat", "n_samples", "window_start", "window_end", "n_errors")),
     ]
 )
 
@@ -67,15 +58,7 @@ AMENDMENT_SCHEMA = pa.schema(
     [
         *(
             (name, pa.string())
-            for name in (
-                "campaign",
-                "run_id",
-                "who",
-                "when",
-                "because",
-                "changes_json",
-                "row_sha256",
-            )
+            for name in ("campaign", "run_id", "who", "when", "because", "changes_json", "row_sha256")
         ),
         ("version", pa.int64()),
     ]
@@ -209,9 +192,7 @@ def run_row(campaign: Campaign, run: Run) -> dict[str, Any]:
         "window_start": None if run.window is None else int(run.window[0]),
         "window_end": None if run.window is None else int(run.window[1]),
     }
-    signals = [
-        (g.name, float(g.rate_hz), float(g.start_s), columns_sha256(g.columns)) for g in run.signals
-    ]
+    signals = [(g.name, float(g.rate_hz), float(g.start_s), columns_sha256(g.columns)) for g in run.signals]
     row["signals_sha256"] = _hash({"signals": sorted(signals)})
     return row | {"content_sha256": _hash({name: row[name] for name in _CONTENT})}
 
@@ -230,9 +211,7 @@ def differences(stored: Mapping[str, Any], stated: Mapping[str, Any]) -> list[st
     Values that were measured are compared by their hashes.
     """
     told = []
-    for name in (
-        *OF_CAMPAIGN, *_OF_RUN, "sample_rate_hz", "window_start", "window_end", "correction"
-    ):  # fmt: skip
+    for name in (*OF_CAMPAIGN, *_OF_RUN, "sample_rate_hz", "window_start", "window_end", "correction"):
         was, now = stored[name], stated[name]
         if name.endswith("_json"):
             before, after = json.loads(was), json.loads(now)
@@ -248,9 +227,7 @@ def differences(stored: Mapping[str, Any], stated: Mapping[str, Any]) -> list[st
     return told
 
 
-def amended(
-    rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str, Any]]
-) -> list[dict[str, Any]]:
+def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return rows as they are stated now, each with its amendments.
 
     ``amendments`` of a row are its records, the oldest first; ``metadata_version`` is the newest

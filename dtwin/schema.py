@@ -42,12 +42,7 @@ def require_name(name: object, what: str) -> str:
     InputError
         When the name could leave its folder or be misread.
     """
-    if (
-        isinstance(name, str)
-        and _NAME.fullmatch(name)
-        and ".." not in name
-        and not _DEVICE.fullmatch(name)
-    ):
+    if isinstance(name, str) and _NAME.fullmatch(name) and ".." not in name and not _DEVICE.fullmatch(name):
         return name
     raise InputError(
         f"{what} is not a usable name",
@@ -73,10 +68,7 @@ def standard_plane(plane: str, direction: Direction) -> tuple[Plane, Direction]:
     if wanted in _FLIPPED:
         return _FLIPPED[wanted], "CW" if direction == "CCW" else "CCW"
     raise InputError(
-        "unknown plane",
-        code="run.plane",
-        got=plane[:40],
-        allowed="XY, YZ, ZX, and XZ, ZY, YX, which are converted",
+        "unknown plane", code="run.plane", got=plane[:40], allowed="XY, YZ, ZX, and XZ, ZY, YX, which are converted"
     )
 
 
@@ -103,12 +95,7 @@ class Finding:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        return {
-            "code": self.code,
-            "severity": self.severity,
-            "message": self.message,
-            "numbers": dict(self.numbers),
-        }
+        return {"code": self.code, "severity": self.severity, "message": self.message, "numbers": dict(self.numbers)}
 
 
 @dataclass(frozen=True)

@@ -19,14 +19,7 @@ from dtwin.delta_columns import content_hash
 from dtwin.errors import InputError, StoreError
 from dtwin.file_batch import Batch
 from dtwin.parquet import columns_of, table_of
-from dtwin.run_rows import (
-    AMENDMENT_SCHEMA,
-    RUN_SCHEMA,
-    amended,
-    meta_of,
-    sealed,
-    unsealed,
-)
+from dtwin.run_rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, meta_of, sealed, unsealed
 from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
 TABLES = ("runs", "samples", "signals", "features", "rejects", "amendments")
@@ -83,12 +76,7 @@ class Lake:
         """Return the version of every table, -1 for one that does not exist."""
         return {name: table.version() for name, table in self.tables.items()}
 
-    def commit(
-        self,
-        campaign: Campaign,
-        runs: Sequence[Run],
-        rejected: Sequence[RejectedRows] = (),
-    ) -> CommitReport:
+    def commit(self, campaign: Campaign, runs: Sequence[Run], rejected: Sequence[RejectedRows] = ()) -> CommitReport:
         """Add runs; a run that is there with the same content is left alone.
 
         Data files are written and committed first, ``runs`` last and under a lock, so that a
@@ -129,11 +117,7 @@ class Lake:
                 new = fresh(campaign.name, self._known(campaign), new)
                 if new:
                     self._add_rows("runs", campaign.name, list(new.values()), RUN_SCHEMA)
-        return CommitReport(
-            added=tuple(new),
-            unchanged=tuple(sorted(set(rows) - set(new))),
-            versions=self.versions(),
-        )
+        return CommitReport(added=tuple(new), unchanged=tuple(sorted(set(rows) - set(new))), versions=self.versions())
 
     def _known(self, campaign: Campaign) -> dict[str, dict[str, Any]]:
         return {row["run_id"]: row for row in self.runs(campaign.name, left_out=True)}
@@ -169,10 +153,7 @@ class Lake:
         return version
 
     def runs(
-        self,
-        campaign: str | None = None,
-        left_out: bool = False,
-        at: Mapping[str, int] | None = None,
+        self, campaign: str | None = None, left_out: bool = False, at: Mapping[str, int] | None = None
     ) -> list[dict[str, Any]]:
         """Return the runs as they are stated now, in the order they were planned or read.
 
@@ -198,11 +179,7 @@ class Lake:
             return unsealed(table, schema, str(self.root / name))
 
         rows = amended(rows_of("runs", RUN_SCHEMA), rows_of("amendments", AMENDMENT_SCHEMA))
-        chosen = [
-            row
-            for row in rows
-            if campaign in (None, row["campaign"]) and (left_out or row["left_out"] is None)
-        ]
+        chosen = [row for row in rows if campaign in (None, row["campaign"]) and (left_out or row["left_out"] is None)]
         return sorted(chosen, key=lambda r: (r["campaign"], r["started"] or "", r["run_id"]))
 
     def load(self, row: Mapping[str, Any], *, signals: bool = True) -> Run:
@@ -291,9 +268,7 @@ class Lake:
         schema = files.accepted([table.schema])
         return files.commit([files.write(stem, table)], schema)
 
-    def _add_rows(
-        self, table_name: str, campaign: str, rows: Sequence[Mapping[str, Any]], schema: pa.Schema
-    ) -> None:
+    def _add_rows(self, table_name: str, campaign: str, rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> None:
         self._add(table_name, require_name(campaign, "the campaign name"), sealed(rows, schema))
 
     def repair(self) -> dict[str, Any]:
@@ -317,9 +292,7 @@ class Lake:
             }
             dropped: dict[str, Any] = {}
             for name, table in self.tables.items():
-                orphans = (
-                    [f for f in table.files() if f not in wanted[name]] if name in wanted else []
-                )
+                orphans = [f for f in table.files() if f not in wanted[name]] if name in wanted else []
                 if orphans:
                     table.remove(orphans)
                 dropped[name] = len(orphans) + table.sweep()
@@ -336,9 +309,7 @@ class Lake:
                 signals = Batch(self.tables["signals"], ())
                 signals.write(f"{stem}-{g.name}", g.columns, g.encoded)
 
-    def _write_data(
-        self, runs: Sequence[Run], rows: Mapping[str, dict[str, Any]]
-    ) -> tuple[Batch, Batch]:
+    def _write_data(self, runs: Sequence[Run], rows: Mapping[str, dict[str, Any]]) -> tuple[Batch, Batch]:
         """Write the files of runs and enter their names into the rows."""
         groups = [group for run in runs for group in run.signals]
         samples = Batch(self.tables["samples"], [run.samples for run in runs])

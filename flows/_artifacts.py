@@ -15,9 +15,7 @@ from flows import _plots
 from flows.reach import running
 
 
-def publish_table(
-    key: str, head: Sequence[str], rows: Sequence[Sequence[object]], description: str
-) -> None:
+def publish_table(key: str, head: Sequence[str], rows: Sequence[Sequence[object]], description: str) -> None:
     """Leave a table.
 
     Parameters
@@ -48,9 +46,7 @@ def publish_markdown(key: str, text: str, description: str) -> None:
     create_markdown_artifact(text, key=slug(key), description=description)
 
 
-def publish_findings(
-    campaign: str, findings: Sequence[tuple[str, Mapping[str, Any]]], description: str
-) -> None:
+def publish_findings(campaign: str, findings: Sequence[tuple[str, Mapping[str, Any]]], description: str) -> None:
     """Leave data-quality findings as a table, worst first.
 
     Parameters
@@ -78,15 +74,10 @@ def publish_held_out_error(report: TrainingReport) -> None:
     """
     rows = [(c.name, {"held-out RMS": c.held_out.rms_um}) for c in report.candidates]
     svg = _plots.bars(
-        "error on conditions left out, um RMS",
-        rows,
-        floor=report.noise_floor_um,
-        longest=1.5 * report.rms_before_um,
+        "error on conditions left out, um RMS", rows, floor=report.noise_floor_um, longest=1.5 * report.rms_before_um
     )
     text = _plots.markdown("held-out error by candidate", svg)
-    publish_markdown(
-        f"held-out-error-{report.campaign}", text, f"Candidates trained on {report.campaign}"
-    )
+    publish_markdown(f"held-out-error-{report.campaign}", text, f"Candidates trained on {report.campaign}")
 
 
 def publish_version(machine: str, version: str, verdicts: Sequence[Verdict]) -> None:
@@ -117,11 +108,7 @@ def publish_evidence(machine: str, version: str, evidence: Mapping[str, Any]) ->
     rows = [
         (
             condition_name(c),
-            {
-                name: c[f"{name}_um"]
-                for name in ("before", "oracle", "after")
-                if c[f"{name}_um"] is not None
-            },
+            {name: c[f"{name}_um"] for name in ("before", "oracle", "after") if c[f"{name}_um"] is not None},
         )
         for c in evidence["conditions"]
     ]

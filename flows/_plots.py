@@ -72,8 +72,7 @@ def bars(
     if floor is not None and math.isfinite(floor):
         x = _LEFT + scale * floor
         parts.append(
-            f'<line x1="{x:z.1f}" y1="{first - 4}" x2="{x:z.1f}" y2="{y}" stroke="{_FLOOR}" '
-            f'stroke-dasharray="4 3"/>'
+            f'<line x1="{x:z.1f}" y1="{first - 4}" x2="{x:z.1f}" y2="{y}" stroke="{_FLOOR}" stroke-dasharray="4 3"/>'
         )
         parts.append(_text(x, y + 14, f"noise floor {_short(floor)}", anchor="middle"))
         y += 18
@@ -131,10 +130,7 @@ def _legend(names: Sequence[str], y: float) -> list[str]:
 
 
 def _text(x: float, y: float, text: str, *, size: int = 12, anchor: str = "start") -> str:
-    return (
-        f'<text x="{x:z.1f}" y="{y:z.1f}" font-size="{size}" text-anchor="{anchor}">'
-        f"{escape(text)}</text>"
-    )
+    return f'<text x="{x:z.1f}" y="{y:z.1f}" font-size="{size}" text-anchor="{anchor}">{escape(text)}</text>'
 
 
 def _svg(width: int, height: float, parts: Sequence[str]) -> str:

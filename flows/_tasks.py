@@ -138,9 +138,7 @@ def serve(machine: str, circle: Circle, duration_s: float, seed: int) -> dict[st
 
 
 @task(name="promote", task_run_name="promote version {version.version}", **_ONCE)
-def make_champion(
-    version: RegisteredVersion, comment: str, despite: Sequence[str] = ()
-) -> tuple[Path | None, str]:
+def make_champion(version: RegisteredVersion, comment: str, despite: Sequence[str] = ()) -> tuple[Path | None, str]:
     """Make a version champion by its evidence, or return why not."""
     return closed_loop.make_champion(home(), version, comment, despite)
 

@@ -65,17 +65,24 @@ def campaign_flow(
         _artifacts.publish_markdown(f"next-{plan.name}", f"```\n{line}\n```", "What to do next")
 
     request = CampaignRequest(
-        plan, confined(inbox), out and confined(out), sensors and confined(sensors), robot,
-        with_version, settle_s,
-    )  # fmt: skip
+        plan, confined(inbox), out and confined(out), sensors and confined(sensors), robot, with_version, settle_s
+    )
     found = _tasks.measure_on_machine(request, lambda folder: Desk(folder, show, lambda: None))
     _artifacts.publish_table(
         f"measured-{plan.name}",
         ("tests", "measured now", "kept", "put aside", "runs added", "folder"),
-        [[found["measured"] + found["kept"], found["measured"], found["kept"],
-          found["set_aside"], found["added"], found["folder"]]],
+        [
+            [
+                found["measured"] + found["kept"],
+                found["measured"],
+                found["kept"],
+                found["set_aside"],
+                found["added"],
+                found["folder"],
+            ]
+        ],
         f"Measured on {plan.machine}",
-    )  # fmt: skip
+    )
     if found["evidence"] is not None:
         version = Registry(home()).version(plan.machine, found["version"])
         publish_circles(version, found["evidence"])

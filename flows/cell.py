@@ -52,11 +52,18 @@ def cell_flow(
 
 def _publish(cell: str, seen: dict[str, Any], stopped: str) -> None:
     rows = [
-        [s["part"], s["step"], s["twin"], s["state"],
-         *(f"{s['result'][k]:z.1f}" if k in s["result"] else "" for k in
-           ("duration_s", "error_without_um", "error_um"))]
+        [
+            s["part"],
+            s["step"],
+            s["twin"],
+            s["state"],
+            *(
+                f"{s['result'][k]:z.1f}" if k in s["result"] else ""
+                for k in ("duration_s", "error_without_um", "error_um")
+            ),
+        ]
         for s in seen["steps"]
-    ]  # fmt: skip
+    ]
     done = sum(s["state"] == DONE for s in seen["steps"])
     came = f"stopped: {stopped}" if stopped else "done"
     _artifacts.publish_table(

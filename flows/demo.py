@@ -45,9 +45,7 @@ class FlowSteps:
         Shows a line.
     """
 
-    def __init__(
-        self, home: Home, api: str, progress: ProgressOf, say: Callable[[str], None]
-    ) -> None:
+    def __init__(self, home: Home, api: str, progress: ProgressOf, say: Callable[[str], None]) -> None:
         self._api, self._progress, self._say = api, progress, say
         self._plain = PlainSteps(home, progress)
         self._lost = False
@@ -98,10 +96,9 @@ class TaskWork:
         _artifacts.publish_table(
             f"measured-{plan.name}",
             ("tests", "runs", "measured now", "kept", "MB", "folder"),
-            [[len(plan.tests), plan.n_runs, done.measured, done.kept,
-              f"{done.raw_bytes / 1e6:z.1f}", done.folder]],
+            [[len(plan.tests), plan.n_runs, done.measured, done.kept, f"{done.raw_bytes / 1e6:z.1f}", done.folder]],
             "Measured on the virtual cobot, machine clock",
-        )  # fmt: skip
+        )
         return done
 
     def features(self, campaign: str) -> FeatureReport:

@@ -63,9 +63,7 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
     }
 
 
-def publish_figures(
-    campaign: str, figures: Mapping[str, Any], description: str
-) -> list[tuple[str, Mapping[str, Any]]]:
+def publish_figures(campaign: str, figures: Mapping[str, Any], description: str) -> list[tuple[str, Mapping[str, Any]]]:
     """Leave findings and standard figures, and return the findings with their runs.
 
     Parameters
@@ -102,9 +100,7 @@ def publish_twins(campaign: str, views: Sequence[TwinView]) -> None:
     for view in views:
         done = "lacks" if view.diagnosed else "against these runs"
         text = f"## What twin {view.name} {done}\n\n{view.headline}\n\n```\n{view.text}\n```"
-        _artifacts.publish_markdown(
-            f"twin-{view.name}-{campaign}", text, f"Twin {view.name}, version {view.version}"
-        )
+        _artifacts.publish_markdown(f"twin-{view.name}-{campaign}", text, f"Twin {view.name}, version {view.version}")
 
 
 def publish_drift(check: DriftCheck | None) -> None:
@@ -128,9 +124,7 @@ def publish_drift(check: DriftCheck | None) -> None:
             "What to do: look at the machine first (play, mounting, tool, temperature); "
             "when it is sound, measure a training campaign and train again.",
         ]
-    _artifacts.publish_markdown(
-        f"diagnosis-{check.campaign}", "\n".join(lines), f"Champion {check.version}"
-    )
+    _artifacts.publish_markdown(f"diagnosis-{check.campaign}", "\n".join(lines), f"Champion {check.version}")
 
 
 def _row(run: Mapping[str, Any]) -> list[str]:

@@ -45,10 +45,7 @@ def publish_ingest(reports: Sequence[IngestReport]) -> None:
     _artifacts.publish_table(
         "ingested",
         ("campaign", "runs added", "unchanged", "rows rejected", "worst finding"),
-        [
-            [r.campaign, len(r.added), len(r.unchanged), r.rejected_rows, worst(r.findings)]
-            for r in reports
-        ],
+        [[r.campaign, len(r.added), len(r.unchanged), r.rejected_rows, worst(r.findings)] for r in reports],
         "What was brought into the lake",
     )
     for report in reports:

@@ -75,8 +75,7 @@ def publish_circles(version: RegisteredVersion, evidence: Mapping[str, Any]) -> 
     _artifacts.publish_table(
         f"evidence-{version.machine}",
         *evidence_table(evidence),
-        f"With and without version {version.version}: {evidence['kind']} evidence, "
-        f"{evidence['clock']}",
+        f"With and without version {version.version}: {evidence['kind']} evidence, {evidence['clock']}",
     )
     _artifacts.publish_evidence(version.machine, version.version, evidence)
 
@@ -112,9 +111,7 @@ def publish_refusal(machine: str, reason: str) -> None:
 
 def _refused(result: dict[str, Any], reason: str) -> State[dict[str, Any]]:
     publish_refusal(result["machine"], reason)
-    return Completed(
-        name="Refused", message=reason.splitlines()[0], data=result | {"reason": reason}
-    )
+    return Completed(name="Refused", message=reason.splitlines()[0], data=result | {"reason": reason})
 
 
 def _only_machine(registry: Registry) -> str:

@@ -16,9 +16,7 @@ from flows import _artifacts, _tasks
 
 
 @flow(name="recheck", flow_run_name="recheck")
-def recheck_flow(
-    machine: str | None = None, seed: int = 0, blocks: int = 3
-) -> dict[str, Any] | State[dict[str, Any]]:
+def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> dict[str, Any] | State[dict[str, Any]]:
     """Measure circles with and without each champion; withdraw the ones that harm.
 
     A real machine's circles have to be measured on it: it is left out here, with that reason.
@@ -68,9 +66,8 @@ def publish_recheck(done: Rechecked) -> None:
         f"recheck-{name}",
         ("condition", "without um", "with um", "growth um", "± um", "pairs"),
         [
-            [c.name, *(f"{v:z.1f}" for v in (c.before_um, c.after_um, c.growth_um, c.half_width_um)),
-             str(c.pairs)]
+            [c.name, *(f"{v:z.1f}" for v in (c.before_um, c.after_um, c.growth_um, c.half_width_um)), str(c.pairs)]
             for c in done.found.conditions
         ],
         f"Version {done.version.version}: {done.found.reason}; {came}",
-    )  # fmt: skip
+    )

@@ -77,16 +77,20 @@ def deployments(cron: str | None) -> list[RunnerDeployment]:
         entrypoint_type=EntrypointType.MODULE_PATH,
     )
     others = (
-        campaign_flow, simulate_flow, ingest_flow, train_flow, promote_flow, diagnose_flow, cell_flow,
+        campaign_flow,
+        simulate_flow,
+        ingest_flow,
+        train_flow,
+        promote_flow,
+        diagnose_flow,
+        cell_flow,
         *paper_flows,
-    )  # fmt: skip
+    )
     return [
         scheduled,
         checked,
         *(
-            RunnerDeployment.from_flow(
-                known, DEPLOYMENT, entrypoint_type=EntrypointType.MODULE_PATH
-            )
+            RunnerDeployment.from_flow(known, DEPLOYMENT, entrypoint_type=EntrypointType.MODULE_PATH)
             for known in others
         ),
     ]
@@ -104,6 +108,4 @@ def _publish_comparison(result: dict[str, Any]) -> None:
         "",
         f"Next: `dtwin promote {result['version']} --machine {result['machine']}`",
     ]
-    _artifacts.publish_markdown(
-        f"review-{result['machine']}", "\n".join(lines), "Candidate against champion"
-    )
+    _artifacts.publish_markdown(f"review-{result['machine']}", "\n".join(lines), "Candidate against champion")

@@ -70,13 +70,7 @@ class Child:
     """
 
     def __init__(
-        self,
-        name: str,
-        command: list[str],
-        env: Mapping[str, str],
-        log: Path,
-        *,
-        stops_its_own: bool = False,
+        self, name: str, command: list[str], env: Mapping[str, str], log: Path, *, stops_its_own: bool = False
     ) -> None:
         self.name, self.log, self.stops_its_own = name, log, stops_its_own
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -104,10 +98,7 @@ class Child:
         code = self.process.poll()
         if code is not None:
             raise StoreError(
-                f"{self.name} ended by itself",
-                code="up.ended",
-                where=str(self.log),
-                got=f"exit {code}: {self._tail()}",
+                f"{self.name} ended by itself", code="up.ended", where=str(self.log), got=f"exit {code}: {self._tail()}"
             )
 
     def stop(self) -> None:
@@ -262,11 +253,7 @@ def _start_prefect(home: Home, wanted: int | None, found: Servers) -> None:
     command = [sys.executable, "-m", "flows.prefect_server", "--port", str(port)]
     found.children.append(Child("Prefect", command, env, home.logs / "prefect-server.log"))
     entering = base64.b64encode(secret.encode()).decode()
-    found.addresses |= {
-        "prefect": page,
-        "prefect_api": f"{page}/api",
-        "prefect_enter": f"{page}/enter#{entering}",
-    }
+    found.addresses |= {"prefect": page, "prefect_api": f"{page}/api", "prefect_enter": f"{page}/enter#{entering}"}
 
 
 def _start_mlflow(home: Home, wanted: int | None, found: Servers) -> None:
@@ -295,18 +282,12 @@ def _start_flows(home: Home, request: UpRequest, found: Servers) -> None:
     if "prefect_enter" in found.addresses:
         env["PREFECT_API_AUTH_STRING"] = auth_string(home)
     command = [sys.executable, "-m", "flows", *(["--cron", request.cron] if request.cron else [])]
-    found.children.append(
-        Child("the flows", command, env, home.logs / "flows.log", stops_its_own=True)
-    )
+    found.children.append(Child("the flows", command, env, home.logs / "flows.log", stops_its_own=True))
 
 
 def _await_answers(found: Servers) -> None:
     named = {"Prefect": "prefect_api", "MLflow": "mlflow"}
-    waiting = {
-        name: f"{found.addresses[key]}/health"
-        for name, key in named.items()
-        if key in found.addresses
-    }
+    waiting = {name: f"{found.addresses[key]}/health" for name, key in named.items() if key in found.addresses}
     end_s = time.monotonic() + _HEALTHY_S
     while waiting:
         for child in found.children:
@@ -377,10 +358,7 @@ def _only_one(home: Home) -> Iterator[None]:
         handle = path.open("w")
     except OSError as error:
         raise StoreError(
-            "the state folder cannot be written",
-            code="store.write",
-            where=str(path),
-            got=str(error),
+            "the state folder cannot be written", code="store.write", where=str(path), got=str(error)
         ) from error
     with handle:
         try:

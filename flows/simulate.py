@@ -17,11 +17,7 @@ from flows.ingest import publish_ingest
 
 @flow(name="simulate")
 def simulate_flow(
-    plan_file: Path | None = None,
-    quick: bool = False,
-    out: Path | None = None,
-    seed: int = 0,
-    to_lake: bool = True,
+    plan_file: Path | None = None, quick: bool = False, out: Path | None = None, seed: int = 0, to_lake: bool = True
 ) -> dict[str, Any]:
     """Measure a campaign on the virtual cobot; run it again to continue.
 
@@ -38,10 +34,8 @@ def simulate_flow(
     to_lake : bool
         Whether to ingest it afterwards.
     """
-    if plan_file is not None:
-        plan = read_plan(confined(plan_file))
-    else:
-        plan = quick_size().plan if quick else training_plan()
+    own = quick_size().plan if quick else training_plan()
+    plan = own if plan_file is None else read_plan(confined(plan_file))
     moving_s, total_s = duration_s(plan)
     _artifacts.publish_findings(
         f"{plan.name}-plan",
@@ -49,9 +43,7 @@ def simulate_flow(
         f"{len(plan.tests)} tests, {plan.n_runs} runs, {moving_s / 60:z.0f} min of motion, "
         f"{total_s / 60:z.0f} min in all: what the plan cannot tell",
     )
-    done = _tasks.measure(
-        plan, confined(out) if out is not None else home().campaigns / plan.name, seed
-    )
+    done = _tasks.measure(plan, confined(out) if out is not None else home().campaigns / plan.name, seed)
     result: dict[str, Any] = {
         "campaign": plan.name,
         "folder": str(done.folder),

@@ -129,10 +129,7 @@ def hexapod_sweep(feeds_mm_min: Sequence[float], seed: int) -> list[dict[str, fl
             condition = CircleCondition("YZ", RADIUS_MM, feed, way)
             seen = [m.measure(condition, setup="sweep", repeat=1) for m in (moving, still)]
             turns = [
-                one_turn(
-                    s.angle_deg[slice(*s.window)], s.deviation_um[slice(*s.window)], MOST_READINGS
-                )
-                for s in seen
+                one_turn(s.angle_deg[slice(*s.window)], s.deviation_um[slice(*s.window)], MOST_READINGS) for s in seen
             ]
             errors = [radial_error_um(t, RADIUS_MM) for t in turns]
             static = Turn(turns[0].angle_deg, LowPass().static_um(turns[0].deviation_um))
@@ -140,8 +137,16 @@ def hexapod_sweep(feeds_mm_min: Sequence[float], seed: int) -> list[dict[str, fl
             truth = dynamic_components(*errors)
             shaking = float(np.std(seen[0].vibration.columns["spindle_y_g"]))
             found.append((*parts.as_dict().values(), truth.dc3_um, truth.after_um, shaking))
-        names = ("before_um", "after_um", "dc1_um", "dc2_um", "dc3_um", "true_dc3_um",
-                 "true_static_um", "accelerometer_y_rms_g")  # fmt: skip
+        names = (
+            "before_um",
+            "after_um",
+            "dc1_um",
+            "dc2_um",
+            "dc3_um",
+            "true_dc3_um",
+            "true_static_um",
+            "accelerometer_y_rms_g",
+        )
         mean = np.mean(found, axis=0)
         out.append({"feed_mm_min": feed, **dict(zip(names, map(float, mean), strict=True))})
     return out
@@ -150,19 +155,23 @@ def hexapod_sweep(feeds_mm_min: Sequence[float], seed: int) -> list[dict[str, fl
 def _published_filter() -> Line:
     found = response(RandomWalkFilter(), 360)
     return Line(
-        "two-lobe errors after Q 0.001, R 1 at 360 readings", "main shapes well preserved",
-        f"{100 * found.gain:z.0f} % of them left, {found.lag_deg:z.0f} deg late", yes_or_no(found.taken <= 0.01),
-    )  # fmt: skip
+        "two-lobe errors after Q 0.001, R 1 at 360 readings",
+        "main shapes well preserved",
+        f"{100 * found.gain:z.0f} % of them left, {found.lag_deg:z.0f} deg late",
+        yes_or_no(found.taken <= 0.01),
+    )
 
 
 def _printed_fitness() -> Line:
     equal, tiny, one = eq15(1.0, 1.0, 1.0), eq15(1e-6, 1e-6, 1e-6), eq15(100.0, 0.1, 0.01)
     right = math.isclose(equal, tiny) and one < 1.01
     return Line(
-        "printed fitness: (1,1,1), (1e-6,1e-6,1e-6), (100,0.1,0.01)", "smaller is better",
+        "printed fitness: (1,1,1), (1e-6,1e-6,1e-6), (100,0.1,0.01)",
+        "smaller is better",
         f"{equal:z.4f}, {tiny:z.4f}, {one:z.4f}: a perfect fit is the worst",
-        yes_or_no(not right), "A6",
-    )  # fmt: skip
+        yes_or_no(not right),
+        "A6",
+    )
 
 
 def _alpha(seed: int) -> list[Line]:
@@ -171,18 +180,17 @@ def _alpha(seed: int) -> list[Line]:
     assert found is not None
     lines = []
     for model, paper in (("random-walk", "about 1.5 um"), ("circle", "about 1.5 um")):
-        values = np.array(
-            [v for a, v in zip(found["alpha"], found[model], strict=True) if a >= 1e-4]
-        )
+        values = np.array([v for a, v in zip(found["alpha"], found[model], strict=True) if a >= 1e-4])
         width = float(np.ptp(values))
         lines.append(
             Line(
                 f"circular deviation over alpha, {model}",
-                paper, f"{width:.2g} um, relative {width / values.mean():.1e}",
+                paper,
+                f"{width:.2g} um, relative {width / values.mean():.1e}",
                 yes_or_no(1.0 / FACTOR <= width / _ALPHA_UM <= FACTOR),
                 "A5" if model == "random-walk" else "",
             )
-        )  # fmt: skip
+        )
     return lines
 
 
@@ -197,10 +205,12 @@ def _deviations() -> Line:
             told.append(f"{ours:z.1f}")
     return Line(
         "machines 2 and 3 without vibration: circular deviation CW, CCW",
-        "7.3, 7.8, 20, 24 um", f"{', '.join(told)} um, worst by {max(off):z.1f}",
+        "7.3, 7.8, 20, 24 um",
+        f"{', '.join(told)} um, worst by {max(off):z.1f}",
         # Of the signs that the source does not print, those were taken that come nearest to these.
-        calibrated(max(off) <= _NEAR_UM), "A4",
-    )  # fmt: skip
+        calibrated(max(off) <= _NEAR_UM),
+        "A4",
+    )
 
 
 def _still(cases: Sequence[Case], judged: bool) -> list[Line]:
@@ -217,9 +227,10 @@ def _still(cases: Sequence[Case], judged: bool) -> list[Line]:
                 "at most 1.7 um (UKF)",
                 f"{abs(worst.off_um):z.1f} um ({worst.machine}); takes {eaten:z.1f} um RMS out of still "
                 f"machines, DC3 wrong by up to {wrong:z.1f} um",
-                _of_the_source(how, judged, abs(worst.off_um) <= _WITHIN_UM), "A8",
+                _of_the_source(how, judged, abs(worst.off_um) <= _WITHIN_UM),
+                "A8",
             )
-        )  # fmt: skip
+        )
     return lines
 
 
@@ -230,9 +241,7 @@ def _of_the_source(how: str, judged: bool, agrees: bool) -> Answer:
 
 def _unshaken(cases: Sequence[Case], case: Case) -> float:
     same = (case.machine, case.direction, case.how, 0.0)
-    return next(
-        c.before_um for c in cases if (c.machine, c.direction, c.how, c.vibration_um) == same
-    )
+    return next(c.before_um for c in cases if (c.machine, c.direction, c.how, c.vibration_um) == same)
 
 
 def _rising(cases: Sequence[Case], judged: bool) -> list[Line]:
@@ -246,10 +255,13 @@ def _rising(cases: Sequence[Case], judged: bool) -> list[Line]:
                 rises.append(bool((np.diff(values) > 0.0).all()))
         lines.append(
             Line(
-                f"{how}: DC2 and DC3 rise with vibration", "yes", f"{sum(rises)} of {len(rises)}",
-                _of_the_source(how, judged, all(rises)), "A7",
+                f"{how}: DC2 and DC3 rise with vibration",
+                "yes",
+                f"{sum(rises)} of {len(rises)}",
+                _of_the_source(how, judged, all(rises)),
+                "A7",
             )
-        )  # fmt: skip
+        )
     return lines
 
 
@@ -260,8 +272,9 @@ def _swarm(size: Size, seed: int) -> Line:
         "alpha 0.0442; no time told",
         f"Q/R {found.chosen.q_um2:.3g} in {found.seconds:z.0f} s, fitness "
         f"{found.unfiltered.fitness:z.1f} to {found.judged.fitness:z.1f}",
-        "not judged", "A10",
-    )  # fmt: skip
+        "not judged",
+        "A10",
+    )
 
 
 def swarm_on_machine(name: str, size: Size, seed: int) -> Tuning:
@@ -293,20 +306,21 @@ def _sweep_lines(sweep: Sequence[dict[str, float]]) -> list[Line]:
         Line(
             "hexapod at its fastest: DC1 and DC3 of circular deviation",
             "about 5 % (data not public)",
-            f"{100 * last['dc1_um'] / last['before_um']:z.0f} % and "
-            f"{100 * last['dc3_um'] / last['before_um']:z.0f} %",
+            f"{100 * last['dc1_um'] / last['before_um']:z.0f} % and {100 * last['dc3_um'] / last['before_um']:z.0f} %",
             "not judged",
         ),
         Line(
-            f"hexapod: DC3 rises clearly beyond {_SLOW_MM_MIN:g} mm/min", "yes",
+            f"hexapod: DC3 rises clearly beyond {_SLOW_MM_MIN:g} mm/min",
+            "yes",
             f"up to it {min(slow):z.1f} to {max(slow):z.1f} um, beyond {min(fast):z.1f} to "
             f"{max(fast):z.1f} um, most at {largest['feed_mm_min']:g}",
             # Its motors and modes are invented: they set where it rises.
             calibrated(min(fast) > max(slow)),
         ),
         Line(
-            "hexapod: DC3 by the low-pass against what is true", "-",
+            "hexapod: DC3 by the low-pass against what is true",
+            "-",
             f"wrong by up to {worst:z.1f} um: lag and bending with the speed pass it",
             "not judged",
         ),
-    ]  # fmt: skip
+    ]

@@ -36,9 +36,10 @@ from studies.paper_line import Line, by_what_is_left, calibrated, left_open, wor
 # Steps of tables, in inches.
 STEPS_IN = (1.0, 0.52, 0.25, 0.1, 0.025)
 _PAPER_UM = {
-    "before": (0.005582, 0.004181, 0.005570), "table": (0.000995, 0.000813, 0.001098),
+    "before": (0.005582, 0.004181, 0.005570),
+    "table": (0.000995, 0.000813, 0.001098),
     "network": (0.000933, 0.000614, 0.001043),
-}  # fmt: skip
+}
 _KEYS = ("max_average_error_um", "max_reversal_error_um", "max_repeat_um")
 _TITLES = ("max average error", "max reversal error", "max repeat")
 # 2 h against 1 min.
@@ -161,9 +162,12 @@ def _golden(network: LatheNetwork) -> Line:
     found = -CompiledBundle(bundle).run(rows)[:, 0] / UM_PER_IN
     off = float(np.max(np.abs(found - [g["compensation_in"] for g in network.golden])))
     return Line(
-        "printed network in the serving runtime", f"{len(rows)} values of its program",
-        f"within {off:.1e} in", yes_or_no(off <= 1e-12), "A1",
-    )  # fmt: skip
+        "printed network in the serving runtime",
+        f"{len(rows)} values of its program",
+        f"within {off:.1e} in",
+        yes_or_no(off <= 1e-12),
+        "A1",
+    )
 
 
 def _campaigns(size: Size, seed: int) -> list[Line]:
@@ -192,9 +196,7 @@ def _campaigns(size: Size, seed: int) -> list[Line]:
     return [*lines, *_ratios(before, after)]
 
 
-def _scatter(
-    target: str, what: str, paper: str, found: Sequence[Mapping[str, float | None]]
-) -> list[Line]:
+def _scatter(target: str, what: str, paper: str, found: Sequence[Mapping[str, float | None]]) -> list[Line]:
     lines = []
     for key, title, told in zip(_KEYS, _TITLES, _PAPER_UM[paper], strict=True):
         values = _column(found, key)
@@ -212,17 +214,17 @@ def _scatter(
             answer = yes_or_no(agrees)
         lines.append(
             Line(
-                f"{what}: {title}", f"{theirs:z.1f} um",
+                f"{what}: {title}",
+                f"{theirs:z.1f} um",
                 f"{middle:z.1f} +- {spread:z.1f} um, worst {values.max():z.1f} ({len(values)} campaigns)",
-                answer, target,
+                answer,
+                target,
             )
-        )  # fmt: skip
+        )
     return lines
 
 
-def _ratios(
-    before: Sequence[Mapping[str, float | None]], after: Mapping[str, list[Figures]]
-) -> list[Line]:
+def _ratios(before: Sequence[Mapping[str, float | None]], after: Mapping[str, list[Figures]]) -> list[Line]:
     lines = []
     n = len(after["table"])
     for key, title, paper in zip(_KEYS[:2], _TITLES[:2], ((17.8, 16.7), (19.4, 14.7)), strict=True):
@@ -233,23 +235,27 @@ def _ratios(
                 f"left of the {title}: table, pair, flanks; the pair leaves less",
                 f"{paper[0]} %, {paper[1]} %, -",
                 f"{left['table']:z.1f} %, {left['network']:z.1f} %, {left['flanks']:z.1f} %",
-                worst([
-                    yes_or_no(left["network"] < left["table"]),
-                    by_what_is_left(left["table"], paper[0]),
-                    by_what_is_left(left["network"], paper[1]),
-                ]),
+                worst(
+                    [
+                        yes_or_no(left["network"] < left["table"]),
+                        by_what_is_left(left["table"], paper[0]),
+                        by_what_is_left(left["network"], paper[1]),
+                    ]
+                ),
                 "A5",
             )
-        )  # fmt: skip
+        )
         both = np.median(_column(after["network"], key) / _column(after["table"], key))
         better = int(np.sum(_column(after["network"], key) < _column(after["table"], key)))
         lines.append(
             Line(
-                f"pair better than the table, {title}", "yes, from one run each",
+                f"pair better than the table, {title}",
+                "yes, from one run each",
                 f"in {better} of {n} campaigns, median ratio {both:z.2f}",
-                yes_or_no(better > n / 2 + np.sqrt(n)), "A4",
+                yes_or_no(better > n / 2 + np.sqrt(n)),
+                "A4",
             )
-        )  # fmt: skip
+        )
     return lines
 
 
@@ -269,20 +275,18 @@ def _trainings(exact: Averages, size: Size) -> list[Line]:
         found = []
         for s in range(size.seeds):
             net = new_net(30, ((0.0, 1.0), MAPPED_IN), np.random.default_rng(s))
-            found.append(
-                train_net(
-                    net, inputs, target, algorithm=algorithm, epochs=size.epochs, goal=4e-8
-                ).sse
-            )
+            found.append(train_net(net, inputs, target, algorithm=algorithm, epochs=size.epochs, goal=4e-8).sse)
         medians[algorithm] = float(np.median(found))
     lm, bfgs, scg, rprop = (medians[a] for a in ALGORITHMS)
     lines.append(
         Line(
             f"order of the errors after {size.epochs} epochs: LM, BFGS, SCG, RProp",
-            "4.8e-8, 1.2e-7, 3.7e-4, 4.7e-4 in2", ", ".join(f"{v:.1e}" for v in medians.values()),
-            yes_or_no(lm < bfgs < scg < rprop), "A9",
+            "4.8e-8, 1.2e-7, 3.7e-4, 4.7e-4 in2",
+            ", ".join(f"{v:.1e}" for v in medians.values()),
+            yes_or_no(lm < bfgs < scg < rprop),
+            "A9",
         )
-    )  # fmt: skip
+    )
     return lines
 
 
@@ -292,10 +296,12 @@ def _reached(target: str, what: str, goal: float, epochs: int, found: Sequence[T
     seconds = float(np.median([t.seconds for t in found]))
     reached = 3 * done >= 2 * len(found)
     return Line(
-        f"{what} to {goal:g} in2, targets without noise here", f"fewer than {epochs} epochs",
+        f"{what} to {goal:g} in2, targets without noise here",
+        f"fewer than {epochs} epochs",
         f"{done} of {len(found)} seeds, median {typical:z.0f} epochs, {seconds:z.1f} s",
-        by_what_is_left(typical, epochs) if reached else "does not", target,
-    )  # fmt: skip
+        by_what_is_left(typical, epochs) if reached else "does not",
+        target,
+    )
 
 
 def _single(exact: Averages, size: Size) -> list[Line]:
@@ -312,7 +318,8 @@ def _single(exact: Averages, size: Size) -> list[Line]:
     return [
         Line(
             f"single network of 40, {size.single_epochs} epochs: error, worst point",
-            "7.0e-7 in2, 1.3e-4 in after 7500", f"{single.trained.sse:.1e} in2, {worst_in:.1e} in",
+            "7.0e-7 in2, 1.3e-4 in after 7500",
+            f"{single.trained.sse:.1e} in2, {worst_in:.1e} in",
             worst([by_what_is_left(single.trained.sse, 7.0e-7), by_what_is_left(worst_in, 1.3e-4)]),
             "A8",
         ),
@@ -321,6 +328,7 @@ def _single(exact: Averages, size: Size) -> list[Line]:
             "2 h against 1 min",
             f"{ratio:z.0f} times ({equal.seconds:z.1f} s against {dual_s:z.2f} s)"
             + ("" if same else "; the single one had not reached the pair's error"),
-            by_what_is_left(1.0 / ratio, 1.0 / _FASTER), "A10",
+            by_what_is_left(1.0 / ratio, 1.0 / _FASTER),
+            "A10",
         ),
-    ]  # fmt: skip
+    ]

@@ -9,14 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.linuxcnc import (
-    DIRECTIONS,
-    MACHINE,
-    CirclePlan,
-    run_circles,
-    run_of,
-    write_circles,
-)
+from dtwin.acquire.linuxcnc import DIRECTIONS, MACHINE, CirclePlan, run_circles, run_of, write_circles
 from dtwin.config import Home
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
@@ -68,9 +61,8 @@ QUICK = StorySize(CirclePlan(radii_mm=(20.0, 35.0), feeds_mm_min=(4000.0, 6000.0
 
 
 def linuxcnc_story(
-    home: Home, seed: int = 0, *, size: StorySize = FULL,
-    progress: Callable[[str], Progress] | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    home: Home, seed: int = 0, *, size: StorySize = FULL, progress: Callable[[str], Progress] | None = None
+) -> dict[str, Any]:
     """Tell the story; every number is measured by LinuxCNC's own sampler.
 
     Parameters
@@ -108,11 +100,7 @@ def linuxcnc_story(
     put_on_trial(home, made.version, "dtwin demo linuxcnc")
     bundle = made.frozen.bundle
     tables, left_out = compensation_tables(home, made)
-    proof = [
-        Circle("XY", size.radius_mm, feed, d)
-        for feed in size.campaign.feeds_mm_min
-        for d in DIRECTIONS
-    ]
+    proof = [Circle("XY", size.radius_mm, feed, d) for feed in size.campaign.feeds_mm_min for d in DIRECTIONS]
     turns, served, measured = _proof(bundle, tables, proof, size.repeats, seed, tell)
     results = [_result(turns, circle) for circle in proof]
     compute_measured(home, made.version, MeasuredWays(numbered(measured), CLOCK))
@@ -131,8 +119,13 @@ def linuxcnc_story(
         "objections": list(made.objections),
         "terms": [dict(vars(t)) for t in made.frozen.terms],
         "estimates": [
-            {"effect": f"{e.effect} {e.axis}".strip(), "name": e.name, "value": e.value,
-             "uncertainty": e.uncertainty, "unit": e.unit}
+            {
+                "effect": f"{e.effect} {e.axis}".strip(),
+                "name": e.name,
+                "value": e.value,
+                "uncertainty": e.uncertainty,
+                "unit": e.unit,
+            }
             for e in made.frozen.twin.estimates
         ],
         "table_left_out": left_out,
@@ -140,7 +133,7 @@ def linuxcnc_story(
         "served": served,
         "champion": champion is not None,
         "reason": reason,
-    }  # fmt: skip
+    }
 
 
 def _completed(twins: Twins, name: str, seed: int) -> tuple[list[dict[str, Any]], list[str]]:
@@ -181,9 +174,13 @@ def compensation_tables(home: Home, made: Correction) -> tuple[dict[str, str], d
 
 
 def _proof(
-    bundle: Bundle, tables: Mapping[str, str], circles: Sequence[Circle], repeats: int, seed: int,
+    bundle: Bundle,
+    tables: Mapping[str, str],
+    circles: Sequence[Circle],
+    repeats: int,
+    seed: int,
     tell: Callable[[str], Progress],
-) -> tuple[dict[str, list[Trace]], dict[str, Any], list[Run]]:  # fmt: skip
+) -> tuple[dict[str, list[Trace]], dict[str, Any], list[Run]]:
     """Run the circles without and with live correction interleaved, then with the tables."""
     rng = np.random.default_rng([seed, 29])
     jobs = [(way, c) for way in (NONE, LIVE) for c in circles for _ in range(repeats)]
@@ -214,9 +211,7 @@ def _proof(
 
 def _result(turns: Mapping[str, Sequence[Trace]], circle: Circle) -> dict[str, Any]:
     """Return what each way leaves of one circle, the run as unit."""
-    found: dict[str, Any] = {
-        "feed_mm_min": circle.feed_mm_min, "direction": circle.direction,
-    }  # fmt: skip
+    found: dict[str, Any] = {"feed_mm_min": circle.feed_mm_min, "direction": circle.direction}
     for way in WAYS:
         rms = _rms_um(turns[way])
         groups: dict[Circle, list[float]] = {}
@@ -240,15 +235,10 @@ def _rms_um(turns: Sequence[Trace]) -> Floats:
     design = [np.column_stack([np.ones_like(a), np.cos(a), np.sin(a)]) for a in angle]
     # One mounting for all turns of a way: a turn more at a slow feed weighs no more than a fast one.
     normal = sum((d.T @ d / len(d) for d in design), np.zeros((3, 3)))
-    right = sum(
-        (d.T @ t.deviation_um / len(d) for d, t in zip(design, turns, strict=True)), np.zeros(3)
-    )
+    right = sum((d.T @ t.deviation_um / len(d) for d, t in zip(design, turns, strict=True)), np.zeros(3))
     mounting = np.linalg.solve(normal, right)
     return np.array(
-        [
-            float(np.sqrt(np.mean((t.deviation_um - d @ mounting) ** 2)))
-            for d, t in zip(design, turns, strict=True)
-        ]
+        [float(np.sqrt(np.mean((t.deviation_um - d @ mounting) ** 2))) for d, t in zip(design, turns, strict=True)]
     )
 
 

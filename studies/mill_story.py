@@ -23,14 +23,7 @@ from dtwin.train.registry import RegisteredVersion, Registry
 from studies.mill_story_defects import NOT_DONE, defects, uncaught
 from studies.mill_story_map import LearnedSession, learn_session, register_map
 from studies.mill_story_session import NONE, LaterSession, Way, later_session
-from studies.thesis_mill import (
-    MACHINE,
-    designed_campaign,
-    geometry,
-    session_of_the_thesis,
-    temperatures_c,
-    thesis_mill,
-)
+from studies.thesis_mill import MACHINE, designed_campaign, geometry, session_of_the_thesis, temperatures_c, thesis_mill
 
 # The source thesis by feed and model: accuracy on its fourth data set (table 6-3, R² of X and of Y),
 # table 6-6 as printed, and what its table 6-5 gives (X + Y, mean of three): change of the mean
@@ -65,11 +58,7 @@ class _Told:
 
 
 def mill_story(
-    home: Home,
-    seed: int = 0,
-    *,
-    quick: bool = False,
-    progress: Callable[[str], Progress] | None = None,
+    home: Home, seed: int = 0, *, quick: bool = False, progress: Callable[[str], Progress] | None = None
 ) -> dict[str, Any]:
     """Tell the story; every number is measured on the virtual mill, machine clock.
 
@@ -98,14 +87,11 @@ def mill_story(
     put_on_trial(home, told.correction.version, "dtwin demo mill")
     right = told.correction.frozen.bundle
     ways = {MAP: Way(learned.bundle), TWIN: Way(right)}
-    session = later_session(
-        ways, seed=seed + _LATER, repeats=repeats, progress=tell("a later session")
-    )
+    session = later_session(ways, seed=seed + _LATER, repeats=repeats, progress=tell("a later session"))
     registry = Registry(home)
     broken = defects(
-        right, registry.metrics(told.correction.version),
-        seed=seed + _DEFECTS, repeats=2, progress=tell("defects"),
-    )  # fmt: skip
+        right, registry.metrics(told.correction.version), seed=seed + _DEFECTS, repeats=2, progress=tell("defects")
+    )
     seen = temperatures_c(runs)
     return {
         "machine": MACHINE,
@@ -115,9 +101,7 @@ def mill_story(
         "map_gates": _judged(home, registry, mapped, session.measured(MAP, learned.bundle)),
         "later": _later_dict(session, {MAP: learned.bundle, TWIN: right}),
         "twin": _twin_dict(told),
-        "twin_gates": _judged(
-            home, registry, told.correction.version, session.measured(TWIN, right)
-        ),
+        "twin_gates": _judged(home, registry, told.correction.version, session.measured(TWIN, right)),
         "defects": broken,
         "nothing_catches": uncaught(broken),
         "not_done": NOT_DONE,
@@ -144,9 +128,8 @@ def _told_right(home: Home, seed: int) -> _Told:
         added = best.label
     made = correct(twins, name, seed=seed)
     return _Told(
-        found.as_dict(), added, twins.history(name), compared["residual_rms_um"],
-        compared["noise_floor_um"], made,
-    )  # fmt: skip
+        found.as_dict(), added, twins.history(name), compared["residual_rms_um"], compared["noise_floor_um"], made
+    )
 
 
 def _learned_dict(learned: LearnedSession, temperature_c: tuple[float, float]) -> dict[str, Any]:
@@ -158,9 +141,7 @@ def _learned_dict(learned: LearnedSession, temperature_c: tuple[float, float]) -
     }
 
 
-def _judged(
-    home: Home, registry: Registry, version: RegisteredVersion, measured: MeasuredWays
-) -> dict[str, Any]:
+def _judged(home: Home, registry: Registry, version: RegisteredVersion, measured: MeasuredWays) -> dict[str, Any]:
     """Ask for promotion without evidence and with it, as a user would."""
     _, offline = check_version(registry, version)
     _, without = make_champion(home, version, "dtwin demo mill, without evidence")
@@ -211,8 +192,13 @@ def _twin_dict(told: _Told) -> dict[str, Any]:
         "terms": [dict(vars(t)) for t in made.frozen.terms],
         "grades": [dict(vars(g)) for g in made.gradings],
         "estimates": [
-            {"effect": f"{e.effect} {e.axis}".strip(), "name": e.name, "value": e.value,
-             "uncertainty": e.uncertainty, "unit": e.unit}
+            {
+                "effect": f"{e.effect} {e.axis}".strip(),
+                "name": e.name,
+                "value": e.value,
+                "uncertainty": e.uncertainty,
+                "unit": e.unit,
+            }
             for e in made.frozen.twin.estimates
         ],
-    }  # fmt: skip
+    }

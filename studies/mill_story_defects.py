@@ -33,12 +33,7 @@ NOT_DONE = (
 
 
 def defects(
-    bundle: Bundle,
-    metrics: Mapping[str, float],
-    *,
-    seed: int,
-    repeats: int,
-    progress: Progress | None = None,
+    bundle: Bundle, metrics: Mapping[str, float], *, seed: int, repeats: int, progress: Progress | None = None
 ) -> list[dict[str, Any]]:
     """Apply each defect to a correction, and say which gate or alarm catches it.
 
@@ -71,17 +66,9 @@ def defects(
     }
     session = later_session(ways, seed=seed, repeats=repeats, progress=progress)
     out = [_measured(name, way.bundle, metrics, session) for name, way in ways.items()]
-    out.append(
-        {"defect": f"{STALE_S:g} s old, and its age known", "ratio": None, "caught": _stale(bundle)}
-    )
+    out.append({"defect": f"{STALE_S:g} s old, and its age known", "ratio": None, "caught": _stale(bundle)})
     other = replace(bundle, inputs=tuple(replace(i, rate_hz=OTHER_RATE_HZ) for i in bundle.inputs))
-    out.append(
-        {
-            "defect": f"trained at {OTHER_RATE_HZ:g} Hz",
-            "ratio": None,
-            "caught": _refusing(other, metrics),
-        }
-    )
+    out.append({"defect": f"trained at {OTHER_RATE_HZ:g} Hz", "ratio": None, "caught": _refusing(other, metrics)})
     return out
 
 
@@ -110,18 +97,12 @@ def with_dead_term(bundle: Bundle) -> Bundle:
     return with_vectors(replace(bundle, tick_graph=changed), 1)
 
 
-def _measured(
-    name: str, bundle: Bundle, metrics: Mapping[str, float], session: LaterSession
-) -> dict[str, Any]:
+def _measured(name: str, bundle: Bundle, metrics: Mapping[str, float], session: LaterSession) -> dict[str, Any]:
     found = session.evidence(name, bundle)
     verdicts = evidence_gate(found, bundle, real=False)
     caught = [v.gate for v in verdicts if not v.passed]
     ratio = np.mean([c["after_um"] / c["before_um"] for c in found.conditions])
-    return {
-        "defect": name,
-        "ratio": float(ratio),
-        "caught": _refusing(bundle, metrics) + caught,
-    }
+    return {"defect": name, "ratio": float(ratio), "caught": _refusing(bundle, metrics) + caught}
 
 
 def _refusing(bundle: Bundle, metrics: Mapping[str, float]) -> list[str]:

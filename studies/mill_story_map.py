@@ -24,14 +24,7 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import Candidate, Scores, TrainingReport
 from studies.position_map import HARMONICS, fit_position_map, position_waves
-from studies.thesis_mill import (
-    DIRECTIONS,
-    FEEDS_MM_MIN,
-    MACHINE,
-    PLANE,
-    RADIUS_MM,
-    RUNS_OF_A_FEED,
-)
+from studies.thesis_mill import DIRECTIONS, FEEDS_MM_MIN, MACHINE, PLANE, RADIUS_MM, RUNS_OF_A_FEED
 
 NAME = "map-of-one-session"
 _FARTHEST_RAD = 1e4
@@ -75,12 +68,8 @@ def learn_session(runs: Sequence[Run]) -> LearnedSession:
     learned = [r for r in runs if r.meta.repeat < RUNS_OF_A_FEED]
     kept = [r for r in runs if r.meta.repeat == RUNS_OF_A_FEED]
     weights = _weights(learned)
-    rows = tuple(
-        _scored([r for r in kept if r.meta.feed_mm_min == f], f, weights) for f in FEEDS_MM_MIN
-    )
-    return LearnedSession(
-        weights, rows, _mounting_share(weights), _by_feed(learned), map_bundle(weights)
-    )
+    rows = tuple(_scored([r for r in kept if r.meta.feed_mm_min == f], f, weights) for f in FEEDS_MM_MIN)
+    return LearnedSession(weights, rows, _mounting_share(weights), _by_feed(learned), map_bundle(weights))
 
 
 def map_bundle(weights: Weights) -> Bundle:
@@ -96,7 +85,9 @@ def map_bundle(weights: Weights) -> Bundle:
     forward = builder.apply("step", builder.input("direction_sign"))
     graph = builder.graph({"radial_um": cw + forward * (ccw - cw)})
     return create_bundle(
-        name=NAME, machine=MACHINE, model_version=0,
+        name=NAME,
+        machine=MACHINE,
+        model_version=0,
         inputs=[
             Input("path_angle_rad", "rad", "path", TICK_HZ, "path", -_FARTHEST_RAD, _FARTHEST_RAD),
             Input("direction_sign", "1", "path", TICK_HZ, "path", -1.0, 1.0),
@@ -105,12 +96,10 @@ def map_bundle(weights: Weights) -> Bundle:
         tick_graph=graph,
         safety=SafetyLimits(clamp_um=_CLAMP_UM),
         provenance=Provenance(code_version=__version__),
-    )  # fmt: skip
+    )
 
 
-def register_map(
-    home: Home, learned: LearnedSession, geometry: Mapping[str, Any]
-) -> RegisteredVersion:
+def register_map(home: Home, learned: LearnedSession, geometry: Mapping[str, Any]) -> RegisteredVersion:
     """Register the map as any trained candidate, so that the gates can say what they think.
 
     Parameters
@@ -124,27 +113,34 @@ def register_map(
     """
     graph = learned.bundle.tick_graph
     candidate = Candidate(
-        name=NAME, family="symbolic", promotable=True, complexity=len(graph.nodes),
-        scores={"feed_mm_min": learned.scores}, train_rms_um=learned.scores.rms_um,
-        latency=bundle_latency(learned.bundle), equation=to_text(graph),
+        name=NAME,
+        family="symbolic",
+        promotable=True,
+        complexity=len(graph.nodes),
+        scores={"feed_mm_min": learned.scores},
+        train_rms_um=learned.scores.rms_um,
+        latency=bundle_latency(learned.bundle),
+        equation=to_text(graph),
         bundle=learned.bundle.to_dict(),
-    )  # fmt: skip
+    )
     before = float(np.sqrt(np.mean([row["before_um"] ** 2 for row in learned.rows])))
     report = TrainingReport(
-        machine=MACHINE, campaign="one session, as the thesis", table_versions={},
-        noise_floor_um=float("nan"), rms_before_um=before, n_runs=learned.scores.n_runs, n_rows=0,
-        candidates=(candidate,), proposed=NAME, seed=0,
-    )  # fmt: skip
+        machine=MACHINE,
+        campaign="one session, as the thesis",
+        table_versions={},
+        noise_floor_um=float("nan"),
+        rms_before_um=before,
+        n_runs=learned.scores.n_runs,
+        n_rows=0,
+        candidates=(candidate,),
+        proposed=NAME,
+        seed=0,
+    )
     registry = Registry(home)
     ids = registry.log_training(report, {})
-    version = registry.register(
-        report, ids[NAME], candidate, "A map of one session, as the thesis."
-    )
+    version = registry.register(report, ids[NAME], candidate, "A map of one session, as the thesis.")
     conditions = [(PLANE, RADIUS_MM, feed) for feed in FEEDS_MM_MIN]
-    registry.attach(
-        version,
-        {"geometry.json": json.dumps(dict(geometry)), CONDITIONS_FILE: json.dumps(conditions)},
-    )
+    registry.attach(version, {"geometry.json": json.dumps(dict(geometry)), CONDITIONS_FILE: json.dumps(conditions)})
     return registry.version(MACHINE, version.version)
 
 
@@ -222,10 +218,6 @@ def _by_feed(runs: Sequence[Run]) -> Scores:
 
 def _sum_of_waves(builder: GraphBuilder, weights: Floats) -> Expression:
     angle = builder.input("path_angle_rad")
-    waves = [
-        builder.apply(name, float(h) * angle)
-        for h in range(1, HARMONICS + 1)
-        for name in ("cos", "sin")
-    ]
+    waves = [builder.apply(name, float(h) * angle) for h in range(1, HARMONICS + 1) for name in ("cos", "sin")]
     terms = [float(w) * wave for w, wave in zip(weights[1:], waves, strict=True)]
     return builder.total([builder.constant(float(weights[0])), *terms])

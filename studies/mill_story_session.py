@@ -9,12 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.circular.mill_evidence import (
-    CLOCK,
-    TRANSPORT_S,
-    ServedCorrection,
-    oracle_correction,
-)
+from dtwin.kinds.circular.mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
 from dtwin.machines.mill import Correction, SetupErrors
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest
@@ -91,10 +86,7 @@ class LaterSession:
             What was served in it.
         """
         delay_s = float(geometry()["correction_delay_s"])
-        served = [
-            replace(run, meta=replace(run.meta, correction=bundle.model_sha256))
-            for run in self.runs[way]
-        ]
+        served = [replace(run, meta=replace(run.meta, correction=bundle.model_sha256)) for run in self.runs[way]]
         return MeasuredWays(
             numbered(sorted([*self.runs[NONE], *served], key=lambda run: run.meta.started)),
             CLOCK,
@@ -170,14 +162,11 @@ def later_session(
         acted[name][condition] = guard_shares(guards)
     seen = temperatures_c(runs)
     return LaterSession(
-        {name: tuple(chosen) for name, chosen in found.items()}, acted,
-        (float(seen.min()), float(seen.max())),
-    )  # fmt: skip
+        {name: tuple(chosen) for name, chosen in found.items()}, acted, (float(seen.min()), float(seen.max()))
+    )
 
 
-def _interleaved(
-    names: Sequence[str], seed: int, repeats: int
-) -> tuple[list[CircularTest], list[str]]:
+def _interleaved(names: Sequence[str], seed: int, repeats: int) -> tuple[list[CircularTest], list[str]]:
     """Return the circles in random order within each repeat, and the way of each."""
     rng = np.random.default_rng([seed, 41])
     tests: list[CircularTest] = []
@@ -203,9 +192,7 @@ def _oracle(bundle: Bundle, known: Run) -> Correction:
     return oracle_correction(bundle, error, float(geometry()["correction_delay_s"]))
 
 
-def _counted(
-    corrections: Mapping[str, Correction], progress: Progress | None
-) -> Mapping[str, Correction]:
+def _counted(corrections: Mapping[str, Correction], progress: Progress | None) -> Mapping[str, Correction]:
     if progress is None:
         return corrections
     total, done = len(corrections), 0

@@ -75,7 +75,4 @@ def left_open(lines: Iterable[Line], targets: Iterable[str] | None = None) -> li
         Numbers of those lines; all without.
     """
     open_ = None if targets is None else set(targets)
-    return [
-        replace(line, answer="not judged") if open_ is None or line.target in open_ else line
-        for line in lines
-    ]
+    return [replace(line, answer="not judged") if open_ is None or line.target in open_ else line for line in lines]

@@ -30,9 +30,16 @@ FEEDS_MM_MIN = (1000.0, 3000.0, 6000.0)
 TRAINED_MM_MIN = (2000.0, 4000.0)
 _TRAINING_SESSION, _SESSION = 1, 2
 SETTINGS = ProbeSettings(
-    b_.HALF_X_MM, b_.HALF_Y_MM, b_.THICK_MM, b_.BALL_MM, b_.SEARCH_MM, b_.EXPANSION_1_K,
-    b_.REFERENCE_C, b_.X_AT_Y_MM, b_.Y_AT_X_MM,
-)  # fmt: skip
+    b_.HALF_X_MM,
+    b_.HALF_Y_MM,
+    b_.THICK_MM,
+    b_.BALL_MM,
+    b_.SEARCH_MM,
+    b_.EXPANSION_1_K,
+    b_.REFERENCE_C,
+    b_.X_AT_Y_MM,
+    b_.Y_AT_X_MM,
+)
 
 
 @dataclass(frozen=True)
@@ -91,9 +98,8 @@ def learn(cobot: VirtualCobot, tcp_mm: Floats, *, repeats: int) -> tuple[Bundle,
 
 
 def measure(
-    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, *, repeats: int, seed: int,
-    progress: Progress | None = None,
-) -> list[Row]:  # fmt: skip
+    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, *, repeats: int, seed: int, progress: Progress | None = None
+) -> list[Row]:
     """Place every condition in every way, in an order that is drawn anew for every repeat.
 
     Parameters
@@ -142,17 +148,22 @@ def conditions(rows: Sequence[Row]) -> list[dict[str, Any]]:
         share = share_of_oracle(before.mean(), after.mean(), oracle.mean())
         out.append(
             {
-                "motion": motion, "feed_mm_min": feed, "flagged": flagged,
+                "motion": motion,
+                "feed_mm_min": feed,
+                "flagged": flagged,
                 "counted": {way: len(sizes[way]) for way in WAYS},
-                "before_um": float(before.mean()), "before_half_width_um": half_width(before),
-                "after_um": float(after.mean()), "after_half_width_um": half_width(after),
+                "before_um": float(before.mean()),
+                "before_half_width_um": half_width(before),
+                "after_um": float(after.mean()),
+                "after_half_width_um": half_width(after),
                 "oracle_um": float(oracle.mean()),
-                "change_um": change, "change_half_width_um": wide,
+                "change_um": change,
+                "change_half_width_um": wide,
                 "reduction": 1.0 - float(after.mean() / before.mean()),
                 "share_of_oracle": share if -possible > unsure else np.nan,
                 "worse": change > wide,
             }
-        )  # fmt: skip
+        )
     return out
 
 
@@ -227,14 +238,30 @@ def write_campaign(folder: Path, rows: Sequence[Row], name: str) -> None:
 
 
 def _csv(rows: Sequence[Row]) -> str:
-    head = ["t_s", "error_x_um", "error_y_um", "error_z_um", "turned_deg", "faces_disagree_deg",
-            *(f"probe_{hit}_mm" for hit in b_.HITS), "block_temperature_c", "jig_moved_um",
-            "flag_1"]  # fmt: skip
+    head = [
+        "t_s",
+        "error_x_um",
+        "error_y_um",
+        "error_z_um",
+        "turned_deg",
+        "faces_disagree_deg",
+        *(f"probe_{hit}_mm" for hit in b_.HITS),
+        "block_temperature_c",
+        "jig_moved_um",
+        "flag_1",
+    ]
     lines = [",".join(head)]
     for r in sorted(rows, key=lambda row: row.started_s):
-        values = [r.started_s, *r.placed.error_um, r.placed.turned_deg,
-                  r.placed.faces_disagree_deg, *r.probed.readings_mm, r.probed.temperature_c,
-                  r.probed.jig_moved_um, FLAGS.index(r.placed.flag)]  # fmt: skip
+        values = [
+            r.started_s,
+            *r.placed.error_um,
+            r.placed.turned_deg,
+            r.placed.faces_disagree_deg,
+            *r.probed.readings_mm,
+            r.probed.temperature_c,
+            r.probed.jig_moved_um,
+            FLAGS.index(r.placed.flag),
+        ]
         lines.append(",".join(f"{v:.6g}" if i else f"{v:z.3f}" for i, v in enumerate(values)))
     return "\n".join([*lines, ""])
 
@@ -243,9 +270,7 @@ def _located(probed: ProbedPlacement) -> Placed:
     return locate(probed.readings_mm, probed.temperature_c, probed.jig_moved_um, SETTINGS)
 
 
-def _target(
-    cell: PlacingCell, bundle: Bundle, tcp_mm: Floats, motion: str, feed: float, way: str
-) -> Floats:
+def _target(cell: PlacingCell, bundle: Bundle, tcp_mm: Floats, motion: str, feed: float, way: str) -> Floats:
     """Return what is sent: each target is decided before its move starts."""
     if way == "uncompensated":
         return PLACE_MM
@@ -255,7 +280,5 @@ def _target(
         return PLACE_MM - 1e-3 * share * error_um
     joints = UR10E.inverse(PLACE_MM, TOOL_DOWN, tcp_mm, ELBOW_UP_RAD)
     covariates: Mapping[str, float] = {JOINT_MOTION: float(motion == "MoveJ")}
-    correction = TargetCorrection(
-        CompiledBundle(bundle), tcp_mm, TargetFrame("XY", DATUM_MM, joints), covariates
-    )
+    correction = TargetCorrection(CompiledBundle(bundle), tcp_mm, TargetFrame("XY", DATUM_MM, joints), covariates)
     return correction.correct(Target("Place", PLACE_MM, feed)).position_mm

@@ -54,11 +54,7 @@ QUICK = StorySize(2, (6000.0,), 3, 4, 4)
 
 
 def placement_story(
-    home: Home,
-    seed: int = 0,
-    *,
-    size: StorySize = FULL,
-    progress: Callable[[str], Progress] | None = None,
+    home: Home, seed: int = 0, *, size: StorySize = FULL, progress: Callable[[str], Progress] | None = None
 ) -> dict[str, Any]:
     """Measure both, machine clock, and put the published tables beside them.
 
@@ -94,9 +90,7 @@ def placement_story(
     }
 
 
-def _sphere(
-    cobot: VirtualCobot, tcp_mm: Floats, size: StorySize, progress: Progress
-) -> dict[str, Any]:
+def _sphere(cobot: VirtualCobot, tcp_mm: Floats, size: StorySize, progress: Progress) -> dict[str, Any]:
     groups = []
     for number in range(size.mountings):
         runs = []
@@ -109,10 +103,15 @@ def _sphere(
     horizon_s = control.actuator_delay_s + control.actuator_lag_s + TRANSPORT_S
     bundle = sphere_bundle(model, "virtual-cobot", horizon_s=horizon_s)
     found = sphere_evidence(
-        bundle, cobot, tcp_mm=tcp_mm, feeds_mm_min=size.feeds_mm_min,
-        trained_mm_min=_TRAINED_MM_MIN, repeats=size.runs, setup="sphere-evidence",
+        bundle,
+        cobot,
+        tcp_mm=tcp_mm,
+        feeds_mm_min=size.feeds_mm_min,
+        trained_mm_min=_TRAINED_MM_MIN,
+        repeats=size.runs,
+        setup="sphere-evidence",
         progress=progress,
-    )  # fmt: skip
+    )
     return {
         "clock": "machine clock (lock-step, 500 Hz)",
         "delay_s": horizon_s,
@@ -128,9 +127,7 @@ def _placements(
     home: Home, cobot: VirtualCobot, tcp_mm: Floats, size: StorySize, seed: int, progress: Progress
 ) -> dict[str, Any]:
     bundle, left_out = placing.learn(cobot, tcp_mm, repeats=size.training)
-    rows = placing.measure(
-        cobot, bundle, tcp_mm, repeats=size.placements, seed=seed, progress=progress
-    )
+    rows = placing.measure(cobot, bundle, tcp_mm, repeats=size.placements, seed=seed, progress=progress)
     name = f"placement-{seed}"
     folder = home.campaigns / name
     # A repeated demo measures the same campaign again; half of an older one must not stay.

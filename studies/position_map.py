@@ -38,9 +38,7 @@ HARMONICS = 8
 _DRAWS = 2**12
 
 
-def printed_x_error_um(
-    x_mm: Floats, y_mm: Floats, follow_x: Floats, follow_y: Floats, rms: Floats
-) -> Floats:
+def printed_x_error_um(x_mm: Floats, y_mm: Floats, follow_x: Floats, follow_y: Floats, rms: Floats) -> Floats:
     """Return the X error by the thesis's equation 6-2, as printed.
 
     Parameters
@@ -57,9 +55,7 @@ def printed_x_error_um(
     ndarray, same shape
         um.
     """
-    shaken = np.exp(
-        -1.74 * (0.000786 * rms - 1.0) ** 2 - 0.0206 * (-0.0861 * y_mm - 1.0) ** 4 - 0.111
-    )
+    shaken = np.exp(-1.74 * (0.000786 * rms - 1.0) ** 2 - 0.0206 * (-0.0861 * y_mm - 1.0) ** 4 - 0.111)
     inner = -0.467 * (-0.103 * follow_x - 1.0) ** 2 - 2.0 * (0.00113 * follow_y + shaken) ** 2
     return np.asarray(-0.181 * x_mm + 13.4 * np.exp(inner) - 0.775)
 
@@ -115,9 +111,7 @@ def _influence(seed: int) -> dict[str, float]:
         return printed_x_error_um(x, y, follow_x, follow_y, rms)[None, :]
 
     spans: Any = [uniform(low, high - low) for low, high in RANGES.values()]
-    found = sobol_indices(
-        func=answer, n=_DRAWS, dists=spans, rng=np.random.default_rng([seed, 62])
-    ).total_order
+    found = sobol_indices(func=answer, n=_DRAWS, dists=spans, rng=np.random.default_rng([seed, 62])).total_order
     return dict(zip(RANGES, np.atleast_2d(found)[0].tolist(), strict=True))
 
 

@@ -71,9 +71,7 @@ class Placed:
     flag: str
 
 
-def locate(
-    readings_mm: Floats, temperature_c: float, jig_moved_um: float, settings: ProbeSettings
-) -> Placed:
+def locate(readings_mm: Floats, temperature_c: float, jig_moved_um: float, settings: ProbeSettings) -> Placed:
     """Find a block from five readings of the ball's centre: X, X, Y, Y, Z.
 
     The two touches on each face give its direction; the ball's radius and half of the block, as

@@ -138,11 +138,7 @@ def _sd_replaced(mean: float, sd: float, gone: Floats, by: float) -> float:
 
 
 def _offset(table: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "printed": table["offset"],
-        "mean_left": _mean_left(table).tolist(),
-        "used": _offset_used(table).tolist(),
-    }
+    return {"printed": table["offset"], "mean_left": _mean_left(table).tolist(), "used": _offset_used(table).tolist()}
 
 
 def _centring(table: Mapping[str, Any]) -> dict[str, Any]:
@@ -179,11 +175,7 @@ def _radial(table: Mapping[str, Any]) -> dict[str, Any]:
         key: _less(*np.array([r[f"{key}_mm"] for r in rows]).mean(axis=0).tolist())
         for key in ("all", "removed", "stated_offset")
     }
-    return {
-        "rows": rows,
-        "average_pct": averages,
-        "printed_average_pct": table["printed_average_reduction_pct"],
-    }
+    return {"rows": rows, "average_pct": averages, "printed_average_pct": table["printed_average_reduction_pct"]}
 
 
 def _limit(table: Mapping[str, Any]) -> dict[str, Any]:

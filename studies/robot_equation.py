@@ -20,9 +20,7 @@ FEEDS_MM_MIN = (2000.0, 4000.0, 6000.0)
 _RADIUS_MM, _WINDOW_S = 100.0, 0.5
 
 
-def radial_error_mm(
-    peak_g: Floats, power_g2: Floats, rms_g: Floats, kurt: Floats, form: Form
-) -> Floats:
+def radial_error_mm(peak_g: Floats, power_g2: Floats, rms_g: Floats, kurt: Floats, form: Form) -> Floats:
     """Return the radial error by one of the three forms that the thesis gives.
 
     Parameters
@@ -41,10 +39,7 @@ def radial_error_mm(
     impulsive = 16.5 * (0.00161 * kurt - 1.0) ** 2
     scaling = 0.0158 * peak_g + 21.8
     if form == "equation 6-1":
-        return (
-            scaling * (power_g2 - 0.362 * np.exp(-14200.0 * (0.121 - rms_g) ** 2) - impulsive)
-            - 0.0209
-        )
+        return scaling * (power_g2 - 0.362 * np.exp(-14200.0 * (0.121 - rms_g) ** 2) - impulsive) - 0.0209
     if form == "its terms, as rewritten below it":
         dip = 0.362 * np.exp(-14200.0 * (0.121 - rms_g) ** 2 - impulsive)
         return scaling * (power_g2 - dip) - 0.0209
@@ -78,9 +73,7 @@ def robot_equation(seed: int) -> dict[str, Any]:
     ran = radial_error_mm(peak, power, rms, kurt, "the program that ran")
     first, second, third, fourth = np.array(WINDOWS).T
     return {
-        "at": {
-            form: radial_error_mm(first, second, third, fourth, form).tolist() for form in FORMS
-        },
+        "at": {form: radial_error_mm(first, second, third, fourth, form).tolist() for form in FORMS},
         "runs": len(made),
         "windows": len(windows),
         "decided_r2": float(r2_score(ran, 21.8 * power - 0.0209)),
@@ -105,8 +98,13 @@ def _windows(made: CobotRecording) -> Floats:
             continue
         part, beside = x[first : first + n], y[first : first + n]
         during = (bar_s >= sensor_s[first]) & (bar_s < sensor_s[first + n])
-        rows.append((
-            part.max(), np.mean(beside**2), np.sqrt(np.mean(part**2)), kurtosis(part, fisher=False),
-            made.deviation_mm[during].mean(),
-        ))  # fmt: skip
+        rows.append(
+            (
+                part.max(),
+                np.mean(beside**2),
+                np.sqrt(np.mean(part**2)),
+                kurtosis(part, fisher=False),
+                made.deviation_mm[during].mean(),
+            )
+        )
     return np.array(rows)

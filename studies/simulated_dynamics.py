@@ -23,10 +23,18 @@ from studies.machines.ballbar_simulator import Convention, radial_error_um, vibr
 VIBRATIONS_UM = (0.0, 5.0, 10.0, 15.0)
 DIRECTIONS: tuple[tuple[Direction, int], ...] = (("CW", -1), ("CCW", 1))
 TWIN_EFFECTS = (
-    "scale_mismatch", "squareness", "backlash", "backlash_taper", "straightness",
-    "servo_mismatch", "lateral_play", "lateral_play_taper", "cyclic_error",
-    "cyclic_error_by_direction", "reversal_spike",
-)  # fmt: skip
+    "scale_mismatch",
+    "squareness",
+    "backlash",
+    "backlash_taper",
+    "straightness",
+    "servo_mismatch",
+    "lateral_play",
+    "lateral_play_taper",
+    "cyclic_error",
+    "cyclic_error_by_direction",
+    "reversal_spike",
+)
 TWIN, TWIN_OF_FOUR = "twin of one pair", "twin of four pairs"
 _PAIRS = 4
 # The paper's machine 4: machine 3 with these; machine 6 is not in the tables at hand.
@@ -110,17 +118,11 @@ def simulated_turn(
     # Just short of the reversals, whose side would else be decided by rounding; just past them
     # machine 3 is 2.1 um off the printed deviation instead of 1.0.
     angle = direction * (np.arange(count) * (360.0 / count) - 1e-3)
-    clean = radial_error_um(
-        machine, float(machine["feed"]), direction, np.radians(angle), Convention()
-    )
-    return Turn(
-        np.asarray(angle, dtype=np.float64), clean + vibration_um(vibration_pp_um, count, rng)
-    )
+    clean = radial_error_um(machine, float(machine["feed"]), direction, np.radians(angle), Convention())
+    return Turn(np.asarray(angle, dtype=np.float64), clean + vibration_um(vibration_pp_um, count, rng))
 
 
-def compare_ways(
-    names: Sequence[str], seed: int, vibrations_um: Sequence[float] = VIBRATIONS_UM
-) -> list[Case]:
+def compare_ways(names: Sequence[str], seed: int, vibrations_um: Sequence[float] = VIBRATIONS_UM) -> list[Case]:
     """Take the vibration out of every machine, in every way.
 
     Parameters
@@ -162,9 +164,7 @@ def _statics(
     }
     for how, used in ((TWIN, pairs[:1]), (TWIN_OF_FOUR, pairs)):
         runs = [
-            _run(way, machine, turn, number)
-            for number, pair in enumerate(used, start=1)
-            for way, turn in pair.items()
+            _run(way, machine, turn, number) for number, pair in enumerate(used, start=1) for way, turn in pair.items()
         ]
         static = twin_static_um(observe(Campaign(name, name), runs), TWIN_EFFECTS)
         first = zip(static[: len(DIRECTIONS)], pairs[0].items(), strict=True)
@@ -176,27 +176,30 @@ def _run(way: str, machine: Mapping[str, Any], turn: Turn, repeat: int) -> Run:
     seconds = 2.0 * np.pi * machine["radius"] / (machine["feed"] / 60.0)
     direction: Direction = "CW" if way == "CW" else "CCW"
     meta = RunMeta(
-        f"{way.lower()}-{repeat}", plane="XY", direction=direction, repeat=repeat,
-        radius_mm=float(machine["radius"]), feed_mm_min=float(machine["feed"]),
-    )  # fmt: skip
+        f"{way.lower()}-{repeat}",
+        plane="XY",
+        direction=direction,
+        repeat=repeat,
+        radius_mm=float(machine["radius"]),
+        feed_mm_min=float(machine["feed"]),
+    )
     t_s = np.arange(turn.readings) * (seconds / turn.readings)
     samples = {"t_s": t_s, "angle_deg": turn.angle_deg, "deviation_um": turn.deviation_um}
     return Run(meta, samples)
 
 
 def _case(
-    name: str,
-    machine: Mapping[str, Any],
-    which: tuple[str, str, float],
-    turn: Turn,
-    static_um: Floats,
+    name: str, machine: Mapping[str, Any], which: tuple[str, str, float], turn: Turn, static_um: Floats
 ) -> dict[str, Any]:
     way, how, height = which
     radius = float(machine["radius"])
     before = about_circle_um(turn, radius)
     after = about_circle_um(Turn(turn.angle_deg, static_um), radius)
     return {
-        "machine": name, "direction": way, "how": how, "vibration_um": height,
+        "machine": name,
+        "direction": way,
+        "how": how,
+        "vibration_um": height,
         "true_rms_um": height / np.sqrt(12.0),
         **dynamic_components(before, after).as_dict(),
-    }  # fmt: skip
+    }

@@ -21,13 +21,7 @@ from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.statistics import t_quantile
 from dtwin.train.oracle import best_offsets, follow
-from studies.machines.sphere_path import (
-    RADIUS_MM,
-    SphereRun,
-    sphere_controller,
-    sphere_plan,
-    sphere_run,
-)
+from studies.machines.sphere_path import RADIUS_MM, SphereRun, sphere_controller, sphere_plan, sphere_run
 from studies.sphere_model import mounting_terms
 
 WAYS = ("uncompensated", "compensated", "oracle")
@@ -76,10 +70,16 @@ class FeedResult:
 
 
 def sphere_evidence(
-    bundle: Bundle, cobot: VirtualCobot, *, tcp_mm: Floats, feeds_mm_min: Sequence[float],
-    trained_mm_min: Sequence[float], repeats: int, setup: str,
+    bundle: Bundle,
+    cobot: VirtualCobot,
+    *,
+    tcp_mm: Floats,
+    feeds_mm_min: Sequence[float],
+    trained_mm_min: Sequence[float],
+    repeats: int,
+    setup: str,
     progress: Progress | None = None,
-) -> list[FeedResult]:  # fmt: skip
+) -> list[FeedResult]:
     """Measure the three circles at every feed without, with, and with an oracle's correction.
 
     Machine clock: controller and serving code in lock-step. What does not repeat on this machine
@@ -107,14 +107,12 @@ def sphere_evidence(
         plan = sphere_plan(cobot, feed)
         plain = cobot.run(plan)
         served, acted = _served(bundle, cobot, plan, feed, tcp_mm)
-        ticks = {"uncompensated": plain, "compensated": served,
-                 "oracle": _oracle(bundle, cobot, plan, feed)}  # fmt: skip
+        ticks = {"uncompensated": plain, "compensated": served, "oracle": _oracle(bundle, cobot, plan, feed)}
         rms: dict[str, list[float]] = {}
         raw: dict[str, list[float]] = {}
         for number, way in enumerate(WAYS):
             runs = [
-                sphere_run(cobot, feed, ticks[way], setup=setup, repeat=100 + 50 * number + k)
-                for k in range(repeats)
+                sphere_run(cobot, feed, ticks[way], setup=setup, repeat=100 + 50 * number + k) for k in range(repeats)
             ]
             rms[way] = remainders_um(runs)
             raw[way] = [float(np.abs(r.deviation_um).mean()) for r in runs]
@@ -147,9 +145,7 @@ def difference(before: Floats, after: Floats) -> tuple[float, float]:
     spread = sum(parts)
     if spread <= 0.0:
         return float(after.mean() - before.mean()), 0.0
-    freedom = spread**2 / sum(
-        p**2 / (len(v) - 1) for p, v in zip(parts, (before, after), strict=True)
-    )
+    freedom = spread**2 / sum(p**2 / (len(v) - 1) for p, v in zip(parts, (before, after), strict=True))
     wide = t_quantile(0.975, freedom) * math.sqrt(spread)
     return float(after.mean() - before.mean()), wide
 

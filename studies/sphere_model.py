@@ -68,9 +68,13 @@ def mounting_terms(run: SphereRun) -> Floats:
     """Return what an offset of the centre and of the length looks like, shape (n, 4)."""
     level = np.cos(run.elevation_rad)
     return np.column_stack(
-        [level * np.cos(run.azimuth_rad), level * np.sin(run.azimuth_rad),
-         np.sin(run.elevation_rad), np.ones(len(run.deviation_um))]
-    )  # fmt: skip
+        [
+            level * np.cos(run.azimuth_rad),
+            level * np.sin(run.azimuth_rad),
+            np.sin(run.elevation_rad),
+            np.ones(len(run.deviation_um)),
+        ]
+    )
 
 
 def fit_sphere(mountings: Sequence[Sequence[SphereRun]]) -> SphereModel:
@@ -91,15 +95,11 @@ def fit_sphere(mountings: Sequence[Sequence[SphereRun]]) -> SphereModel:
     at_place = _interpolation((azimuth - start) / _PLACE_RAD, places)
     ring = np.concatenate([(r.section - 1.0) * _RING_KNOTS + _ring_place(r) for r in runs])
     at_ring = sparse.diags(feed / _REFERENCE_MM_MIN) @ _interpolation(ring, moves * _RING_KNOTS)
-    mounted = sparse.block_diag(
-        [np.concatenate([mounting_terms(r) for r in group]) for group in mountings]
-    )
+    mounted = sparse.block_diag([np.concatenate([mounting_terms(r) for r in group]) for group in mountings])
     design = sparse.hstack([at_place, at_ring, mounted]).tocsc()
     bend = _SMOOTH * sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(places - 2, places))
     small = sparse.diags(np.full(design.shape[1], _SMALL**2))
-    small = small + sparse.block_diag(
-        [bend.T @ bend, sparse.csc_matrix((design.shape[1] - places,) * 2)]
-    )
+    small = small + sparse.block_diag([bend.T @ bend, sparse.csc_matrix((design.shape[1] - places,) * 2)])
     found = spsolve((design.T @ design + small).tocsc(), design.T @ target)
     knots = start + _PLACE_RAD * np.arange(places)
     order = np.argsort(azimuth)
@@ -107,10 +107,14 @@ def fit_sphere(mountings: Sequence[Sequence[SphereRun]]) -> SphereModel:
     ends = places + moves * _RING_KNOTS
     rest = target - design @ found
     return SphereModel(
-        knots, found[:places], np.interp(knots, azimuth[order], elevation),
-        found[places:ends].reshape(moves, _RING_KNOTS), found[ends:].reshape(-1, 4),
-        rms(rest), tuple(sorted({r.feed_mm_min for r in runs})),
-    )  # fmt: skip
+        knots,
+        found[:places],
+        np.interp(knots, azimuth[order], elevation),
+        found[places:ends].reshape(moves, _RING_KNOTS),
+        found[ends:].reshape(-1, 4),
+        rms(rest),
+        tuple(sorted({r.feed_mm_min for r in runs})),
+    )
 
 
 def sphere_bundle(model: SphereModel, machine: str, *, horizon_s: float) -> Bundle:
@@ -139,9 +143,7 @@ def sphere_bundle(model: SphereModel, machine: str, *, horizon_s: float) -> Bund
     feed = g.input("programmed_feed_mm_min")
     error = place + ring * feed * (1.0 / _REFERENCE_MM_MIN)
     tilt = g.lookup(ahead, start, float(_PLACE_RAD), model.elevation_rad.tolist())
-    graph = g.graph(
-        {"in_plane_um": error * g.apply("cos", tilt), "across_um": error * g.apply("sin", tilt)}
-    )
+    graph = g.graph({"in_plane_um": error * g.apply("cos", tilt), "across_um": error * g.apply("sin", tilt)})
     fast = max(model.feeds_mm_min)
     low, high = start - 0.1, float(model.azimuth_rad[-1]) + 0.1
     inputs = {
@@ -170,9 +172,7 @@ def _limits(model: SphereModel, fastest_mm_s: float) -> SafetyLimits:
     largest = float(np.abs(model.place_um).max() + np.abs(model.ring_um).max())
     by_place = float(np.abs(np.diff(model.place_um)).max()) / _PLACE_RAD * fastest_mm_s / 150.0
     by_time = float(np.abs(np.diff(model.ring_um, axis=1)).max()) / _RING_STEP_S
-    return SafetyLimits(
-        clamp_um=1.25 * largest, slew_um_s=max(2000.0, float(2.0 * (by_place + by_time)))
-    )
+    return SafetyLimits(clamp_um=1.25 * largest, slew_um_s=max(2000.0, float(2.0 * (by_place + by_time))))
 
 
 def _ring_place(run: SphereRun) -> Floats:
@@ -185,7 +185,6 @@ def _interpolation(place: Floats, knots: int) -> sparse.csr_matrix:
     share = place - below
     rows = np.arange(len(place))
     return sparse.csr_matrix(
-        (np.concatenate([1.0 - share, share]),
-         (np.concatenate([rows, rows]), np.concatenate([below, below + 1]))),
+        (np.concatenate([1.0 - share, share]), (np.concatenate([rows, rows]), np.concatenate([below, below + 1]))),
         shape=(len(place), knots),
-    )  # fmt: skip
+    )

@@ -41,10 +41,7 @@ def thesis_mill(seed: int, **settings: Any) -> VirtualMill:
         squareness_um_m={PLANE: 30.0},
         heat=HeatParameters(rise_c=6.0, feed_mm_min=500.0, feed_share=0.4, time_constant_min=25.0),
     ).with_axis("X", scale_ppm=-50.0, growth_um_m_k=20.0)
-    defaults: dict[str, Any] = {
-        "noise": NoiseParameters(rms_um=0.2),
-        "setup_errors": _MOUNTED,
-    }
+    defaults: dict[str, Any] = {"noise": NoiseParameters(rms_um=0.2), "setup_errors": _MOUNTED}
     return VirtualMill(parameters, seed=seed, **(defaults | settings))
 
 
@@ -56,9 +53,8 @@ def geometry() -> dict[str, Any]:
 
 
 def circle(
-    direction: Direction, feed_mm_min: float, repeat: int, setup: str, correction: str = "",
-    pause_s: float = 0.0,
-) -> CircularTest:  # fmt: skip
+    direction: Direction, feed_mm_min: float, repeat: int, setup: str, correction: str = "", pause_s: float = 0.0
+) -> CircularTest:
     """Return one circle of the thesis's test.
 
     Parameters
@@ -66,9 +62,7 @@ def circle(
     direction, feed_mm_min, repeat, setup, correction, pause_s
         As in ``CircularTest``.
     """
-    return CircularTest(
-        PLANE, direction, RADIUS_MM, feed_mm_min, repeat, setup, pause_s, correction=correction
-    )
+    return CircularTest(PLANE, direction, RADIUS_MM, feed_mm_min, repeat, setup, pause_s, correction=correction)
 
 
 def measure_warm(mill: VirtualMill, tests: Sequence[CircularTest], warm_up: int) -> list[Run]:
@@ -126,10 +120,9 @@ def designed_campaign(seed: int) -> list[Run]:
                 stop = place == _COOL_DOWN_AFTER and direction == DIRECTIONS[0]
                 tests.append(
                     CircularTest(
-                        PLANE, direction, radius, feed, repeat, f"r{radius:g}",
-                        pause_s=_COOL_DOWN_S if stop else 0.0,
+                        PLANE, direction, radius, feed, repeat, f"r{radius:g}", pause_s=_COOL_DOWN_S if stop else 0.0
                     )
-                )  # fmt: skip
+                )
     return measure_warm(thesis_mill(seed), tests, 20)
 
 

@@ -39,12 +39,7 @@ REPEATS = 3
 LOOP_HZ = 4.6
 
 
-def tracking_chain(
-    seed: int = 0,
-    progress: Progress | None = None,
-    *,
-    repeats: int = REPEATS,
-) -> Chain:
+def tracking_chain(seed: int = 0, progress: Progress | None = None, *, repeats: int = REPEATS) -> Chain:
     """Run the thesis's tracking test on the virtual cobot and reduce it as the thesis does.
 
     Parameters
@@ -60,9 +55,7 @@ def tracking_chain(
     return reduce_passes(passes, (*_circles(recordings), *_real_circles()))
 
 
-def _measured(
-    seed: int, repeats: int, progress: Progress | None
-) -> tuple[list[Pass], list[CobotRecording]]:
+def _measured(seed: int, repeats: int, progress: Progress | None) -> tuple[list[Pass], list[CobotRecording]]:
     plain = load_parameters()
     digitiser = replace(plain.accelerometers, rate_hz=BLOCK_RATE_HZ)
     cobot = VirtualCobot(replace(plain, accelerometers=digitiser), seed=seed)
@@ -92,9 +85,7 @@ def _pass(made: CobotRecording, centre_mm: Floats) -> Pass:
     wrist = np.stack([sensors.columns[f"wrist_{a}_g"] for a in "xyz"])
     # The thesis subtracts an offset that it reads at rest before the run.
     wrist = wrist - wrist[:, :BLOCK_SAMPLES].mean(axis=1, keepdims=True)
-    tcp = [
-        np.interp(loop_s, controller.t_s, controller.columns[f"actual_tcp_{a}_mm"]) for a in "xy"
-    ]
+    tcp = [np.interp(loop_s, controller.t_s, controller.columns[f"actual_tcp_{a}_mm"]) for a in "xy"]
     x, y = tcp[0] - centre_mm[0], tcp[1] - centre_mm[1]
     n = len(loop_s)
     return Pass(

@@ -114,9 +114,7 @@ class Chain:
             "reduction_pct": self.reduction_pct,
             "reduction_half_width_pct": self.half_width_pct,
             "reduction_of_feeds_not_tuned_pct": float(
-                np.mean(
-                    [f["reduction_pct"] for f in self.feeds if f["feed_mm_min"] != TUNED_AT_MM_MIN]
-                )
+                np.mean([f["reduction_pct"] for f in self.feeds if f["feed_mm_min"] != TUNED_AT_MM_MIN])
             ),
             "controls_pct": dict(self.controls),
             "along_the_path": dict(self.along_the_path),
@@ -156,8 +154,7 @@ def reduce_passes(passes: Sequence[Pass], set_up: Sequence[Mapping[str, Any]] = 
     """
     chosen = _tuned(passes)
     feeds = tuple(
-        _feed([p for p in passes if p.feed_mm_min == f], chosen)
-        for f in sorted({p.feed_mm_min for p in passes})
+        _feed([p for p in passes if p.feed_mm_min == f], chosen) for f in sorted({p.feed_mm_min for p in passes})
     )
     per_cent = np.array([f["reduction_pct"] for f in feeds])
     return Chain(
@@ -219,9 +216,7 @@ def _constant_reduction(gaps_um: Floats) -> float:
     return float(np.mean(100.0 * (1.0 - np.abs(gaps_um - others) / np.abs(gaps_um))))
 
 
-def _controls(
-    passes: Sequence[Pass], feeds: Sequence[Mapping[str, Any]], threshold: float
-) -> dict[str, float]:
+def _controls(passes: Sequence[Pass], feeds: Sequence[Mapping[str, Any]], threshold: float) -> dict[str, float]:
     """Return the mean reduction by what knows nothing of the run."""
     gaps = np.array([f["ball_bar_um"] - f["encoder_um"] for f in feeds])
     return {
@@ -248,11 +243,7 @@ def _mean_reduction(passes: Sequence[Pass], corrected: Callable[[Pass], Floats])
         here = [p for p in passes if p.feed_mm_min == feed]
         means = [
             float(np.mean([_mid(p, v) for p, v in zip(here, values, strict=True)]))
-            for values in (
-                [p.bar_um for p in here],
-                [corrected(p) for p in here],
-                [p.encoder_um for p in here],
-            )
+            for values in ([p.bar_um for p in here], [corrected(p) for p in here], [p.encoder_um for p in here])
         ]
         out.append(_reduction(*means))
     return float(np.mean(out))
@@ -278,9 +269,7 @@ def _along_the_path(passes: Sequence[Pass], threshold: float) -> dict[str, float
 
 
 def _without_circle(one: Pass, values: Floats) -> Floats:
-    basis = np.column_stack(
-        [np.ones_like(one.angle_rad), np.cos(one.angle_rad), np.sin(one.angle_rad)]
-    )
+    basis = np.column_stack([np.ones_like(one.angle_rad), np.cos(one.angle_rad), np.sin(one.angle_rad)])
     return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
 
 

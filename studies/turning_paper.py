@@ -14,13 +14,7 @@ from dtwin.kinds.sinusoidal.candidates import narx_candidate
 from dtwin.kinds.sinusoidal.fit import FittedTones, fitted_tones
 from dtwin.kinds.sinusoidal.gates import features_used
 from dtwin.kinds.sinusoidal.groups import HELD_OUT, ToneGroups, exponent, groups_of, heard_groups
-from dtwin.kinds.sinusoidal.simulate import (
-    PUBLISHED,
-    QUICK,
-    record_group,
-    virtual_runs,
-    virtual_slide,
-)
+from dtwin.kinds.sinusoidal.simulate import PUBLISHED, QUICK, record_group, virtual_runs, virtual_slide
 from dtwin.kinds.sinusoidal.training import what_was_seen
 from dtwin.kinds.sinusoidal.trial import trial
 from dtwin.machines.turning import Instruments, Slide
@@ -111,7 +105,7 @@ def calibration_lines(slide: Slide) -> list[Line]:
         ("tool lag at 5 Hz", 0.42, at[5.0].tool_lag_deg, "deg"),
         ("tool lag at 40 Hz", 8.41, at[40.0].tool_lag_deg, "deg"),
         ("tracking error at 40 Hz", 1.49, at[40.0].tracking_um, "um"),
-    ]  # fmt: skip
+    ]
     lines = []
     for what, paper, ours, unit in rows:
         # Every figure is printed to two decimals.
@@ -120,9 +114,13 @@ def calibration_lines(slide: Slide) -> list[Line]:
         lines.append(Line(f"mechanism: {what}", f"{paper:g} {unit}", shown, calibrated(close)))
     vector = at[30.0].total_um
     lines.append(
-        Line("total error vector, 5 um at 30 Hz", "1.97 um, but its own figures make 2.33",
-             f"{vector:z.2f} um", "not judged")
-    )  # fmt: skip
+        Line(
+            "total error vector, 5 um at 30 Hz",
+            "1.97 um, but its own figures make 2.33",
+            f"{vector:z.2f} um",
+            "not judged",
+        )
+    )
     return lines
 
 
@@ -152,19 +150,21 @@ def exponent_lines(groups: ToneGroups, hardened: ToneGroups) -> list[Line]:
     slopes = np.diff(np.log(error)) / np.diff(np.log(felt))
     told = " and ".join(f"{s:z.2f}" for s in slopes)
     return [
-        Line("exponent beyond the encoder, linear slide", "1 by theory", f"{own:z.3f}",
-             yes_or_no(abs(own - 1.0) <= 0.02)),
-        Line("exponent of the amplitude error, linear slide", "0.78", f"{total:z.3f}",
-             yes_or_no(abs(total - _EXPONENT) <= _EXPONENT_NEAR)),
-        Line("the same, hardening joint", "0.78", f"{stiff:z.3f}",
-             yes_or_no(abs(stiff - _EXPONENT) <= _EXPONENT_NEAR)),
+        Line(
+            "exponent beyond the encoder, linear slide", "1 by theory", f"{own:z.3f}", yes_or_no(abs(own - 1.0) <= 0.02)
+        ),
+        Line(
+            "exponent of the amplitude error, linear slide",
+            "0.78",
+            f"{total:z.3f}",
+            yes_or_no(abs(total - _EXPONENT) <= _EXPONENT_NEAR),
+        ),
+        Line("the same, hardening joint", "0.78", f"{stiff:z.3f}", yes_or_no(abs(stiff - _EXPONENT) <= _EXPONENT_NEAR)),
         Line("the same, from the three printed amplitude errors", "0.78", told, "not judged"),
-    ]  # fmt: skip
+    ]
 
 
-def learning_lines(
-    law: FittedTones, free: FittedTones, printed: FittedTones, narx: Candidate
-) -> list[Line]:
+def learning_lines(law: FittedTones, free: FittedTones, printed: FittedTones, narx: Candidate) -> list[Line]:
     """Return held-out accuracy beside the printed one.
 
     Parameters
@@ -175,41 +175,54 @@ def learning_lines(
         The baseline.
     """
     lines = []
-    for name, made in (
-        ("two modes", law),
-        ("free search", free),
-        ("printed forms, refitted", printed),
-    ):
+    for name, made in (("two modes", law), ("free search", free), ("printed forms, refitted", printed)):
         c = made.candidate
         r2 = ", ".join(f"{c.scores[g].r2:z.4f}" for g in HELD_OUT)
         phase = ", ".join(f"{c.numbers[f'leave_{g}_out.phase_r2']:z.4f}" for g in HELD_OUT)
         mean = ", ".join(f"{1000 * c.scores[g].mae_um:z.1f}" for g in HELD_OUT)
         used = [len(columns) for columns in features_used(made.bundle).values()]
         lines += [
-            Line(f"{name}: R2 of amplitude (frequency, amplitude out)", f"{_R2}", r2,
-                 worst(by_what_is_left(1.0 - c.scores[g].r2, 1.0 - _R2) for g in HELD_OUT)),
-            Line(f"{name}: R2 of phase", f"{_PHASE_R2}", phase,
-                 worst(by_what_is_left(1.0 - c.numbers[f"leave_{g}_out.phase_r2"], 1.0 - _PHASE_R2)
-                       for g in HELD_OUT)),
-            Line(f"{name}: mean amplitude error", "68.3 nm", f"{mean} nm",
-                 worst(by_what_is_left(c.scores[g].mae_um, _MEAN_UM) for g in HELD_OUT)),
+            Line(
+                f"{name}: R2 of amplitude (frequency, amplitude out)",
+                f"{_R2}",
+                r2,
+                worst(by_what_is_left(1.0 - c.scores[g].r2, 1.0 - _R2) for g in HELD_OUT),
+            ),
+            Line(
+                f"{name}: R2 of phase",
+                f"{_PHASE_R2}",
+                phase,
+                worst(by_what_is_left(1.0 - c.numbers[f"leave_{g}_out.phase_r2"], 1.0 - _PHASE_R2) for g in HELD_OUT),
+            ),
+            Line(
+                f"{name}: mean amplitude error",
+                "68.3 nm",
+                f"{mean} nm",
+                worst(by_what_is_left(c.scores[g].mae_um, _MEAN_UM) for g in HELD_OUT),
+            ),
             # The form, or the limit of the search, sets how many there can be.
             Line(f"{name}: features", "3 and 2 of 12", f"{used[0]} and {used[1]}", "not judged"),
-        ]  # fmt: skip
+        ]
     dead = printed.candidate.numbers["dead_terms"]
     timing = bundle_latency(law.bundle)
     return [
         *lines,
-        Line("crest and shape factor matter", "both are in the equations",
-             f"{dead:g} of the features used are constants on clean sines", yes_or_no(dead == 0.0)),
-        Line("NARX, mean amplitude error", "similar, below 100 nm",
-             ", ".join(f"{1000 * narx.scores[g].mae_um:z.1f}" for g in HELD_OUT) + " nm",
-             worst(by_what_is_left(narx.scores[g].mae_um, _MEAN_UM) for g in HELD_OUT)),
+        Line(
+            "crest and shape factor matter",
+            "both are in the equations",
+            f"{dead:g} of the features used are constants on clean sines",
+            yes_or_no(dead == 0.0),
+        ),
+        Line(
+            "NARX, mean amplitude error",
+            "similar, below 100 nm",
+            ", ".join(f"{1000 * narx.scores[g].mae_um:z.1f}" for g in HELD_OUT) + " nm",
+            worst(by_what_is_left(narx.scores[g].mae_um, _MEAN_UM) for g in HELD_OUT),
+        ),
         Line("LSTM", "similar, slower", "not tried", "not judged"),
         # Theirs holds window and features, ours one tick.
-        Line("evaluation", "below 0.15 s", f"tick {timing.p50_us:z.2f} us p50, {timing.p99_us:z.2f} p99",
-             "not judged"),
-    ]  # fmt: skip
+        Line("evaluation", "below 0.15 s", f"tick {timing.p50_us:z.2f} us p50, {timing.p99_us:z.2f} p99", "not judged"),
+    ]
 
 
 def printed_phase_deg(frequency_hz: Floats, shape_factor: Floats) -> Floats:
@@ -240,10 +253,11 @@ def phase_line(groups: ToneGroups) -> Line:
     low, high = printed_phase_deg(np.array([-1e3, 1e3]), np.zeros(2))
     beside = ", ".join(f"{v:z.2f} for {p:g}" for v, p in zip(at, PRINTED_DEG.values(), strict=True))
     return Line(
-        "phase equation as printed, on the linear slide", f"R2 {_PHASE_R2}",
+        "phase equation as printed, on the linear slide",
+        f"R2 {_PHASE_R2}",
         f"R2 {r2:z.2f}; at the printed lags {beside} deg; never outside {low:z.2f} to {high:z.2f}",
         by_what_is_left(1.0 - r2, 1.0 - _PHASE_R2),
-    )  # fmt: skip
+    )
 
 
 def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
@@ -257,17 +271,25 @@ def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
     row = next(r for r in cut["rows"] if r["frequency_hz"] == 40.0)
     before, after, less = row["before"], row["after"], row["reduction"]
     return [
-        Line("surface at 40 Hz: form error", "2.42 -> 0.31 um (-87 %)",
-             f"{before['form_um']:z.2f} -> {after['form_um']:z.3f} um (-{100 * less['form_um']:z.1f} %)",
-             by_what_is_left(1.0 - less["form_um"], _FORM_LEFT)),
-        Line("surface at 40 Hz: phase error", "8.57 -> 0.38 deg (-95 %)",
-             f"{before['phase_deg']:z.2f} -> {after['phase_deg']:z.3f} deg "
-             f"(-{100 * less['phase_deg']:z.1f} %)",
-             by_what_is_left(1.0 - less["phase_deg"], _PHASE_LEFT)),
-        Line("better at 5, 10, 20, 30, 40 Hz", "consistently",
-             "worse at " + ", ".join(f"{f:g} Hz" for f in cut["worse"]) if cut["worse"] else "at each",
-             yes_or_no(not cut["worse"])),
-    ]  # fmt: skip
+        Line(
+            "surface at 40 Hz: form error",
+            "2.42 -> 0.31 um (-87 %)",
+            f"{before['form_um']:z.2f} -> {after['form_um']:z.3f} um (-{100 * less['form_um']:z.1f} %)",
+            by_what_is_left(1.0 - less["form_um"], _FORM_LEFT),
+        ),
+        Line(
+            "surface at 40 Hz: phase error",
+            "8.57 -> 0.38 deg (-95 %)",
+            f"{before['phase_deg']:z.2f} -> {after['phase_deg']:z.3f} deg (-{100 * less['phase_deg']:z.1f} %)",
+            by_what_is_left(1.0 - less["phase_deg"], _PHASE_LEFT),
+        ),
+        Line(
+            "better at 5, 10, 20, 30, 40 Hz",
+            "consistently",
+            "worse at " + ", ".join(f"{f:g} Hz" for f in cut["worse"]) if cut["worse"] else "at each",
+            yes_or_no(not cut["worse"]),
+        ),
+    ]
 
 
 def action_lines(groups: ToneGroups, seed: int) -> list[Line]:
@@ -290,12 +312,19 @@ def action_lines(groups: ToneGroups, seed: int) -> list[Line]:
         radius = made.candidate.numbers["spectral_radius"]
         less = row["reduction"]
         lines.append(
-            Line(f"40 Hz, {what}", "-87 %, -95 %",
-                 f"form {-100 * less['form_um']:+z.0f} %, phase {-100 * less['phase_deg']:+z.0f} %; spectral "
-                 f"radius {radius:z.2f}; {'released by the alarm' if row['alarm'] else 'no alarm'}",
-                 "does not" if row["alarm"] else worst([
-                     by_what_is_left(1.0 - less["form_um"], _FORM_LEFT),
-                     by_what_is_left(1.0 - less["phase_deg"], _PHASE_LEFT),
-                 ]))
-        )  # fmt: skip
+            Line(
+                f"40 Hz, {what}",
+                "-87 %, -95 %",
+                f"form {-100 * less['form_um']:+z.0f} %, phase {-100 * less['phase_deg']:+z.0f} %; spectral "
+                f"radius {radius:z.2f}; {'released by the alarm' if row['alarm'] else 'no alarm'}",
+                "does not"
+                if row["alarm"]
+                else worst(
+                    [
+                        by_what_is_left(1.0 - less["form_um"], _FORM_LEFT),
+                        by_what_is_left(1.0 - less["phase_deg"], _PHASE_LEFT),
+                    ]
+                ),
+            )
+        )
     return lines

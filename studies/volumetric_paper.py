@@ -32,12 +32,10 @@ def printed_agree() -> list[tuple[str, float, float, bool]]:
     return [
         (what, printed, reduction_pct(before, after), abs(printed - reduction_pct(before, after)) <= _ROUNDED_PCT)
         for what, before, after, printed in PRINTED
-    ]  # fmt: skip
+    ]
 
 
-def volumetric_paper(
-    seed: int, progress: Progress, *, quick: bool = False, truth: str = "surface"
-) -> list[Line]:
+def volumetric_paper(seed: int, progress: Progress, *, quick: bool = False, truth: str = "surface") -> list[Line]:
     """Measure both campaigns of the virtual machine, fit to one, judge on the other.
 
     Parameters
@@ -61,9 +59,8 @@ def volumetric_paper(
         for name in ("training", "validation"):
             folder = Path(scratch) / name
             simulate_volumetric(
-                folder, progress, schedule=name, seed=seed, quick=quick,
-                parameters=parameters_of(truth),
-            )  # fmt: skip
+                folder, progress, schedule=name, seed=seed, quick=quick, parameters=parameters_of(truth)
+            )
             found.append(session(home, str(folder), progress))
         training, validation = found
         models, _ = models_of(training)
@@ -80,18 +77,20 @@ def _lines(own: dict[str, Any], other: dict[str, Any]) -> list[Line]:
     for what, result, key in (
         ("training (in-sample), distances", own, "rms"),
         ("training (in-sample), distances", own, "p2p"),
-        ("validation, distances", other, "rms"), ("validation, distances", other, "p2p"),
-    ):  # fmt: skip
+        ("validation, distances", other, "rms"),
+        ("validation, distances", other, "p2p"),
+    ):
         label = f"{what}, {'RMS' if key == 'rms' else 'range'}"
         _, before, after, printed = next(p for p in PRINTED if p[0] == label)
         d = result["distances"]
         out.append(
             Line(
-                f"{label}, um", f"{before:g} -> {after:g} (-{printed:g} %)",
+                f"{label}, um",
+                f"{before:g} -> {after:g} (-{printed:g} %)",
                 f"{d[f'{key}_um']:z.1f} -> {d[f'{key}_left_um']:z.1f} (-{d[f'{key}_reduction_pct']:z.0f} %)",
                 by_what_is_left(d[f"{key}_left_um"] / d[f"{key}_um"], after / before),
             )
-        )  # fmt: skip
+        )
     rows = own["coefficients"]
     inputs = sorted(len(row["sensors"]) for row in rows)
     memory = sum(row["memory"] > 0 for row in rows)
@@ -99,16 +98,14 @@ def _lines(own: dict[str, Any], other: dict[str, Any]) -> list[Line]:
         *out,
         _slot_line(other),
         Line(
-            "temperatures for one error motion", "2 to 5",
+            "temperatures for one error motion",
+            "2 to 5",
             f"{inputs[0]} to {inputs[-1]}, median {inputs[len(inputs) // 2]}",
             yes_or_no(inputs[0] >= 2 and inputs[-1] <= 5),
         ),
-        Line(
-            "error motions with memory", "2 of 24", f"{memory} of {len(rows)}",
-            by_what_is_left(memory, 2),
-        ),
+        Line("error motions with memory", "2 of 24", f"{memory} of {len(rows)}", by_what_is_left(memory, 2)),
         _worse_line(other),
-    ]  # fmt: skip
+    ]
 
 
 def _slot_line(other: dict[str, Any]) -> Line:
@@ -118,14 +115,17 @@ def _slot_line(other: dict[str, Any]) -> Line:
         ours = "not computed: cycles are not hourly"
         return Line(what, "57.5 -> 29.5, 112 -> 54", ours, "not judged")
     return Line(
-        what, "57.5 -> 29.5, 112 -> 54",
+        what,
+        "57.5 -> 29.5, 112 -> 54",
         f"{slots['mean_range_um']:z.1f} -> {slots['mean_range_left_um']:z.1f}, "
         f"{slots['max_range_um']:z.0f} -> {slots['max_range_left_um']:z.0f}",
-        worst([
-            by_what_is_left(slots["mean_range_left_um"] / slots["mean_range_um"], 29.5 / 57.5),
-            by_what_is_left(slots["max_range_left_um"] / slots["max_range_um"], 54.0 / 112.0),
-        ]),
-    )  # fmt: skip
+        worst(
+            [
+                by_what_is_left(slots["mean_range_left_um"] / slots["mean_range_um"], 29.5 / 57.5),
+                by_what_is_left(slots["max_range_left_um"] / slots["max_range_um"], 54.0 / 112.0),
+            ]
+        ),
+    )
 
 
 def _worse_line(other: dict[str, Any]) -> Line:
@@ -145,8 +145,9 @@ def _cause_line(other: dict[str, Any], training: Session, validation: Session) -
     again = judged(offered, with_offered(validation, (found["cause"],)))
     row = next(r for r in again["coefficients"] if r["name"] == "EXZ1")
     return Line(
-        what, paper,
+        what,
+        paper,
         f"not explained; named of {len(found['tried'])} logged channels: {found['cause']} (true: {_CAUSE}); "
         f"with it {row['rms_reduction_pct']:z.0f} % in validation",
         "easier here" if found["cause"] == _CAUSE else "does not",
-    )  # fmt: skip
+    )

@@ -45,16 +45,23 @@ def small_bundle(machine: str = MACHINE, size_um: float = 20.0) -> Bundle:
 
 def candidate(name: str, r2: float, worst: float, bundle: Bundle | None = None) -> Candidate:
     scores = {
-        group: Scores(group, r2, 5.0, 4.0, worst, "XY R50 F1000 CCW", 3, 12)
-        for group in ("feed_mm_min", "radius_mm")
+        group: Scores(group, r2, 5.0, 4.0, worst, "XY R50 F1000 CCW", 3, 12) for group in ("feed_mm_min", "radius_mm")
     }
-    front = ({"terms": 2, "held_out_rms_um": 9.0, "radius_out_rms_um": 9.5},
-             {"terms": 6, "held_out_rms_um": 5.0, "radius_out_rms_um": 6.0})  # fmt: skip
+    front = (
+        {"terms": 2, "held_out_rms_um": 9.0, "radius_out_rms_um": 9.5},
+        {"terms": 6, "held_out_rms_um": 5.0, "radius_out_rms_um": 6.0},
+    )
     return Candidate(
-        name, "symbolic" if bundle else "tree", bundle is not None, 7, scores, 4.0,
-        latency=Latency(0.5, 1.0, 1000, "bundle tick"), front=front if bundle else (),
+        name,
+        "symbolic" if bundle else "tree",
+        bundle is not None,
+        7,
+        scores,
+        4.0,
+        latency=Latency(0.5, 1.0, 1000, "bundle tick"),
+        front=front if bundle else (),
         bundle=bundle.to_dict() if bundle else None,
-    )  # fmt: skip
+    )
 
 
 def registered(
@@ -64,9 +71,17 @@ def registered(
     registry = Registry(home)
     proposed = [candidate(f"r2-{value:g}", value, 0.5, bundle) for value in r2]
     report = TrainingReport(
-        bundle.machine, "march", {"runs": 1}, 1.0, 12.0, 12, 4320,
-        (*proposed, candidate("tree", -3e11, 1.4)), proposed[-1].name, 1,
-    )  # fmt: skip
+        bundle.machine,
+        "march",
+        {"runs": 1},
+        1.0,
+        12.0,
+        12,
+        4320,
+        (*proposed, candidate("tree", -3e11, 1.4)),
+        proposed[-1].name,
+        1,
+    )
     ids = registry.log_training(report, {})
     geometry = GEOMETRY | {"virtual": virtual}
     found = [registry.register(report, ids[one.name], one, "") for one in proposed]
@@ -76,10 +91,16 @@ def registered(
 
 
 def circles(
-    ways: Iterable[str], *, before_um: float = 12.0, after_um: float = 4.0, seed: int = 0,
-    feed_mm_min: float = 1000.0, noise_um: float = 0.5, begin: datetime = BEGIN,
+    ways: Iterable[str],
+    *,
+    before_um: float = 12.0,
+    after_um: float = 4.0,
+    seed: int = 0,
+    feed_mm_min: float = 1000.0,
+    noise_um: float = 0.5,
+    begin: datetime = BEGIN,
     directions: Sequence[Direction] = ("CCW", "CW"),
-) -> list[Run]:  # fmt: skip
+) -> list[Run]:
     """Return circles in order of time, both directions for each way; two lobes of error."""
     rng = np.random.default_rng(seed)
     runs: list[Run] = []
@@ -90,14 +111,20 @@ def circles(
             size = (after_um if way else before_um) * (1.0 + 0.02 * rng.standard_normal())
             error = size * np.sqrt(2.0) * np.cos(2.0 * np.radians(angle))
             samples = {
-                "t_s": turned / 60.0, "angle_deg": angle,
+                "t_s": turned / 60.0,
+                "angle_deg": angle,
                 "deviation_um": error + noise_um * rng.standard_normal(turned.size),
-            }  # fmt: skip
+            }
             meta = RunMeta(
-                f"f{feed_mm_min:g}-{len(runs) + 1:02d}", plane="XY", direction=direction,
-                radius_mm=50.0, feed_mm_min=feed_mm_min, correction=way,
-                started=(begin + len(runs) * APART).isoformat(), sample_rate_hz=60.0,
-            )  # fmt: skip
+                f"f{feed_mm_min:g}-{len(runs) + 1:02d}",
+                plane="XY",
+                direction=direction,
+                radius_mm=50.0,
+                feed_mm_min=feed_mm_min,
+                correction=way,
+                started=(begin + len(runs) * APART).isoformat(),
+                sample_rate_hz=60.0,
+            )
             runs.append(Run(meta, samples))
     return runs
 
@@ -120,9 +147,15 @@ def copied(run: Run, run_id: str) -> Run:
 
 
 def served(
-    home: Home, model_sha256: str, runs: Iterable[Run], *, device: str = "real",
-    mode: str = "live", lasts_s: float = 40.0, ends: str = "released",
-) -> Path:  # fmt: skip
+    home: Home,
+    model_sha256: str,
+    runs: Iterable[Run],
+    *,
+    device: str = "real",
+    mode: str = "live",
+    lasts_s: float = 40.0,
+    ends: str = "released",
+) -> Path:
     """Write the journal of sessions that served a model during each of the runs."""
     path = events_path(home, MACHINE)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -131,9 +164,15 @@ def served(
             begun = datetime.fromisoformat(run.meta.started)
             about = {"session": f"{device}-{ends}-{number}"}
             for event in (
-                {"time": (begun - timedelta(seconds=20)).isoformat(), "event": "serving",
-                 "mode": mode, "model_sha256": model_sha256, "device": device, "trial": True},
+                {
+                    "time": (begun - timedelta(seconds=20)).isoformat(),
+                    "event": "serving",
+                    "mode": mode,
+                    "model_sha256": model_sha256,
+                    "device": device,
+                    "trial": True,
+                },
                 {"time": (begun + timedelta(seconds=lasts_s)).isoformat(), "event": ends},
-            ):  # fmt: skip
+            ):
                 journal.write(json.dumps(event | about) + "\n")
     return path

@@ -94,12 +94,15 @@ def promote(home: Home, frame: str, evidence: str) -> Bundle:
     g = GraphBuilder()
     graph = g.graph({"offset_um": WANTED_UM + 0.0 * g.input("speed_scaling")})
     bundle = create_bundle(
-        name="constant", machine=MACHINE, model_version=1,
+        name="constant",
+        machine=MACHINE,
+        model_version=1,
         inputs=[Input("speed_scaling", "1", "none", 500.0, "controller", -1.0, 20.0)],
-        outputs=[Output("offset_um", frame, "correction")], tick_graph=graph,
+        outputs=[Output("offset_um", frame, "correction")],
+        tick_graph=graph,
         safety=SafetyLimits(clamp_um=120.0, slew_um_s=SLEW_UM_S, trips_to_latch=10**6),
         provenance=Provenance(evidence=evidence),
-    )  # fmt: skip
+    )
     path = save_bundle(bundle, machine_folder(MACHINE, home) / "v0001.json")
     write_machine(MACHINE, home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
     write_pointer(MACHINE, home, path, 1, "champion")
@@ -112,8 +115,10 @@ def serving(home: Home, *options: str) -> Iterator[subprocess.Popen[bytes]]:
     log = (home.root / "serve.log").open("ab")
     process = subprocess.Popen(
         [sys.executable, "-m", "dtwin", "serve", "--priority=0", "--patience=600", *options],
-        env=dict(os.environ, DTWIN_HOME=str(home.root)), stdout=log, stderr=log,
-    )  # fmt: skip
+        env=dict(os.environ, DTWIN_HOME=str(home.root)),
+        stdout=log,
+        stderr=log,
+    )
     try:
         yield process
     finally:
@@ -135,7 +140,7 @@ class RobotEnd:
     period_s, quantum_um = 0.002, 0.0
     _WATCH_TICKS = 6
 
-    def __init__(self, folder: Path, process: subprocess.Popen[bytes], robot: subprocess.Popen[str]) -> None:  # fmt: skip
+    def __init__(self, folder: Path, process: subprocess.Popen[bytes], robot: subprocess.Popen[str]) -> None:
         self._folder, self._process, self._robot = folder, process, robot
         self._seen = -1
 
@@ -149,10 +154,7 @@ class RobotEnd:
     def processes(self) -> dict[str, list[int]]:
         loop = self._process.pid
         driver = children(loop, "ur_worker")
-        return {
-            "loop": [loop], "driver": driver, "loop and driver": [loop, *driver],
-            "controller": [self._robot.pid],
-        }  # fmt: skip
+        return {"loop": [loop], "driver": driver, "loop and driver": [loop, *driver], "controller": [self._robot.pid]}
 
     def corrected(self) -> bool:
         return float(np.linalg.norm(self._do("status")["applied_um"])) > WANTED_UM - 1.0
@@ -184,10 +186,21 @@ def robot_end(home: Home) -> Iterator[End]:
     host = f"127.{30 + os.getpid() % 200}.{os.getpid() // 200 % 250}.77"
     robot = subprocess.Popen(
         # One turn takes half an hour, so that no program ends in between.
-        [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}", "--control",
-         "--repeat-forever", "--radius-mm=300", "--feed-mm-min=60", "--realtime"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "dtwin.machines.rtde_server",
+            f"--host={host}",
+            "--control",
+            "--repeat-forever",
+            "--radius-mm=300",
+            "--feed-mm-min=60",
+            "--realtime",
+        ],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     assert robot.stdout is not None
     assert robot.stdin is not None
     robot.stdout.readline()
@@ -222,7 +235,7 @@ class AxisEnd:
 
     period_s, quantum_um = AXIS_PERIOD_S, 0.0
 
-    def __init__(self, process: subprocess.Popen[bytes], control: subprocess.Popen[str], rows: np.memmap) -> None:  # fmt: skip
+    def __init__(self, process: subprocess.Popen[bytes], control: subprocess.Popen[str], rows: np.memmap) -> None:
         self._process, self._control, self._rows, self._seen = process, control, rows, 0
 
     def processes(self) -> dict[str, list[int]]:
@@ -261,9 +274,8 @@ def axis_end(home: Home, clock: str) -> Iterator[End]:
     promote(home, "base_x", "virtual")
     rows = _axis_rows(home, "w+")
     control = subprocess.Popen(
-        [sys.executable, _RUN, "--axis-control", clock, "--home", str(home.root)],
-        stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [sys.executable, _RUN, "--axis-control", clock, "--home", str(home.root)], stdout=subprocess.PIPE, text=True
+    )
     assert control.stdout is not None
     port = int(control.stdout.readline())
     try:
@@ -291,7 +303,7 @@ class Feed:
         self._listener.close()
 
     def _serve(self) -> None:
-        still = dict.fromkeys(REQUIRED, 0.0) | {"runtime_running": 1.0, "safety_ok": 1.0, "direction_sign": 1.0}  # fmt: skip
+        still = dict.fromkeys(REQUIRED, 0.0) | {"runtime_running": 1.0, "safety_ok": 1.0, "direction_sign": 1.0}
         with contextlib.suppress(OSError):
             while not self._ended.is_set():
                 client, _ = self._listener.accept()
@@ -329,16 +341,20 @@ class BoardEnd:
 @contextlib.contextmanager
 def board_end(home: Home) -> Iterator[End]:
     promote(home, "base_x", "real")
-    save(home.root / "analogue.json", {a: AxisFit(UM_PER_V, NEUTRAL_V, 0.01, 0.001, 0.05, {}, 5) for a in "xyz"})  # fmt: skip
+    save(home.root / "analogue.json", {a: AxisFit(UM_PER_V, NEUTRAL_V, 0.01, 0.001, 0.05, {}, 5) for a in "xyz"})
     feed = Feed()
     try:
         with (
             AnalogueBoard(home.root) as board,
             serving(
-                home, "--link=analogue", f"--port={board.port}", f"--states=127.0.0.1:{feed.port}",
-                f"--states-hz={1.0 / FEED_PERIOD_S:g}", f"--calibration={home.root / 'analogue.json'}",
+                home,
+                "--link=analogue",
+                f"--port={board.port}",
+                f"--states=127.0.0.1:{feed.port}",
+                f"--states-hz={1.0 / FEED_PERIOD_S:g}",
+                f"--calibration={home.root / 'analogue.json'}",
             ) as process,
-        ):  # fmt: skip
+        ):
             yield BoardEnd(process, board)
     finally:
         feed.close()
@@ -385,9 +401,8 @@ def linuxcnc_client(home: Home, path: Path) -> None:
 def linuxcnc_end(home: Home) -> Iterator[End]:
     with LinuxcncSession() as session, Bridge(session.socket_path) as bridge:
         client = subprocess.Popen(
-            [sys.executable, _RUN, "--linuxcnc-client", str(session.socket_path),
-             "--home", str(home.root)],
-        )  # fmt: skip
+            [sys.executable, _RUN, "--linuxcnc-client", str(session.socket_path), "--home", str(home.root)]
+        )
         try:
             yield LinuxcncEnd(client, bridge, session.folder)
         finally:

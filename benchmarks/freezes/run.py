@@ -25,17 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ends import (
-    SLEW_UM_S,
-    End,
-    Held,
-    axis_control,
-    axis_end,
-    board_end,
-    linuxcnc_client,
-    linuxcnc_end,
-    robot_end,
-)
+from ends import SLEW_UM_S, End, Held, axis_control, axis_end, board_end, linuxcnc_client, linuxcnc_end, robot_end
 
 from dtwin.config import Home
 from dtwin.errors import MissingPart
@@ -133,9 +123,13 @@ def measure(link: str, tries: int, seed: int) -> dict[str, Any]:
         found.update({f"journal: {event}": count for event, count in noted(home).items()})
     failures = sum(n for name, n in found.items() if name.startswith(("jumps", "not", "never")))
     return {
-        "tries": tries, "failures": failures, "allowed_um": step_um, "longest_um": longest_um,
-        "period_ms": 1e3 * period_s, **found,
-    }  # fmt: skip
+        "tries": tries,
+        "failures": failures,
+        "allowed_um": step_um,
+        "longest_um": longest_um,
+        "period_ms": 1e3 * period_s,
+        **found,
+    }
 
 
 def show(result: dict[str, dict[str, Any]]) -> None:
@@ -143,9 +137,13 @@ def show(result: dict[str, dict[str, Any]]) -> None:
         if "skipped" in one:
             print(f"{link}: skipped: {one['skipped']}")
             continue
-        print(f"{link}: {one['tries']} freezes, {one['failures']} failures; longest change "
-              f"{one['longest_um']:.3f} um, allowed {one['allowed_um']:.3f} um in {one['period_ms']:g} ms")  # fmt: skip
-        print("  " + ", ".join(f"{k} {v}" for k, v in sorted(one.items()) if k[:7] in ("jumps, ", "tries, ", "journal")))  # fmt: skip
+        print(
+            f"{link}: {one['tries']} freezes, {one['failures']} failures; longest change "
+            f"{one['longest_um']:.3f} um, allowed {one['allowed_um']:.3f} um in {one['period_ms']:g} ms"
+        )
+        print(
+            "  " + ", ".join(f"{k} {v}" for k, v in sorted(one.items()) if k[:7] in ("jumps, ", "tries, ", "journal"))
+        )
 
 
 def main() -> None:

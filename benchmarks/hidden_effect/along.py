@@ -43,9 +43,7 @@ def _names(row: Row, number: int, rng: np.random.Generator) -> list[str]:
         return [row.hidden[number % len(row.hidden)]]
     names: list[str] = []
     for name in rng.permutation(row.hidden):
-        alone = all(
-            not {str(name), other} <= part for part in tone_machine.ONE_PART for other in names
-        )
+        alone = all(not {str(name), other} <= part for part in tone_machine.ONE_PART for other in names)
         if len(names) < row.how_many and alone:
             names.append(str(name))
     return names

@@ -176,10 +176,7 @@ def mechanism(name: str) -> tuple[str, Mechanism]:
 
 
 def measured(
-    acting: Sequence[Mechanism],
-    sizes_um: Sequence[float],
-    noise_um: float,
-    rng: np.random.Generator,
+    acting: Sequence[Mechanism], sizes_um: Sequence[float], noise_um: float, rng: np.random.Generator
 ) -> tuple[Campaign, list[Run]]:
     """Return a campaign of positioning runs.
 
@@ -223,11 +220,15 @@ def _stand(rng: np.random.Generator) -> Stand:
     warmth += 0.1 * rng.standard_normal((RUNS, 1, 1))
     walks = {name: np.cumsum(rng.standard_normal(RUNS)) for name in CHANNELS}
     return Stand(
-        at_mm=at_mm[None, None], side=np.array([1.0, -1.0])[None, :, None],
-        travel_mm=float(at_mm[-1]), pitch_mm=pitch_mm, hours=hours,
+        at_mm=at_mm[None, None],
+        side=np.array([1.0, -1.0])[None, :, None],
+        travel_mm=float(at_mm[-1]),
+        pitch_mm=pitch_mm,
+        hours=hours,
         warmth_k=warmth - warmth.mean(),
-        channels={k: ((v - v.mean()) / v.std())[:, None, None] for k, v in walks.items()}, rng=rng,
-    )  # fmt: skip
+        channels={k: ((v - v.mean()) / v.std())[:, None, None] for k, v in walks.items()},
+        rng=rng,
+    )
 
 
 def _noise(stand: Stand, rms_um: float) -> Floats:
@@ -247,17 +248,24 @@ def _run(stand: Stand, number: int, error_um: Floats) -> Run:
     hours = _in_order(stand.hours[number])
     begun = _BEGUN + timedelta(hours=float(hours[0]))
     meta = RunMeta(
-        f"r{number + 1}", kind="linear", condition={"axis": "X"}, repeat=number + 1,
-        started=begun.isoformat(), covariates=logged,
-    )  # fmt: skip
+        f"r{number + 1}",
+        kind="linear",
+        condition={"axis": "X"},
+        repeat=number + 1,
+        started=begun.isoformat(),
+        covariates=logged,
+    )
     ways = np.repeat(np.array(["forward", "reverse"], dtype=object), at_mm.size)
-    return Run(meta, {
-        "t_s": 3600.0 * (hours - hours[0]),
-        "position_mm": _in_order(np.stack([at_mm, at_mm])),
-        "direction": ways,
-        "error_um": _in_order(error_um),
-        "temperature_c": 20.0 + _in_order(stand.warmth_k[number]),
-    })  # fmt: skip
+    return Run(
+        meta,
+        {
+            "t_s": 3600.0 * (hours - hours[0]),
+            "position_mm": _in_order(np.stack([at_mm, at_mm])),
+            "direction": ways,
+            "error_um": _in_order(error_um),
+            "temperature_c": 20.0 + _in_order(stand.warmth_k[number]),
+        },
+    )
 
 
 def _in_order(values: Floats) -> Floats:

@@ -85,9 +85,12 @@ def make_case(row: Row, number: int) -> Case:
     if row.hidden == ("coolant",):
         extra.append(_coolant(channels["coolant_v"], NOISE_UM * row.k, rng.uniform(0, 6.28)))
     made = VirtualMill(
-        mill, seed, NoiseParameters(row.noise_um, row.noise), disturbance=sum_of(extra),
+        mill,
+        seed,
+        NoiseParameters(row.noise_um, row.noise),
+        disturbance=sum_of(extra),
         samples_per_turn=row.samples_per_turn,
-    )  # fmt: skip
+    )
     truths: dict[str, float] = {}
     for cause, size in [*base, *sized]:
         truths.update(cause.truths(size))
@@ -164,7 +167,7 @@ _Fault = TypeVar("_Fault", bound=_Labelled)
 
 def _many(
     row: Row, makers: Mapping[str, Callable[[str, np.random.Generator], _Fault]], rng: np.random.Generator
-) -> tuple[_Fault, ...]:  # fmt: skip
+) -> tuple[_Fault, ...]:
     """Return so many faults at once, at most one of each mechanism on an axis."""
     out: list[_Fault] = []
     if not row.hidden:
@@ -254,9 +257,7 @@ def _channels(n: int, rng: np.random.Generator) -> dict[str, Floats]:
 
 def _coolant(pressure: Floats, rms_um: float, phase: float) -> Disturbance:
     def act(moment: Moment) -> Floats:
-        return (
-            np.sqrt(2.0) * rms_um * pressure[moment.number] * np.cos(3 * moment.angle_rad + phase)
-        )
+        return np.sqrt(2.0) * rms_um * pressure[moment.number] * np.cos(3 * moment.angle_rad + phase)
 
     return act
 

@@ -48,33 +48,42 @@ def _named(effect: str, axis: str, parameter: str, factor: float = 1.0) -> Truth
 
 
 def backlash(axis: str, rng: np.random.Generator) -> Cause:
-    return _axis("backlash", axis, 2.0, "play_um", signed=False,
-                 truths=_named("backlash", axis, "backlash"))  # fmt: skip
+    return _axis("backlash", axis, 2.0, "play_um", signed=False, truths=_named("backlash", axis, "backlash"))
 
 
 def backlash_taper(axis: str, rng: np.random.Generator) -> Cause:
-    return _axis("backlash_taper", axis, 2.0, "play_taper_um",
-                 truths=_named("backlash_taper", axis, "change_per_100_mm"))  # fmt: skip
+    return _axis(
+        "backlash_taper", axis, 2.0, "play_taper_um", truths=_named("backlash_taper", axis, "change_per_100_mm")
+    )
 
 
 def lateral_play(axis: str, rng: np.random.Generator) -> Cause:
-    return _axis("lateral_play", axis, 2.0, "lateral_um",
-                 truths=_named("lateral_play", axis, "play"))  # fmt: skip
+    return _axis("lateral_play", axis, 2.0, "lateral_um", truths=_named("lateral_play", axis, "play"))
 
 
 def lateral_play_taper(axis: str, rng: np.random.Generator) -> Cause:
-    return _axis("lateral_play_taper", axis, 2.0, "lateral_taper_um",
-                 truths=_named("lateral_play_taper", axis, "change_per_100_mm"))  # fmt: skip
+    return _axis(
+        "lateral_play_taper",
+        axis,
+        2.0,
+        "lateral_taper_um",
+        truths=_named("lateral_play_taper", axis, "change_per_100_mm"),
+    )
 
 
 def straightness(axis: str, rng: np.random.Generator) -> Cause:
-    return _axis("straightness", axis, 2.0, "bow_um",
-                 truths=_named("straightness", axis, "bow_at_100_mm"))  # fmt: skip
+    return _axis("straightness", axis, 2.0, "bow_um", truths=_named("straightness", axis, "bow_at_100_mm"))
 
 
 def angular_error(axis: str, rng: np.random.Generator) -> Cause:
-    return _axis("angular_error", axis, 10.0, "tilt_urad", design="heights",
-                 truths=_named("angular_error", axis, "tilt_over_100_mm"))  # fmt: skip
+    return _axis(
+        "angular_error",
+        axis,
+        10.0,
+        "tilt_urad",
+        design="heights",
+        truths=_named("angular_error", axis, "tilt_over_100_mm"),
+    )
 
 
 def scale_mismatch(axis: str, rng: np.random.Generator) -> Cause:
@@ -126,8 +135,7 @@ def reversal_spike(axis: str, rng: np.random.Generator) -> Cause:
     integral, travel = rng.uniform(10.0, 40.0), rng.uniform(0.002, 0.01)
 
     def change(mill: MillParameters, size: float) -> MillParameters:
-        return mill.with_axis(axis, friction_mm_s2=20.0 * size, integral_time_ms=integral,
-                              presliding_mm=travel)  # fmt: skip
+        return mill.with_axis(axis, friction_mm_s2=20.0 * size, integral_time_ms=integral, presliding_mm=travel)
 
     return Cause(f"reversal_spike {axis}", 2.0, change, signed=False)
 
@@ -136,8 +144,7 @@ def friction(axis: str, rng: np.random.Generator) -> Cause:
     fading = rng.uniform(1.0, 5.0)
 
     def change(mill: MillParameters, size: float) -> MillParameters:
-        return mill.with_axis(axis, stribeck_mm_s2=12.0 * size, stribeck_mm_s=fading,
-                              presliding_mm=0.005)  # fmt: skip
+        return mill.with_axis(axis, stribeck_mm_s2=12.0 * size, stribeck_mm_s=fading, presliding_mm=0.005)
 
     return Cause(f"friction {axis}", 2.0, change, signed=False)
 
@@ -155,8 +162,7 @@ def structural_resonance(axis: str, rng: np.random.Generator) -> Cause:
     hz, damping = rng.uniform(12.0, 30.0), rng.uniform(0.03, 0.1)
 
     def change(mill: MillParameters, size: float) -> MillParameters:
-        return mill.with_axis(axis, mode_hz=hz, mode_damping=damping, mode_share=size,
-                              breakaway_mm=1e-3 * size**2)  # fmt: skip
+        return mill.with_axis(axis, mode_hz=hz, mode_damping=damping, mode_share=size, breakaway_mm=1e-3 * size**2)
 
     return Cause(f"structural_resonance {axis}", 0.3, change, signed=False)
 
@@ -177,8 +183,12 @@ def measurement_delay(axis: str, rng: np.random.Generator) -> Cause:
 
 
 def axis_changeover(axis: str, rng: np.random.Generator) -> Cause:
-    return Cause("axis_changeover XY", 1.0, lambda mill, size: replace(mill, changeover_um=size),
-                 truths=_named("axis_changeover", "XY", "step", -0.5))  # fmt: skip
+    return Cause(
+        "axis_changeover XY",
+        1.0,
+        lambda mill, size: replace(mill, changeover_um=size),
+        truths=_named("axis_changeover", "XY", "step", -0.5),
+    )
 
 
 def instrument_artefact(axis: str, rng: np.random.Generator) -> Cause:
@@ -188,8 +198,7 @@ def instrument_artefact(axis: str, rng: np.random.Generator) -> Cause:
         return replace(mill, cup_lobe_um=size, cup_phase_rad=phase)
 
     def truths(size: float) -> Mapping[str, float]:
-        return {"instrument_artefact||cosine": size * np.cos(phase),
-                "instrument_artefact||sine": -size * np.sin(phase)}  # fmt: skip
+        return {"instrument_artefact||cosine": size * np.cos(phase), "instrument_artefact||sine": -size * np.sin(phase)}
 
     return Cause("instrument_artefact", 1.0, change, truths=truths)
 
@@ -215,13 +224,28 @@ def thermal_drift(axis: str, rng: np.random.Generator) -> Cause:
 LIBRARY = {
     make.__name__: make
     for make in (
-        backlash, backlash_taper, lateral_play, lateral_play_taper, straightness, angular_error,
-        scale_mismatch, squareness, servo_mismatch, servo_lag, cyclic_error,
-        cyclic_error_by_direction, reversal_spike, friction, reversal_ringing,
-        structural_resonance, inertial_compliance, measurement_delay, axis_changeover,
+        backlash,
+        backlash_taper,
+        lateral_play,
+        lateral_play_taper,
+        straightness,
+        angular_error,
+        scale_mismatch,
+        squareness,
+        servo_mismatch,
+        servo_lag,
+        cyclic_error,
+        cyclic_error_by_direction,
+        reversal_spike,
+        friction,
+        reversal_ringing,
+        structural_resonance,
+        inertial_compliance,
+        measurement_delay,
+        axis_changeover,
         instrument_artefact,
     )
-}  # fmt: skip
+}
 # Effects whose sizes an ordinary mill has, and that the twin of a case already knows.
 BASE = {
     "squareness:XY": (squareness, "XY", 25.0),

@@ -65,8 +65,9 @@ def matrix_of(case: Case) -> Matrix:
         labels.append(instance.label)
     x = np.concatenate(parts, axis=1)
     x = x * np.sqrt(len(x))
-    return Matrix(problem.residual.reshape(obs.n_rows, -1), x.reshape(obs.n_rows, 360, -1),
-                  np.array(owner), tuple(labels))  # fmt: skip
+    return Matrix(
+        problem.residual.reshape(obs.n_rows, -1), x.reshape(obs.n_rows, 360, -1), np.array(owner), tuple(labels)
+    )
 
 
 def _best_shape(problem: Problem, obs: Observations, term: Term) -> Floats:
@@ -171,8 +172,7 @@ def everything(m: Matrix) -> list[str]:
 
 
 CONTROLS: dict[str, Callable[[Matrix], list[str]]] = {
-    f.__name__: f
-    for f in (forward_bic, lasso_cv, stlsq, bagging, best_r2, always_unknown, everything)
+    f.__name__: f for f in (forward_bic, lasso_cv, stlsq, bagging, best_r2, always_unknown, everything)
 }
 
 

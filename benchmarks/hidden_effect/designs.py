@@ -42,12 +42,17 @@ class Design:
         for repeat in range(1, self.repeats + 1):
             block = [
                 CircularTest(
-                    plane, way, radius, feed, repeat, f"{plane}{radius:g}",
+                    plane,
+                    way,
+                    radius,
+                    feed,
+                    repeat,
+                    f"{plane}{radius:g}",
                     abbe_offset_mm=2.0 * radius - 50.0 if self.heights else None,
                 )
                 for feed in self.feeds_mm_min
                 for way in self.directions
-            ]  # fmt: skip
+            ]
             out += [block[i] for i in rng.permutation(len(block))]
         return out
 

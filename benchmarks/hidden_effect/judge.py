@@ -90,7 +90,7 @@ def _is_right(case: Case, found: Diagnosis, out: dict[str, Any]) -> bool:
         "every": out.get("named") == len(case.hidden) - len(case.row.unknown[:1]),
         "need_repeats": found.verdict == "need_repeats",
         "spread": found.verdict == "variance_effect" or found.spread is not None,
-    }  # fmt: skip
+    }
     if truths == ["thermal_growth"] and case.row.right == "name" and case.row.kind == "circular":
         return found.verdict in NAMING and "thermal_growth" in effects
     return bool(checks[case.row.right])
@@ -164,9 +164,7 @@ def _untold_held_out(obs: Observations, case: Case) -> float:
     return float(localise.systematic_rms_um(held, frozen_residual_um(twin, held)))
 
 
-def _discovered(
-    obs: Observations, known: Sequence[Term], found: Diagnosis, case: Case
-) -> list[list[str]]:
+def _discovered(obs: Observations, known: Sequence[Term], found: Diagnosis, case: Case) -> list[list[str]]:
     """Return the groups that the loop of diagnose and add names, one after the other."""
     named: list[list[str]] = []
     terms = list(known)

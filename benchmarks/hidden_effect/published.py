@@ -62,8 +62,15 @@ def _parts(machine: Table) -> dict[str, dict[str, Any]]:
             pitch = {f"pitch_{low}": machine.get(f"pitch_{low}", 10.0)}
             out[f"{mean_of} {axis}"] = {f"{key}_{low}": [mean, mean]} | pitch
             out[f"{rest_of} {axis}"] = {f"{key}_{low}": [rest, -rest]} | pitch
-    none = {"scale_x": 0.0, "scale_y": 0.0, "squareness": 0.0, "straightness_x": 0.0,
-            "straightness_y": 0.0, "backlash_x": [0.0, 0.0], "backlash_y": [0.0, 0.0]}  # fmt: skip
+    none = {
+        "scale_x": 0.0,
+        "scale_y": 0.0,
+        "squareness": 0.0,
+        "straightness_x": 0.0,
+        "straightness_y": 0.0,
+        "backlash_x": [0.0, 0.0],
+        "backlash_y": [0.0, 0.0],
+    }
     return {label: none | size | part for label, part in out.items()}
 
 
@@ -85,9 +92,7 @@ def _shows_um(machine: Table, feeds: Sequence[float], law: str) -> float:
     return float(np.sqrt((out**2).mean()))
 
 
-def measured(
-    machine: Table, feeds: Sequence[float], law: str, noise_um: float, rng: np.random.Generator
-) -> list[Run]:
+def measured(machine: Table, feeds: Sequence[float], law: str, noise_um: float, rng: np.random.Generator) -> list[Run]:
     """Return three repeats of every feed and direction, in random order, about a centre that is off."""
     runs: list[Run] = []
     radius = float(machine["radius"])
@@ -103,9 +108,8 @@ def measured(
             y = bar_um * np.sin(angle) + _CENTRE_UM[1]
             noise = noise_um * rng.standard_normal(_SAMPLES)
             meta = RunMeta(
-                f"r{len(runs)}", plane="XY", direction=way, radius_mm=radius, feed_mm_min=feed,
-                repeat=repeat,
-            )  # fmt: skip
+                f"r{len(runs)}", plane="XY", direction=way, radius_mm=radius, feed_mm_min=feed, repeat=repeat
+            )
             samples = {
                 "t_s": 2.0 * np.pi * radius / (feed / 60.0) * np.arange(_SAMPLES) / _SAMPLES,
                 "angle_deg": angle_deg,

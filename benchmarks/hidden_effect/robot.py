@@ -17,12 +17,7 @@ TCP_MM = (0.0, 0.0, 150.0)
 CENTRE_MM = (-100.0, -650.0, 200.0)
 GEOMETRY: dict[str, Any] = {"type": "ur10e", "centre_mm": list(CENTRE_MM), "tcp_mm": list(TCP_MM)}
 # Joints that a circle can show; turning the base by a constant only moves the centre.
-JOINTS = {
-    "joint_offset": (2, 3, 4),
-    "joint_compliance": (2, 3),
-    "joint_reversal": (1, 2, 3),
-    "joint_cyclic": (1, 2, 3),
-}
+JOINTS = {"joint_offset": (2, 3, 4), "joint_compliance": (2, 3), "joint_reversal": (1, 2, 3), "joint_cyclic": (1, 2, 3)}
 _TOOL_DOWN = np.diag([-1.0, 1.0, -1.0])
 _START_RAD = np.radians([-18.5, -86.3, 137.0, -140.7, -90.0, -108.5])
 _POINTS = 720
@@ -52,15 +47,11 @@ def _path(radius_mm: float, sense: float) -> tuple[Floats, Floats]:
     at = np.tile(np.array(CENTRE_MM), (len(angle), 1))
     at[:, 0] += radius_mm * np.cos(angle)
     at[:, 1] += radius_mm * np.sin(angle)
-    first = UR10E.inverse_many(
-        np.linspace(np.array(CENTRE_MM), at[0], 20), _TOOL_DOWN, np.array(TCP_MM), _START_RAD
-    )
+    first = UR10E.inverse_many(np.linspace(np.array(CENTRE_MM), at[0], 20), _TOOL_DOWN, np.array(TCP_MM), _START_RAD)
     return angle, UR10E.inverse_many(at, _TOOL_DOWN, np.array(TCP_MM), first[-1])
 
 
-def _bar_um(
-    effect: str, joint: int, moment: Moment, sense: float, size: float, wave: tuple[float, float]
-) -> Floats:
+def _bar_um(effect: str, joint: int, moment: Moment, sense: float, size: float, wave: tuple[float, float]) -> Floats:
     radius = moment.test.radius_mm
     angle, wanted = _path(radius, sense)
     reached = wanted.copy()

@@ -18,9 +18,7 @@ MEAN_K = 0.5 * (FAINTEST + LOUDEST)
 # at all turns the whole circle.
 NOT_AT_FIRST = ("angular_error", "measurement_delay")
 # Published machines from nothing: name, and what a reversal spike is constant in.
-PUBLISHED = tuple(
-    (name, law) for name in ("sim1", "sim2", "sim3", "sim5") for law in ("time", "angle")
-)
+PUBLISHED = tuple((name, law) for name in ("sim1", "sim2", "sim3", "sim5") for law in ("time", "angle"))
 
 
 @dataclass(frozen=True)
@@ -52,26 +50,42 @@ class Row:
 
 def _rows() -> list[Row]:
     every = tuple(LIBRARY)
-    unknown = ("threshold_lobe", "quartic_scale", "play_curve", "gear_harmonic",
-               "heat_times_feed", "hysteretic_heat", "lobe_with_feed")  # fmt: skip
+    unknown = (
+        "threshold_lobe",
+        "quartic_scale",
+        "play_curve",
+        "gear_harmonic",
+        "heat_times_feed",
+        "hysteretic_heat",
+        "lobe_with_feed",
+    )
     noises = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
     rows = [Row(f"null_{kind}", "nothing", 1000, noise=kind) for kind in noises]
     rows.append(Row("null_distractors", "nothing", 1000, distractors=True))
     rows.append(Row("null_odd_sampling", "nothing", 1000, samples_per_turn=1007))
+    rows += [Row("single_half", "name", 200, 0.5, every), Row("single_quarter", "name", 200, 0.25, every)]
     rows += [
-        Row("single_half", "name", 200, 0.5, every),
-        Row("single_quarter", "name", 200, 0.25, every),
+        Row(f"single_{n}", "name", 40, k, every, held_out=k >= 1.0)
+        for n, k in (("eighth", 0.125), ("one", 1.0), ("two", 2.0))
     ]
-    rows += [Row(f"single_{n}", "name", 40, k, every, held_out=k >= 1.0)
-             for n, k in (("eighth", 0.125), ("one", 1.0), ("two", 2.0))]  # fmt: skip
     rows += [Row("pair_one", "all", 40, 1.0, every, 2), Row("triple_one", "all", 40, 1.0, every, 3)]
     rows += [Row(f"unknown_{kind}", "unknown", 40, 1.0, (kind,)) for kind in unknown]
     rows.append(Row("unknown_coolant", "channel", 40, 1.0, ("coolant",), distractors=True))
-    rows += [Row(f"{kind}_k{k:g}", "unknown", 40, k, (kind,), base=("squareness:XY", "backlash:X"))
-             for kind in ("square_law", "flat_law") for k in (1.0, 2.0)]  # fmt: skip
     rows += [
-        Row("aliased_one_way", "group", 40, 1.0, ("squareness", "servo_mismatch"), design="one_way",
-            base=("backlash:X", "straightness:Y")),
+        Row(f"{kind}_k{k:g}", "unknown", 40, k, (kind,), base=("squareness:XY", "backlash:X"))
+        for kind in ("square_law", "flat_law")
+        for k in (1.0, 2.0)
+    ]
+    rows += [
+        Row(
+            "aliased_one_way",
+            "group",
+            40,
+            1.0,
+            ("squareness", "servo_mismatch"),
+            design="one_way",
+            base=("backlash:X", "straightness:Y"),
+        ),
         Row("absorbed", "absorbed", 40, 0.0, ("bar",)),
         Row("heat_warm_up", "confounded", 40, 1.0, ("thermal_growth",), design="warm_up"),
         Row("heat_cool_down", "name", 40, 1.0, ("thermal_growth",)),
@@ -81,10 +95,8 @@ def _rows() -> list[Row]:
         Row("bad_run_half", "name", 40, 0.5, every, noise="bad_run"),
         Row("distractors_half", "name", 40, 0.5, every, distractors=True),
         Row("stick_slip", "spread", 40, 0.0, ("stick_slip",)),
-    ]  # fmt: skip
-    one_condition = tuple(
-        n for n in every if n not in ("servo_lag", "measurement_delay", "angular_error")
-    )
+    ]
+    one_condition = tuple(n for n in every if n not in ("servo_lag", "measurement_delay", "angular_error"))
     plain = ("backlash", "cyclic_error", "reversal_spike", "squareness", "lateral_play")
     few = ("backlash:X", "straightness:Y")
     rows += [
@@ -96,18 +108,35 @@ def _rows() -> list[Row]:
     rows.append(Row("robot_joint_one", "name", 40, 1.0, tuple(JOINTS), base=()))
     ordinary = tuple(n for n in every if n not in NOT_AT_FIRST)
     rows += [
-        Row(f"untold_{n}_noise_{noise:g}", "every", 100, hidden=ordinary, how_many=n, base=(),
-            noise_um=noise)
-        for n in (3, 5, 8, 12) for noise in (0.1, 0.5)
-    ]  # fmt: skip
+        Row(f"untold_{n}_noise_{noise:g}", "every", 100, hidden=ordinary, how_many=n, base=(), noise_um=noise)
+        for n in (3, 5, 8, 12)
+        for noise in (0.1, 0.5)
+    ]
     rows += [
-        Row("untold_5_and_unknown", "every", 100, hidden=ordinary, how_many=5, base=(), noise_um=0.1,
-            unknown=("gear_harmonic", "threshold_lobe", "quartic_scale", "lobe_with_feed")),
-    ]  # fmt: skip
+        Row(
+            "untold_5_and_unknown",
+            "every",
+            100,
+            hidden=ordinary,
+            how_many=5,
+            base=(),
+            noise_um=0.1,
+            unknown=("gear_harmonic", "threshold_lobe", "quartic_scale", "lobe_with_feed"),
+        )
+    ]
     rows.append(
-        Row("everyday_6", "every", 100, hidden=one_condition, how_many=6, base=(), design="both_ways",
-            noise_um=0.1, everyday=True)
-    )  # fmt: skip
+        Row(
+            "everyday_6",
+            "every",
+            100,
+            hidden=one_condition,
+            how_many=6,
+            base=(),
+            design="both_ways",
+            noise_um=0.1,
+            everyday=True,
+        )
+    )
     return rows + _of_others() + _of_lines()
 
 
@@ -117,16 +146,35 @@ def _of_others() -> list[Row]:
     # At one feed a lag of both axes is a longer bar.
     everyday = tuple(n for n in every if n != "servo_lag")
     rows = [
-        Row(f"second_untold_{n}_noise_{noise:g}", "every", 100, hidden=every, how_many=n, base=(),
-            noise_um=noise, machine="second")
-        for n in (3, 5, 8) for noise in (0.1, 0.5)
-    ]  # fmt: skip
+        Row(
+            f"second_untold_{n}_noise_{noise:g}",
+            "every",
+            100,
+            hidden=every,
+            how_many=n,
+            base=(),
+            noise_um=noise,
+            machine="second",
+        )
+        for n in (3, 5, 8)
+        for noise in (0.1, 0.5)
+    ]
     rows += [
         Row("second_null", "nothing", 200, base=(), machine="second"),
-        Row("second_everyday_6", "every", 100, hidden=everyday, how_many=6, base=(), design="both_ways",
-            noise_um=0.1, machine="second", everyday=True),
+        Row(
+            "second_everyday_6",
+            "every",
+            100,
+            hidden=everyday,
+            how_many=6,
+            base=(),
+            design="both_ways",
+            noise_um=0.1,
+            machine="second",
+            everyday=True,
+        ),
         Row("published_from_nothing", "every", len(PUBLISHED), base=(), noise_um=0.1, machine="published"),
-    ]  # fmt: skip
+    ]
     return rows
 
 
@@ -147,13 +195,21 @@ def _of_lines() -> list[Row]:
         Row("tone_null", "nothing", 200, design="tones", base=(), kind="sinusoidal"),
         Row("tone_single", "name", 100, hidden=tones, design="tones", kind="sinusoidal", **some),
         Row("tone_untold_3", "every", 100, hidden=told_apart, how_many=3, design="tones", kind="sinusoidal", **some),
-        Row("tone_unknown", "unknown", 100, hidden=tuple(tone_machine.FOREIGN), design="tones", kind="sinusoidal", **some),
+        Row(
+            "tone_unknown",
+            "unknown",
+            100,
+            hidden=tuple(tone_machine.FOREIGN),
+            design="tones",
+            kind="sinusoidal",
+            **some,
+        ),
         Row("tone_channel", "channel", 100, hidden=tone_machine.CHANNELS, design="tones", kind="sinusoidal", **some),
-    ]  # fmt: skip
+    ]
     rows += [
         Row(f"axis_unknown_{name}", "unknown", 100, hidden=(name,), design="5 runs", kind="linear", **some)
         for name in ("flank", "dent", "power")
-    ]  # fmt: skip
+    ]
     return rows
 
 

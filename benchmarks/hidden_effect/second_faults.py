@@ -39,9 +39,7 @@ def lateral_play_taper(axis: str, rng: np.random.Generator) -> Fault:
 
 def straightness(axis: str, rng: np.random.Generator) -> Fault:
     bent, cubic = _alone("straightness", axis, bow=1.0), rng.uniform(-0.05, 0.05)
-    return replace(
-        bent, change=lambda m, size: bent.change(m, size).with_axis(axis, bow_cubic=cubic)
-    )
+    return replace(bent, change=lambda m, size: bent.change(m, size).with_axis(axis, bow_cubic=cubic))
 
 
 def scale_mismatch(axis: str, rng: np.random.Generator) -> Fault:
@@ -63,9 +61,7 @@ def _smoothed(machine: Machine, more_s: tuple[float, float]) -> Machine:
 
 def servo_mismatch(axis: str, rng: np.random.Generator) -> Fault:
     # Half a millisecond is there to take from: ten times what is needed.
-    return Fault(
-        "servo_mismatch XY", lambda m, ms: _smoothed(m, (5e-4 * ms, -5e-4 * ms)), start=0.1
-    )
+    return Fault("servo_mismatch XY", lambda m, ms: _smoothed(m, (5e-4 * ms, -5e-4 * ms)), start=0.1)
 
 
 def servo_lag(axis: str, rng: np.random.Generator) -> Fault:
@@ -98,12 +94,16 @@ def cyclic_error_by_direction(axis: str, rng: np.random.Generator) -> Fault:
     return _screw("cyclic_error_by_direction", "flank", axis, rng)
 
 
-def _rubbing(label: str, axis: str, integral_s: float, static: float, fading_mm_s: float, slip_mm: float) -> Fault:  # fmt: skip
+def _rubbing(label: str, axis: str, integral_s: float, static: float, fading_mm_s: float, slip_mm: float) -> Fault:
     def change(machine: Machine, size: float) -> Machine:
         return machine.with_axis(
-            axis, integral_s=integral_s, friction=10.0 * size, static_share=static,
-            fading_mm_s=fading_mm_s, slip_mm=slip_mm,
-        )  # fmt: skip
+            axis,
+            integral_s=integral_s,
+            friction=10.0 * size,
+            static_share=static,
+            fading_mm_s=fading_mm_s,
+            slip_mm=slip_mm,
+        )
 
     return Fault(f"{label} {axis}", change, signed=False)
 
@@ -114,16 +114,14 @@ def reversal_spike(axis: str, rng: np.random.Generator) -> Fault:
 
 
 def friction(axis: str, rng: np.random.Generator) -> Fault:
-    return _rubbing("friction", axis, 0.0, rng.uniform(0.5, 2.0), rng.uniform(2.0, 6.0), rng.uniform(0.04, 0.2))  # fmt: skip
+    return _rubbing("friction", axis, 0.0, rng.uniform(0.5, 2.0), rng.uniform(2.0, 6.0), rng.uniform(0.04, 0.2))
 
 
 def _mode(label: str, axis: str, swing: float, rng: np.random.Generator) -> Fault:
     hz, damping, gap = rng.uniform(12.0, 30.0), rng.uniform(0.03, 0.1), rng.uniform(2e-4, 5e-4)
 
     def change(machine: Machine, size: float) -> Machine:
-        return machine.with_axis(
-            axis, mode_hz=hz, damping=damping, gap=gap, knock=size, swing=0.2 * size * swing
-        )
+        return machine.with_axis(axis, mode_hz=hz, damping=damping, gap=gap, knock=size, swing=0.2 * size * swing)
 
     return Fault(f"{label} {axis}", change, signed=False)
 
@@ -150,8 +148,21 @@ def inertial_compliance(axis: str, rng: np.random.Generator) -> Fault:
 LIBRARY = {
     make.__name__: make
     for make in (
-        backlash, backlash_taper, lateral_play, lateral_play_taper, straightness, scale_mismatch,
-        squareness, servo_mismatch, servo_lag, cyclic_error, cyclic_error_by_direction,
-        reversal_spike, friction, reversal_ringing, structural_resonance, inertial_compliance,
+        backlash,
+        backlash_taper,
+        lateral_play,
+        lateral_play_taper,
+        straightness,
+        scale_mismatch,
+        squareness,
+        servo_mismatch,
+        servo_lag,
+        cyclic_error,
+        cyclic_error_by_direction,
+        reversal_spike,
+        friction,
+        reversal_ringing,
+        structural_resonance,
+        inertial_compliance,
     )
-}  # fmt: skip
+}

@@ -73,10 +73,7 @@ class Machine:
 
     def with_axis(self, axis: str, **changed: float) -> Machine:
         """Return the machine with other numbers of an axis."""
-        axes = [
-            a._replace(**changed) if letter == axis else a
-            for letter, a in zip("XY", self.axes, strict=True)
-        ]
+        axes = [a._replace(**changed) if letter == axis else a for letter, a in zip("XY", self.axes, strict=True)]
         return replace(self, axes=(axes[0], axes[1]))
 
     def axis(self, axis: str) -> Axis:
@@ -144,14 +141,14 @@ def _followed(place: Floats, speed: Floats, a: Axis, table: Floats) -> tuple[Flo
             loose = motor - sense * 0.5 * a.gap
         pull = (smooth - before) / dt - held + force
         before = smooth
-        swing_rate -= dt * (
-            2.0 * a.damping * omega * swing_rate + omega**2 * swung + a.swing * pull
-        )
+        swing_rate -= dt * (2.0 * a.damping * omega * swing_rate + omega**2 * swung + a.swing * pull)
         swung += dt * swing_rate
         along[i] = (
-            motor * (1.0 + a.scale) + (a.lead + a.flank * flank) * read
-            - 0.5 * (a.play + a.play_slope * motor) * nut + swung
-        )  # fmt: skip
+            motor * (1.0 + a.scale)
+            + (a.lead + a.flank * flank) * read
+            - 0.5 * (a.play + a.play_slope * motor) * nut
+            + swung
+        )
         part = motor / 100.0
         third = part * (part**2 - 0.6 * (_STRAIGHT_OVER_MM / 100.0) ** 2)
         aside[i] = a.bow * (part**2 + a.bow_cubic * third)
@@ -209,9 +206,7 @@ class Bench:
             out[here] -= weights @ shapes
         return out
 
-    def measured(
-        self, machine: Machine, noise_um: float, rng: np.random.Generator
-    ) -> tuple[Campaign, list[Run]]:
+    def measured(self, machine: Machine, noise_um: float, rng: np.random.Generator) -> tuple[Campaign, list[Run]]:
         """Return a session; each radius is one set-up of the bar."""
         runs: list[Run] = []
         clock_s = 0.0
@@ -232,9 +227,7 @@ class Bench:
         return Campaign("second", "second-machine", started=_BEGUN.isoformat()), runs
 
 
-def moved(
-    machine: Machine, radius_mm: float, feed_mm_s: float, sense: float
-) -> Callable[[Floats], Floats]:
+def moved(machine: Machine, radius_mm: float, feed_mm_s: float, sense: float) -> Callable[[Floats], Floats]:
     """Return where the ball is in the plane, shape (2, n), n shares of a turn after the bar starts."""
     rate = feed_mm_s / radius_mm
     turn_s = 2.0 * np.pi / rate
@@ -282,19 +275,33 @@ def _noise(rms_um: float, rng: np.random.Generator) -> Floats:
 
 
 def _run(
-    name: str, circle: tuple[float, float, float], repeat: int, clock_s: float, length_um: Floats,
+    name: str,
+    circle: tuple[float, float, float],
+    repeat: int,
+    clock_s: float,
+    length_um: Floats,
     rng: np.random.Generator,
-) -> Run:  # fmt: skip
+) -> Run:
     radius, feed, sense = circle
     turn_s = 2.0 * np.pi * radius / feed
     way: Direction = "CCW" if sense > 0.0 else "CW"
     meta = RunMeta(
-        name, plane="XY", direction=way, radius_mm=radius, feed_mm_min=round(60.0 * feed, 6),
-        repeat=repeat, setup=f"bar{radius:g}", sample_rate_hz=_SAMPLES / turn_s,
+        name,
+        plane="XY",
+        direction=way,
+        radius_mm=radius,
+        feed_mm_min=round(60.0 * feed, 6),
+        repeat=repeat,
+        setup=f"bar{radius:g}",
+        sample_rate_hz=_SAMPLES / turn_s,
         started=(_BEGUN + timedelta(seconds=clock_s)).isoformat(),
         covariates={"temperature_c": 20.0 + 0.05 * rng.normal()},
-    )  # fmt: skip
-    return Run(meta, {
-        "t_s": turn_s * np.arange(_SAMPLES) / _SAMPLES,
-        "angle_deg": sense * 360.0 * _even(0.5), "deviation_um": length_um,
-    })  # fmt: skip
+    )
+    return Run(
+        meta,
+        {
+            "t_s": turn_s * np.arange(_SAMPLES) / _SAMPLES,
+            "angle_deg": sense * 360.0 * _even(0.5),
+            "deviation_um": length_um,
+        },
+    )

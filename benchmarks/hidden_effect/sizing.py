@@ -78,9 +78,7 @@ class Bench:
     def _along(self, values: Floats) -> Floats:
         """Return columns in the order of samples: clockwise ones begin at 360 degrees."""
         ways = [test.direction for test in self.tests]
-        return np.array(
-            [v if way == "CCW" else v[::-1] for v, way in zip(values, ways, strict=True)]
-        )
+        return np.array([v if way == "CCW" else v[::-1] for v, way in zip(values, ways, strict=True)])
 
 
 def acting(cause: Cause, size: float) -> list[Disturbance]:

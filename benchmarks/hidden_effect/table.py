@@ -56,9 +56,11 @@ def _limits(row: Row) -> tuple[float, float] | None:
 
 def _untold(by_row: Mapping[str, list[Record]]) -> str:
     """Return what was found of many faults at once; the unit of replication is the machine."""
-    lines = ["| row | faults named, in groups of at most three (everyday: four effects) | must reach | false names per machine | must stay "
-             "| unresolved said | sizes covered (k = 2) | held-out systematic RMS / floor | s | machines |",
-             "|---|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    lines = [
+        "| row | faults named, in groups of at most three (everyday: four effects) | must reach | false names per machine | must stay "
+        "| unresolved said | sizes covered (k = 2) | held-out systematic RMS / floor | s | machines |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
     for name, row in ROWS.items():
         records = by_row.get(name, [])
         if row.right != "every":
@@ -88,8 +90,10 @@ def _published(records: Sequence[Record]) -> str:
     for record in sorted(records, key=lambda r: int(r["case"])):
         name, law = PUBLISHED[record["case"]]
         false = "; ".join(" or ".join(group) for group in record["false_groups"])
-        lines.append(f"| {name} | {law} | {record['named']}/{record['of']} "
-                     f"| {', '.join(record['missed']) or '-'} | {false or '-'} |")  # fmt: skip
+        lines.append(
+            f"| {name} | {law} | {record['named']}/{record['of']} "
+            f"| {', '.join(record['missed']) or '-'} | {false or '-'} |"
+        )
     return "\n".join(lines)
 
 
@@ -119,7 +123,7 @@ def _figures(by_row: Mapping[str, list[Record]]) -> str:
         ("both of a pair found, k = 1", ("pair_one",), 0.95),
         ("thermal growth named with a cool-down, k = 1", ("heat_cool_down",), 0.90),
         ("lateral play named, k = 1/2", ("lateral_play_half",), 0.95),
-    ]  # fmt: skip
+    ]
     for label, names, limit in shares:
         lines.append(_share_line(label, _pooled(by_row, *names), limit))
     lines.append(_channel_line(by_row.get("unknown_coolant", [])))
@@ -129,12 +133,16 @@ def _figures(by_row: Mapping[str, list[Record]]) -> str:
     if single:
         wrong = _share(single, "wrong_name")[0]
         share = wrong / len(single)
-        lines.append(f"| wrong name though the truth is in the library | <= 2 % | {share:.1%} "
-                     f"{_interval(wrong, len(single))} | {len(single)} | {_said(share <= 0.02)} |")  # fmt: skip
+        lines.append(
+            f"| wrong name though the truth is in the library | <= 2 % | {share:.1%} "
+            f"{_interval(wrong, len(single))} | {len(single)} | {_said(share <= 0.02)} |"
+        )
         sizes = [len(r["group"]) for r in single if r["group"]]
         if sizes:
-            lines.append(f"| mean size of the group | <= 1.5 | {np.mean(sizes):.2f} | {len(sizes)} "
-                         f"| {_said(np.mean(sizes) <= 1.5)} |")  # fmt: skip
+            lines.append(
+                f"| mean size of the group | <= 1.5 | {np.mean(sizes):.2f} | {len(sizes)} "
+                f"| {_said(np.mean(sizes) <= 1.5)} |"
+            )
     lines += _held_out(by_row) + _coverage(by_row) + _times(by_row)
     return "\n".join(lines)
 
@@ -148,10 +156,15 @@ def _along(by_row: Mapping[str, list[Record]]) -> list[str]:
         if null:
             wrong = len(null) - _share(null, "right")[0]
             share = wrong / len(null)
-            lines.append(f"| {words}: false alarm | <= 5 % | {share:.1%} {_interval(wrong, len(null))} "
-                         f"| {len(null)} | {_said(share <= 0.05)} |")  # fmt: skip
-        for right, said in (("name", "one fault named"), ("unknown", "outside the library called unknown"),
-                            ("channel", "logged channel named")):  # fmt: skip
+            lines.append(
+                f"| {words}: false alarm | <= 5 % | {share:.1%} {_interval(wrong, len(null))} "
+                f"| {len(null)} | {_said(share <= 0.05)} |"
+            )
+        for right, said in (
+            ("name", "one fault named"),
+            ("unknown", "outside the library called unknown"),
+            ("channel", "logged channel named"),
+        ):
             names = tuple(r.name for r in rows if r.right == right)
             lines.append(_share_line(f"{words}: {said}", _pooled(by_row, *names), 0.90))
     return lines
@@ -176,8 +189,10 @@ def _beside(pairs: Sequence[Record]) -> list[str]:
     if not rungs:
         return []
     share = sum(rungs) / len(rungs)
-    return [f"| rungs of these pairs that name nothing hidden | - | {share:.1%} "
-            f"{_interval(sum(rungs), len(rungs))} | {len(rungs)} rungs of {len(pairs)} cases | |"]  # fmt: skip
+    return [
+        f"| rungs of these pairs that name nothing hidden | - | {share:.1%} "
+        f"{_interval(sum(rungs), len(rungs))} | {len(rungs)} rungs of {len(pairs)} cases | |"
+    ]
 
 
 def _share_line(label: str, records: Sequence[Record], limit: float) -> str:
@@ -187,14 +202,14 @@ def _share_line(label: str, records: Sequence[Record], limit: float) -> str:
     if label == OUTSIDE:
         # Whether the logged channel behind it was named, too, is a line of its own.
         hits = sum(r["verdict"] == "unknown_effect" for r in records)
-    return (f"| {label} | >= {limit:.2f} | {hits / n:.3f} {_interval(hits, n)} | {n} "
-            f"| {_said(hits / n >= limit)} |")  # fmt: skip
+    return f"| {label} | >= {limit:.2f} | {hits / n:.3f} {_interval(hits, n)} | {n} | {_said(hits / n >= limit)} |"
 
 
 def _channel_line(records: Sequence[Record]) -> str:
     hits, n = _share(records, "right")
-    return (f"| logged channel behind the unknown named (unknown_coolant) | - | {hits}/{n} {_interval(hits, n)} "
-            f"| {n} | |")  # fmt: skip
+    return (
+        f"| logged channel behind the unknown named (unknown_coolant) | - | {hits}/{n} {_interval(hits, n)} | {n} | |"
+    )
 
 
 def _held_out(by_row: Mapping[str, list[Record]]) -> list[str]:
@@ -202,8 +217,10 @@ def _held_out(by_row: Mapping[str, list[Record]]) -> list[str]:
     if not pairs:
         return []
     before, after = np.sqrt((np.array(pairs) ** 2).mean(axis=0))
-    return [f"| systematic RMS on held-out conditions, after / before, k >= 1 | <= 0.3 | "
-            f"{after / before:.2f} | {len(pairs)} | {_said(after <= 0.3 * before)} |"]  # fmt: skip
+    return [
+        f"| systematic RMS on held-out conditions, after / before, k >= 1 | <= 0.3 | "
+        f"{after / before:.2f} | {len(pairs)} | {_said(after <= 0.3 * before)} |"
+    ]
 
 
 def _coverage(by_row: Mapping[str, list[Record]]) -> list[str]:
@@ -212,44 +229,45 @@ def _coverage(by_row: Mapping[str, list[Record]]) -> list[str]:
     if not inside:
         return []
     share = float(np.mean(inside))
-    return [f"| stated uncertainty covers the truth | 93 to 97 % | {share:.1%} "
-            f"{_interval(sum(inside), len(inside))} | {len(inside)} parameters of {len(cases)} cases "
-            f"| {_said(0.93 <= share <= 0.97)} |"]  # fmt: skip
+    return [
+        f"| stated uncertainty covers the truth | 93 to 97 % | {share:.1%} "
+        f"{_interval(sum(inside), len(inside))} | {len(inside)} parameters of {len(cases)} cases "
+        f"| {_said(0.93 <= share <= 0.97)} |"
+    ]
 
 
 def _times(by_row: Mapping[str, list[Record]]) -> list[str]:
     spent = [r["seconds"] for rs in by_row.values() for r in rs if r.get("runs") == 36]
     if not spent:
         return []
-    return [f"| time of one diagnosis of 36 runs, median | <= 2 s | {np.median(spent):.2f} s "
-            f"(90 %: {np.quantile(spent, 0.9):.2f} s) | {len(spent)} | {_said(np.median(spent) <= 2)} |"]  # fmt: skip
+    return [
+        f"| time of one diagnosis of 36 runs, median | <= 2 s | {np.median(spent):.2f} s "
+        f"(90 %: {np.quantile(spent, 0.9):.2f} s) | {len(spent)} | {_said(np.median(spent) <= 2)} |"
+    ]
 
 
 def _rows(by_row: Mapping[str, list[Record]]) -> str:
-    lines = ["| row | design | k | right answer | right | 95 % | cases (full table) | wrong name | answers |",
-             "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+    lines = [
+        "| row | design | k | right answer | right | 95 % | cases (full table) | wrong name | answers |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
     for name, row in ROWS.items():
         records = by_row.get(name, [])
         if not records:
-            lines.append(
-                f"| {name} | {row.design} | {row.k:g} | {row.right} | not run | | 0 ({row.cases}) | | |"
-            )
+            lines.append(f"| {name} | {row.design} | {row.k:g} | {row.right} | not run | | 0 ({row.cases}) | | |")
             continue
         hits, n = _share(records, "right")
         wrong = _share(records, "wrong_name")[0]
-        said = ", ".join(
-            f"{v} {c}" for v, c in Counter(r["verdict"] for r in records).most_common()
+        said = ", ".join(f"{v} {c}" for v, c in Counter(r["verdict"] for r in records).most_common())
+        lines.append(
+            f"| {name} | {row.design} | {row.k:g} | {row.right} | {hits / n:.2f} | "
+            f"{_interval(hits, n)} | {n} ({row.cases}) | {wrong / n:.2f} | {said} |"
         )
-        lines.append(f"| {name} | {row.design} | {row.k:g} | {row.right} | {hits / n:.2f} | "
-                     f"{_interval(hits, n)} | {n} ({row.cases}) | {wrong / n:.2f} | {said} |")  # fmt: skip
     return "\n".join(lines)
 
 
 def _by_effect(by_row: Mapping[str, list[Record]]) -> str:
-    lines = [
-        "| effect | k = 1/4 | k = 1/2 | k = 1 | k = 2 | most frequent other answer |",
-        "|---|---|---|---|---|---|",
-    ]
+    lines = ["| effect | k = 1/4 | k = 1/2 | k = 1 | k = 2 | most frequent other answer |", "|---|---|---|---|---|---|"]
     rows = ("single_quarter", "single_half", "single_one", "single_two")
     seen = _pooled(by_row, *rows)
     for effect in sorted({r["truth"][0].split()[0] for r in seen}):
@@ -269,15 +287,13 @@ def _short(record: Record) -> str:
 
 def _controls(by_row: Mapping[str, list[Record]]) -> str:
     nulls = [r for n, rs in by_row.items() if n.startswith("null") for r in rs if r.get("controls")]
-    single = [
-        r for n in ("single_half", "single_quarter") for r in by_row.get(n, []) if r.get("controls")
+    single = [r for n in ("single_half", "single_quarter") for r in by_row.get(n, []) if r.get("controls")]
+    foreign = [r for n, rs in by_row.items() if n.startswith("unknown_") for r in rs if r.get("controls")]
+    lines = [
+        f"| selector | names something when nothing is hidden (n = {len(nulls)}) | truth among its names, "
+        f"k <= 1/2 (n = {len(single)}) | names | and nothing else | unknown called unknown (n = {len(foreign)}) |",
+        "|---|---|---|---|---|---|",
     ]
-    foreign = [
-        r for n, rs in by_row.items() if n.startswith("unknown_") for r in rs if r.get("controls")
-    ]
-    lines = [f"| selector | names something when nothing is hidden (n = {len(nulls)}) | truth among its names, "
-             f"k <= 1/2 (n = {len(single)}) | names | and nothing else | unknown called unknown (n = {len(foreign)}) |",
-             "|---|---|---|---|---|---|"]  # fmt: skip
     for name in ("dtwin", *CONTROLS):
         lines.append(_control_line(name, nulls, single, foreign))
     return "\n".join(lines)
@@ -289,9 +305,7 @@ def _names(record: Record, selector: str) -> list[str]:
     return list(record["group"]) or (["?"] if record["verdict"] == "unknown_effect" else [])
 
 
-def _control_line(
-    name: str, nulls: Sequence[Record], single: Sequence[Record], foreign: Sequence[Record]
-) -> str:
+def _control_line(name: str, nulls: Sequence[Record], single: Sequence[Record], foreign: Sequence[Record]) -> str:
     alarms = [bool(_names(r, name)) for r in nulls]
     hits = [r["truth"][0] in _names(r, name) for r in single]
     alone = [_names(r, name) == [r["truth"][0]] for r in single]
@@ -301,5 +315,4 @@ def _control_line(
     def mean(values: Sequence[float], form: str = "{:.2f}") -> str:
         return form.format(float(np.mean(values))) if len(values) else "-"
 
-    return (f"| {name} | {mean(alarms)} | {mean(hits)} | {mean(sizes, '{:.1f}')} | {mean(alone)} "
-            f"| {mean(unknown)} |")  # fmt: skip
+    return f"| {name} | {mean(alarms)} | {mean(hits)} | {mean(sizes, '{:.1f}')} | {mean(alone)} | {mean(unknown)} |"

@@ -31,18 +31,43 @@ _ROUNDS = 4
 _SIGNED = ("short", "mode_share", "bend_s2", "lobe_um", "bowl_um")
 # What the steps in time are told, in this order.
 _HEALTHY = {
-    "drive_hz": 90.0, "drive_damping": 0.4, "short": 0.0, "friction": 0.0, "presliding_um": 1.0,
-    "play_um": 0.0, "mode_hz": 90.0, "mode_damping": 0.05, "mode_share": 0.0, "power": 0.0,
-    "bend_s2": 0.0, "lobe_um": 0.0, "lobe_orders": 4.0, "bowl_um": 0.0,
-}  # fmt: skip
+    "drive_hz": 90.0,
+    "drive_damping": 0.4,
+    "short": 0.0,
+    "friction": 0.0,
+    "presliding_um": 1.0,
+    "play_um": 0.0,
+    "mode_hz": 90.0,
+    "mode_damping": 0.05,
+    "mode_share": 0.0,
+    "power": 0.0,
+    "bend_s2": 0.0,
+    "lobe_um": 0.0,
+    "lobe_orders": 4.0,
+    "bowl_um": 0.0,
+}
 Drawn = Mapping[str, tuple[float, float]]
 
 
 @njit(cache=True, error_model="numpy")
 def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int) -> Floats:
     """Return where the tool is, in um, when it is told amplitude sin(rate t)."""
-    (drive_hz, damping, short, friction, presliding, play, mode_hz, mode_damping, share, power,
-     bend, lobe, orders, bowl) = told  # fmt: skip
+    (
+        drive_hz,
+        damping,
+        short,
+        friction,
+        presliding,
+        play,
+        mode_hz,
+        mode_damping,
+        share,
+        power,
+        bend,
+        lobe,
+        orders,
+        bowl,
+    ) = told
     stiff, mode = (2.0 * np.pi * drive_hz) ** 2, (2.0 * np.pi * mode_hz) ** 2
     damp, mode_damp = 4.0 * np.pi * damping * drive_hz, 4.0 * np.pi * mode_damping * mode_hz
     # Off: what the slide lacks or has beyond the command; a healthy one has nothing.
@@ -80,9 +105,7 @@ def _followed(amplitude: float, rate: float, told: Floats, h: float, steps: int)
             swing += h * swing_v
             out += share * swing
         # Lobes of a motor, and a probe that reads a bowl.
-        tool[i] = (
-            out - bend * (wanted_a + a) + lobe * np.sin(orders * turn) + bowl * (x / 90.0) ** 2
-        )
+        tool[i] = out - bend * (wanted_a + a) + lobe * np.sin(orders * turn) + bowl * (x / 90.0) ** 2
     return tool
 
 
@@ -100,10 +123,7 @@ LIBRARY: dict[str, tuple[Drawn, str, float]] = {
     "inertial_compliance": ({}, "bend_s2", 1e-6),
     "tracking_delay": ({}, LATE, 1e-4),
 }
-FOREIGN: dict[str, tuple[Drawn, str, float]] = {
-    "lobes": (_LOBES, "lobe_um", 1.0),
-    "one_sided": ({}, "bowl_um", 1.0),
-}
+FOREIGN: dict[str, tuple[Drawn, str, float]] = {"lobes": (_LOBES, "lobe_um", 1.0), "one_sided": ({}, "bowl_um", 1.0)}
 # At most one of each: the parts are there once, and what answers in proportion to the tone adds up to
 # another loop or mode, which no tone tells from its parts (far below it, a mode is inertia and delay).
 ONE_PART = (
@@ -174,9 +194,7 @@ def measured(
     """
     told: dict[str, float] = {}
     for one, size_um in zip(faults, sizes_um, strict=True):
-        told |= one.told(
-            _size_of(one, size_um) * (rng.choice((-1.0, 1.0)) if one.sized in _SIGNED else 1.0)
-        )
+        told |= one.told(_size_of(one, size_um) * (rng.choice((-1.0, 1.0)) if one.sized in _SIGNED else 1.0))
     quiet = {key: _tone(told, *key) for key in itertools.product(FREQUENCIES_HZ, AMPLITUDES_UM)}
     order = [key for _ in range(REPEATS) for key in rng.permutation(list(quiet))]
     logged = {name: np.cumsum(rng.standard_normal(len(order))) for name in CHANNELS}
@@ -192,18 +210,19 @@ def measured(
             tool = tool + logged[channel[0]][number] * channel[1] / loudest * command
         covariates = {name: float(50.0 + 5.0 * walk[number]) for name, walk in logged.items()}
         meta = RunMeta(
-            f"r{number + 1:03d}", kind="sinusoidal", repeat=seen[key], covariates=covariates,
+            f"r{number + 1:03d}",
+            kind="sinusoidal",
+            repeat=seen[key],
+            covariates=covariates,
             condition={"axis": "Z", "frequency_hz": key[0], "amplitude_um": key[1]},
             started=(_BEGUN + timedelta(seconds=20.0 * number)).isoformat(),
-        )  # fmt: skip
+        )
         samples = {"t_s": _TIMES_S, "cmd_z_mm": 1e-3 * command, "tool_z_mm": 1e-3 * tool}
         runs.append(Run(meta, samples))
     return Campaign("tones", "virtual-slide", kind="sinusoidal"), runs
 
 
-def _tone(
-    told: Mapping[str, float], frequency_hz: float, amplitude_um: float
-) -> tuple[Floats, Floats]:
+def _tone(told: Mapping[str, float], frequency_hz: float, amplitude_um: float) -> tuple[Floats, Floats]:
     """Return command and tool in um, at the kept times."""
     values = np.array([told.get(name, usual) for name, usual in _HEALTHY.items()])
     rate = 2.0 * np.pi * frequency_hz

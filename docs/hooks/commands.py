@@ -56,9 +56,7 @@ def _wrong_commands(markdown: str) -> list[str]:
                 continue
             command = known.get(" ".join(words[:2])) or known.get(" ".join(words[:3]))
             options = {o for p in (command.params if command else ()) for o in p.opts}
-            unknown = [
-                w for w in words[2:] if w.startswith("--") and w.split("=")[0] not in options
-            ]
+            unknown = [w for w in words[2:] if w.startswith("--") and w.split("=")[0] not in options]
             if command is None or unknown:
                 wrong.append(line.strip())
     return wrong

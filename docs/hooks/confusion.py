@@ -18,9 +18,8 @@ _SETS = (
     ("One circle, counter-clockwise", [100.0], [2000.0], ["CCW"]),
     ("The same circle in both directions", [100.0], [2000.0], ["CCW", "CW"]),
     ("Three feeds, both directions", [100.0], [1000.0, 2000.0, 4000.0], ["CCW", "CW"]),
-    ("Three feeds, two radii, both directions", [50.0, 150.0], [1000.0, 2000.0, 4000.0],
-     ["CCW", "CW"]),
-)  # fmt: skip
+    ("Three feeds, two radii, both directions", [50.0, 150.0], [1000.0, 2000.0, 4000.0], ["CCW", "CW"]),
+)
 _REPEATS = 3
 
 
@@ -34,9 +33,12 @@ def _sections() -> str:
     parts = []
     for title, radii, feeds, directions in _SETS:
         grid = {
-            "plane": ["XY"], "radius_mm": radii, "feed_mm_min": feeds, "repeats": _REPEATS,
+            "plane": ["XY"],
+            "radius_mm": radii,
+            "feed_mm_min": feeds,
+            "repeats": _REPEATS,
             "directions": directions,
-        }  # fmt: skip
+        }
         plan = expand({"plan": {"name": "set", "machine": "mill"}, "grid": grid}, title)
         runs = plan.n_runs
         # A machine that warms up and is left to cool once: time and temperature part.
@@ -48,9 +50,9 @@ def _sections() -> str:
         hidden = [
             t.label
             for t in terms
-            if not problem.visible(
-                problem.whitened(obs.regressors(t.instance, t.shape)), least=least_visible(t)
-            )[0].size
+            if not problem.visible(problem.whitened(obs.regressors(t.instance, t.shape)), least=least_visible(t))[
+                0
+            ].size
         ]
         listed = _lines(find_aliases(obs, terms))
         parts.append(

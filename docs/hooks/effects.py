@@ -52,13 +52,8 @@ def _index(library: Library) -> str:
 
 def _page(effect: Effect, library: Library) -> str:
     confused = ", ".join(f"[{library[c].title}]({c}.md)" for c in effect.confusables) or "nothing"
-    parameters = "\n".join(
-        f"| {p.name.replace('_', ' ')} | {p.unit} | {p.typical:g} |" for p in effect.parameters
-    )
-    shapes = "\n".join(
-        f"| {s.name.replace('_', ' ')} | {s.unit} | searched, from {s.start:g} |"
-        for s in effect.shapes
-    )
+    parameters = "\n".join(f"| {p.name.replace('_', ' ')} | {p.unit} | {p.typical:g} |" for p in effect.parameters)
+    shapes = "\n".join(f"| {s.name.replace('_', ' ')} | {s.unit} | searched, from {s.start:g} |" for s in effect.shapes)
     needs = f"\nNeeds the logged columns {', '.join(effect.needs)}.\n" if effect.needs else ""
     return f"""# {effect.title}
 
@@ -135,18 +130,14 @@ def _svg(effect: Effect, label: str, angle: np.ndarray, curves: dict[str, np.nda
     parts = [
         f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{_SIZE}" role="img" '
         f'aria-label="error of {label} round the circle">',
-        f'<circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none" stroke="#999" '
-        'stroke-dasharray="3 3"/>',
+        f'<circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none" stroke="#999" stroke-dasharray="3 3"/>',
     ]
     for name, curve in curves.items():
         radius = _CIRCLE + _DRAWN * curve / largest
         x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
         path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
         dash = ' stroke-dasharray="6 3"' if name == "CW" else ""
-        parts.append(
-            f'<polygon points="{path}" fill="none" stroke="{_COLOURS[name]}" '
-            f'stroke-width="1.6"{dash}/>'
-        )
+        parts.append(f'<polygon points="{path}" fill="none" stroke="{_COLOURS[name]}" stroke-width="1.6"{dash}/>')
     parts.append("</svg>")
     caption = (
         f"First parameter of {label} at R = 100 mm, F = 3000 mm/min: counter-clockwise blue, "

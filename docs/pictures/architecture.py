@@ -41,9 +41,7 @@ def _is_package(name: str) -> bool:
 def imports() -> dict[str, set[str]]:
     """Return what each box imports, by the import graph of the code."""
     # The cache of lint-imports may still hold modules that were moved.
-    graph = grimp.build_graph(
-        "dtwin", "flows", "studies", exclude_type_checking_imports=True, cache_dir=None
-    )
+    graph = grimp.build_graph("dtwin", "flows", "studies", exclude_type_checking_imports=True, cache_dir=None)
     box = {module: package_of(module) for module in graph.modules}
     found: dict[str, set[str]] = {name: set() for name in box.values()}
     for module in graph.modules:
@@ -90,10 +88,7 @@ def picture() -> str:
     ways = [_way(name, target, floor) for name, target in needed(edges)]
     # Where a line passes a floor it takes a place there, so that it runs behind no box.
     on_floor = floor | {stop: number for way in ways for stop, number in way}
-    above = {
-        stop: [a for way in ways for (a, _), (b, _) in pairwise(way) if b == stop]
-        for stop in on_floor
-    }
+    above = {stop: [a for way in ways for (a, _), (b, _) in pairwise(way) if b == stop] for stop in on_floor}
     top = max(floor.values())
     rows = [[stop for stop in on_floor if on_floor[stop] == number] for number in range(top + 1)]
     width = 2 * MARGIN + max(map(_row_width, rows))

@@ -73,9 +73,7 @@ def _rounded(reach_um: float) -> float:
     return float(5.0 * np.ceil(reach_um / 5.0))
 
 
-def _panel(
-    number: int, title: str, rms_um: float, x_mm: Floats, error: Floats, reach_um: float
-) -> list[str]:
+def _panel(number: int, title: str, rms_um: float, x_mm: Floats, error: Floats, reach_um: float) -> list[str]:
     left = LEFT + number % 2 * (WIDTH + GAP)
     top = number // 2 * (TOP + HEIGHT + BELOW) + TOP
     middle = top + HEIGHT / 2.0
@@ -84,8 +82,7 @@ def _panel(
         f'<text x="{left}" y="{top - 42}" font-size="14" fill="#333">{escape(title)}</text>',
         f'<text x="{left}" y="{top - 14}" font-size="22" font-weight="bold">{rms_um:.1f} µm RMS</text>',
         f'<rect x="{left}" y="{top}" width="{WIDTH}" height="{HEIGHT}" fill="none" stroke="#ccc"/>',
-        f'<line x1="{left}" x2="{left + WIDTH}" y1="{middle:g}" y2="{middle:g}" stroke="#888" '
-        'stroke-width="0.8"/>',
+        f'<line x1="{left}" x2="{left + WIDTH}" y1="{middle:g}" y2="{middle:g}" stroke="#888" stroke-width="0.8"/>',
         *(
             f'<text x="{left - 6}" y="{middle - share * HEIGHT / 2.0 + 4:g}" font-size="11" '
             f'fill="#333" text-anchor="end">{share * reach_um:+g}</text>'
@@ -100,9 +97,7 @@ def _panel(
         y = middle - values / reach_um * HEIGHT / 2.0
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(across, y, strict=True))
         dash = ' stroke-dasharray="5 3"' if way == "down" else ""
-        parts.append(
-            f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.6"{dash}/>'
-        )
+        parts.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="1.6"{dash}/>')
     return parts
 
 
@@ -118,6 +113,4 @@ def _legend(y: float) -> list[str]:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[3]).write_text(
-        axis_picture(Path(sys.argv[1]), Path(sys.argv[2])), encoding="utf-8"
-    )
+    Path(sys.argv[3]).write_text(axis_picture(Path(sys.argv[1]), Path(sys.argv[2])), encoding="utf-8")

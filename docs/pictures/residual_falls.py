@@ -38,29 +38,21 @@ def residual_picture(name: str) -> str:
     newest = twins.newest(name)
     obs = load(twins.home, newest.campaign).obs
     versions = [twins.newest(name, r["version"]) for r in rungs]
-    fields = [
-        condition_means(obs, frozen_residual_um(t, obs))
-        for t in (replace(newest, terms=()), *versions)
-    ]
+    fields = [condition_means(obs, frozen_residual_um(t, obs)) for t in (replace(newest, terms=()), *versions)]
     worst = obs.conditions[int(np.argmax((fields[0] ** 2).mean(axis=1)))]
     shown = {
         c.direction: i
         for i, c in enumerate(obs.conditions)
-        if (c.plane, c.radius_mm, c.feed_mm_min)
-        == (worst.plane, worst.radius_mm, worst.feed_mm_min)
+        if (c.plane, c.radius_mm, c.feed_mm_min) == (worst.plane, worst.radius_mm, worst.feed_mm_min)
     }
     first = versions[0]
-    known = ", ".join(
-        dict.fromkeys(term.instance.effect.name.replace("_", " ") for term in first.terms)
-    )
+    known = ", ".join(dict.fromkeys(term.instance.effect.name.replace("_", " ") for term in first.terms))
     titles = ["as measured", f"fitted: {known}", *(r["action"] for r in rungs[1:])]
     rms_um = [rungs[0]["rms_before_um"], *(r["rms_after_um"] for r in rungs)]
     floor_um = float(newest.figures["noise_floor_um"])
     band_um = deviation_interval(floor_um, newest.figures["noise_floor_dof"])
     panels = [
-        _panel(
-            column, title, rms, (floor_um, *band_um), {str(d): field[i] for d, i in shown.items()}
-        )
+        _panel(column, title, rms, (floor_um, *band_um), {str(d): field[i] for d, i in shown.items()})
         for column, (title, rms, field) in enumerate(zip(titles, rms_um, fields, strict=True))
     ]
     width, height = PANEL * len(panels), HEADER + PANEL + FOOTER
@@ -82,14 +74,11 @@ def residual_picture(name: str) -> str:
     )
 
 
-def _panel(
-    column: int, title: str, rms_um: float, floors_um: tuple[float, ...], curves: dict[str, Floats]
-) -> str:
+def _panel(column: int, title: str, rms_um: float, floors_um: tuple[float, ...], curves: dict[str, Floats]) -> str:
     middle, down = PANEL * column + PANEL / 2, HEADER + PANEL / 2
     centre = f'cx="{middle:g}" cy="{down:g}"'
     parts = [
-        f'<text x="{middle:g}" y="24" font-size="14" fill="#333" text-anchor="middle">'
-        f"{escape(title)}</text>",
+        f'<text x="{middle:g}" y="24" font-size="14" fill="#333" text-anchor="middle">{escape(title)}</text>',
         f'<text x="{middle:g}" y="52" font-size="22" font-weight="bold" text-anchor="middle">'
         f"{rms_um:.2f} µm RMS</text>",
         *(
@@ -104,10 +93,7 @@ def _panel(
         x, y = middle + radius * np.cos(ANGLE_RAD), down - radius * np.sin(ANGLE_RAD)
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
         dash = ' stroke-dasharray="7 3"' if direction == "CW" else ""
-        parts.append(
-            f'<polygon points="{points}" fill="none" stroke="{COLOURS[direction]}" '
-            f'stroke-width="1.8"{dash}/>'
-        )
+        parts.append(f'<polygon points="{points}" fill="none" stroke="{COLOURS[direction]}" stroke-width="1.8"{dash}/>')
     return "\n".join(parts)
 
 

@@ -60,10 +60,7 @@ def shown(cells: list[dict[str, Any]], folder: Path) -> list[str]:
 def _parts(source: str) -> list[CodeType]:
     """Return the statements of a cell, the last one as a prompt takes it: its value is shown."""
     *first, last = ast.parse(source).body
-    return [
-        compile(ast.Module(first, []), "cell", "exec"),
-        compile(ast.Interactive([last]), "cell", "single"),
-    ]
+    return [compile(ast.Module(first, []), "cell", "exec"), compile(ast.Interactive([last]), "cell", "single")]
 
 
 @contextlib.contextmanager
@@ -120,10 +117,7 @@ def page(notebook: dict[str, Any]) -> str:
         parts.append(f"```python\n{source}\n```")
         parts += [f"```text\n{text}\n```"] if text else []
     title, *rest = parts
-    return (
-        "\n\n".join(["<!-- Made by run_notebook.py from notebook.ipynb. -->", title, NOTE, *rest])
-        + "\n"
-    )
+    return "\n\n".join(["<!-- Made by run_notebook.py from notebook.ipynb. -->", title, NOTE, *rest]) + "\n"
 
 
 def main() -> None:

@@ -32,13 +32,7 @@ AMENDED, _LEFT_OUT = "campaign.amended", "campaign.left_out"
 
 
 def amend(
-    lake: Lake,
-    campaign: str,
-    settings: Sequence[str],
-    because: str,
-    *,
-    runs: Sequence[str] = (),
-    who: str = "",
+    lake: Lake, campaign: str, settings: Sequence[str], because: str, *, runs: Sequence[str] = (), who: str = ""
 ) -> dict[str, dict[str, Any]]:
     """State anew what was stated wrongly of runs; their quality is judged again.
 
@@ -71,9 +65,12 @@ def amend(
     campaign_wide = [name for name, _ in told if name.split(".")[0] in _OF_CAMPAIGN]
     if runs and campaign_wide:
         raise InputError(
-            "this belongs to the campaign, not to single runs", code="amend.runs",
-            where=f"campaign {campaign}", got=", ".join(campaign_wide), hint="leave --run away",
-        )  # fmt: skip
+            "this belongs to the campaign, not to single runs",
+            code="amend.runs",
+            where=f"campaign {campaign}",
+            got=", ".join(campaign_wide),
+            hint="leave --run away",
+        )
     changes: dict[str, dict[str, Any]] = {}
     for row in _rows(lake, campaign, runs):
         where = f"campaign {campaign}, run {row['run_id']}"
@@ -85,17 +82,18 @@ def amend(
             changes[row["run_id"]] = different | _judged_again(lake, row, now)
     if not changes:
         raise InputError(
-            "nothing would change", code="amend.same", where=f"campaign {campaign}",
-            got=", ".join(settings) or "no setting", allowed=_ALLOWED,
+            "nothing would change",
+            code="amend.same",
+            where=f"campaign {campaign}",
+            got=", ".join(settings) or "no setting",
+            allowed=_ALLOWED,
             hint=f"dtwin amend {campaign} --set instrument.calibrated_mm=100.015 --because WHY",
-        )  # fmt: skip
+        )
     _record(lake, campaign, changes, because, who)
     return changes
 
 
-def leave_out(
-    lake: Lake, campaign: str, runs: Sequence[str], because: str, *, out: bool = True, who: str = ""
-) -> None:
+def leave_out(lake: Lake, campaign: str, runs: Sequence[str], because: str, *, out: bool = True, who: str = "") -> None:
     """Leave runs out of every figure, twin, report and training, or bring them back.
 
     Parameters
@@ -116,8 +114,10 @@ def leave_out(
     if wrong:
         raise InputError(
             "the run is left out already" if out else "the run is not left out",
-            code="amend.same", where=f"campaign {campaign}", got=", ".join(wrong),
-        )  # fmt: skip
+            code="amend.same",
+            where=f"campaign {campaign}",
+            got=", ".join(wrong),
+        )
     _record(lake, campaign, {run: {"left_out": out} for run in runs}, because, who)
 
 
@@ -164,9 +164,7 @@ _JUDGED = ("findings_json", "n_errors")
 def _setting(text: str) -> tuple[str, Any]:
     name, equals, written = text.partition("=")
     if not equals:
-        raise InputError(
-            "this is no setting", code="amend.setting", got=text[:80], allowed="FIELD=VALUE"
-        )
+        raise InputError("this is no setting", code="amend.setting", got=text[:80], allowed="FIELD=VALUE")
     try:
         value = tomllib.loads(f"value = {written}")["value"]
     except (tomllib.TOMLDecodeError, RecursionError):
@@ -203,9 +201,12 @@ def _changed(row: Mapping[str, Any], name: str, value: Any, where: str) -> dict[
         plane, direction = standard_plane(str(value), row["direction"])
         return {"plane": plane, "direction": direction}
     raise InputError(
-        "this cannot be stated of a run", code="amend.setting", where=where,
-        got=f"{name}={value}"[:120], allowed=_ALLOWED + "; direction CCW or CW",
-    )  # fmt: skip
+        "this cannot be stated of a run",
+        code="amend.setting",
+        where=where,
+        got=f"{name}={value}"[:120],
+        allowed=_ALLOWED + "; direction CCW or CW",
+    )
 
 
 def _judged_again(lake: Lake, row: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
@@ -224,26 +225,27 @@ def _rows(lake: Lake, campaign: str, runs: Sequence[str]) -> list[dict[str, Any]
     unknown = sorted(set(runs) - there)
     if unknown:
         raise InputError(
-            "no such run in the campaign", code="run.unknown", where=f"campaign {campaign}",
-            got=", ".join(unknown)[:200], allowed=", ".join(sorted(there))[:400],
-        )  # fmt: skip
+            "no such run in the campaign",
+            code="run.unknown",
+            where=f"campaign {campaign}",
+            got=", ".join(unknown)[:200],
+            allowed=", ".join(sorted(there))[:400],
+        )
     return [row for row in rows if not runs or row["run_id"] in runs]
 
 
-def _record(
-    lake: Lake, campaign: str, changes: Mapping[str, Mapping[str, Any]], because: str, who: str
-) -> None:
+def _record(lake: Lake, campaign: str, changes: Mapping[str, Mapping[str, Any]], because: str, who: str) -> None:
     reason = " ".join(because.split())
     if not reason or len(reason) > _LONGEST or not reason.isprintable():
         raise InputError(
-            "say why", code="amend.because", got=repr(because[:60]),
-            allowed=f"1 to {_LONGEST} printable characters", hint='--because "wrong master entered"',
-        )  # fmt: skip
+            "say why",
+            code="amend.because",
+            got=repr(because[:60]),
+            allowed=f"1 to {_LONGEST} printable characters",
+            hint='--because "wrong master entered"',
+        )
     said = {"who": who or _user(), "when": datetime.now(UTC).isoformat(timespec="seconds")}
-    lake.amend(
-        campaign,
-        [{"run_id": r, "because": reason, "changes": c, **said} for r, c in changes.items()],
-    )
+    lake.amend(campaign, [{"run_id": r, "because": reason, "changes": c, **said} for r, c in changes.items()])
 
 
 def _user() -> str:

@@ -151,9 +151,7 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
         covariates=_temperature(element, where),
         vendor=_vendor_figures(element),
     )
-    angle_deg = marked_angle_deg(
-        readings_mm.size, (start, end), direction, arc_start_deg, abs(arc_deg) or 360.0
-    )
+    angle_deg = marked_angle_deg(readings_mm.size, (start, end), direction, arc_start_deg, abs(arc_deg) or 360.0)
     samples = {
         "t_s": np.arange(readings_mm.size) / rate_hz,
         "angle_deg": angle_deg,
@@ -163,11 +161,7 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
 
 
 def marked_angle_deg(
-    n_samples: int,
-    window: tuple[int, int],
-    direction: Direction,
-    arc_start_deg: float = 0.0,
-    arc_deg: float = 360.0,
+    n_samples: int, window: tuple[int, int], direction: Direction, arc_start_deg: float = 0.0, arc_deg: float = 360.0
 ) -> Floats:
     """Return the angle of every sample when the marked window is taken as the arc.
 
@@ -192,9 +186,7 @@ def marked_angle_deg(
     return np.asarray(arc_start_deg + (turned if direction == "CCW" else -turned), dtype=float)
 
 
-def write_b5r(
-    path: Path, runs: Sequence[Run], *, name: str, machine: str, operator: str = "dtwin"
-) -> None:
+def write_b5r(path: Path, runs: Sequence[Run], *, name: str, machine: str, operator: str = "dtwin") -> None:
     """Write runs of one test as a ball-bar result file.
 
     Readings have 10 nm resolution, as the vendor's have. The run's window becomes the marked
@@ -306,11 +298,7 @@ def _features(parent: Element | None) -> dict[str, float]:
 
 def _vendor_figures(element: Element) -> dict[str, float]:
     stated = _features(element)
-    return {
-        name: stated[feature] * factor
-        for feature, (name, factor) in _VENDOR_FIGURES.items()
-        if feature in stated
-    }
+    return {name: stated[feature] * factor for feature, (name, factor) in _VENDOR_FIGURES.items() if feature in stated}
 
 
 def _temperature(element: Element, where: str) -> dict[str, float]:
@@ -346,9 +334,7 @@ def _number(element: Element, tag: str, where: str, *, low: float, high: float) 
 def _whole(element: Element, tag: str, where: str) -> int:
     value = _number(element, tag, where, low=1, high=MAX_READINGS)
     if value != int(value):
-        raise InputError(
-            f"{tag} is not a whole number", code="b5r.field", where=where, got=str(value)
-        )
+        raise InputError(f"{tag} is not a whole number", code="b5r.field", where=where, got=str(value))
     return int(value)
 
 

@@ -9,9 +9,7 @@ from typing import Any
 from dtwin.atomic import write_toml
 
 
-def write_campaign_file(
-    folder: Path, campaign: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]
-) -> Path:
+def write_campaign_file(folder: Path, campaign: Mapping[str, Any], runs: Sequence[Mapping[str, Any]]) -> Path:
     """Write the campaign file of a folder in one step and return its path.
 
     Parameters

@@ -114,10 +114,7 @@ class CampaignFolder:
             for run in runs
         }
         noticed = tuple(f for path in entry.signals for f in signal_findings(path))
-        complete = [
-            replace(r, signals=by_direction[r.meta.run_id], findings=(*r.findings, *noticed))
-            for r in runs
-        ]
+        complete = [replace(r, signals=by_direction[r.meta.run_id], findings=(*r.findings, *noticed)) for r in runs]
         return complete, rejected
 
     def __iter__(self) -> Iterator[tuple[list[Run], list[RejectedRows]]]:
@@ -140,11 +137,12 @@ def open_campaign(folder: Path) -> CampaignFolder:
     path = folder / "campaign.toml" if folder.is_dir() else folder
     if folder.is_dir() and not path.exists():
         raise InputError(
-            "this folder is no campaign: it has no campaign.toml", code="file.missing",
+            "this folder is no campaign: it has no campaign.toml",
+            code="file.missing",
             where=str(folder),
             hint="name a folder that dtwin record or dtwin simulate made, or a .b5r file; "
             "your own: docs/how-to/ingest-your-own.md",
-        )  # fmt: skip
+        )
     try:
         document = tomllib.loads(read_bounded(path, MAX_TOML_BYTES).decode("utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -155,9 +153,7 @@ def open_campaign(folder: Path) -> CampaignFolder:
     stated_runs = document.get("run")
     if not isinstance(head, dict) or not isinstance(stated_runs, list) or not stated_runs:
         raise InputError(
-            "campaign.toml needs a [campaign] table and at least one [[run]]",
-            code="campaign.toml",
-            where=str(path),
+            "campaign.toml needs a [campaign] table and at least one [[run]]", code="campaign.toml", where=str(path)
         )
     campaign = campaign_from(head, path)
     entries = [entry_from(e, n, path) for n, e in enumerate(stated_runs, start=1)]
@@ -165,10 +161,7 @@ def open_campaign(folder: Path) -> CampaignFolder:
     twice = sorted({i for i in ids if ids.count(i) > 1}) if len(set(ids)) < len(ids) else []
     if twice:
         raise InputError(
-            "a run id occurs twice",
-            code="ingest.duplicate_run",
-            where=str(path),
-            got=", ".join(twice[:10]),
+            "a run id occurs twice", code="ingest.duplicate_run", where=str(path), got=", ".join(twice[:10])
         )
     return CampaignFolder(campaign, tuple(entries))
 
@@ -189,9 +182,7 @@ def campaign_from(head: Mapping[str, Any], path: Path) -> Campaign:
         machine=require_name(head.get("machine"), "campaign.machine"),
         kind=kind,
         started=stated.iso_time(head.get("started", ""), "campaign.started", str(path)),
-        machine_geometry=stated.table(
-            head.get("machine_geometry", {}), "campaign.machine_geometry", str(path)
-        ),
+        machine_geometry=stated.table(head.get("machine_geometry", {}), "campaign.machine_geometry", str(path)),
         instrument=stated.table(head.get("instrument", {}), "campaign.instrument", str(path)),
     )
 
@@ -225,10 +216,7 @@ def entry_from(told: Any, number: int, path: Path) -> FolderEntry:
 def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list[RejectedRows]]:
     suffix = entry.file.suffix.lower()
     if suffix == ".b5r":
-        runs = [
-            _completed(run, entry, f"{entry.run_id}-{run.meta.run_id}")
-            for run in read_b5r(entry.file).runs
-        ]
+        runs = [_completed(run, entry, f"{entry.run_id}-{run.meta.run_id}") for run in read_b5r(entry.file).runs]
         return runs, []
     if suffix == ".json":
         rate = entry.stated.get("sample_rate_hz", campaign.instrument.get("sample_rate_hz"))
@@ -236,10 +224,7 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
             rate = stated.positive(rate, "sample_rate_hz", str(entry.file))
         traces = read_trace_json(entry.file, sample_rate_hz=rate)
         alone = len(traces) == 1
-        runs = [
-            _completed(t, entry, entry.run_id if alone else f"{entry.run_id}-{t.meta.run_id}")
-            for t in traces
-        ]
+        runs = [_completed(t, entry, entry.run_id if alone else f"{entry.run_id}-{t.meta.run_id}") for t in traces]
         return [_with_programmed_angles(run) for run in runs], []
     kind = kind_named(campaign.kind)
     reader = kind.readers.get(suffix)
@@ -257,9 +242,7 @@ def _read_table(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
     typical = float(np.median(gaps)) if gaps.size else 0.0
     bare = Run(
         meta=RunMeta(
-            run_id=entry.run_id,
-            kind=campaign.kind,
-            sample_rate_hz=1.0 / typical if typical > 0 else float("nan"),
+            run_id=entry.run_id, kind=campaign.kind, sample_rate_hz=1.0 / typical if typical > 0 else float("nan")
         ),
         samples=columns,
         source=str(entry.file),
@@ -303,9 +286,7 @@ def _completed(run: Run, entry: FolderEntry, run_id: str, *, count: bool = False
     if "started" in told:
         changes["started"] = stated.iso_time(told["started"], "started", where)
     changes["condition"] = dict(meta.condition) | stated.condition(told.get("condition", {}), where)
-    changes["covariates"] = dict(meta.covariates) | stated.covariates(
-        told.get("covariates", {}), where
-    )
+    changes["covariates"] = dict(meta.covariates) | stated.covariates(told.get("covariates", {}), where)
     return replace(run, meta=replace(meta, **changes), findings=tuple(findings))
 
 
@@ -327,9 +308,7 @@ def _direction(of_run: Mapping[str, Any], meta: RunMeta, entry: FolderEntry) -> 
     return cast(Direction, told)
 
 
-def _plane(
-    told: Mapping[str, Any], meta: RunMeta, direction: Direction, entry: FolderEntry
-) -> tuple[Any, Direction]:
+def _plane(told: Mapping[str, Any], meta: RunMeta, direction: Direction, entry: FolderEntry) -> tuple[Any, Direction]:
     if meta.plane is not None:
         return meta.plane, direction
     if "plane" not in told:
@@ -342,16 +321,12 @@ def _with_programmed_angles(run: Run) -> Run:
     meta = run.meta
     if not meta.radius_mm or not meta.feed_mm_min:
         raise InputError(
-            "a trace needs radius_mm and feed_mm_min in campaign.toml",
-            code="trace.condition",
-            where=run.source,
+            "a trace needs radius_mm and feed_mm_min in campaign.toml", code="trace.condition", where=run.source
         )
     speed_deg_s = np.degrees(meta.feed_mm_min / 60.0 / meta.radius_mm)
     sign = 1.0 if meta.direction == "CCW" else -1.0
     finding = Finding(
-        "angle.programmed",
-        "warning",
-        "the file has no angles; they are computed from the programmed feed",
+        "angle.programmed", "warning", "the file has no angles; they are computed from the programmed feed"
     )
     samples = dict(run.samples) | {"angle_deg": sign * speed_deg_s * run.samples["t_s"]}
     return replace(run, samples=samples, findings=(*run.findings, finding))

@@ -88,9 +88,15 @@ class AccelerometerTask(OpenAndClose):
     name = "accelerometers"
 
     def __init__(
-        self, channels: Sequence[AccelerometerChannel], rate_hz: float, *, block_s: float = 0.1,
-        grpc_target: str | None = None, timeout_s: float = 5.0, history_s: float = 2.0,
-    ) -> None:  # fmt: skip
+        self,
+        channels: Sequence[AccelerometerChannel],
+        rate_hz: float,
+        *,
+        block_s: float = 0.1,
+        grpc_target: str | None = None,
+        timeout_s: float = 5.0,
+        history_s: float = 2.0,
+    ) -> None:
         _require_sense(channels, rate_hz, block_s)
         self.channels = tuple(channels)
         self.asked_hz = self.rate_hz = float(rate_hz)
@@ -238,9 +244,7 @@ class AccelerometerTask(OpenAndClose):
                 min_val=-(channel.range_g or channel.full_scale_g),
                 max_val=channel.range_g or channel.full_scale_g,
                 sensitivity=channel.sensitivity_mv_g,
-                current_excit_source=ExcitationSource.INTERNAL
-                if channel.excitation_a > 0
-                else ExcitationSource.NONE,
+                current_excit_source=ExcitationSource.INTERNAL if channel.excitation_a > 0 else ExcitationSource.NONE,
                 current_excit_val=channel.excitation_a,
             )
             added.ai_coupling = Coupling.AC
@@ -323,9 +327,7 @@ def module_rates_hz() -> tuple[float, ...]:
     return tuple(_MASTER_HZ / divisor for divisor in range(1, SLOWEST_DIVISOR + 1))
 
 
-def _require_sense(
-    channels: Sequence[AccelerometerChannel], rate_hz: float, block_s: float
-) -> None:
+def _require_sense(channels: Sequence[AccelerometerChannel], rate_hz: float, block_s: float) -> None:
     names = [c.name for c in channels]
     slowest = _MASTER_HZ / SLOWEST_DIVISOR
     problem = None

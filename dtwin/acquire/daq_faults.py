@@ -8,20 +8,30 @@ from collections.abc import Iterator
 from dtwin.errors import DeviceError, MissingPart
 
 _CODES: dict[int, tuple[str, str, str]] = {
-    -200220: ("daq.device_absent", "no acquisition module of this name is there",
-              "check the name in NI MAX or with nilsdev, the cable and the power"),
-    -200170: ("daq.channel_absent", "the module has no such channel",
-              "an NI-9234 has ai0 to ai3"),
-    -200077: ("daq.setting", "the module does not offer this setting",
-              "check rate, sensitivity and excitation current"),
-    -201003: ("daq.removed", "the acquisition module does not answer any more",
-              "plug it in again, then start again"),
-    -50103: ("daq.busy", "the module is used by another program",
-             "end the other program; after a killed one restart the NI gRPC device server"),
+    -200220: (
+        "daq.device_absent",
+        "no acquisition module of this name is there",
+        "check the name in NI MAX or with nilsdev, the cable and the power",
+    ),
+    -200170: ("daq.channel_absent", "the module has no such channel", "an NI-9234 has ai0 to ai3"),
+    -200077: (
+        "daq.setting",
+        "the module does not offer this setting",
+        "check rate, sensitivity and excitation current",
+    ),
+    -201003: ("daq.removed", "the acquisition module does not answer any more", "plug it in again, then start again"),
+    -50103: (
+        "daq.busy",
+        "the module is used by another program",
+        "end the other program; after a killed one restart the NI gRPC device server",
+    ),
     -200284: ("daq.silent", "the module delivers no samples", "check the chassis, then start again"),
-    -200361: ("daq.overflow", "the module's own buffer overflowed: the bus is too slow",
-              "use a faster port, fewer channels or a lower rate"),
-}  # fmt: skip
+    -200361: (
+        "daq.overflow",
+        "the module's own buffer overflowed: the bus is too slow",
+        "use a faster port, fewer channels or a lower rate",
+    ),
+}
 
 
 @contextlib.contextmanager
@@ -75,7 +85,5 @@ def _device_error(where: str, number: int, text: str) -> DeviceError:
 
 def _package_missing(name: str) -> MissingPart:
     return MissingPart(
-        f"the package {name} is not installed",
-        code="daq.package",
-        hint="pip install '.[daq]' in a checkout of dtwin",
+        f"the package {name} is not installed", code="daq.package", hint="pip install '.[daq]' in a checkout of dtwin"
     )

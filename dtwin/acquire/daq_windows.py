@@ -58,9 +58,14 @@ class DaqWindows:
     """
 
     def __init__(
-        self, contract: WindowContract, channels: Sequence[AccelerometerChannel], *,
-        block_s: float = 0.01, grpc_target: str | None = None, timeout_s: float = 2.0,
-    ) -> None:  # fmt: skip
+        self,
+        contract: WindowContract,
+        channels: Sequence[AccelerometerChannel],
+        *,
+        block_s: float = 0.01,
+        grpc_target: str | None = None,
+        timeout_s: float = 2.0,
+    ) -> None:
         names = tuple(channel.name for channel in channels)
         if names != contract.channels:
             raise InputError(
@@ -139,10 +144,7 @@ class DaqWindows:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
 

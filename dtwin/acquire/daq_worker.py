@@ -97,9 +97,11 @@ def _reopened(task: AccelerometerTask, rate_hz: float) -> bool:
             continue
         if abs(task.rate_hz / rate_hz - 1.0) > _SAME_RATE:
             raise DeviceError(
-                "the module came back at another rate", code="daq.rate",
-                got=f"{task.rate_hz:.10g} Hz", allowed=f"{rate_hz:.10g} Hz",
-            )  # fmt: skip
+                "the module came back at another rate",
+                code="daq.rate",
+                got=f"{task.rate_hz:.10g} Hz",
+                allowed=f"{rate_hz:.10g} Hz",
+            )
         return True
     return False
 
@@ -126,9 +128,12 @@ def main() -> int:
     ring = SampleRing(memory, len(channels), options.capacity)
     try:
         with AccelerometerTask(
-            channels, setup["rate_hz"], block_s=setup["block_s"], grpc_target=setup["target"],
+            channels,
+            setup["rate_hz"],
+            block_s=setup["block_s"],
+            grpc_target=setup["target"],
             timeout_s=setup["timeout_s"],
-        ) as task:  # fmt: skip
+        ) as task:
             say({"ready": True, "rate_hz": task.rate_hz})
             _keep_filling(task, ring, say)
     except DtwinError as error:

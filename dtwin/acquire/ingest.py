@@ -47,10 +47,7 @@ class IngestReport:
 
 
 def ingest(
-    path: Path,
-    lake: Lake,
-    progress: Progress | None = None,
-    told: Mapping[str, Any] | None = None,
+    path: Path, lake: Lake, progress: Progress | None = None, told: Mapping[str, Any] | None = None
 ) -> IngestReport:
     """Bring a campaign folder, a bare ``.b5r`` or a table that lies alone into the lake.
 
@@ -94,9 +91,7 @@ def ingest(
         if progress is not None:
             progress(done, total, batch[-1].meta.run_id if batch else "")
     findings += [("", finding) for finding in judge_campaign(judged)]
-    return IngestReport(
-        campaign.name, tuple(added), tuple(unchanged), tuple(findings), n_rejected, versions
-    )
+    return IngestReport(campaign.name, tuple(added), tuple(unchanged), tuple(findings), n_rejected, versions)
 
 
 def open_source(
@@ -138,9 +133,11 @@ def open_source(
         return campaign, [(list(test.runs), [])], 1
     if not path.exists():
         raise InputError(
-            "no such file or folder", code="file.missing", where=str(path),
+            "no such file or folder",
+            code="file.missing",
+            where=str(path),
             hint="check the path; without measurements: dtwin examples",
-        )  # fmt: skip
+        )
     raise InputError(
         "cannot be ingested by itself",
         code="ingest.type",

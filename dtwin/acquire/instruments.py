@@ -70,19 +70,12 @@ def bench(name: str, **settings: Any) -> Bench:
 def _make(name: str, role: str, settings: Mapping[str, Any]) -> Any:
     known = [entry.name for entry in ENTRIES.values() if entry.role == role]
     if name not in known:
-        raise InputError(
-            f"there is no such {role}",
-            code="instrument.unknown",
-            got=name[:60],
-            allowed=", ".join(known),
-        )
+        raise InputError(f"there is no such {role}", code="instrument.unknown", got=name[:60], allowed=", ".join(known))
     try:
         return ENTRIES[name].make(**settings)
     except TypeError as error:
         raise InputError(
-            f"the settings do not fit the {role} {name}",
-            code="instrument.settings",
-            got=str(error)[:200],
+            f"the settings do not fit the {role} {name}", code="instrument.settings", got=str(error)[:200]
         ) from error
 
 
@@ -120,21 +113,22 @@ def _virtual_cobot(**settings: Any) -> Bench:
 
 _ALL = (
     Entry(
-        "accelerometers", "instrument", "acceleration in g, NI-9234 class modules",
-        "the extra daq and the NI-DAQmx driver, or an NI gRPC device server", _accelerometers,
+        "accelerometers",
+        "instrument",
+        "acceleration in g, NI-9234 class modules",
+        "the extra daq and the NI-DAQmx driver, or an NI gRPC device server",
+        _accelerometers,
     ),
+    Entry("serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial),
+    Entry("controller", "instrument", "joints, path and corrections of a UR robot", "the extra serve", _robot),
     Entry(
-        "serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial
+        "virtual-cobot",
+        "bench",
+        "circular tests with ball bar, accelerometers and controller",
+        "the extra serve",
+        _virtual_cobot,
     ),
-    Entry(
-        "controller", "instrument", "joints, path and corrections of a UR robot",
-        "the extra serve", _robot,
-    ),
-    Entry(
-        "virtual-cobot", "bench", "circular tests with ball bar, accelerometers and controller",
-        "the extra serve", _virtual_cobot,
-    ),
-)  # fmt: skip
+)
 
 ENTRIES: dict[str, Entry] = {entry.name: entry for entry in _ALL}
 """All instruments and machines by name."""

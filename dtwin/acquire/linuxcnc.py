@@ -65,9 +65,11 @@ class CirclePlan:
         strange = [p for p in self.planes if p not in PLANES]
         if strange or not (self.planes and self.radii_mm and self.feeds_mm_min):
             raise InputError(
-                "these circles cannot be planned", code="linuxcnc.plan",
-                got=", ".join(strange) or "no plane, radius or feed", allowed=", ".join(PLANES),
-            )  # fmt: skip
+                "these circles cannot be planned",
+                code="linuxcnc.plan",
+                got=", ".join(strange) or "no plane, radius or feed",
+                allowed=", ".join(PLANES),
+            )
         rng = np.random.default_rng([seed, 23])
         out = []
         for plane in self.planes:
@@ -86,9 +88,7 @@ class CirclePlan:
         return float(turns * per_feed + moves * 2.0 * self.repeats)
 
 
-def run_circles(
-    session: LinuxcncSession, circles: Sequence[Circle], during: While | None = None
-) -> list[Trace]:
+def run_circles(session: LinuxcncSession, circles: Sequence[Circle], during: While | None = None) -> list[Trace]:
     """Run circles on a LinuxCNC while its sampler records, and return whole turns.
 
     Parameters
@@ -117,10 +117,11 @@ def run_circles(
         def ended() -> bool:
             if time.monotonic() > until_s:
                 raise DeviceError(
-                    "LinuxCNC does not end its program", code="linuxcnc.endless",
+                    "LinuxCNC does not end its program",
+                    code="linuxcnc.endless",
                     got=f"{len(circles)} circles still run after {limit_s:z.0f} s",
                     hint="run it again on a computer that is less busy",
-                )  # fmt: skip
+                )
             return not bridge.ask(do="status")["running"]
 
         bridge.ask(do="record", file="samples.txt")
@@ -134,9 +135,7 @@ def run_circles(
         finally:
             bridge.ask(do="stop_record")
         if messages := bridge.ask(do="status")["messages"]:
-            raise DeviceError(
-                "LinuxCNC reports something", code="linuxcnc.message", got="; ".join(messages)[:400]
-            )
+            raise DeviceError("LinuxCNC reports something", code="linuxcnc.message", got="; ".join(messages)[:400])
     return traces(read_samples(session.folder / "samples.txt"), circles)
 
 
@@ -163,10 +162,16 @@ def run_of(trace: Trace, run_id: str, repeat: int, setup: str, started: str) -> 
         columns[f"cmd_{'xyz'[axis]}_mm"] = trace.command_mm[:, axis]
         columns[f"act_{'xyz'[axis]}_mm"] = trace.encoder_mm[:, axis]
     meta = RunMeta(
-        run_id, plane=circle.plane, direction=circle.direction, radius_mm=circle.radius_mm,
-        feed_mm_min=circle.feed_mm_min, repeat=repeat, setup=setup, started=started,
+        run_id,
+        plane=circle.plane,
+        direction=circle.direction,
+        radius_mm=circle.radius_mm,
+        feed_mm_min=circle.feed_mm_min,
+        repeat=repeat,
+        setup=setup,
+        started=started,
         sample_rate_hz=SAMPLE_HZ,
-    )  # fmt: skip
+    )
     return Run(meta, columns)
 
 
@@ -186,9 +191,7 @@ def geometry(faults: MillFaults) -> dict[str, Any]:
     }
 
 
-def write_circles(
-    folder: Path, measured: Sequence[Trace], faults: MillFaults, name: str = "linuxcnc"
-) -> None:
+def write_circles(folder: Path, measured: Sequence[Trace], faults: MillFaults, name: str = "linuxcnc") -> None:
     """Write turns as a campaign folder, and what is wrong with the machine in ``truth.toml``.
 
     Parameters
@@ -231,12 +234,18 @@ def require_free(folder: Path) -> None:
     """
     if (folder / "campaign.toml").exists():
         raise InputError(
-            "the folder holds a campaign already", code="linuxcnc.exists", where=str(folder),
-            hint="give another --out",
-        )  # fmt: skip
+            "the folder holds a campaign already", code="linuxcnc.exists", where=str(folder), hint="give another --out"
+        )
 
 
 __all__ = [
-    "DIRECTIONS", "MACHINE", "PERIOD_S", "CirclePlan", "geometry", "require_free", "run_circles",
-    "run_of", "write_circles",
-]  # fmt: skip
+    "DIRECTIONS",
+    "MACHINE",
+    "PERIOD_S",
+    "CirclePlan",
+    "geometry",
+    "require_free",
+    "run_circles",
+    "run_of",
+    "write_circles",
+]

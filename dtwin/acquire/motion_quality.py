@@ -67,9 +67,7 @@ def motion_of(run: Run) -> Motion:
     halves = tuple(int(n) for n in np.diff(inner))
     period = _period(deviation, rate, expected)
     first_turn = float(sum(halves[:2])) if len(halves) > 1 else period
-    lead_in = (
-        lead_in_samples(deviation, rate, first_turn, _LEAD_IN) if np.isfinite(first_turn) else 0
-    )
+    lead_in = lead_in_samples(deviation, rate, first_turn, _LEAD_IN) if np.isfinite(first_turn) else 0
     return Motion(inner, period, lead_in, halves)
 
 
@@ -166,10 +164,7 @@ def _best_lag(deviation: Floats, stretch: slice, revolution: float) -> int | Non
         return None
     longest = min(int(1.04 * revolution), deviation.size - stretch.stop)
     lags = range(int(0.96 * revolution), longest + 1)
-    apart = [
-        float(np.std(deviation[stretch] - deviation[stretch.start + lag : stretch.stop + lag]))
-        for lag in lags
-    ]
+    apart = [float(np.std(deviation[stretch] - deviation[stretch.start + lag : stretch.stop + lag])) for lag in lags]
     return lags[int(np.argmin(apart))] if apart else None
 
 
@@ -236,11 +231,7 @@ def _window(run: Run, motion: Motion) -> list[Finding]:
             "error" if short else "warning",
             f"the window marked as a full circle is about {true_deg:z.0f} deg: {marked} samples are "
             f"marked, the true period is {period:z.0f}",
-            {
-                "marked_samples_1": float(marked),
-                "period_samples_1": float(period),
-                "true_deg": true_deg,
-            },
+            {"marked_samples_1": float(marked), "period_samples_1": float(period), "true_deg": true_deg},
         )
     ]
 
@@ -261,9 +252,7 @@ def _feed_by_angle(run: Run) -> list[Finding]:
         return []
     # The median: starts, stops and dwells do not count.
     speed_rad_s = float(np.median(np.radians(np.abs(np.gradient(angle, t_s)))))
-    return _feed_differs(
-        speed_rad_s * run.meta.radius_mm * 60.0, run.meta.feed_mm_min, "median", _TURN_TOLERANCE
-    )
+    return _feed_differs(speed_rad_s * run.meta.radius_mm * 60.0, run.meta.feed_mm_min, "median", _TURN_TOLERANCE)
 
 
 def _feed_differs(real: float, told: float, which: str, tolerance: float) -> list[Finding]:

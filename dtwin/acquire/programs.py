@@ -8,11 +8,7 @@ from dtwin.plan import PlannedTest, arc_deg
 from dtwin.schema import Direction
 
 _FEED_IN_MM = 1.5
-_WORD = {
-    "XY": ("G17", "X", "Y", "I", "J"),
-    "YZ": ("G19", "Y", "Z", "J", "K"),
-    "ZX": ("G18", "Z", "X", "K", "I"),
-}
+_WORD = {"XY": ("G17", "X", "Y", "I", "J"), "YZ": ("G19", "Y", "Z", "J", "K"), "ZX": ("G18", "Z", "X", "K", "I")}
 
 
 def gcode(test: PlannedTest, directions: tuple[Direction, ...] = ("CCW", "CW")) -> str:

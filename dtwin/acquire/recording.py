@@ -61,9 +61,16 @@ class Recorder:
     """
 
     def __init__(
-        self, path: Path, group: str, rate_hz: float, columns: Mapping[str, DTypeLike], *,
-        start_s: float = 0.0, notes: Mapping[str, Any] | None = None, durable: bool = True,
-    ) -> None:  # fmt: skip
+        self,
+        path: Path,
+        group: str,
+        rate_hz: float,
+        columns: Mapping[str, DTypeLike],
+        *,
+        start_s: float = 0.0,
+        notes: Mapping[str, Any] | None = None,
+        durable: bool = True,
+    ) -> None:
         require_name(group, "the device group")
         self.path, self.group, self.rate_hz = path, group, float(rate_hz)
         self._types = {name: np.dtype(kind) for name, kind in columns.items()}
@@ -72,9 +79,7 @@ class Recorder:
         self._closed = False
         fields = [pa.field(name, pa.from_numpy_dtype(kind)) for name, kind in self._types.items()]
         head = {"group": group, "rate_hz": self.rate_hz, "start_s": start_s}
-        self._schema = pa.schema(
-            fields, metadata={STREAM_KEY: header(head | {"notes": dict(notes or {})}, fields)}
-        )
+        self._schema = pa.schema(fields, metadata={STREAM_KEY: header(head | {"notes": dict(notes or {})}, fields)})
         self._disk = _Disk(path, durable)
         self._stream = pa.ipc.new_stream(pa.PythonFile(self._disk, "w"), self._schema)
         self._empty = _batch([np.empty(0, kind) for kind in self._types.values()], self._schema)
@@ -166,19 +171,14 @@ class Recorder:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if error is None:
             self.close()
         else:
             self.abandon()
 
-    def _write(
-        self, batch: pa.RecordBatch, arrays: list[NDArray[Any]], more: Mapping[str, Any]
-    ) -> None:
+    def _write(self, batch: pa.RecordBatch, arrays: list[NDArray[Any]], more: Mapping[str, Any]) -> None:
         place = json.dumps({"first": self.n_samples, "lost": 0, **more})
         label = json.dumps({"place": place, "crc": checksum(place, arrays)})
         self._stream.write_batch(batch, custom_metadata={BLOCK_KEY: label})
@@ -222,10 +222,7 @@ class Recorder:
     def _require_open(self) -> None:
         if self._closed or self._disk.failed:
             raise StoreError(
-                "the recording is closed",
-                code="recording.closed",
-                where=str(self.path),
-                hint="begin another recording",
+                "the recording is closed", code="recording.closed", where=str(self.path), hint="begin another recording"
             )
 
 

@@ -118,9 +118,7 @@ def recover(path: Path) -> Recovered:
     """
     with _read(path) as content:
         head = content.head
-        group = SignalGroup(
-            head["group"], head["rate_hz"], columns_of(content.table), head["start_s"]
-        )
+        group = SignalGroup(head["group"], head["rate_hz"], columns_of(content.table), head["start_s"])
         return Recovered(group, content.gaps, content.blocks, content.complete, head["notes"])
 
 
@@ -203,10 +201,7 @@ def signal_findings(path: Path) -> tuple[Finding, ...]:
         return _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
         raise StoreError(
-            "a signal file is missing or damaged",
-            code="store.damaged",
-            where=str(path),
-            got=str(error)[:200],
+            "a signal file is missing or damaged", code="store.damaged", where=str(path), got=str(error)[:200]
         ) from error
 
 
@@ -227,19 +222,14 @@ def _read(path: Path) -> Iterator[_Content]:
             yield _content(path)
     except OSError as error:
         raise StoreError(
-            "the recording cannot be read",
-            code="recording.unreadable",
-            where=str(path),
-            got=str(error),
+            "the recording cannot be read", code="recording.unreadable", where=str(path), got=str(error)
         ) from error
 
 
 def _open(path: Path) -> tuple[pa.ipc.RecordBatchStreamReader, dict[str, Any]]:
     if path.stat().st_size == 0:
         raise StoreError(
-            "the recording's process died before anything was recorded",
-            code="recording.empty",
-            where=str(path),
+            "the recording's process died before anything was recorded", code="recording.empty", where=str(path)
         )
     try:
         stream = pa.ipc.open_stream(pa.memory_map(str(path)))
@@ -297,9 +287,7 @@ def _nothing(schema: pa.Schema, n: int) -> pa.RecordBatch:
     """Return lost samples: null, and -1 in whole numbers, whose type must stay what it is."""
     bare = pa.schema([pa.field(field.name, field.type) for field in schema])
     columns = [
-        pa.repeat(pa.scalar(-1, field.type), n)
-        if pa.types.is_integer(field.type)
-        else pa.nulls(n, field.type)
+        pa.repeat(pa.scalar(-1, field.type), n) if pa.types.is_integer(field.type) else pa.nulls(n, field.type)
         for field in schema
     ]
     return pa.RecordBatch.from_arrays(columns, schema=bare)
@@ -314,11 +302,7 @@ def _findings(complete: bool, gaps: tuple[Gap, ...], rate_hz: float) -> tuple[Fi
     found = []
     if not complete:
         found.append(
-            Finding(
-                "recording.incomplete",
-                "error",
-                "the recording broke off; all blocks before that are here",
-            )
+            Finding("recording.incomplete", "error", "the recording broke off; all blocks before that are here")
         )
     if gaps:
         lost = sum(gap.n_lost for gap in gaps)

@@ -48,9 +48,7 @@ class RobotRecorder(OpenAndClose):
 
     name = _GROUP
 
-    def __init__(
-        self, host: str, rate_hz: float = 125.0, *, block_s: float = 0.2, timeout_s: float = 5.0
-    ) -> None:
+    def __init__(self, host: str, rate_hz: float = 125.0, *, block_s: float = 0.2, timeout_s: float = 5.0) -> None:
         self.host, self._rate_hz, self._timeout_s = host, rate_hz, timeout_s
         self._block_n = max(1, round(block_s * rate_hz))
         self._link: UrLink | None = None
@@ -62,11 +60,7 @@ class RobotRecorder(OpenAndClose):
         """Connect; see ``UrLink``."""
         if self._link is None:
             self._link = UrLink(
-                self.host,
-                self._rate_hz,
-                connect_timeout_s=self._timeout_s,
-                realtime=False,
-                writes=False,
+                self.host, self._rate_hz, connect_timeout_s=self._timeout_s, realtime=False, writes=False
             )
 
     def describe(self) -> Description:

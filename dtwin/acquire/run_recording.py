@@ -161,15 +161,11 @@ def recover_runs(folder: Path, in_force: InForce = lambda begin, end: "") -> lis
     return found
 
 
-def _record_all(
-    instruments: Sequence[Instrument], request: RunRequest, asked_to_stop: Callable[[], bool]
-) -> None:
+def _record_all(instruments: Sequence[Instrument], request: RunRequest, asked_to_stop: Callable[[], bool]) -> None:
     ending = threading.Event()
     errors: list[DtwinError] = []
     threads = [
-        threading.Thread(
-            target=_record_one, args=(instrument, request, ending, errors), name=instrument.name
-        )
+        threading.Thread(target=_record_one, args=(instrument, request, ending, errors), name=instrument.name)
         for instrument in instruments
     ]
     for thread in threads:
@@ -190,9 +186,7 @@ def _record_all(
         raise errors[0]
 
 
-def _record_one(
-    instrument: Instrument, request: RunRequest, ending: threading.Event, errors: list[DtwinError]
-) -> None:
+def _record_one(instrument: Instrument, request: RunRequest, ending: threading.Event, errors: list[DtwinError]) -> None:
     what = instrument.describe()
     stream = request.folder / f"{request.run_id}.{what.group}{SUFFIX}"
     limit = None if request.duration_s is None else request.duration_s * what.rate_hz
@@ -276,9 +270,7 @@ def _last_written(folder: Path, run_id: str) -> datetime:
     return datetime.fromtimestamp(max(times), UTC)
 
 
-def _enter(
-    folder: Path, intent: Mapping[str, Any], signals: Sequence[str], correction: str
-) -> None:
+def _enter(folder: Path, intent: Mapping[str, Any], signals: Sequence[str], correction: str) -> None:
     path = folder / "campaign.toml"
     head = (
         path.read_text(encoding="utf-8").rstrip()
@@ -345,8 +337,7 @@ def _write_intent(request: RunRequest) -> None:
 def _read_intent(path: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = {"head": {}} | json.loads(path.read_text(encoding="utf-8"))
-        return {key: found[key] for key in
-                ("run", "campaign", "machine", "reference", "started", "stated", "head")}  # fmt: skip
+        return {key: found[key] for key in ("run", "campaign", "machine", "reference", "started", "stated", "head")}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise StoreError(
             "what a recording was meant for cannot be read",

@@ -68,9 +68,7 @@ class CampaignRun:
     raw_bytes: int
 
 
-def run_campaign(
-    plan: Plan, bench: Bench, folder: Path, progress: Progress | None = None
-) -> CampaignRun:
+def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress | None = None) -> CampaignRun:
     """Measure every test of a plan that the folder does not hold yet.
 
     A test is done when its files are there with the checksums of the manifest, so the same
@@ -134,9 +132,7 @@ def _save(folder: Path, plan: Plan, test: PlannedTest, runs: Sequence[Run]) -> d
     for run in runs:
         for group in run.signals:
             path = folder / f"{test.test_id}-{str(run.meta.direction).lower()}.{group.name}.parquet"
-            tagged = type(group)(
-                f"{group.name}@{run.meta.direction}", group.rate_hz, group.columns, group.start_s
-            )
+            tagged = type(group)(f"{group.name}@{run.meta.direction}", group.rate_hz, group.columns, group.start_s)
             write_signals(path, tagged)
             files.append(path)
     entry = {
@@ -191,9 +187,7 @@ def _claim(folder: Path, plan: Plan) -> None:
     path.write_text(content, encoding="utf-8")
 
 
-def _write_toml(
-    folder: Path, plan: Plan, bench: Bench, done: Mapping[str, Mapping[str, Any]]
-) -> None:
+def _write_toml(folder: Path, plan: Plan, bench: Bench, done: Mapping[str, Mapping[str, Any]]) -> None:
     tests = [test for test in plan.tests if test.test_id in done]
     if not tests:
         return

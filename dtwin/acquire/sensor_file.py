@@ -20,9 +20,7 @@ _MOST_IEPE_MA = 20.0
 _SAME_RATE = 1e-3
 _TOP = {"sensors", "channel"}
 _SENSORS = {"rate_hz": True, "block_s": False, "grpc_target": False, "timeout_s": False}
-_CHANNEL = {
-    "name": True, "input": True, "sensitivity_mv_g": True, "iepe_ma": True, "range_g": False,
-}  # fmt: skip
+_CHANNEL = {"name": True, "input": True, "sensitivity_mv_g": True, "iepe_ma": True, "range_g": False}
 
 
 @dataclass(frozen=True)
@@ -55,9 +53,8 @@ class SensorSetup:
     def task(self) -> AccelerometerTask:
         """Return the closed instrument that records these channels."""
         return AccelerometerTask(
-            self.channels, self.rate_hz, block_s=self.block_s, grpc_target=self.grpc_target,
-            timeout_s=self.timeout_s,
-        )  # fmt: skip
+            self.channels, self.rate_hz, block_s=self.block_s, grpc_target=self.grpc_target, timeout_s=self.timeout_s
+        )
 
     def windows(self, contract: WindowContract) -> DaqWindows:
         """Open what delivers the windows of a contract, from the channels that it names.
@@ -80,14 +77,20 @@ class SensorSetup:
         missing = [name for name in contract.channels if name not in by_name]
         if missing:
             raise _wrong(
-                self.path, "the model was trained with sensors that are not in the file",
-                "sensors.channels", ", ".join(by_name), f"all of {', '.join(contract.channels)}",
-            )  # fmt: skip
+                self.path,
+                "the model was trained with sensors that are not in the file",
+                "sensors.channels",
+                ", ".join(by_name),
+                f"all of {', '.join(contract.channels)}",
+            )
         if abs(self.rate_hz / contract.rate_hz - 1.0) > _SAME_RATE:
             raise _wrong(
-                self.path, "the model was trained at another rate", "sensors.rate",
-                f"{self.rate_hz:g} Hz", f"{contract.rate_hz:.10g} Hz",
-            )  # fmt: skip
+                self.path,
+                "the model was trained at another rate",
+                "sensors.rate",
+                f"{self.rate_hz:g} Hz",
+                f"{contract.rate_hz:.10g} Hz",
+            )
         chosen = [by_name[name] for name in contract.channels]
         return DaqWindows(contract, chosen, grpc_target=self.grpc_target, timeout_s=self.timeout_s)
 
@@ -110,9 +113,12 @@ def read_sensors(path: Path) -> SensorSetup:
     head, listed = document["sensors"], document["channel"]
     if not isinstance(head, dict) or not isinstance(listed, list):
         raise _wrong(
-            path, "a channel file needs a table [sensors] and at least one [[channel]]",
-            "sensors.toml", "something else", None,
-        )  # fmt: skip
+            path,
+            "a channel file needs a table [sensors] and at least one [[channel]]",
+            "sensors.toml",
+            "something else",
+            None,
+        )
     where = f"{path} [sensors]"
     _require_keys(head, _SENSORS, where)
     setup = SensorSetup(
@@ -138,9 +144,7 @@ def _document(path: Path) -> dict[str, Any]:
             raise ValueError(f"more than {MAX_BYTES} bytes")
         return tomllib.loads(content.decode("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        raise _wrong(
-            path, "the channel file cannot be read", "sensors.unreadable", str(error)[:200], None
-        ) from error
+        raise _wrong(path, "the channel file cannot be read", "sensors.unreadable", str(error)[:200], None) from error
 
 
 def _channel(entry: Any, number: int, path: Path) -> AccelerometerChannel:
@@ -163,16 +167,13 @@ def _channel(entry: Any, number: int, path: Path) -> AccelerometerChannel:
         physical,
         sensitivity,
         _number(entry, "iepe_ma", where, 0.0, _MOST_IEPE_MA) / 1000.0,
-        _number(entry, "range_g", where, 1e-6, FULL_SCALE_MV / sensitivity)
-        if "range_g" in entry
-        else None,
+        _number(entry, "range_g", where, 1e-6, FULL_SCALE_MV / sensitivity) if "range_g" in entry else None,
     )
 
 
 def _number(
-    table: Mapping[str, Any], name: str, where: str, low: float, high: float,
-    default: float | None = None,
-) -> float:  # fmt: skip
+    table: Mapping[str, Any], name: str, where: str, low: float, high: float, default: float | None = None
+) -> float:
     value = table.get(name, default)
     good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     if not good or not low <= float(value) <= high:

@@ -43,9 +43,15 @@ class SerialInstrument(OpenAndClose):
     """
 
     def __init__(
-        self, port: str, columns: Sequence[str], rate_hz: float, *, group: str = "serial",
-        baud: int = 115_200, timeout_s: float = 1.0,
-    ) -> None:  # fmt: skip
+        self,
+        port: str,
+        columns: Sequence[str],
+        rate_hz: float,
+        *,
+        group: str = "serial",
+        baud: int = 115_200,
+        timeout_s: float = 1.0,
+    ) -> None:
         require_units(columns, f"serial device at {port}")
         self.name = group
         self._columns, self._rate_hz = tuple(columns), rate_hz

@@ -55,11 +55,7 @@ def read_signals(path: Path) -> list[SignalGroup]:
         table, data = read_encoded(path)
     except StoreError as error:
         raise InputError(
-            "the signal file cannot be read",
-            code="signals.unreadable",
-            where=str(path),
-            got=error.got,
-            hint=error.hint,
+            "the signal file cannot be read", code="signals.unreadable", where=str(path), got=error.got, hint=error.hint
         ) from error
     header = (table.schema.metadata or {}).get(_KEY)
     require_units([n for n in table.column_names if _is_float(table, n)], str(path))
@@ -68,24 +64,17 @@ def read_signals(path: Path) -> list[SignalGroup]:
         return [_from_header(header, columns, data, path)]
     if "t_s" not in columns or len(columns["t_s"]) < 2:
         raise InputError(
-            "the signal file does not say its rate",
-            code="signals.rate",
-            where=str(path),
-            hint="add a column t_s",
+            "the signal file does not say its rate", code="signals.rate", where=str(path), hint="add a column t_s"
         )
     t_s = columns.pop("t_s")
     span = float(t_s[-1] - t_s[0])
     if not 0 < span < math.inf:
-        raise InputError(
-            "the clock of the signals stands or runs back", code="clock", where=str(path)
-        )
+        raise InputError("the clock of the signals stands or runs back", code="clock", where=str(path))
     name = require_name(path.stem.split(".")[-1], f"the signal group of {path.name}")
     return [SignalGroup(name, (len(t_s) - 1) / span, columns, float(t_s[0]))]
 
 
-def _from_header(
-    header: bytes, columns: dict[str, NDArray[Any]], data: memoryview | None, path: Path
-) -> SignalGroup:
+def _from_header(header: bytes, columns: dict[str, NDArray[Any]], data: memoryview | None, path: Path) -> SignalGroup:
     try:
         head = json.loads(header)
         name, rate_hz, start_s = str(head["group"]), float(head["rate_hz"]), float(head["start_s"])

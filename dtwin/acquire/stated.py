@@ -101,6 +101,4 @@ def _plain(value: object, name: str, where: str, deepest: int) -> None:
 
 def _refused(name: str, where: str, value: object, allowed: str) -> InputError:
     shown = f"{value:.3g}" if isinstance(value, float) and math.isfinite(value) else repr(value)
-    return InputError(
-        f"{name} is not usable", code="campaign.value", where=where, got=shown[:60], allowed=allowed
-    )
+    return InputError(f"{name} is not usable", code="campaign.value", where=where, got=shown[:60], allowed=allowed)

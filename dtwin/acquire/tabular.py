@@ -133,8 +133,7 @@ def _malformed(path: Path, error: Exception) -> InputError:
         code="table.malformed",
         where=str(path),
         got=str(error)[:200],
-        allowed="columns parted by commas with decimal points, or by semicolons with decimal "
-        "commas or points",
+        allowed="columns parted by commas with decimal points, or by semicolons with decimal commas or points",
         hint="the file may be cut short or damaged",
     )
 
@@ -147,10 +146,7 @@ def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
         return column.cast(pa.float64()).to_numpy()
     except (pa.ArrowException, ValueError) as error:
         raise InputError(
-            "a column is not numeric",
-            code="columns.number",
-            where=f"{path} {name[:60]}",
-            got=str(error)[:120],
+            "a column is not numeric", code="columns.number", where=f"{path} {name[:60]}", got=str(error)[:120]
         ) from error
 
 
@@ -167,8 +163,7 @@ def _drop_bad_rows(
     rejects = [
         {
             "row": int(row),
-            "reason": "not finite: "
-            + ", ".join(n for n in floats if not np.isfinite(columns[n][row])),
+            "reason": "not finite: " + ", ".join(n for n in floats if not np.isfinite(columns[n][row])),
             "values": {name: repr(columns[name][row].item()) for name in floats},
         }
         for row in np.flatnonzero(~finite)

@@ -90,15 +90,10 @@ def _read_run(entry: Any, number: int, to_um: float, rate_hz: float | None, wher
     if rate_hz is None:
         findings = (
             Finding(
-                "clock.no_rate",
-                "warning",
-                "the file states no sample rate: times are sample numbers, feed is unknown",
+                "clock.no_rate", "warning", "the file states no sample rate: times are sample numbers, feed is unknown"
             ),
         )
     rate = rate_hz or 1.0
-    samples = {
-        "t_s": np.arange(len(readings)) / rate,
-        "deviation_um": np.array(readings, dtype=float) * to_um,
-    }
+    samples = {"t_s": np.arange(len(readings)) / rate, "deviation_um": np.array(readings, dtype=float) * to_um}
     meta = RunMeta(run_id=f"run-{number}", direction=direction, sample_rate_hz=rate)
     return Run(meta=meta, samples=samples, source=where, findings=findings)

@@ -40,16 +40,8 @@ class VirtualCobotBench:
             "machine_geometry": {
                 "type": "ur10e",
                 "tcp_mm": [0.0, 0.0, motion.tcp_z_mm],
-                "centre_small_mm": [
-                    motion.centre_x_small_mm,
-                    motion.centre_y_mm,
-                    motion.centre_z_mm,
-                ],
-                "centre_large_mm": [
-                    motion.centre_x_large_mm,
-                    motion.centre_y_mm,
-                    motion.centre_z_mm,
-                ],
+                "centre_small_mm": [motion.centre_x_small_mm, motion.centre_y_mm, motion.centre_z_mm],
+                "centre_large_mm": [motion.centre_x_large_mm, motion.centre_y_mm, motion.centre_z_mm],
                 "large_radius_from_mm": motion.large_radius_from_mm,
                 "correction_delay_s": delay_s,
                 "virtual": True,

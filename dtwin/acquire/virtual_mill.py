@@ -47,10 +47,7 @@ def tutorial_mill(hidden: str = "backlash") -> MillParameters:
     """
     if hidden not in HIDDEN:
         raise InputError(
-            "the virtual mill has no such fault",
-            code="simulate.hidden",
-            got=hidden[:40],
-            allowed=", ".join(HIDDEN),
+            "the virtual mill has no such fault", code="simulate.hidden", got=hidden[:40], allowed=", ".join(HIDDEN)
         )
     made = MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0)
     if hidden == "servo":
@@ -111,21 +108,20 @@ def standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[Circu
                     halfway = len(out) == len(planes) * len(_RADII_MM) * len(pairs)
                     out.append(
                         CircularTest(
-                            plane=plane, direction=direction, radius_mm=radius, feed_mm_min=feed,
-                            repeat=repeat, setup=f"{plane.lower()}-r{radius:g}",
+                            plane=plane,
+                            direction=direction,
+                            radius_mm=radius,
+                            feed_mm_min=feed,
+                            repeat=repeat,
+                            setup=f"{plane.lower()}-r{radius:g}",
                             pause_s=_COOL_DOWN_S if halfway else 0.0,
                         )
-                    )  # fmt: skip
+                    )
     return out
 
 
 def simulate_mill(
-    folder: Path,
-    *,
-    seed: int = 0,
-    quick: bool = False,
-    hidden: str = "backlash",
-    progress: Progress | None = None,
+    folder: Path, *, seed: int = 0, quick: bool = False, hidden: str = "backlash", progress: Progress | None = None
 ) -> list[Run]:
     """Measure the virtual mill and write a campaign folder.
 
@@ -151,27 +147,18 @@ def simulate_mill(
     file = folder / "campaign.toml"
     if file.exists():
         raise InputError(
-            "the folder holds a campaign already",
-            code="simulate.exists",
-            where=str(folder),
-            hint="give another --out",
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
         )
     mill = virtual_mill(hidden, seed=seed)
     tests = standard_tests(seed, planes=PLANES[:1] if quick else PLANES)
     runs = mill.measure(tests)
-    campaign = Campaign(
-        name=name, machine="virtual-mill", machine_geometry=geometry_of_mill(hidden)
-    )
+    campaign = Campaign(name=name, machine="virtual-mill", machine_geometry=geometry_of_mill(hidden))
     write_campaign(folder, campaign, runs, mill.parameters, progress)
     return runs
 
 
 def write_campaign(
-    folder: Path,
-    campaign: Campaign,
-    runs: Sequence[Run],
-    truth: MillParameters,
-    progress: Progress | None = None,
+    folder: Path, campaign: Campaign, runs: Sequence[Run], truth: MillParameters, progress: Progress | None = None
 ) -> None:
     """Write runs of the virtual mill as a campaign folder, with what is wrong in ``truth.toml``.
 
@@ -195,12 +182,7 @@ def write_campaign(
     write_runs(folder, campaign, runs, progress)
 
 
-def write_runs(
-    folder: Path,
-    campaign: Campaign,
-    runs: Sequence[Run],
-    progress: Progress | None = None,
-) -> None:
+def write_runs(folder: Path, campaign: Campaign, runs: Sequence[Run], progress: Progress | None = None) -> None:
     """Write circular runs as a campaign folder.
 
     Parameters
@@ -219,9 +201,11 @@ def write_runs(
         if progress is not None:
             progress(number + 1, len(runs), run.meta.run_id)
     head = {
-        "name": campaign.name, "machine": campaign.machine, "kind": campaign.kind,
+        "name": campaign.name,
+        "machine": campaign.machine,
+        "kind": campaign.kind,
         "machine_geometry": dict(campaign.machine_geometry),
-    }  # fmt: skip
+    }
     write_campaign_file(folder, head, [_entry(run.meta) for run in runs])
 
 

@@ -51,9 +51,7 @@ def require_bounded(path: Path, max_bytes: int) -> None:
     """Refuse what is no plain file, empty or absurdly large; raises as :func:`read_bounded`."""
     try:
         if not path.is_file():
-            raise InputError(
-                "no such file", code="file.missing", where=str(path), hint="check the path"
-            )
+            raise InputError("no such file", code="file.missing", where=str(path), hint="check the path")
         size = path.stat().st_size
     except OSError as error:
         raise _unreadable(path, error) from error
@@ -70,9 +68,7 @@ def require_bounded(path: Path, max_bytes: int) -> None:
 
 
 def _unreadable(path: Path, error: OSError) -> InputError:
-    return InputError(
-        "the file cannot be read", code="file.unreadable", where=str(path), got=str(error)
-    )
+    return InputError("the file cannot be read", code="file.unreadable", where=str(path), got=str(error))
 
 
 def parse_vendor_xml(data: bytes, where: str) -> Element:
@@ -124,9 +120,7 @@ def _decode_utf16(data: bytes, where: str) -> bytes:
     try:
         text = data.decode("utf-16")
     except UnicodeDecodeError as error:
-        raise InputError(
-            "the text is not valid UTF-16", code="xml.encoding", where=where
-        ) from error
+        raise InputError("the text is not valid UTF-16", code="xml.encoding", where=where) from error
     return re.sub(r"^<\?xml[^>]*\?>", "", text.lstrip("\ufeff")).encode("utf-8")
 
 

@@ -25,8 +25,7 @@ def register(app: typer.Typer) -> None:
 def amend(
     campaign: CampaignName,
     settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="FIELD=VALUE as in campaign.toml, such as radius_mm=150."),
+        list[str] | None, typer.Option("--set", help="FIELD=VALUE as in campaign.toml, such as radius_mm=150.")
     ] = None,
     run: Annotated[list[str] | None, typer.Option(help="Only this run; may be repeated.")] = None,
     because: Because = "",
@@ -45,17 +44,11 @@ def amend(
     lake = Lake(home().lake)
     if not settings and (run or because or who):
         raise InputError("nothing to state anew", code="amend.same", hint="--set FIELD=VALUE")
-    changed = (
-        state_anew(lake, campaign, settings or [], because, runs=run or [], who=who)
-        if settings
-        else {}
-    )
+    changed = state_anew(lake, campaign, settings or [], because, runs=run or [], who=who) if settings else {}
     _said(lake, campaign, {"changed": changed}, as_json=as_json)
 
 
-def leave_out(
-    campaign: CampaignName, runs: Runs, because: Because, who: Who = "", as_json: Json = False
-) -> None:
+def leave_out(campaign: CampaignName, runs: Runs, because: Because, who: Who = "", as_json: Json = False) -> None:
     """Leave runs out of every figure, twin, report and training; nothing is deleted."""
     _left_out(campaign, runs, because, who, out=True, as_json=as_json)
 
@@ -71,9 +64,7 @@ def restore(
     _left_out(campaign, runs, because, who, out=False, as_json=as_json)
 
 
-def _left_out(
-    campaign: str, runs: list[str], because: str, who: str, *, out: bool, as_json: bool
-) -> None:
+def _left_out(campaign: str, runs: list[str], because: str, who: str, *, out: bool, as_json: bool) -> None:
     from dtwin.acquire.amending import leave_out as set_out
     from dtwin.config import home
     from dtwin.store import Lake
@@ -92,13 +83,7 @@ def _said(lake: Any, campaign: str, payload: dict[str, Any], *, as_json: bool) -
     version = max((row["metadata_version"] for row in rows), default=0)
     left_out = {row["run_id"]: row["left_out"] for row in rows if row["left_out"] is not None}
     emit(
-        {
-            "campaign": campaign,
-            "metadata_version": version,
-            "left_out_runs": left_out,
-            "history": lines,
-        }
-        | payload,
+        {"campaign": campaign, "metadata_version": version, "left_out_runs": left_out, "history": lines} | payload,
         lambda: "\n".join(lines or [f"{campaign}: as it was ingested"]),
         as_json=as_json,
     )

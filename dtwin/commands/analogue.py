@@ -13,13 +13,10 @@ from dtwin.errors import InputError
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Port = Annotated[str, typer.Argument(help="Serial port of the board, like /dev/ttyACM0.")]
-Calibration = Annotated[
-    Path | None, typer.Option("--calibration", help="What dtwin analogue calibrate wrote.")
-]
+Calibration = Annotated[Path | None, typer.Option("--calibration", help="What dtwin analogue calibrate wrote.")]
 
 app_analogue = typer.Typer(
-    help="Corrections as voltages, for controls that take them as encoder offsets.",
-    no_args_is_help=True,
+    help="Corrections as voltages, for controls that take them as encoder offsets.", no_args_is_help=True
 )
 
 
@@ -38,9 +35,11 @@ def build(
 
     if baud not in (250_000, 500_000, 1_000_000):
         raise InputError(
-            "this baud rate is not exact at 16 MHz", code="analogue.baud", got=str(baud),
+            "this baud rate is not exact at 16 MHz",
+            code="analogue.baud",
+            got=str(baud),
             allowed="250000, 500000, 1000000",
-        )  # fmt: skip
+        )
     build_firmware(out, baud)
     print(
         f"{out} written: tried in a simulator, not yet run on a board\n"
@@ -88,12 +87,7 @@ def hold(
     except ValueError:
         wanted = np.zeros(0)
     if wanted.shape != (3,) or not np.isfinite(wanted).all():
-        raise InputError(
-            "three numbers are needed",
-            code="analogue.offset",
-            got=offset[:40],
-            allowed="x,y,z in um",
-        )
+        raise InputError("three numbers are needed", code="analogue.offset", got=offset[:40], allowed="x,y,z in um")
     known = (AxisCalibration(),) * 3 if calibration is None else load(calibration)
     until_s = time.monotonic() + seconds
     with AnalogueOutput(port, known, output="pwm" if pwm else "dac", watchdog_ms=200) as output:
@@ -109,22 +103,14 @@ def hold(
 def calibrate_inputs(
     points: Annotated[Path, typer.Argument(help="CSV: axis,voltage_v,x_um,y_um,z_um.")],
     out: Annotated[Path, typer.Option(help="File to write.")] = Path("analogue.json"),
-    port: Annotated[
-        str | None, typer.Option(help="Board that is to keep the neutral codes.")
-    ] = None,
+    port: Annotated[str | None, typer.Option(help="Board that is to keep the neutral codes.")] = None,
     as_json: Json = False,
 ) -> None:
     """Fit gain and neutral voltage of every axis to measurements; refuse swapped wires."""
     from dataclasses import asdict
 
     from dtwin.links.analogue import AnalogueOutput
-    from dtwin.links.analogue_calibration import (
-        calibrate,
-        calibration_rows,
-        load,
-        read_points,
-        save,
-    )
+    from dtwin.links.analogue_calibration import calibrate, calibration_rows, load, read_points, save
     from dtwin.report.text import table
 
     fits = calibrate(read_points(points))

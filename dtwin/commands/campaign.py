@@ -23,27 +23,17 @@ def register(app: typer.Typer) -> None:
 
 def campaign(
     plan: Annotated[Path, typer.Argument(help="Plan file (TOML) of circles.")],
-    inbox: Annotated[
-        Path, typer.Option(help="Folder that the ball bar's program saves its .b5r files in.")
-    ],
-    out: Annotated[
-        Path | None, typer.Option(help="Campaign folder; by default below DTWIN_HOME/campaigns.")
-    ] = None,
+    inbox: Annotated[Path, typer.Option(help="Folder that the ball bar's program saves its .b5r files in.")],
+    out: Annotated[Path | None, typer.Option(help="Campaign folder; by default below DTWIN_HOME/campaigns.")] = None,
     sensors: Annotated[
         Path | None, typer.Option(help="Channel file of accelerometers to record meanwhile (TOML).")
     ] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="Address of a UR controller to record meanwhile.")
-    ] = None,
+    robot: Annotated[str | None, typer.Option(help="Address of a UR controller to record meanwhile.")] = None,
     version: Annotated[
         str | None,
-        typer.Option(
-            "--with", help="Version on trial, or champion: each test without and with it, by turns."
-        ),
+        typer.Option("--with", help="Version on trial, or champion: each test without and with it, by turns."),
     ] = None,
-    settle: Annotated[
-        float, typer.Option(min=0.0, help="Seconds for which a file must stand still.")
-    ] = 10.0,
+    settle: Annotated[float, typer.Option(min=0.0, help="Seconds for which a file must stand still.")] = 10.0,
     as_json: Json = False,
 ) -> None:
     """Measure a plan on a machine: hand out each program, record, take and judge the file.

@@ -10,9 +10,7 @@ import typer
 from dtwin.commands.output import emit
 from dtwin.errors import EXIT_INTERRUPTED
 
-app_cell = typer.Typer(
-    help="The cell: robot and mill as one job, on virtual machines.", no_args_is_help=True
-)
+app_cell = typer.Typer(help="The cell: robot and mill as one job, on virtual machines.", no_args_is_help=True)
 Cell = Annotated[str, typer.Option(help="Name of the cell.")]
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
@@ -95,11 +93,18 @@ def _text(seen: Mapping[str, Any]) -> str:
     from dtwin.report.text import table
 
     rows = [
-        [s["part"], s["step"], s["twin"], s["state"],
-         *(f"{s['result'][k]:z.1f}" if k in s["result"] else "" for k in
-           ("duration_s", "error_without_um", "error_um"))]
+        [
+            s["part"],
+            s["step"],
+            s["twin"],
+            s["state"],
+            *(
+                f"{s['result'][k]:z.1f}" if k in s["result"] else ""
+                for k in ("duration_s", "error_without_um", "error_um")
+            ),
+        ]
         for s in seen["steps"]
-    ]  # fmt: skip
+    ]
     head = ("part", "step", "its twin", "state", "s", "error without, um", "error, um")
     asked = f"; asked to stop: {seen['stop_asked']}" if seen["stop_asked"] else ""
     return "\n".join(

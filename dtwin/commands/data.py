@@ -26,9 +26,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")
 Plane = Annotated[str | None, typer.Option(help="Of a table that lies alone: XY, YZ or ZX.")]
 Radius = Annotated[float | None, typer.Option(help="Of such a table: programmed radius, mm.")]
 Feed = Annotated[float | None, typer.Option(help="Of such a table: programmed feed, mm/min.")]
-Direction = Annotated[
-    str | None, typer.Option(help="Of such a table: CCW or CW; else as the angle runs.")
-]
+Direction = Annotated[str | None, typer.Option(help="Of such a table: CCW or CW; else as the angle runs.")]
 Axis = Annotated[str | None, typer.Option(help="Of a positioning table: the axis, such as X.")]
 Setup = Annotated[str | None, typer.Option(help="Of such a table: mounting of the instrument.")]
 Repeat = Annotated[int | None, typer.Option(help="Of such a table: counts repeats from 1.")]
@@ -55,8 +53,7 @@ def register(app: typer.Typer) -> None:
 
 
 def examples(
-    out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("examples"),
-    as_json: Json = False,
+    out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("examples"), as_json: Json = False
 ) -> None:
     """Copy small example campaigns here: with and without a hidden fault, and one spoilt run."""
     import shutil
@@ -65,9 +62,8 @@ def examples(
 
     if out.exists():
         raise InputError(
-            "the folder is there already", code="examples.exists", where=str(out),
-            hint="dtwin examples --out ANOTHER",
-        )  # fmt: skip
+            "the folder is there already", code="examples.exists", where=str(out), hint="dtwin examples --out ANOTHER"
+        )
     try:
         shutil.copytree(example_campaigns(), out)
     except OSError as error:
@@ -83,10 +79,7 @@ def examples(
 
 
 def check(
-    source: Annotated[
-        Path,
-        typer.Argument(help="A .b5r file, a campaign folder, a table, or a campaign in the lake."),
-    ],
+    source: Annotated[Path, typer.Argument(help="A .b5r file, a campaign folder, a table, or a campaign in the lake.")],
     plane: Plane = None,
     radius: Radius = None,
     feed: Feed = None,
@@ -134,17 +127,13 @@ def ingest(
 
     lake = Lake(home().lake)
     told = _told(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
-    reports = [
-        ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told)
-        for path in sources
-    ]
+    reports = [ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told) for path in sources]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
 
 
 def runs(
-    campaign: Annotated[str | None, typer.Argument(help="Only this campaign.")] = None,
-    as_json: Json = False,
+    campaign: Annotated[str | None, typer.Argument(help="Only this campaign.")] = None, as_json: Json = False
 ) -> None:
     """List the runs in the lake."""
     from dtwin.config import home
@@ -178,19 +167,10 @@ def runs(
 
 
 def plan(
-    file: Annotated[
-        Path | None, typer.Argument(help="Plan file (TOML); without it the 81-test plan.")
-    ] = None,
-    control: Annotated[
-        str | None,
-        typer.Option(help=f"With --out: dialect of the program; {_controls()}."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Write the motion programs of the campaign here.")
-    ] = None,
-    check_only: Annotated[
-        bool, typer.Option("--check", help="Say what the plan could tell, and what not.")
-    ] = False,
+    file: Annotated[Path | None, typer.Argument(help="Plan file (TOML); without it the 81-test plan.")] = None,
+    control: Annotated[str | None, typer.Option(help=f"With --out: dialect of the program; {_controls()}.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the motion programs of the campaign here.")] = None,
+    check_only: Annotated[bool, typer.Option("--check", help="Say what the plan could tell, and what not.")] = False,
     noise_um: Annotated[
         float | None, typer.Option(help="With --check: RMS by which repeats disagree; 1 without.")
     ] = None,
@@ -219,9 +199,7 @@ def plan(
 
 
 def repair(
-    folder: Annotated[
-        Path | None, typer.Argument(help="Campaign folder whose killed recordings to recover.")
-    ] = None,
+    folder: Annotated[Path | None, typer.Argument(help="Campaign folder whose killed recordings to recover.")] = None,
     as_json: Json = False,
 ) -> None:
     """Drop what kills left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
@@ -321,26 +299,30 @@ def _require_plan_options(
         kind.require("programs")
     if noise_um is not None and not check_only:
         raise InputError(
-            "the noise only acts on what a plan could detect", code="plan.noise",
-            got=f"--noise-um {noise_um:g} without --check", hint="add --check, or leave it away",
-        )  # fmt: skip
-    if noise_um is not None and not noise_um > 0.0:
-        raise InputError(
-            "the noise must be positive", code="plan.noise", got=f"{noise_um:g} um", allowed="> 0"
+            "the noise only acts on what a plan could detect",
+            code="plan.noise",
+            got=f"--noise-um {noise_um:g} without --check",
+            hint="add --check, or leave it away",
         )
+    if noise_um is not None and not noise_um > 0.0:
+        raise InputError("the noise must be positive", code="plan.noise", got=f"{noise_um:g} um", allowed="> 0")
     if control is None:
         return
     if out is None:
         raise InputError(
-            "a control only acts on programs", code="plan.control",
-            got=f"--control {control[:40]} without --out", hint="add --out FOLDER, or leave it away",
-        )  # fmt: skip
+            "a control only acts on programs",
+            code="plan.control",
+            got=f"--control {control[:40]} without --out",
+            hint="add --out FOLDER, or leave it away",
+        )
     if control not in kind.controls:
         raise InputError(
-            "no programs are written for this control", code="plan.control", got=control[:40],
+            "no programs are written for this control",
+            code="plan.control",
+            got=control[:40],
             allowed=", ".join(kind.controls) or f"none: programs of {kind.name} tests have no dialects",
             hint="leave --control away",
-        )  # fmt: skip
+        )
 
 
 def _write_programs(programs: Mapping[str, str], out: Path) -> list[str]:

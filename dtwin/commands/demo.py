@@ -18,17 +18,11 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     which: Annotated[
-        str,
-        typer.Argument(
-            help="Which demo: cobot, mill, linuxcnc, placement, tracking, position-map."
-        ),
+        str, typer.Argument(help="Which demo: cobot, mill, linuxcnc, placement, tracking, position-map.")
     ] = "cobot",
     quick: Annotated[
         bool,
-        typer.Option(
-            "--quick",
-            help="A small campaign, for a first look; tracking and position-map have one size.",
-        ),
+        typer.Option("--quick", help="A small campaign, for a first look; tracking and position-map have one size."),
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
@@ -43,17 +37,17 @@ def demo(
     the thesis's tables of both again.
     """
     others = {
-        "mill": _mill, "linuxcnc": _linuxcnc, "placement": _placement,
-        "tracking": _tracking, "position-map": _position_map,
-    }  # fmt: skip
+        "mill": _mill,
+        "linuxcnc": _linuxcnc,
+        "placement": _placement,
+        "tracking": _tracking,
+        "position-map": _position_map,
+    }
     if which in others:
         others[which](seed, quick=quick, as_json=as_json)
         return
     if which != "cobot":
-        raise InputError(
-            "no such demo", code="demo.unknown", got=which[:40],
-            allowed=", ".join(["cobot", *others]),
-        )  # fmt: skip
+        raise InputError("no such demo", code="demo.unknown", got=which[:40], allowed=", ".join(["cobot", *others]))
     from dtwin.config import home
     from flows.page import shown_steps
 

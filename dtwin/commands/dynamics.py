@@ -12,8 +12,7 @@ from dtwin.commands.output import ProgressLine, emit
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
 app_dynamics = typer.Typer(
-    help="Dynamic part of ball-bar tests: vibration and what changes with the feed.",
-    no_args_is_help=True,
+    help="Dynamic part of ball-bar tests: vibration and what changes with the feed.", no_args_is_help=True
 )
 
 
@@ -26,8 +25,7 @@ def register(app: typer.Typer) -> None:
 def split(
     campaign: Annotated[str, typer.Argument(help="Circular campaign in the lake, or a folder.")],
     how: Annotated[
-        str,
-        typer.Option("--filter", help="twin, reference, low-pass, rts, kalman, ukf, ukf-circle."),
+        str, typer.Option("--filter", help="twin, reference, low-pass, rts, kalman, ukf, ukf-circle.")
     ] = "twin",
     reference_feed: Annotated[
         float | None, typer.Option(help="Feed of the slow reference, mm/min; the slowest without.")
@@ -35,23 +33,13 @@ def split(
     effects: Annotated[
         str | None, typer.Option(help="Effects of the twin, comma between; the usual ones without.")
     ] = None,
-    q: Annotated[
-        float | None, typer.Option(help="Process variance per reading, um2; published: 0.001.")
-    ] = None,
-    r: Annotated[
-        float | None, typer.Option(help="Variance of a reading, um2; published: 1.")
-    ] = None,
+    q: Annotated[float | None, typer.Option(help="Process variance per reading, um2; published: 0.001.")] = None,
+    r: Annotated[float | None, typer.Option(help="Variance of a reading, um2; published: 1.")] = None,
     alpha: Annotated[float, typer.Option(help="Scaling of the sigma points.")] = 0.1,
-    cutoff: Annotated[
-        float, typer.Option(help="Of the low-pass, undulations per revolution.")
-    ] = 15.0,
+    cutoff: Annotated[float, typer.Option(help="Of the low-pass, undulations per revolution.")] = 15.0,
     readings: Annotated[int, typer.Option(help="Readings per revolution, up to 1000.")] = 1000,
-    tune: Annotated[
-        str, typer.Option(help="Let a swarm find: ratio (Q over R), or alpha as published.")
-    ] = "",
-    fitness: Annotated[
-        str, typer.Option(help="weighted_sum, or eq15 as printed.")
-    ] = "weighted_sum",
+    tune: Annotated[str, typer.Option(help="Let a swarm find: ratio (Q over R), or alpha as published.")] = "",
+    fitness: Annotated[str, typer.Option(help="weighted_sum, or eq15 as printed.")] = "weighted_sum",
     particles: Annotated[int, typer.Option(help="Of the swarm.")] = 50,
     iterations: Annotated[int, typer.Option(help="Of the swarm.")] = 150,
     seed: Annotated[int, typer.Option(help="Of the swarm.")] = 0,
@@ -68,13 +56,22 @@ def split(
 
     chosen = TWIN_EFFECTS if effects is None else tuple(e.strip() for e in effects.split(","))
     found = split_campaign(
-        home(), campaign,
+        home(),
+        campaign,
         DynamicsRequest(
-            how=how, reference_feed_mm_min=reference_feed, readings=readings, q_um2=q, r_um2=r,
-            cutoff_upr=cutoff, alpha=alpha, tuned=tune, fitness=fitness,
-            swarm=SwarmSettings(particles, iterations, seed), effects=chosen,
+            how=how,
+            reference_feed_mm_min=reference_feed,
+            readings=readings,
+            q_um2=q,
+            r_um2=r,
+            cutoff_upr=cutoff,
+            alpha=alpha,
+            tuned=tune,
+            fitness=fitness,
+            swarm=SwarmSettings(particles, iterations, seed),
+            effects=chosen,
         ),
-    )  # fmt: skip
+    )
     if out is not None:
         radius = found.result["radius_mm"]
         write_text(out, dynamics_page(found.result, found.curves, radius), "the page")
@@ -88,9 +85,7 @@ def split(
 
 @app_dynamics.command("paper")
 def paper(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer machines, feeds and particles.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer machines, feeds and particles.")] = False,
     seed: Annotated[int, typer.Option(help="Of vibration, swarm and virtual hexapod.")] = 0,
     as_json: Json = False,
 ) -> None:

@@ -16,13 +16,11 @@ if TYPE_CHECKING:
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Paths = Annotated[
-    list[Path] | None,
-    typer.Option("--effects-path", help="Your own effect file or folder; its code is run."),
+    list[Path] | None, typer.Option("--effects-path", help="Your own effect file or folder; its code is run.")
 ]
 
 effects_app = typer.Typer(
-    help="Physical causes of error: what they look like, and what to do about them.",
-    no_args_is_help=True,
+    help="Physical causes of error: what they look like, and what to do about them.", no_args_is_help=True
 )
 
 
@@ -58,9 +56,7 @@ def list_effects(effects_path: Paths = None, as_json: Json = False) -> None:
 
 @effects_app.command("show")
 def show_effect(
-    name: Annotated[str, typer.Argument(help="Name of the effect.")],
-    effects_path: Paths = None,
-    as_json: Json = False,
+    name: Annotated[str, typer.Argument(help="Name of the effect.")], effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Show what an effect is, what it is confused with, and what to do about it."""
     from dtwin.kinds.volumetric.twin_report import family_dict, family_named, family_text

@@ -23,10 +23,7 @@ def evidence(
         list[str] | None, typer.Option(help="Campaign in the lake measured without the correction.")
     ] = None,
     with_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--with", help="Campaign measured with it; one that holds both: name it twice."
-        ),
+        list[str] | None, typer.Option("--with", help="Campaign measured with it; one that holds both: name it twice.")
     ] = None,
     machine: Machine = None,
     as_json: Json = False,
@@ -43,10 +40,11 @@ def evidence(
 
     if not without or not with_:
         raise InputError(
-            "evidence needs runs of both ways", code="evidence.campaigns",
+            "evidence needs runs of both ways",
+            code="evidence.campaigns",
             allowed="--without CAMPAIGN --with CAMPAIGN, each as often as needed",
             hint="dtwin campaign --with VERSION measures them by turns",
-        )  # fmt: skip
+        )
     registry = Registry(home())
     found = registry.version(machine_named(registry, machine), version)
     computed = compute(home(), found, without, with_)

@@ -19,29 +19,18 @@ def register(app: typer.Typer) -> None:
 
 
 def export(
-    source: Annotated[
-        str,
-        typer.Argument(help="latest, trial, a bundle's .json, a version number, or a twin's name."),
-    ],
-    form: Annotated[
-        str, typer.Option("--as", help="c, st, python, latex, urscript, comp, csv or gcode.")
-    ],
+    source: Annotated[str, typer.Argument(help="latest, trial, a bundle's .json, a version number, or a twin's name.")],
+    form: Annotated[str, typer.Option("--as", help="c, st, python, latex, urscript, comp, csv or gcode.")],
     out: Annotated[Path, typer.Option(help="File to write.")],
     machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
     axis: Annotated[str, typer.Option(help="Axis of a compensation file.")] = "",
     travel: Annotated[
         str | None, typer.Option(help="LOW,HIGH in mm of the tables; the measured radius without.")
     ] = None,
-    origin: Annotated[
-        str, typer.Option(help="X,Y,Z in mm: centre of the measured circles on this machine.")
-    ] = "0,0,0",
-    points: Annotated[
-        int | None, typer.Option(help="Rows of a table, at most 256; as needed without.")
-    ] = None,
+    origin: Annotated[str, typer.Option(help="X,Y,Z in mm: centre of the measured circles on this machine.")] = "0,0,0",
+    points: Annotated[int | None, typer.Option(help="Rows of a table, at most 256; as needed without.")] = None,
     program: Annotated[Path | None, typer.Option(help="G-code to compensate.")] = None,
-    tolerance_um: Annotated[
-        float, typer.Option(help="How far chords may leave the compensated path.")
-    ] = 0.1,
+    tolerance_um: Annotated[float, typer.Option(help="How far chords may leave the compensated path.")] = 0.1,
     effects_path: Annotated[
         list[Path] | None, typer.Option(help="Your own effect file or folder; its code is run.")
     ] = None,
@@ -56,13 +45,9 @@ def export(
     from dtwin.pipeline.exports import export as write
 
     if form not in FORMATS:
-        raise InputError(
-            "no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS)
-        )
+        raise InputError("no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS))
     if out.exists() and not force:
-        raise InputError(
-            "the file is there already", code="export.exists", where=str(out), hint="--force"
-        )
+        raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
     low_high = _numbers(travel, 2, "--travel") if travel is not None else None
     x, y, z = _numbers(origin, 3, "--origin")
     request = Request(
@@ -122,9 +107,7 @@ def robot_program(
     out: Annotated[Path, typer.Option(help="URScript file to write.")] = Path("dtwin.script"),
     limit_um: Annotated[float, typer.Option(help="Largest offset along each axis.")] = 500.0,
     slew_um_s: Annotated[float, typer.Option(help="Fastest change of it.")] = 20_000.0,
-    watchdog_s: Annotated[
-        float, typer.Option(help="Silence after which the offset goes back to zero.")
-    ] = 0.012,
+    watchdog_s: Annotated[float, typer.Option(help="Silence after which the offset goes back to zero.")] = 0.012,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Write the URScript thread that lets a UR robot take corrections as a path offset."""
@@ -133,9 +116,7 @@ def robot_program(
 
     text = correction_program(limit_um, slew_um_s, watchdog_s)
     if out.exists() and not force:
-        raise InputError(
-            "the file is there already", code="export.exists", where=str(out), hint="--force"
-        )
+        raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
     write_text(out, text, "the program")
     print(f"{out} written: not yet run on a controller; how to start it is in its first lines")
 
@@ -143,9 +124,7 @@ def robot_program(
 def robot_targets(
     targets: Annotated[Path, typer.Argument(help="CSV: name,x_mm,y_mm,z_mm,feed_mm_min.")],
     centre: Annotated[str, typer.Option(help="X,Y,Z in mm: where the path angle is counted from.")],
-    joints: Annotated[
-        str, typer.Option(help="J1,...,J6 in degrees near the targets: branch and tool's attitude.")
-    ],
+    joints: Annotated[str, typer.Option(help="J1,...,J6 in degrees near the targets: branch and tool's attitude.")],
     out: Annotated[Path, typer.Option(help="CSV file to write.")] = Path("corrected.csv"),
     plane: Annotated[str, typer.Option(help="XY, YZ or ZX.")] = "XY",
     model: Annotated[str, typer.Option(help="latest, trial, or a bundle's .json file.")] = "latest",
@@ -162,16 +141,10 @@ def robot_targets(
     from dtwin.serve.pointer import read_machine, resolve
     from dtwin.serve.targets import TargetCorrection, TargetFrame, corrected_csv, read_targets
 
-    frame = TargetFrame(
-        plane,
-        np.array(_numbers(centre, 3, "--centre")),
-        np.radians(_numbers(joints, 6, "--joints")),
-    )
+    frame = TargetFrame(plane, np.array(_numbers(centre, 3, "--centre")), np.radians(_numbers(joints, 6, "--joints")))
     wanted = read_targets(targets)
     if out.exists() and not force:
-        raise InputError(
-            "the file is there already", code="export.exists", where=str(out), hint="--force"
-        )
+        raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
     found = resolve(model, machine, home(), harmless=False)
     compiled = load_bundle(found.path, found.machine)
     correction = TargetCorrection(compiled, read_machine(found.machine, home()).tcp, frame)

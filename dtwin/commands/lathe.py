@@ -18,8 +18,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")
 MODELS = ("flanks", "pair", "printed")
 
 app_lathe = typer.Typer(
-    help="Positioning error of an axis: fit, try in the loop, and compare with a published lathe.",
-    no_args_is_help=True,
+    help="Positioning error of an axis: fit, try in the loop, and compare with a published lathe.", no_args_is_help=True
 )
 
 
@@ -30,9 +29,7 @@ def register(app: typer.Typer) -> None:
 
 @app_lathe.command("fit")
 def fit(
-    campaign: Annotated[
-        Path | None, typer.Argument(help="Campaign folder; none for --model printed.")
-    ] = None,
+    campaign: Annotated[Path | None, typer.Argument(help="Campaign folder; none for --model printed.")] = None,
     model: Annotated[
         str, typer.Option(help="flanks: remembers the play; pair: two networks; printed: theirs.")
     ] = "flanks",
@@ -49,9 +46,11 @@ def fit(
 
     if model not in MODELS or (campaign is None) != (model == "printed"):
         raise InputError(
-            "say what is to be fitted", code="lathe.model", got=f"{model[:40]} of {campaign}",
+            "say what is to be fitted",
+            code="lathe.model",
+            got=f"{model[:40]} of {campaign}",
             allowed="--model flanks or pair with a campaign folder, --model printed without",
-        )  # fmt: skip
+        )
     made = fitted(campaign, model, seed)
     verdicts = judged(made)
     passed = all(v.passed for v in verdicts)
@@ -76,19 +75,11 @@ def fit(
 
 @app_lathe.command("compensate")
 def compensate(
-    model: Annotated[
-        str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")
-    ],
-    truth: Annotated[
-        str, typer.Option(help="Error of the virtual lathe: published, or mechanism.")
-    ] = "published",
+    model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")],
+    truth: Annotated[str, typer.Option(help="Error of the virtual lathe: published, or mechanism.")] = "published",
     seed: Annotated[int, typer.Option(help="Of the day: drift and noise.")] = 1,
-    plan: Annotated[
-        Path | None, typer.Option(help="Positioning plan; every 0.52 in without.")
-    ] = None,
-    machine: Annotated[
-        str | None, typer.Option(help="Required when several machines have a model.")
-    ] = None,
+    plan: Annotated[Path | None, typer.Option(help="Positioning plan; every 0.52 in without.")] = None,
+    machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
     wall_clock: Annotated[
         float, typer.Option(help="Only run the loop in real time for so many seconds.", min=0.0)
     ] = 0.0,
@@ -111,9 +102,7 @@ def compensate(
 
 @app_lathe.command("paper")
 def paper(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer campaigns and epochs, for a first look.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer campaigns and epochs, for a first look.")] = False,
     seed: Annotated[int, typer.Option(help="First seed of the simulated campaigns.")] = 0,
     as_json: Json = False,
 ) -> None:
@@ -125,9 +114,7 @@ def paper(
     emit(found, lambda: lathe_paper_text(found), as_json=as_json)
 
 
-def _in_real_time(
-    bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool
-) -> None:
+def _in_real_time(bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool) -> None:
     from dtwin.kinds.linear.simulate import verification_plan
     from dtwin.kinds.linear.text import wall_clock_text
     from dtwin.kinds.linear.wall_clock import paced
@@ -142,8 +129,11 @@ def _bundle(path: Path) -> Bundle:
     found = load_bundle(path).bundle
     if "position_in" not in found.tick_inputs:
         raise InputError(
-            "the bundle does not correct a position", code="lathe.bundle", where=str(path),
-            got=", ".join(found.tick_inputs)[:120], allowed="position_in, perhaps direction_1",
+            "the bundle does not correct a position",
+            code="lathe.bundle",
+            where=str(path),
+            got=", ".join(found.tick_inputs)[:120],
+            allowed="position_in, perhaps direction_1",
             hint="dtwin lathe fit",
-        )  # fmt: skip
+        )
     return found

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
 app_linuxcnc = typer.Typer(
-    help="LinuxCNC, the real controller, with a machine that is simulated in its HAL.",
-    no_args_is_help=True,
+    help="LinuxCNC, the real controller, with a machine that is simulated in its HAL.", no_args_is_help=True
 )
 
 
@@ -55,15 +54,9 @@ def measure(
     radius: Annotated[str, typer.Option(help="Radii in mm, like 20,40.")] = "20,40",
     feed: Annotated[str, typer.Option(help="Feeds in mm/min.")] = "2000,4000,6000",
     repeats: Annotated[int, typer.Option(min=1, max=20, help="Of every condition.")] = 2,
-    comp: Annotated[
-        list[str] | None, typer.Option(help="Compensation file of an axis, like X=x.comp.")
-    ] = None,
-    faults: Annotated[
-        Path | None, typer.Option(help="What is wrong with the machine, like a truth.toml.")
-    ] = None,
-    model: Annotated[
-        str | None, typer.Option(help="Correction to serve live: latest, trial, or a file.")
-    ] = None,
+    comp: Annotated[list[str] | None, typer.Option(help="Compensation file of an axis, like X=x.comp.")] = None,
+    faults: Annotated[Path | None, typer.Option(help="What is wrong with the machine, like a truth.toml.")] = None,
+    model: Annotated[str | None, typer.Option(help="Correction to serve live: latest, trial, or a file.")] = None,
     seed: Annotated[int, typer.Option(help="Of the order, and of the bar's noise.")] = 0,
     as_json: Json = False,
 ) -> None:
@@ -128,8 +121,9 @@ def _said(out: Path, runs: int, served: dict[str, object]) -> str:
             f"dropped by the controller's watchdog {served['watchdog_trips']} times, "
             f"circles not corrected throughout: {served['interrupted']}"
         )
-    return "\n".join([*lines, f"next: dtwin twin fit {out} --effects scale_mismatch,squareness,"
-                              f"servo_mismatch --name {out.name}"])  # fmt: skip
+    return "\n".join(
+        [*lines, f"next: dtwin twin fit {out} --effects scale_mismatch,squareness,servo_mismatch --name {out.name}"]
+    )
 
 
 def _tables(given: list[str]) -> dict[str, str]:
@@ -140,9 +134,11 @@ def _tables(given: list[str]) -> dict[str, str]:
         axis, _, file = entry.partition("=")
         if axis not in AXES or len(axis) != 1 or not file or axis in out:
             raise InputError(
-                "a compensation file belongs to one axis", code="linuxcnc.comp", got=entry[:80],
+                "a compensation file belongs to one axis",
+                code="linuxcnc.comp",
+                got=entry[:80],
                 allowed="X=FILE, Y=FILE or Z=FILE, each once",
-            )  # fmt: skip
+            )
         out[axis] = compensation_text(Path(file))
     return out
 
@@ -151,6 +147,4 @@ def _numbers(text: str, option: str) -> tuple[float, ...]:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(
-            f"{option} needs numbers", code="linuxcnc.numbers", got=text[:80], allowed="20,40"
-        ) from None
+        raise InputError(f"{option} needs numbers", code="linuxcnc.numbers", got=text[:80], allowed="20,40") from None

@@ -14,9 +14,7 @@ if TYPE_CHECKING:
     from dtwin.machines.axis_server import Clock
 
 
-def simulate_served(
-    machine: VirtualMachine, request: Request, *, port: int, clock: Clock, as_json: bool
-) -> None:
+def simulate_served(machine: VirtualMachine, request: Request, *, port: int, clock: Clock, as_json: bool) -> None:
     """Run a machine's program once, corrected by whoever connects, and write what was measured."""
     from dtwin.config import home
     from dtwin.links.virtual_key import proof
@@ -25,9 +23,8 @@ def simulate_served(
     out = request.out
     if (out / "campaign.toml").exists():
         raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(out),
-            hint="give another --out",
-        )  # fmt: skip
+            "the folder holds a campaign already", code="simulate.exists", where=str(out), hint="give another --out"
+        )
     served = machine.served(request)
     state = home()
     server = AxisServer(served, lambda nonce: proof(state, nonce), clock=clock, port=port)
@@ -47,21 +44,22 @@ def require_served(machine: VirtualMachine, port: int | None, clock: Clock) -> N
     """Refuse a machine that cannot be corrected on a clock, and a port that is none."""
     if port is None:
         raise InputError(
-            "real time is for a machine that is corrected meanwhile", code="simulate.clock",
-            got="--wall-clock without --listen", allowed="--listen PORT --wall-clock",
-        )  # fmt: skip
+            "real time is for a machine that is corrected meanwhile",
+            code="simulate.clock",
+            got="--wall-clock without --listen",
+            allowed="--listen PORT --wall-clock",
+        )
     if clock not in machine.clocks:
         able = [known for known in machines() if known.clocks]
         raise InputError(
-            "this virtual machine cannot be corrected so", code="simulate.listen",
+            "this virtual machine cannot be corrected so",
+            code="simulate.listen",
             got=f"--machine {machine.name}, {clock} clock",
             allowed="; ".join(f"{m.name}: {' or '.join(m.clocks)} clock" for m in able),
             hint="dtwin demo serves the virtual robot",
-        )  # fmt: skip
-    if not 0 <= port < 65536:
-        raise InputError(
-            "no such port", code="simulate.port", got=str(port), allowed="0 to 65535, 0: a free one"
         )
+    if not 0 <= port < 65536:
+        raise InputError("no such port", code="simulate.port", got=str(port), allowed="0 to 65535, 0: a free one")
 
 
 def _announce(line: str) -> None:

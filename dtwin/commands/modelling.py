@@ -27,10 +27,7 @@ def register(app: typer.Typer) -> None:
         app.command()(command)
 
 
-def features(
-    campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")],
-    as_json: Json = False,
-) -> None:
+def features(campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")], as_json: Json = False) -> None:
     """Compute the signal features of a campaign into the lake."""
     from dtwin.config import home
     from dtwin.pipeline.measuring import compute_features
@@ -50,9 +47,7 @@ def features(
 def train(
     campaign: Annotated[str, typer.Argument(help="Campaign in the lake.")],
     seed: Annotated[int, typer.Option(help="Seed of everything random.")] = 1,
-    engine: Annotated[
-        str, typer.Option(help="Free symbolic search: operon, or pysr (needs Julia).")
-    ] = "operon",
+    engine: Annotated[str, typer.Option(help="Free symbolic search: operon, or pysr (needs Julia).")] = "operon",
     as_json: Json = False,
 ) -> None:
     """Train every candidate, compare on conditions left out, register the best equation."""
@@ -93,10 +88,7 @@ def train(
     }
 
     def text() -> str:
-        head = (
-            f"{campaign}: {result.rms_before_um:z.1f} um RMS without a model, noise floor "
-            f"{result.noise_floor_text}"
-        )
+        head = f"{campaign}: {result.rms_before_um:z.1f} um RMS without a model, noise floor {result.noise_floor_text}"
         gates = "\n".join(verdict_lines(found.verdicts))
         return "\n".join(
             [
@@ -121,9 +113,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
 
     left = log_waiting(home())
     registry = Registry(home())
-    found = [
-        v for m in ([machine] if machine else registry.machines()) for v in registry.versions(m)
-    ]
+    found = [v for m in ([machine] if machine else registry.machines()) for v in registry.versions(m)]
     past = {m: history(home(), m) for m in {v.machine for v in found}}
     payload = {
         "versions": [dict(vars(v)) for v in found],
@@ -149,21 +139,7 @@ def models(machine: Machine = None, as_json: Json = False) -> None:
             ]
             for v in found
         ]
-        lines = [
-            table(
-                (
-                    "machine",
-                    "version",
-                    "alias",
-                    "state",
-                    "gates",
-                    "evidence",
-                    "last proved",
-                    "created",
-                ),
-                rows,
-            )
-        ]
+        lines = [table(("machine", "version", "alias", "state", "gates", "evidence", "last proved", "created"), rows)]
         for name, entries in past.items():
             lines += [
                 f"{name}  {e['time']}  version {e['version']}  {e['action']}  {e['comment']}"
@@ -180,10 +156,7 @@ def promote(
     machine: Machine = None,
     trial: Annotated[bool, typer.Option("--trial", help="Only put it on trial.")] = False,
     despite: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Evidence on record that speaks against it, by name; kept in the history."
-        ),
+        list[str] | None, typer.Option(help="Evidence on record that speaks against it, by name; kept in the history.")
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     comment: Annotated[str, typer.Option(help="Why; kept in the history.")] = "",
@@ -245,11 +218,7 @@ def rollback(
 
     registry = Registry(home())
     restored = go_back(registry, home(), machine_named(registry, machine), comment)
-    emit(
-        {"champion": restored.version},
-        lambda: f"champion again: version {restored.version}",
-        as_json=as_json,
-    )
+    emit({"champion": restored.version}, lambda: f"champion again: version {restored.version}", as_json=as_json)
 
 
 def report(

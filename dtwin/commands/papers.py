@@ -17,9 +17,7 @@ def register(app: typer.Typer) -> None:
 
 
 def papers(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Less of everything, for a first look.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Less of everything, for a first look.")] = False,
     seed: Annotated[int, typer.Option(help="Of everything random.")] = 0,
     as_json: Json = False,
 ) -> None:

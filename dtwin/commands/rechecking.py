@@ -19,12 +19,8 @@ def register(app: typer.Typer) -> None:
 
 def recheck(
     machine: Machine = None,
-    without: Annotated[
-        list[str] | None, typer.Option(help="Campaign in the lake measured without it.")
-    ] = None,
-    with_: Annotated[
-        list[str] | None, typer.Option("--with", help="Campaign measured with it.")
-    ] = None,
+    without: Annotated[list[str] | None, typer.Option(help="Campaign in the lake measured without it.")] = None,
+    with_: Annotated[list[str] | None, typer.Option("--with", help="Campaign measured with it.")] = None,
     blocks: Annotated[int, typer.Option(help="Passes over all conditions.", min=2, max=1000)] = 3,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     as_json: Json = False,
@@ -35,17 +31,18 @@ def recheck(
     from dtwin.train.registry import Registry
 
     done = check_again(
-        home(), machine_named(Registry(home()), machine),
-        without=without or (), with_=with_ or (),
-        blocks=blocks, seed=seed, progress=ProgressLine("circles", quiet=as_json),
-    )  # fmt: skip
+        home(),
+        machine_named(Registry(home()), machine),
+        without=without or (),
+        with_=with_ or (),
+        blocks=blocks,
+        seed=seed,
+        progress=ProgressLine("circles", quiet=as_json),
+    )
     head = ("condition", "without um", "with um", "growth um", "± um", "pairs")
 
     def text() -> str:
-        rows = [
-            [c.name, c.before_um, c.after_um, c.growth_um, c.half_width_um, c.pairs]
-            for c in done.found.conditions
-        ]
+        rows = [[c.name, c.before_um, c.after_um, c.growth_um, c.half_width_um, c.pairs] for c in done.found.conditions]
         lines = [table(head, rows), f"{done.found.verdict}: {done.found.reason}"]
         if done.withdrawn:
             now = f"champion again: version {done.restored}" if done.restored else "none is served"

@@ -27,22 +27,16 @@ def register(app: typer.Typer) -> None:
 
 def record(
     out: Annotated[Path, typer.Option(help="Campaign folder; the run is added to it.")],
-    sensors: Annotated[
-        Path | None, typer.Option(help="Channel file of the accelerometers (TOML).")
-    ] = None,
+    sensors: Annotated[Path | None, typer.Option(help="Channel file of the accelerometers (TOML).")] = None,
     robot: Annotated[str | None, typer.Option(help="Address of a UR controller to record.")] = None,
-    duration: Annotated[
-        float | None, typer.Option(min=0.1, help="Seconds; without it until Ctrl-C.")
-    ] = None,
+    duration: Annotated[float | None, typer.Option(min=0.1, help="Seconds; without it until Ctrl-C.")] = None,
     run: Annotated[str | None, typer.Option(help="Name of the run; without it r001 on.")] = None,
     machine: Annotated[str, typer.Option(help="Name of the machine.")] = "machine",
     reference: Annotated[
-        Path | None,
-        typer.Option(help="File that the ball bar's program writes; copied when recording ends."),
+        Path | None, typer.Option(help="File that the ball bar's program writes; copied when recording ends.")
     ] = None,
     setting: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Setting of the run, for example plane=XY or radius_mm=100."),
+        list[str] | None, typer.Option("--set", help="Setting of the run, for example plane=XY or radius_mm=100.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
@@ -68,9 +62,7 @@ def record(
     for found in recover_runs(out, in_force):
         print(f"recovered what a killed recording left: {run_text(found)}", file=sys.stderr)
     request = replace(
-        _request(out, run, machine, duration, reference, stated),
-        head=_head(out, robot),
-        in_force=in_force,
+        _request(out, run, machine, duration, reference, stated), head=_head(out, robot), in_force=in_force
     )
     with stop_on_signals() as asked:
         print(f"recording {request.run_id}; Ctrl-C ends it", file=sys.stderr, flush=True)
@@ -84,9 +76,8 @@ def record(
 
 
 def _request(
-    out: Path, run: str | None, machine: str, duration: float | None, reference: Path | None,
-    stated: dict[str, Any],
-) -> RunRequest:  # fmt: skip
+    out: Path, run: str | None, machine: str, duration: float | None, reference: Path | None, stated: dict[str, Any]
+) -> RunRequest:
     from dtwin.acquire.run_recording import RunRequest
 
     run_id = run or _next_run(out)
@@ -107,8 +98,11 @@ def _head(out: Path, robot: str | None) -> dict[str, dict[str, Any]]:
     if known is not None and not known.machine_geometry.get("virtual", False):
         raise InputError(
             "the controller is a virtual one, and the folder's runs are of a real machine",
-            code="record.virtual", where=str(out), got=robot, hint="record into another folder",
-        )  # fmt: skip
+            code="record.virtual",
+            where=str(out),
+            got=robot,
+            hint="record into another folder",
+        )
     return {"machine_geometry": {"virtual": True}}
 
 
@@ -159,21 +153,24 @@ def _payload(done: RecordedRun, out: Path) -> dict[str, Any]:
         "reference": str(done.reference),
         "reference_there": done.reference.exists(),
         "signals": [
-            {"file": str(s.path), "samples": s.n_samples, "bytes": s.n_bytes,
-             "complete": s.complete, "findings": [f.as_dict() for f in s.findings]}
+            {
+                "file": str(s.path),
+                "samples": s.n_samples,
+                "bytes": s.n_bytes,
+                "complete": s.complete,
+                "findings": [f.as_dict() for f in s.findings],
+            }
             for s in done.sealed
         ],
         "findings": [f.as_dict() for f in done.findings],
-    }  # fmt: skip
+    }
 
 
 def _text(done: RecordedRun, out: Path) -> str:
     lines = [run_text(done), *(f"  {f.severity}: {f.message}" for f in done.findings)]
     if done.reference.exists():
         return "\n".join([*lines, f"next: dtwin ingest {out}"])
-    return "\n".join(
-        [*lines, f"next: copy the ball bar's file to {done.reference}, then: dtwin ingest {out}"]
-    )
+    return "\n".join([*lines, f"next: copy the ball bar's file to {done.reference}, then: dtwin ingest {out}"])
 
 
 def run_text(done: RecordedRun) -> str:

@@ -26,15 +26,10 @@ def register(app: typer.Typer) -> None:
 def up(
     prefect_port: Port = None,
     mlflow_port: Port = None,
-    cron: Annotated[
-        str, typer.Option(help="When to train on new data: minute hour day month weekday.")
-    ] = HOURLY,
-    no_schedule: Annotated[
-        bool, typer.Option("--no-schedule", help="Train only when somebody starts it.")
-    ] = False,
+    cron: Annotated[str, typer.Option(help="When to train on new data: minute hour day month weekday.")] = HOURLY,
+    no_schedule: Annotated[bool, typer.Option("--no-schedule", help="Train only when somebody starts it.")] = False,
     allow: Annotated[
-        list[Path] | None,
-        typer.Option(help="Folder besides DTWIN_HOME that flows started on the page may use."),
+        list[Path] | None, typer.Option(help="Folder besides DTWIN_HOME that flows started on the page may use.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:

@@ -29,34 +29,20 @@ def register(app: typer.Typer) -> None:
 
 
 def serve(
-    model: Annotated[
-        str, typer.Option(help="latest (the champion), trial, or a bundle's .json file.")
-    ] = "latest",
-    machine: Annotated[
-        str | None, typer.Option(help="Required when several machines have a model.")
-    ] = None,
+    model: Annotated[str, typer.Option(help="latest (the champion), trial, or a bundle's .json file.")] = "latest",
+    machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
     host: Annotated[str, typer.Option(help="Address of the robot controller.")] = "127.0.0.1",
-    duration: Annotated[
-        float | None, typer.Option(help="Seconds to serve; without it until Ctrl-C.")
-    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds to serve; without it until Ctrl-C.")] = None,
     shadow: Annotated[bool, typer.Option("--shadow", help="Compute, but send nothing.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Send zeros only.")] = False,
-    trial: Annotated[
-        bool, typer.Option("--trial", help="Limit the correction to a quarter of its clamp.")
-    ] = False,
+    trial: Annotated[bool, typer.Option("--trial", help="Limit the correction to a quarter of its clamp.")] = False,
     sensors: Annotated[
-        Path | None,
-        typer.Option(help="Channel file (TOML), for a model that needs accelerometers."),
+        Path | None, typer.Option(help="Channel file (TOML), for a model that needs accelerometers.")
     ] = None,
     priority: Annotated[int, typer.Option(help="Real-time priority; 0 for none.")] = 60,
-    covariate: Annotated[
-        list[str] | None, typer.Option(help="Value of a covariate input, as NAME=NUMBER.")
-    ] = None,
+    covariate: Annotated[list[str] | None, typer.Option(help="Value of a covariate input, as NAME=NUMBER.")] = None,
     patience: Annotated[
-        float,
-        typer.Option(
-            help="Seconds to wait for a lost link or an unlocked protective stop; 0 ends at once."
-        ),
+        float, typer.Option(help="Seconds to wait for a lost link or an unlocked protective stop; 0 ends at once.")
     ] = 0.0,
     link: Annotated[
         str,
@@ -65,23 +51,14 @@ def serve(
             "takes offsets of its axes."
         ),
     ] = "ur",
-    port: Annotated[
-        str | None, typer.Option(help="Serial port of the board, like /dev/ttyACM0.")
-    ] = None,
+    port: Annotated[str | None, typer.Option(help="Serial port of the board, like /dev/ttyACM0.")] = None,
     states: Annotated[
-        str | None,
-        typer.Option(help="HOST:PORT of the control's state feed, or of its axis link."),
+        str | None, typer.Option(help="HOST:PORT of the control's state feed, or of its axis link.")
     ] = None,
     states_hz: Annotated[float, typer.Option(help="How often that feed sends a state.")] = 500.0,
-    calibration: Annotated[
-        Path | None, typer.Option(help="What dtwin analogue calibrate wrote.")
-    ] = None,
-    watchdog_ms: Annotated[
-        int, typer.Option(help="Silence after which the board goes neutral by itself.")
-    ] = 100,
-    expired: Annotated[
-        str, typer.Option(help="A champion whose evidence has expired: refuse or warn.")
-    ] = "refuse",
+    calibration: Annotated[Path | None, typer.Option(help="What dtwin analogue calibrate wrote.")] = None,
+    watchdog_ms: Annotated[int, typer.Option(help="Silence after which the board goes neutral by itself.")] = 100,
+    expired: Annotated[str, typer.Option(help="A champion whose evidence has expired: refuse or warn.")] = "refuse",
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
     """Correct a machine live with a promoted model; Ctrl-C releases the correction."""
@@ -96,9 +73,19 @@ def serve(
         else _wiring(link, port, states, states_hz, calibration, watchdog_ms)
     )
     request = ServeRequest(
-        model, machine, host, duration, _mode(shadow, dry_run), trial, priority,
-        _covariates(covariate or []), patience, wiring, axes, _when_expired(expired),
-    )  # fmt: skip
+        model,
+        machine,
+        host,
+        duration,
+        _mode(shadow, dry_run),
+        trial,
+        priority,
+        _covariates(covariate or []),
+        patience,
+        wiring,
+        axes,
+        _when_expired(expired),
+    )
     served = serve_session(request, home(), _announce, _sensors(sensors))
     emit(served.as_dict(), lambda: render_served(served), as_json=as_json)
     if served.status.fault is not None:
@@ -115,9 +102,8 @@ def _when_expired(said: str) -> WhenExpired:
     if said == "refuse":
         return "refuse"
     raise InputError(
-        "expired evidence is refused, or warned of", code="serve.expired_option", got=said[:40],
-        allowed="refuse, warn",
-    )  # fmt: skip
+        "expired evidence is refused, or warned of", code="serve.expired_option", got=said[:40], allowed="refuse, warn"
+    )
 
 
 def render_served(served: Served) -> str:
@@ -171,11 +157,7 @@ def _times(timing: Mapping[str, Any]) -> dict[str, Any]:
 def _percentiles(title: str, rows: Mapping[str, Mapping[str, float] | None]) -> str:
     columns = ("p50", "p99", "p99.9", "max")
     return table(
-        (title, *columns),
-        [
-            [name, *((found or {}).get(column) for column in columns)]
-            for name, found in rows.items()
-        ],
+        (title, *columns), [[name, *((found or {}).get(column) for column in columns)] for name, found in rows.items()]
     )
 
 
@@ -183,8 +165,7 @@ def _bars(histogram: Mapping[str, int]) -> list[str]:
     most = max([*histogram.values(), 1])
     filled = [label for label, count in histogram.items() if count]
     return [
-        f"  {label:>8}  {'#' * -(-_BAR_WIDTH * histogram[label] // most):<{_BAR_WIDTH}}"
-        f"  {histogram[label]}"
+        f"  {label:>8}  {'#' * -(-_BAR_WIDTH * histogram[label] // most):<{_BAR_WIDTH}}  {histogram[label]}"
         for label in filled
     ]
 
@@ -205,12 +186,7 @@ def _mode(shadow: bool, dry_run: bool) -> Mode:
 
 
 def _wiring(
-    link: str,
-    port: str | None,
-    states: str | None,
-    states_hz: float,
-    calibration: Path | None,
-    watchdog_ms: int,
+    link: str, port: str | None, states: str | None, states_hz: float, calibration: Path | None, watchdog_ms: int
 ) -> AnalogueWiring | None:
     if link == "ur" and port is None and states is None and calibration is None:
         return None

@@ -44,26 +44,15 @@ def register(app: typer.Typer) -> None:
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Campaign folder to write.")],
-    machine: Annotated[
-        str, typer.Option(help=f"Virtual machine: {', '.join(m.name for m in _OWN)}.")
-    ] = _OWN[0].name,
+    machine: Annotated[str, typer.Option(help=f"Virtual machine: {', '.join(m.name for m in _OWN)}.")] = _OWN[0].name,
     plan: Annotated[
-        Path | None,
-        typer.Option(help=f"Plan file; the machine's own campaign without. Of {_with(PLAN)}."),
+        Path | None, typer.Option(help=f"Plan file; the machine's own campaign without. Of {_with(PLAN)}.")
     ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="A small campaign; not with --plan.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="A small campaign; not with --plan.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
-    hidden: Annotated[
-        str | None, typer.Option(help=f"Fault that nobody is told of. {_values('hidden')}.")
-    ] = None,
-    truth: Annotated[
-        str | None, typer.Option(help=f"What the machine is like. {_values('truth')}.")
-    ] = None,
-    schedule: Annotated[
-        str | None, typer.Option(help=f"What heats the machine. {_values('schedule')}.")
-    ] = None,
+    hidden: Annotated[str | None, typer.Option(help=f"Fault that nobody is told of. {_values('hidden')}.")] = None,
+    truth: Annotated[str | None, typer.Option(help=f"What the machine is like. {_values('truth')}.")] = None,
+    schedule: Annotated[str | None, typer.Option(help=f"What heats the machine. {_values('schedule')}.")] = None,
     listen: Annotated[
         int | None,
         typer.Option(
@@ -78,21 +67,18 @@ def simulate(
 ) -> None:
     """Measure a campaign on a virtual machine. Run it again to continue."""
     found = machine_named(machine)
-    given = {
-        PLAN: None if plan is None else str(plan),
-        "hidden": hidden,
-        "truth": truth,
-        "schedule": schedule,
-    }
+    given = {PLAN: None if plan is None else str(plan), "hidden": hidden, "truth": truth, "schedule": schedule}
     clock: Clock = "wall" if wall_clock else "machine"
     if listen is not None or wall_clock:
         require_served(found, listen, clock)
     options = found.chosen(given)
     if quick and plan is not None:
         raise InputError(
-            "a plan says how much is measured", code="simulate.quick", got="--quick with --plan",
+            "a plan says how much is measured",
+            code="simulate.quick",
+            got="--quick with --plan",
             hint="leave one of them away",
-        )  # fmt: skip
+        )
     request = Request(out, seed, quick, _planned(found, plan), options)
     if listen is not None:
         simulate_served(found, request, port=listen, clock=clock, as_json=as_json)
@@ -110,7 +96,10 @@ def _planned(machine: VirtualMachine, file: Path | None) -> Any:
     planned = planned_campaign(file, machine.kind)
     if planned.kind != machine.kind:
         raise InputError(
-            f"the virtual {machine.name} measures no such campaign", code="simulate.plan",
-            where=f"{file} plan.kind", got=planned.kind, allowed=machine.kind,
-        )  # fmt: skip
+            f"the virtual {machine.name} measures no such campaign",
+            code="simulate.plan",
+            where=f"{file} plan.kind",
+            got=planned.kind,
+            allowed=machine.kind,
+        )
     return planned.plan

@@ -17,12 +17,10 @@ File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
 Paths = Annotated[
-    list[Path] | None,
-    typer.Option("--effects-path", help="Your own effect file or folder; its code is run."),
+    list[Path] | None, typer.Option("--effects-path", help="Your own effect file or folder; its code is run.")
 ]
 Centre = Annotated[
-    tuple[float, float, float] | None,
-    typer.Option(help="Centre of the circle in the base frame of a UR10e, mm."),
+    tuple[float, float, float] | None, typer.Option(help="Centre of the circle in the base frame of a UR10e, mm.")
 ]
 Zero = Annotated[float, typer.Option(help="Where the bar's 0 deg lies in that frame, deg.")]
 

@@ -35,16 +35,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "turning",
         "volumetric",
     ),
-    "Run": (
-        "serve",
-        "robot-program",
-        "robot-targets",
-        "export",
-        "analogue",
-        "linuxcnc",
-        "cell",
-        "up",
-    ),
+    "Run": ("serve", "robot-program", "robot-targets", "export", "analogue", "linuxcnc", "cell", "up"),
 }
 TWIN_TASKS: dict[str, tuple[str, ...]] = {
     "Fit and look": ("fit", "compare", "recording", "show", "history"),
@@ -73,10 +64,7 @@ class _ByTask(TyperGroup):
         for title, names in _sections(self.tasks, self.list_commands(ctx)).items():
             with formatter.section(title):
                 formatter.write_dl(
-                    [
-                        (f"{name:<{width}}", self.commands[name].get_short_help_str(_LONGEST))
-                        for name in names
-                    ]
+                    [(f"{name:<{width}}", self.commands[name].get_short_help_str(_LONGEST)) for name in names]
                 )
 
 

@@ -11,9 +11,7 @@ from dtwin.commands.output import ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
-Truth = Annotated[
-    str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")
-]
+Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
 
 app_turning = typer.Typer(
     help="Slow tool servo: fit the error of tones, try it in the loop, compare with a published slide.",
@@ -30,8 +28,7 @@ def register(app: typer.Typer) -> None:
 def fit(
     campaign: Annotated[Path, typer.Argument(help="Campaign folder of tones.")],
     model: Annotated[
-        str,
-        typer.Option(help="two-modes, power-law, printed-form (refitted), symbolic (free search)."),
+        str, typer.Option(help="two-modes, power-law, printed-form (refitted), symbolic (free search).")
     ] = "two-modes",
     action: Annotated[
         str,
@@ -54,9 +51,11 @@ def fit(
 
     if model not in MODELS or action not in ACTIONS:
         raise InputError(
-            "no such equation", code="turning.model", got=f"--model {model[:40]} --action {action[:40]}",
+            "no such equation",
+            code="turning.model",
+            got=f"--model {model[:40]} --action {action[:40]}",
             allowed=f"--model {', '.join(MODELS)}; --action {', '.join(ACTIONS)}",
-        )  # fmt: skip
+        )
     machine, groups = folder_groups(campaign, ProgressLine("read", quiet=as_json))
     made = fitted_tones(machine, groups, model, action, seed)
     written = made.passed or force
@@ -88,20 +87,12 @@ def fit(
 
 @app_turning.command("compensate")
 def compensate(
-    model: Annotated[
-        str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")
-    ],
+    model: Annotated[str, typer.Argument(help="A bundle's .json file, or latest (the champion), or trial.")],
     truth: Truth = "linear",
-    frequency: Annotated[
-        list[float] | None, typer.Option(help="Of the tool in Hz; 5, 10, 20, 30, 40 without.")
-    ] = None,
-    machine: Annotated[
-        str | None, typer.Option(help="Required when several machines have a model.")
-    ] = None,
+    frequency: Annotated[list[float] | None, typer.Option(help="Of the tool in Hz; 5, 10, 20, 30, 40 without.")] = None,
+    machine: Annotated[str | None, typer.Option(help="Required when several machines have a model.")] = None,
     seed: Annotated[int, typer.Option(help="Of noise.")] = 1,
-    html: Annotated[
-        Path | None, typer.Option("--html", help="Write surfaces and errors, one offline page.")
-    ] = None,
+    html: Annotated[Path | None, typer.Option("--html", help="Write surfaces and errors, one offline page.")] = None,
     as_json: Json = False,
 ) -> None:
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
@@ -115,15 +106,13 @@ def compensate(
     chosen = tuple(frequency or TRIAL_HZ)
     if not all(0.5 <= f <= 200.0 for f in chosen):
         raise InputError(
-            "the tool cannot move so", code="turning.frequency", got=f"{chosen} Hz",
-            allowed="0.5 to 200 Hz",
-        )  # fmt: skip
+            "the tool cannot move so", code="turning.frequency", got=f"{chosen} Hz", allowed="0.5 to 200 Hz"
+        )
     path, told = bundle_on_virtual(model, machine)
     bundle = load_bundle(path).bundle
     result, surfaces = trial(
-        bundle, truth=truth, seed=seed, frequencies_hz=chosen,
-        progress=ProgressLine("cut", quiet=as_json),
-    )  # fmt: skip
+        bundle, truth=truth, seed=seed, frequencies_hz=chosen, progress=ProgressLine("cut", quiet=as_json)
+    )
     payload: dict[str, Any] = {"model": told, **result}
     if html is not None:
         section = trial_section(result, surfaces)
@@ -135,9 +124,7 @@ def compensate(
 
 @app_turning.command("paper")
 def paper(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="24 groups instead of 99, for a first look.")
-    ] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="24 groups instead of 99, for a first look.")] = False,
     seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
     as_json: Json = False,
 ) -> None:

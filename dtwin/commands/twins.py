@@ -41,10 +41,7 @@ def register(app: typer.Typer) -> None:
 @twin_app.command("fit")
 def fit_twin(
     campaign: Annotated[str, typer.Argument(help="Campaign in the lake, or a file or folder.")],
-    wanted: Annotated[
-        str,
-        typer.Option("--effects", help="Names with commas; backlash:X takes one axis."),
-    ],
+    wanted: Annotated[str, typer.Option("--effects", help="Names with commas; backlash:X takes one axis.")],
     name: Annotated[str, typer.Option(help="Name of the twin.")],
     robust: Annotated[bool, typer.Option("--robust", help="Less weight for odd runs.")] = False,
     effects_path: Paths = None,
@@ -67,12 +64,9 @@ def compare_twin(
     name: Name,
     campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
     split_cycles: Annotated[
-        float | None,
-        typer.Option(help="Cycles per revolution above which error is dynamic; 15 without."),
+        float | None, typer.Option(help="Cycles per revolution above which error is dynamic; 15 without.")
     ] = None,
-    split_hz: Annotated[
-        float | None, typer.Option(help="The same in Hz, instead of cycles per revolution.")
-    ] = None,
+    split_hz: Annotated[float | None, typer.Option(help="The same in Hz, instead of cycles per revolution.")] = None,
     html: Report = None,
     effects_path: Paths = None,
     as_json: Json = False,
@@ -99,11 +93,7 @@ def compare_twin(
 
 @twin_app.command("diagnose")
 def diagnose_twin(
-    name: Name,
-    seed: Seed = 0,
-    html: Report = None,
-    effects_path: Paths = None,
-    as_json: Json = False,
+    name: Name, seed: Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Name the effect that is missing, or say why it cannot be named."""
     from dtwin.report.every_twin import diagnosis_section, diagnosis_text
@@ -157,9 +147,7 @@ def restore_version(
 
 
 @twin_app.command("discover")
-def discover_effects(
-    name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False
-) -> None:
+def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
     from dtwin.report.every_twin import diagnosis_text
     from dtwin.report.twins import history_text
@@ -174,11 +162,7 @@ def discover_effects(
         "history": twins.history(name),
         "final": last,
     }
-    emit(
-        payload,
-        lambda: f"{history_text(twins.history(name))}\n\n{diagnosis_text(name, last)}",
-        as_json=as_json,
-    )
+    emit(payload, lambda: f"{history_text(twins.history(name))}\n\n{diagnosis_text(name, last)}", as_json=as_json)
 
 
 @twin_app.command("learn")
@@ -210,9 +194,7 @@ def learn_effect(
 @twin_app.command("correct")
 def correct_machine(
     name: Name,
-    trial: Annotated[
-        bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")
-    ] = False,
+    trial: Annotated[bool, typer.Option("--trial", help="Although it is not confirmed: for a trial only.")] = False,
     seed: Seed = 0,
     effects_path: Paths = None,
     as_json: Json = False,
@@ -272,13 +254,7 @@ def show_twin(
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.pipeline.twin_intervention import interventions
-    from dtwin.report.every_twin import (
-        comparison_sections,
-        diagnosis_section,
-        history_section,
-        twin_section,
-        twin_text,
-    )
+    from dtwin.report.every_twin import comparison_sections, diagnosis_section, history_section, twin_section, twin_text
 
     twins = _twins_with(name, effects_path)
     twin = twins.newest(name, version)
@@ -301,11 +277,7 @@ def show_twin(
         f"{m['grade'] or 'did not certainly go away'}"
         for m in mended
     ]
-    emit(
-        {**twin.as_dict(), "interventions": mended},
-        lambda: "\n".join([twin_text(twin), *lines]),
-        as_json=as_json,
-    )
+    emit({**twin.as_dict(), "interventions": mended}, lambda: "\n".join([twin_text(twin), *lines]), as_json=as_json)
 
 
 def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:

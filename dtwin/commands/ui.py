@@ -23,34 +23,21 @@ def register(app: typer.Typer) -> None:
 
 
 def ui(
-    port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="8765, or a free one when it is taken.")
-    ] = None,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Only print the address.")
-    ] = False,
-    host: Annotated[
-        str, typer.Option(help="Address to listen on; others than loopback let others in.")
-    ] = LOOPBACK,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="8765, or a free one when it is taken.")] = None,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Only print the address.")] = False,
+    host: Annotated[str, typer.Option(help="Address to listen on; others than loopback let others in.")] = LOOPBACK,
     effects_path: Annotated[
-        Path | None,
-        typer.Option(help="Folder of your own effects, to edit in the browser; their code is run."),
+        Path | None, typer.Option(help="Folder of your own effects, to edit in the browser; their code is run.")
     ] = None,
     private: Annotated[
-        bool,
-        typer.Option(
-            "--private", help="Reading needs the token too: where several people use the computer."
-        ),
+        bool, typer.Option("--private", help="Reading needs the token too: where several people use the computer.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
 ) -> None:
     """Open the workbench in a browser: ingest, fit, compare, diagnose, add; Ctrl-C stops it."""
     if effects_path is not None and not effects_path.is_dir():
         raise InputError(
-            "no such folder for effects",
-            code="ui.effects_path",
-            where=str(effects_path),
-            hint=f"mkdir {effects_path}",
+            "no such folder for effects", code="ui.effects_path", where=str(effects_path), hint=f"mkdir {effects_path}"
         )
     from dtwin.config import home
     from dtwin.workbench.door import listening, only_one

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
 app_volumetric = typer.Typer(
-    help="Volumetric error of a mill and the heat that moves it: identify, predict, judge, serve.",
-    no_args_is_help=True,
+    help="Volumetric error of a mill and the heat that moves it: identify, predict, judge, serve.", no_args_is_help=True
 )
 
 
@@ -34,8 +33,7 @@ def fit(
         str | None, typer.Option(help="Another campaign of the machine: what a model is judged by.")
     ] = None,
     offer: Annotated[
-        list[str] | None,
-        typer.Option(help="A temperature that was logged beside the thermocouples."),
+        list[str] | None, typer.Option(help="A temperature that was logged beside the thermocouples.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Bundle to write; needs --against.")] = None,
     html: Annotated[Path | None, typer.Option(help="Page to write.")] = None,
@@ -52,15 +50,14 @@ def fit(
 
     if out is not None and against is None:
         raise InputError(
-            "a bundle needs another campaign that says what it is worth", code="volumetric.against",
+            "a bundle needs another campaign that says what it is worth",
+            code="volumetric.against",
             hint="--against CAMPAIGN",
-        )  # fmt: skip
+        )
     if out is not None:
         require_new(out)
     if against == training:
-        raise InputError(
-            "a campaign cannot judge what was fitted to it", code="volumetric.same", got=training
-        )
+        raise InputError("a campaign cannot judge what was fitted to it", code="volumetric.same", got=training)
     progress = ProgressLine("volumetric", quiet=as_json)
     offered = tuple(offer or ())
     first = session(home(), training, progress)
@@ -73,14 +70,10 @@ def fit(
             payload["bundle"] = {"file": str(out), "switched_off": _write(out, whole, other)}
 
     if html is not None:
-        write_text(
-            html, volumetric_page(payload.get("validation", payload["training"])), "the page"
-        )
+        write_text(html, volumetric_page(payload.get("validation", payload["training"])), "the page")
 
     def text() -> str:
-        parts = [
-            judged_text(payload[name]) for name in ("training", "validation") if name in payload
-        ]
+        parts = [judged_text(payload[name]) for name in ("training", "validation") if name in payload]
         if "bundle" in payload:
             off = ", ".join(payload["bundle"]["switched_off"]) or "nothing"
             parts.append(
@@ -88,9 +81,7 @@ def fit(
                 f"since worse than nothing: {off}"
             )
         elif against is None:
-            parts.append(
-                "figures of the campaign of the fit only; --against CAMPAIGN judges elsewhere"
-            )
+            parts.append("figures of the campaign of the fit only; --against CAMPAIGN judges elsewhere")
         return "\n\n".join(parts)
 
     emit(payload, text, as_json=as_json)
@@ -98,12 +89,8 @@ def fit(
 
 @app_volumetric.command("paper")
 def paper(
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Every third cycle, for a first look.")
-    ] = False,
-    truth: Annotated[
-        str, typer.Option(help="Where the thermocouples sit: surface, or pockets.")
-    ] = "surface",
+    quick: Annotated[bool, typer.Option("--quick", help="Every third cycle, for a first look.")] = False,
+    truth: Annotated[str, typer.Option(help="Where the thermocouples sit: surface, or pockets.")] = "surface",
     seed: Annotated[int, typer.Option(help="Seed of the machine.")] = 0,
     as_json: Json = False,
 ) -> None:

@@ -25,19 +25,12 @@ def register(app: typer.Typer) -> None:
 def watch(
     folder: Annotated[Path, typer.Argument(help="Folder that instruments write to.")],
     machine: Annotated[
-        list[str] | None,
-        typer.Option(help="Machine to take in though the lake does not know it yet."),
+        list[str] | None, typer.Option(help="Machine to take in though the lake does not know it yet.")
     ] = None,
-    settle: Annotated[
-        float, typer.Option(min=0.0, help="Seconds for which a file must stand still.")
-    ] = 10.0,
+    settle: Annotated[float, typer.Option(min=0.0, help="Seconds for which a file must stand still.")] = 10.0,
     every: Annotated[float, typer.Option(min=0.05, help="Seconds between two looks.")] = 2.0,
-    once: Annotated[
-        bool, typer.Option("--once", help="End when all that is there was taken or refused.")
-    ] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print one JSON object a line, nothing else.")
-    ] = False,
+    once: Annotated[bool, typer.Option("--once", help="End when all that is there was taken or refused.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a line, nothing else.")] = False,
 ) -> None:
     """Ingest what arrives in a folder, until Ctrl-C (exit 130); run it again to go on.
 
@@ -67,6 +60,8 @@ def watch(
         stopped = asked()
     if stopped:
         raise Interrupted(
-            "the watch has ended; what arrived is in the lake", code="watch.interrupted",
-            where=str(folder), hint=shlex.join(["dtwin", *sys.argv[1:]]),
-        )  # fmt: skip
+            "the watch has ended; what arrived is in the lake",
+            code="watch.interrupted",
+            where=str(folder),
+            hint=shlex.join(["dtwin", *sys.argv[1:]]),
+        )

@@ -52,9 +52,16 @@ class Alignment:
 
 
 def align_envelopes(
-    stream: Floats, stream_rate_hz: float, reference: Floats, reference_rate_hz: float, *,
-    max_lag_s: float, around_s: float = 0.0, min_overlap: float = 0.6, guard_s: float = 0.5,
-) -> Alignment:  # fmt: skip
+    stream: Floats,
+    stream_rate_hz: float,
+    reference: Floats,
+    reference_rate_hz: float,
+    *,
+    max_lag_s: float,
+    around_s: float = 0.0,
+    min_overlap: float = 0.6,
+    guard_s: float = 0.5,
+) -> Alignment:
     """Align two records by normalised cross-correlation with a sub-sample peak.
 
     Parameters
@@ -93,8 +100,7 @@ def align_envelopes(
     best = int(np.argmax(values))
     peak = float(values[best])
     if peak <= 0:
-        raise InputError("the two records share no motion", code="align.unrelated",
-                         got=f"best correlation {peak:z.2f}")  # fmt: skip
+        raise InputError("the two records share no motion", code="align.unrelated", got=f"best correlation {peak:z.2f}")
     outside = np.abs(lags - lags[best]) > guard_s * rate_hz
     rival = float(values[outside].max()) if outside.any() else 0.0
     return Alignment(
@@ -107,9 +113,15 @@ def align_envelopes(
 
 
 def align_stops(
-    stream: Floats, stream_rate_hz: float, acceleration: Floats, controller_rate_hz: float, *,
-    max_lag_s: float, around_s: float = 0.0, cutoff_hz: float = 20.0,
-) -> Alignment:  # fmt: skip
+    stream: Floats,
+    stream_rate_hz: float,
+    acceleration: Floats,
+    controller_rate_hz: float,
+    *,
+    max_lag_s: float,
+    around_s: float = 0.0,
+    cutoff_hz: float = 20.0,
+) -> Alignment:
     """Align a measured stream to the controller by the stops between arcs.
 
     Parameters
@@ -134,9 +146,8 @@ def align_stops(
     width = max(3, round(0.1 * controller_rate_hz))
     smooth = np.convolve(commanded, np.ones(width) / width, "same")
     return align_envelopes(
-        np.sqrt(envelope), stream_rate_hz, smooth, controller_rate_hz,
-        max_lag_s=max_lag_s, around_s=around_s,
-    )  # fmt: skip
+        np.sqrt(envelope), stream_rate_hz, smooth, controller_rate_hz, max_lag_s=max_lag_s, around_s=around_s
+    )
 
 
 def unwrap_angle(angle_rad: Floats) -> Floats:
@@ -160,9 +171,8 @@ def unwrap_angle(angle_rad: Floats) -> Floats:
 
 
 def align_periodic(
-    stream: Floats, stream_angle_rad: Floats, reference: Floats, reference_angle_rad: Floats,
-    *, n_grid: int = 3600,
-) -> tuple[float, Alignment]:  # fmt: skip
+    stream: Floats, stream_angle_rad: Floats, reference: Floats, reference_angle_rad: Floats, *, n_grid: int = 3600
+) -> tuple[float, Alignment]:
     """Align two records that repeat with a rotation, by circular correlation over the angle.
 
     Parameters
@@ -255,9 +265,7 @@ def _per_turn(signal: Floats, angle_rad: Floats, n_grid: int) -> Floats:
     unwrapped = unwrap_angle(angle_rad)
     if np.ptp(unwrapped) < 2 * np.pi * (1 - 1e-9):
         raise InputError(
-            "the record covers less than one turn",
-            code="align.turn",
-            got=f"{np.degrees(np.ptp(unwrapped)):z.0f} deg",
+            "the record covers less than one turn", code="align.turn", got=f"{np.degrees(np.ptp(unwrapped)):z.0f} deg"
         )
     order = np.argsort(unwrapped, kind="stable")
     angle, value = unwrapped[order], np.asarray(signal, dtype=np.float64)[order]

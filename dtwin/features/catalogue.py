@@ -72,12 +72,7 @@ def feature(name: str) -> Feature:
         When there is no such feature.
     """
     if name not in _BY_NAME:
-        raise InputError(
-            "unknown feature",
-            code="features.unknown",
-            got=name[:80],
-            allowed=", ".join(FEATURE_NAMES),
-        )
+        raise InputError("unknown feature", code="features.unknown", got=name[:80], allowed=", ".join(FEATURE_NAMES))
     return _BY_NAME[name]
 
 
@@ -91,9 +86,7 @@ def positions(names: Sequence[str]) -> list[int]:
     """
     found = [FEATURE_NAMES.index(feature(name).name) for name in names]
     if len(set(found)) != len(found):
-        raise InputError(
-            "a feature is selected twice", code="features.repeated", got=", ".join(names)
-        )
+        raise InputError("a feature is selected twice", code="features.repeated", got=", ".join(names))
     return found
 
 
@@ -120,9 +113,7 @@ def feature_column(channel: str, name: str) -> str:
     channel_unit = unit_of(channel)
     suffix = next((s for s in UNITS if channel.endswith("_" + s)), None)
     if channel_unit is None or suffix is None:
-        raise InputError(
-            "a channel's name must end with its unit", code="features.channel", got=channel[:80]
-        )
+        raise InputError("a channel's name must end with its unit", code="features.channel", got=channel[:80])
     kind = feature(name).unit
     ending = {"channel": suffix, "channel^2": suffix + "2", "1": "1", "Hz": "hz"}[kind]
     return f"{channel[: -len(suffix) - 1]}_{name}_{ending}"

@@ -72,9 +72,7 @@ class Cutoff:
         return {name: value for name, value in vars(self).items() if value is not None}
 
 
-def seen_by_controller_um(
-    meta: RunMeta, samples: Mapping[str, NDArray[Any]], angle_deg: Floats
-) -> Floats | None:
+def seen_by_controller_um(meta: RunMeta, samples: Mapping[str, NDArray[Any]], angle_deg: Floats) -> Floats | None:
     """Return the controller's own following error along the radius.
 
     Parameters
@@ -243,9 +241,7 @@ def split(
     return Split(parts, known, condition_of)
 
 
-def repeat_floor(
-    values: Floats, known: NDArray[np.bool_], condition_of: NDArray[np.int64]
-) -> float:
+def repeat_floor(values: Floats, known: NDArray[np.bool_], condition_of: NDArray[np.int64]) -> float:
     """Return the RMS by which one run differs from the mean of its condition.
 
     Parameters

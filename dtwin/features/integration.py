@@ -55,9 +55,15 @@ class SwarmResult:
 
 
 def swarm_minimum(
-    objective: Callable[[float], float], low: float, high: float, *, particles: int = 24,
-    iterations: int = 60, patience: int = 15, seed: int = 0,
-) -> SwarmResult:  # fmt: skip
+    objective: Callable[[float], float],
+    low: float,
+    high: float,
+    *,
+    particles: int = 24,
+    iterations: int = 60,
+    patience: int = 15,
+    seed: int = 0,
+) -> SwarmResult:
     """Minimise a function of one positive number by particle swarm, on a log scale.
 
     Constriction coefficients of Clerc and Kennedy, IEEE Trans. Evol. Comput. 6 (2002).
@@ -79,8 +85,7 @@ def swarm_minimum(
         When the bounds are not positive and ordered.
     """
     if not 0 < low < high < np.inf:
-        raise InputError("bounds must be positive and ordered", code="swarm.bounds",
-                         got=f"{low} to {high}")  # fmt: skip
+        raise InputError("bounds must be positive and ordered", code="swarm.bounds", got=f"{low} to {high}")
 
     def worth(log_position: float) -> float:
         value = float(objective(float(np.exp(log_position))))
@@ -104,9 +109,7 @@ def swarm_minimum(
         best_at[better], best[better] = at[better], value[better]
         previous, leader = best[leader], int(np.argmin(best))
         idle = 0 if best[leader] < previous else idle + 1
-    return SwarmResult(
-        float(np.exp(best_at[leader])), float(best[leader]), done, particles * (done + 1)
-    )
+    return SwarmResult(float(np.exp(best_at[leader])), float(best[leader]), done, particles * (done + 1))
 
 
 def integrate(signal: Floats, rate_hz: float) -> Floats:
@@ -175,9 +178,14 @@ class Visibility:
 
 
 def displacement_visibility(
-    motion_mm: Floats, rate_hz: float, window: int, *, corner_hz: float = 0.5,
-    cutoff_power: float = 0.0, per_window_mean: bool = False,
-) -> Visibility:  # fmt: skip
+    motion_mm: Floats,
+    rate_hz: float,
+    window: int,
+    *,
+    corner_hz: float = 0.5,
+    cutoff_power: float = 0.0,
+    per_window_mean: bool = False,
+) -> Visibility:
     """Send a known motion through sensor coupling and window restarts and compare.
 
     Parameters
@@ -207,8 +215,12 @@ def displacement_visibility(
         acceleration_g = coupled(acceleration_g, rate_hz, corner_hz)
     count = len(motion_mm) // window
     if count < 2:
-        raise InputError("the motion is shorter than two windows", code="integration.short",
-                         got=f"{len(motion_mm)} samples", allowed=f">= {2 * window}")  # fmt: skip
+        raise InputError(
+            "the motion is shorter than two windows",
+            code="integration.short",
+            got=f"{len(motion_mm)} samples",
+            allowed=f">= {2 * window}",
+        )
     rows = acceleration_g[: count * window].reshape(count, window)
     found = displacement_mm(rows, rate_hz, cutoff_power)
     true = motion_mm[: count * window].reshape(count, window)
@@ -224,7 +236,4 @@ def _compared(true: Floats, found: Floats) -> Visibility:
         raise InputError("the known motion is constant", code="integration.constant")
     lost = float((true - found) @ (true - found)) / energy
     correlation = float(true @ found) / np.sqrt(energy * size) if size > 0 else 0.0
-    return Visibility(
-        lost, float(correlation), float(np.sqrt(size / len(true))),
-        float(np.sqrt(energy / len(true))),
-    )  # fmt: skip
+    return Visibility(lost, float(correlation), float(np.sqrt(size / len(true))), float(np.sqrt(energy / len(true))))

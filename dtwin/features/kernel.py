@@ -63,9 +63,8 @@ def _centre(samples: Floats, mean: float, centred: Floats) -> tuple[float, float
 
 @compiled
 def time_features(
-    flat: Floats, first: int, stride: int, n: int, remove_mean: bool, centred: Floats,
-    values: Floats, codes: Codes,
-) -> None:  # fmt: skip
+    flat: Floats, first: int, stride: int, n: int, remove_mean: bool, centred: Floats, values: Floats, codes: Codes
+) -> None:
     """Fill the time-domain features of every channel of one window.
 
     Parameters
@@ -116,9 +115,8 @@ def time_features(
 
 @compiled
 def spectral_features(
-    spectrum: Floats, n: int, rate_hz: float, first_bin: int, past_bin: int,
-    values: Floats, codes: Codes,
-) -> None:  # fmt: skip
+    spectrum: Floats, n: int, rate_hz: float, first_bin: int, past_bin: int, values: Floats, codes: Codes
+) -> None:
     """Fill the spectral features of every channel from the transform of the centred samples.
 
     Parameters
@@ -185,9 +183,14 @@ class WindowKernel:
     """
 
     def __init__(
-        self, n_channels: int, n_samples: int, rate_hz: float, selection: Sequence[str],
-        band_hz: tuple[float, float] | None = None, remove_mean: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        n_channels: int,
+        n_samples: int,
+        rate_hz: float,
+        selection: Sequence[str],
+        band_hz: tuple[float, float] | None = None,
+        remove_mean: bool = False,
+    ) -> None:
         self.n_samples = n_samples
         self.rate_hz = float(rate_hz)
         self.columns = np.array(positions(selection), dtype=np.int64)
@@ -224,16 +227,17 @@ class WindowKernel:
         time_features(flat, first, stride, n, self.remove_mean, self._centred, self._all, codes)
         if self.spectral:
             np.fft.rfft(self._centred, axis=-1, out=self._spectrum)
-            spectral_features(
-                self._parts, n, self.rate_hz, self.first_bin, self.past_bin, self._all, codes
-            )
+            spectral_features(self._parts, n, self.rate_hz, self.first_bin, self.past_bin, self._all, codes)
         np.take(self._all, self.columns, axis=1, out=out, mode="clip")
 
 
 def window_features(
-    block: NDArray[np.floating], rate_hz: float, selection: Sequence[str] = FEATURE_NAMES,
-    band_hz: tuple[float, float] | None = None, remove_mean: bool = False,
-) -> tuple[Floats, Codes]:  # fmt: skip
+    block: NDArray[np.floating],
+    rate_hz: float,
+    selection: Sequence[str] = FEATURE_NAMES,
+    band_hz: tuple[float, float] | None = None,
+    remove_mean: bool = False,
+) -> tuple[Floats, Codes]:
     """Return the features of one window.
 
     Parameters

@@ -231,8 +231,7 @@ class PathInputs:
         """
         states = np.ascontiguousarray(states, dtype=np.float64)
         if states.ndim != 2 or states.shape[1] <= self._index.max():
-            raise InputError("the states have too few fields", code="motion.state",
-                             got=str(states.shape))  # fmt: skip
+            raise InputError("the states have too few fields", code="motion.state", got=str(states.shape))
         planes = states[:, self._index[22]]
         if not np.isin(planes, np.arange(len(PLANES))).all():
             raise InputError("plane_id must be 0, 1 or 2", code="motion.plane")

@@ -38,9 +38,7 @@ class RelativeMotion:
     reason: str = ""
 
 
-def coherence(
-    first: Floats, second: Floats, rate_hz: float, n_segment: int = 256
-) -> tuple[Floats, Floats]:
+def coherence(first: Floats, second: Floats, rate_hz: float, n_segment: int = 256) -> tuple[Floats, Floats]:
     """Return frequencies and magnitude-squared coherence of two records.
 
     Averages over half-overlapping Hann segments (Carter, Knapp and Nuttall, IEEE Trans.
@@ -63,9 +61,7 @@ def coherence(
     """
     if len(first) != len(second):
         raise InputError(
-            "the two records differ in length",
-            code="relative.length",
-            got=f"{len(first)} and {len(second)} samples",
+            "the two records differ in length", code="relative.length", got=f"{len(first)} and {len(second)} samples"
         )
     if len(first) < n_segment // 2 * (_MIN_SEGMENTS + 1):
         raise InputError(
@@ -82,9 +78,13 @@ def coherence(
 
 
 def wrist_minus_base(
-    wrist: Floats, base: Floats, rate_hz: float, band_hz: tuple[float, float],
-    min_coherence: float = 0.5, n_segment: int = 256,
-) -> RelativeMotion:  # fmt: skip
+    wrist: Floats,
+    base: Floats,
+    rate_hz: float,
+    band_hz: tuple[float, float],
+    min_coherence: float = 0.5,
+    n_segment: int = 256,
+) -> RelativeMotion:
     """Subtract the base's acceleration where it is the same motion that the wrist sees.
 
     Subtracting an unrelated signal adds its noise; so the base is subtracted only when the

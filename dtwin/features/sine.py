@@ -104,11 +104,13 @@ def tone_errors(
     frequency_hz : float
         Of the command.
     """
-    command, encoder, tool = (
-        fit_tone(t_s, values, frequency_hz) for values in (command_um, encoder_um, tool_um)
-    )
+    command, encoder, tool = (fit_tone(t_s, values, frequency_hz) for values in (command_um, encoder_um, tool_um))
     return ToneErrors(
-        command.amplitude, encoder.amplitude, tool.amplitude, lag_deg(command, encoder),
-        lag_deg(command, tool), abs(encoder.phasor - command.phasor),
+        command.amplitude,
+        encoder.amplitude,
+        tool.amplitude,
+        lag_deg(command, encoder),
+        lag_deg(command, tool),
+        abs(encoder.phasor - command.phasor),
         abs(tool.phasor - command.phasor),
-    )  # fmt: skip
+    )

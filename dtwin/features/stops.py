@@ -37,9 +37,14 @@ def stop_envelope(signal: Floats, rate_hz: float, cutoff_hz: float = 20.0) -> Fl
 
 
 def find_stops(
-    signal: Floats, rate_hz: float, *, cutoff_hz: float = 20.0, min_strength: float = 6.0,
-    min_separation_s: float = 1.0, edge_s: float = 0.3,
-) -> tuple[Stop, ...]:  # fmt: skip
+    signal: Floats,
+    rate_hz: float,
+    *,
+    cutoff_hz: float = 20.0,
+    min_strength: float = 6.0,
+    min_separation_s: float = 1.0,
+    edge_s: float = 0.3,
+) -> tuple[Stop, ...]:
     """Find the stops of a circular record by their bursts above ``cutoff_hz``.
 
     Parameters
@@ -109,9 +114,14 @@ class Period:
 
 
 def true_period(
-    signal: Floats, rate_hz: float, nominal_s: float, *, skip_samples: int = 0,
-    tolerance: float = 0.12, min_overlap_s: float = 1.0,
-) -> Period:  # fmt: skip
+    signal: Floats,
+    rate_hz: float,
+    nominal_s: float,
+    *,
+    skip_samples: int = 0,
+    tolerance: float = 0.12,
+    min_overlap_s: float = 1.0,
+) -> Period:
     """Find the time of one revolution by correlation of the record with itself.
 
     Parameters
@@ -151,16 +161,11 @@ def true_period(
     lag = int(lags[best])
     difference = part[:-lag] - part[lag:]
     return Period(
-        lag + parabola_peak(values, best),
-        float(values[best]),
-        float(np.std(difference) / np.sqrt(2)),
-        len(part) - lag,
+        lag + parabola_peak(values, best), float(values[best]), float(np.std(difference) / np.sqrt(2)), len(part) - lag
     )
 
 
-def lead_in_samples(
-    signal: Floats, rate_hz: float, period_samples: float, threshold: float = 4.5
-) -> int:
+def lead_in_samples(signal: Floats, rate_hz: float, period_samples: float, threshold: float = 4.5) -> int:
     """Return how many samples pass before the record repeats one revolution later.
 
     Parameters

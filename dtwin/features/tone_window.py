@@ -11,9 +11,19 @@ from dtwin.schema import Floats
 WINDOW_S, HORIZON_S = 5.0, 1.0
 # The twelve of the published table, in its order.
 TONE_FEATURES = (
-    "dominant_frequency", "mean_absolute_value", "variance", "peak_amplitude", "rms", "kurtosis",
-    "skewness", "crest_factor", "impulse_factor", "shape_factor", "mean_frequency", "total_power",
-)  # fmt: skip
+    "dominant_frequency",
+    "mean_absolute_value",
+    "variance",
+    "peak_amplitude",
+    "rms",
+    "kurtosis",
+    "skewness",
+    "crest_factor",
+    "impulse_factor",
+    "shape_factor",
+    "mean_frequency",
+    "total_power",
+)
 SENT = "sent_z_um"
 # The same without correction; a watch compares both.
 COMMANDED = "command_z_um"
@@ -32,9 +42,13 @@ def tone_contract(rate_hz: float, channel: str) -> WindowContract:
         Column of the accelerometer, its unit at the end.
     """
     return WindowContract(
-        rate_hz=rate_hz, n_samples=round(WINDOW_S * rate_hz), hop=round(HORIZON_S * rate_hz),
-        channels=(SENT, channel), features=TONE_FEATURES, detrend="mean",
-    )  # fmt: skip
+        rate_hz=rate_hz,
+        n_samples=round(WINDOW_S * rate_hz),
+        hop=round(HORIZON_S * rate_hz),
+        channels=(SENT, channel),
+        features=TONE_FEATURES,
+        detrend="mean",
+    )
 
 
 def tone_columns(channel: str) -> tuple[str, ...]:

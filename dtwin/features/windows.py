@@ -118,17 +118,14 @@ class WindowContract:
             )
         except (TypeError, IndexError) as error:
             raise InputError(
-                "a field of the window contract has the wrong type",
-                code="window.type",
-                got=str(error)[:200],
+                "a field of the window contract has the wrong type", code="window.type", got=str(error)[:200]
             ) from error
 
     def kernel(self) -> WindowKernel:
         """Return the computation that this contract describes."""
         return WindowKernel(
-            len(self.channels), self.n_samples, self.rate_hz, self.features, self.band_hz,
-            self.detrend == "mean",
-        )  # fmt: skip
+            len(self.channels), self.n_samples, self.rate_hz, self.features, self.band_hz, self.detrend == "mean"
+        )
 
 
 @dataclass(frozen=True)
@@ -155,9 +152,7 @@ def window_count(n_samples: int, contract: WindowContract) -> int:
     return max(0, (n_samples - contract.n_samples) // contract.hop + 1)
 
 
-def batch_features(
-    signals: NDArray[np.floating], contract: WindowContract, start_s: float = 0.0
-) -> WindowFeatures:
+def batch_features(signals: NDArray[np.floating], contract: WindowContract, start_s: float = 0.0) -> WindowFeatures:
     """Return the features of every window of a recording.
 
     Parameters
@@ -248,10 +243,7 @@ class StreamingWindow:
 
     def _ends(self, k: int) -> NDArray[np.int64]:
         n, hop = self.contract.n_samples, self.contract.hop
-        before, after = (
-            window_count(self.seen, self.contract),
-            window_count(self.seen + k, self.contract),
-        )
+        before, after = (window_count(self.seen, self.contract), window_count(self.seen + k, self.contract))
         return np.arange(before, after, dtype=np.int64) * hop + n - 1
 
     def _compute_newest(self, values: Floats, codes: Codes) -> None:

@@ -44,10 +44,7 @@ class NotOffered(InputError):
     """
 
     def __init__(self, kind: str, verb: str, hint: str) -> None:
-        super().__init__(
-            f"{verb} is not offered for {kind} campaigns",
-            code="kind.not_offered", got=kind, hint=hint,
-        )  # fmt: skip
+        super().__init__(f"{verb} is not offered for {kind} campaigns", code="kind.not_offered", got=kind, hint=hint)
 
 
 VERBS: Mapping[str, tuple[str, str]] = {

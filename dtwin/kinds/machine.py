@@ -131,9 +131,7 @@ class VirtualMachine:
         """Measure the machine with and without a bundle, by turns."""
         raise self.lacks("closed-loop evidence", FROM_THE_LAKE)
 
-    def prediction(
-        self, home: Home, version: RegisteredVersion, progress: Progress | None
-    ) -> Evidence:
+    def prediction(self, home: Home, version: RegisteredVersion, progress: Progress | None) -> Evidence:
         """Return evidence that other campaigns of the lake give, where nothing is served."""
         raise self.lacks("predicted evidence", FROM_THE_LAKE)
 
@@ -144,9 +142,8 @@ class VirtualMachine:
     def lacks(self, what: str, hint: str) -> InputError:
         """Return the refusal of something, with what serves instead."""
         return InputError(
-            f"{what} is not offered for the virtual {self.name}", code="machine.not_offered",
-            got=self.name, hint=hint,
-        )  # fmt: skip
+            f"{what} is not offered for the virtual {self.name}", code="machine.not_offered", got=self.name, hint=hint
+        )
 
     def chosen(self, given: Mapping[str, str | None]) -> dict[str, str]:
         """Return a value for each option but the plan, the usual where none is given.
@@ -164,17 +161,17 @@ class VirtualMachine:
         for name, value in given.items():
             if value is not None and name not in self.options:
                 raise InputError(
-                    f"the virtual {self.name} has no such option", code="simulate.option",
-                    got=f"--{name} {value[:40]}", hint=f"leave --{name} away",
+                    f"the virtual {self.name} has no such option",
+                    code="simulate.option",
+                    got=f"--{name} {value[:40]}",
+                    hint=f"leave --{name} away",
                     allowed=", ".join(f"--{option}" for option in self.options) or "none of its own",
-                )  # fmt: skip
+                )
             if value is not None and name != PLAN and value not in self.options[name]:
                 raise InputError(
-                    f"the virtual {self.name} cannot be so", code=f"simulate.{name}",
-                    got=f"--{name} {value[:40]}", allowed=", ".join(self.options[name]),
-                )  # fmt: skip
-        return {
-            name: given.get(name) or values[0]
-            for name, values in self.options.items()
-            if name != PLAN
-        }
+                    f"the virtual {self.name} cannot be so",
+                    code=f"simulate.{name}",
+                    got=f"--{name} {value[:40]}",
+                    allowed=", ".join(self.options[name]),
+                )
+        return {name: given.get(name) or values[0] for name, values in self.options.items() if name != PLAN}

@@ -43,14 +43,15 @@ def kind_named(name: str) -> Kind:
         found = _of_others()[name].load()
     else:
         raise InputError(
-            "unknown kind of campaign", code="campaign.kind", got=str(name)[:60],
-            allowed=", ".join(kind_names()),
-        )  # fmt: skip
+            "unknown kind of campaign", code="campaign.kind", got=str(name)[:60], allowed=", ".join(kind_names())
+        )
     if not isinstance(found, Kind) or found.name != name:
         raise InputError(
-            "an entry point of dtwin.kinds gives no kind of its name", code="kind.entry_point",
-            got=name, allowed="an instance of dtwin.kinds.kind.Kind with that name",
-        )  # fmt: skip
+            "an entry point of dtwin.kinds gives no kind of its name",
+            code="kind.entry_point",
+            got=name,
+            allowed="an instance of dtwin.kinds.kind.Kind with that name",
+        )
     return found
 
 
@@ -93,9 +94,11 @@ def machine_named(name: str) -> VirtualMachine:
         if machine.name == name:
             return machine
     raise InputError(
-        "no such virtual machine", code="simulate.machine", got=name[:40],
+        "no such virtual machine",
+        code="simulate.machine",
+        got=name[:40],
         allowed=", ".join(machine.name for machine in machines()),
-    )  # fmt: skip
+    )
 
 
 def machine_of_type(type_: object) -> VirtualMachine | None:

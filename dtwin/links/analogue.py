@@ -35,9 +35,7 @@ Codes = tuple[int, int, int]
 _STATUS, _SET, _ENGAGE, _RELEASE, _NEUTRAL = range(5)
 _REQUEST = struct.Struct("<B3H")
 _ANSWER = struct.Struct("<BB3HHH")
-_ENGAGED, _TRIPPED, _PWM, _READ_BACK_WRONG, _NOT_ENGAGED, _STALE, _UNKNOWN = (
-    1 << bit for bit in range(7)
-)
+_ENGAGED, _TRIPPED, _PWM, _READ_BACK_WRONG, _NOT_ENGAGED, _STALE, _UNKNOWN = (1 << bit for bit in range(7))
 _MODES: dict[Output, int] = {"dac": 0, "pwm": 1}
 # A board of this kind restarts when its port is opened, and its boot loader listens first.
 _WAKE_S = 4.0
@@ -106,11 +104,16 @@ class Answer:
         _, flags, a, b, c, bad, trips = _ANSWER.unpack(frame.payload)
         refused = {_NOT_ENGAGED: "not engaged", _STALE: "late", _UNKNOWN: "unknown command"}
         return cls(
-            frame.sequence, bool(flags & _ENGAGED), bool(flags & _TRIPPED), bool(flags & _PWM),
+            frame.sequence,
+            bool(flags & _ENGAGED),
+            bool(flags & _TRIPPED),
+            bool(flags & _PWM),
             bool(flags & _READ_BACK_WRONG),
             next((text for bit, text in refused.items() if flags & bit), ""),
-            (a, b, c), bad, trips,
-        )  # fmt: skip
+            (a, b, c),
+            bad,
+            trips,
+        )
 
 
 class AnalogueOutput(OpenAndClose):
@@ -140,16 +143,23 @@ class AnalogueOutput(OpenAndClose):
     """
 
     def __init__(
-        self, port: str, calibration: Sequence[AxisCalibration] = (AxisCalibration(),) * 3, *,
-        output: Output = "dac", watchdog_ms: int = 20, in_flight: int = 4, baud: int = BAUD,
+        self,
+        port: str,
+        calibration: Sequence[AxisCalibration] = (AxisCalibration(),) * 3,
+        *,
+        output: Output = "dac",
+        watchdog_ms: int = 20,
+        in_flight: int = 4,
+        baud: int = BAUD,
         timeout_s: float = 0.25,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if len(calibration) != len(AXES) or not 2 <= watchdog_ms <= 1000:
             raise InputError(
-                "this is no analogue output", code="analogue.settings",
+                "this is no analogue output",
+                code="analogue.settings",
                 got=f"{len(calibration)} axes, watchdog {watchdog_ms} ms",
                 allowed="3 axes, watchdog 2 to 1000 ms",
-            )  # fmt: skip
+            )
         self.calibration = tuple(calibration)
         self.output: Output = output
         self.watchdog_ms = watchdog_ms
@@ -256,10 +266,7 @@ class AnalogueOutput(OpenAndClose):
         self.link.close()
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Go neutral when the board still listens, and release the port."""
         try:
@@ -269,9 +276,7 @@ class AnalogueOutput(OpenAndClose):
             self.close()
 
     def _codes(self, offset_um: Floats) -> Codes:
-        x, y, z = (
-            axis.code(float(um)) for axis, um in zip(self.calibration, offset_um, strict=True)
-        )
+        x, y, z = (axis.code(float(um)) for axis, um in zip(self.calibration, offset_um, strict=True))
         return x, y, z
 
     def _ask(self, command: int, arguments: Codes) -> Answer:
@@ -295,32 +300,38 @@ class AnalogueOutput(OpenAndClose):
                     return Answer.of(frame)
                 self._take(Answer.of(frame))
         raise DeviceError(
-            "the board answers other requests than this one", code="serial.silent",
-            where=self.link.port, hint="another program talks to the board",
-        )  # fmt: skip
+            "the board answers other requests than this one",
+            code="serial.silent",
+            where=self.link.port,
+            hint="another program talks to the board",
+        )
 
     def _check(self, answer: Answer, codes: Codes | None) -> None:
         where = self.link.port
         if answer.tripped:
             raise DeviceError(
                 f"the board's watchdog dropped the correction after {self.watchdog_ms} ms of silence",
-                code="analogue.tripped", where=where, got=f"{answer.trips} trips since it started",
+                code="analogue.tripped",
+                where=where,
+                got=f"{answer.trips} trips since it started",
                 hint="engage again; a longer watchdog takes slower loops",
-            )  # fmt: skip
+            )
         if answer.refused:
             raise DeviceError(
-                "the board refused a correction", code="analogue.refused", where=where,
-                got=answer.refused,
-            )  # fmt: skip
+                "the board refused a correction", code="analogue.refused", where=where, got=answer.refused
+            )
         wanted = codes if codes is None or self.output == "dac" else eight_bits(codes)
         if answer.read_back_wrong or (wanted is not None and answer.applied != wanted):
             self._waiting.clear()
             self.link.send(_REQUEST.pack(_RELEASE, 0, 0, 0))
             raise DeviceError(
-                "the converter does not hold what was sent", code="analogue.read_back",
-                where=where, got=str(answer.applied), allowed=str(wanted),
+                "the converter does not hold what was sent",
+                code="analogue.read_back",
+                where=where,
+                got=str(answer.applied),
+                allowed=str(wanted),
                 hint="check the converter's supply and wiring; the correction was released",
-            )  # fmt: skip
+            )
 
 
 def eight_bits(codes: Codes) -> Codes:

@@ -111,9 +111,12 @@ def calibrate(points: Mapping[str, tuple[Floats, Floats]]) -> dict[str, AxisFit]
     missing = [axis for axis in AXES if axis not in points]
     if missing:
         raise GateRefusal(
-            "an axis was not measured", code="calibration.axis", got=", ".join(missing),
-            allowed="x, y and z", hint="drive each input by itself at three voltages or more",
-        )  # fmt: skip
+            "an axis was not measured",
+            code="calibration.axis",
+            got=", ".join(missing),
+            allowed="x, y and z",
+            hint="drive each input by itself at three voltages or more",
+        )
     return {axis: _line(axis, *points[axis]) for axis in AXES}
 
 
@@ -142,9 +145,7 @@ def load(path: Path) -> tuple[AxisCalibration, AxisCalibration, AxisCalibration]
             for a in (document["axes"][axis] for axis in AXES)
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise _bad(
-            path, "file", str(error)[:120], "what dtwin analogue calibrate writes"
-        ) from error
+        raise _bad(path, "file", str(error)[:120], "what dtwin analogue calibrate writes") from error
     return x, y, z
 
 
@@ -156,9 +157,7 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
     own = AXES.index(axis)
     largest = int(np.argmax(np.abs(slopes)))
     if largest != own and abs(slopes[largest]) > _SANE_UM_PER_V[0]:
-        raise _refused(
-            axis, f"this input moves {AXES[largest]}: wires are swapped", slopes[largest]
-        )
+        raise _refused(axis, f"this input moves {AXES[largest]}: wires are swapped", slopes[largest])
     um_per_v = float(slopes[own])
     if not _SANE_UM_PER_V[0] <= abs(um_per_v) <= _SANE_UM_PER_V[1]:
         raise _refused(axis, f"{um_per_v:.3g} um per volt is no correction input", um_per_v)
@@ -188,16 +187,21 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
 
 def _refused(axis: str, text: str, got: object) -> GateRefusal:
     return GateRefusal(
-        f"input {axis}: {text}", code="calibration.refused", got=str(got),
+        f"input {axis}: {text}",
+        code="calibration.refused",
+        got=str(got),
         hint="mend the wiring or measure again; nothing was written",
-    )  # fmt: skip
+    )
 
 
 def _bad(path: Path, where: str, got: str, allowed: str) -> InputError:
     return InputError(
-        "the calibration file cannot be used", code="calibration.file",
-        where=f"{path} {where}", got=got, allowed=allowed,
-    )  # fmt: skip
+        "the calibration file cannot be used",
+        code="calibration.file",
+        where=f"{path} {where}",
+        got=got,
+        allowed=allowed,
+    )
 
 
 def calibration_rows(fits: Mapping[str, AxisFit]) -> Sequence[tuple[str, ...]]:

@@ -28,10 +28,20 @@ def build_firmware(out: Path, baud: int = 250_000) -> Path:
         When avr-gcc is not here or does not compile it.
     """
     return compiled(
-        ["avr-gcc", "-mmcu=atmega328p", "-DF_CPU=16000000UL", f"-DBAUD={baud}UL", "-Os",
-         "-std=gnu11", "-Wall", "-Wextra", "-Werror", str(FIRMWARE)],
+        [
+            "avr-gcc",
+            "-mmcu=atmega328p",
+            "-DF_CPU=16000000UL",
+            f"-DBAUD={baud}UL",
+            "-Os",
+            "-std=gnu11",
+            "-Wall",
+            "-Wextra",
+            "-Werror",
+            str(FIRMWARE),
+        ],
         out,
-    )  # fmt: skip
+    )
 
 
 def compiled(command: Sequence[str], out: Path) -> Path:

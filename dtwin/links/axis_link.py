@@ -98,10 +98,17 @@ class AxisLink(StateLines):
     greeting: Greeting
 
     def __init__(
-        self, address: str, live: LiveValues, axes: Sequence[str], *,
-        channels: Sequence[str] = (), channels_hz: float = 0.0, samples: Samples | None = None,
-        writes: bool = True, lost_after_s: float = 2.0,
-    ) -> None:  # fmt: skip
+        self,
+        address: str,
+        live: LiveValues,
+        axes: Sequence[str],
+        *,
+        channels: Sequence[str] = (),
+        channels_hz: float = 0.0,
+        samples: Samples | None = None,
+        writes: bool = True,
+        lost_after_s: float = 2.0,
+    ) -> None:
         super().__init__(LineSocket(address, "axis link", LONGEST_LINE), lost_after_s)
         self.host = self._line.host
         self._live, self._axes, self._writes = live, tuple(axes), writes
@@ -156,9 +163,13 @@ class AxisLink(StateLines):
 
     def _agree(self) -> None:
         asked = {
-            "dtwin": PROTOCOL, "inputs": list(self._live.names), "axes": list(self._axes),
-            "channels": list(self._channels), "channels_hz": self._channels_hz, "nonce": self.nonce,
-        }  # fmt: skip
+            "dtwin": PROTOCOL,
+            "inputs": list(self._live.names),
+            "axes": list(self._axes),
+            "channels": list(self._channels),
+            "channels_hz": self._channels_hz,
+            "nonce": self.nonce,
+        }
         self._line.send(json.dumps(asked).encode() + b"\n")
         lines = self._line.lines(time.monotonic() + _GREETING_S)
         if not lines:
@@ -169,9 +180,8 @@ class AxisLink(StateLines):
             raise self._line.fault("axes.protocol", "what answers is no axis link of this version")
         if told.get("refused"):
             raise DeviceError(
-                "the control refuses", code="axes.refused", where=self._line.address,
-                got=str(told["refused"])[:200],
-            )  # fmt: skip
+                "the control refuses", code="axes.refused", where=self._line.address, got=str(told["refused"])[:200]
+            )
         self.greeting = self._greeting(told)
         if self.greeting.clock == "machine":
             self._lost_after_s = max(self._lost_after_s, _LAPSED_S)
@@ -180,27 +190,34 @@ class AxisLink(StateLines):
         missing += [axis for axis in self._axes if axis not in self.greeting.axes]
         if missing:
             raise InputError(
-                "the control does not provide what the model needs", code="axes.missing",
+                "the control does not provide what the model needs",
+                code="axes.missing",
                 where=f"{self.greeting.control} at {self._line.address}",
                 got=f"without {', '.join(str(name) for name in missing)}"[:200],
                 hint="another machine's control, or another machine's model?",
-            )  # fmt: skip
+            )
 
     def _greeting(self, told: Mapping[str, object]) -> Greeting:
         period, watchdog, clock = (told.get(n) for n in ("period_s", "watchdog_s", "clock"))
         axes = told.get("axes")
         if not (
-            isinstance(period, int | float) and 0.0 < period < 60.0
-            and isinstance(watchdog, int | float) and 0.0 < watchdog <= 60.0
+            isinstance(period, int | float)
+            and 0.0 < period < 60.0
+            and isinstance(watchdog, int | float)
+            and 0.0 < watchdog <= 60.0
             and clock in ("wall", "machine")
-            and isinstance(axes, list) and all(axis in _AXES for axis in axes)
-        ):  # fmt: skip
+            and isinstance(axes, list)
+            and all(axis in _AXES for axis in axes)
+        ):
             raise self._line.fault("axes.greeting", "the control's greeting cannot be used")
         return Greeting(
-            str(told.get("control"))[:80], float(period),
-            "wall" if clock == "wall" else "machine", float(watchdog), tuple(axes),
+            str(told.get("control"))[:80],
+            float(period),
+            "wall" if clock == "wall" else "machine",
+            float(watchdog),
+            tuple(axes),
             str(told.get("proof", ""))[:128],
-        )  # fmt: skip
+        )
 
     def _read(self, line: bytes) -> bool:
         """Take a line; tell whether it was a state."""

@@ -35,9 +35,8 @@ class LineSocket:
         host, _, port = address.rpartition(":")
         if not host or not port.isdigit() or not 0 < int(port) < 65536:
             raise InputError(
-                f"this is no address of a {what}", code="states.address", got=address[:80],
-                allowed="HOST:PORT",
-            )  # fmt: skip
+                f"this is no address of a {what}", code="states.address", got=address[:80], allowed="HOST:PORT"
+            )
         self.address, self.host, self._what = address, host, what
         self._place, self._longest = (host, int(port)), longest
         self._socket: socket.socket | None = None
@@ -113,9 +112,11 @@ class LineSocket:
     def fault(self, code: str, text: str) -> DeviceError:
         """Return an error about this connection."""
         return DeviceError(
-            text, code=code, where=f"{self._what} at {self.address}",
+            text,
+            code=code,
+            where=f"{self._what} at {self.address}",
             hint="check the program beside the control, then serve again",
-        )  # fmt: skip
+        )
 
     def _received(self, connection: socket.socket) -> list[bytes]:
         received = b""

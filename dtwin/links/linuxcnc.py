@@ -56,9 +56,8 @@ class Bridge(OpenAndClose):
         except OSError as error:
             found.close()
             raise DeviceError(
-                "LinuxCNC's bridge is not there", code="linuxcnc.bridge", where=str(self.path),
-                got=str(error),
-            ) from error  # fmt: skip
+                "LinuxCNC's bridge is not there", code="linuxcnc.bridge", where=str(self.path), got=str(error)
+            ) from error
         self._socket = found
 
     def close(self) -> None:
@@ -98,9 +97,11 @@ class Bridge(OpenAndClose):
         said: dict[str, Any] = json.loads(line)
         if "error" in said:
             raise DeviceError(
-                "LinuxCNC did not do what it was told", code="linuxcnc.refused",
-                where=str(request.get("do")), got=str(said["error"])[:300],
-            )  # fmt: skip
+                "LinuxCNC did not do what it was told",
+                code="linuxcnc.refused",
+                where=str(request.get("do")),
+                got=str(said["error"])[:300],
+            )
         return said
 
 
@@ -189,6 +190,8 @@ class LinuxcncLink:
 
 def _gone(path: Path, error: OSError | None) -> DeviceError:
     return DeviceError(
-        "LinuxCNC's bridge went away", code="linuxcnc.bridge", where=str(path),
+        "LinuxCNC's bridge went away",
+        code="linuxcnc.bridge",
+        where=str(path),
         got=str(error) if error else "end of the connection",
-    )  # fmt: skip
+    )

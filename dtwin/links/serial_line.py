@@ -30,9 +30,7 @@ class SerialLink(OpenAndClose):
         Silence after which the device counts as gone; longest time of a write.
     """
 
-    def __init__(
-        self, port: str, payload_size: int, *, baud: int = 115_200, timeout_s: float = 1.0
-    ) -> None:
+    def __init__(self, port: str, payload_size: int, *, baud: int = 115_200, timeout_s: float = 1.0) -> None:
         self.port, self.timeout_s = port, timeout_s
         self._baud, self._payload_size = baud, payload_size
         self._device: Any = None
@@ -66,11 +64,7 @@ class SerialLink(OpenAndClose):
             ) from error
         try:
             self._device = serial.Serial(
-                self.port,
-                self._baud,
-                timeout=self.timeout_s,
-                write_timeout=self.timeout_s,
-                exclusive=True,
+                self.port, self._baud, timeout=self.timeout_s, write_timeout=self.timeout_s, exclusive=True
             )
         except (OSError, ValueError) as error:
             raise self._open_error(error) from error

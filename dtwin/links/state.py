@@ -95,9 +95,7 @@ def empty_state() -> RobotState:
     return np.zeros(N)
 
 
-def correction_registers(
-    sequence: int = 0, offset_um: Floats | tuple[float, float, float] = (0.0, 0.0, 0.0)
-) -> Floats:
+def correction_registers(sequence: int = 0, offset_um: Floats | tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Floats:
     """Return correction registers, shape (4,): sequence number, then offset in um.
 
     Parameters

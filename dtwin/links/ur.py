@@ -218,12 +218,7 @@ class UrLink:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        for descriptor in (
-            self._memory_file,
-            self._state_ready,
-            self._correction_ready,
-            self._messages,
-        ):
+        for descriptor in (self._memory_file, self._state_ready, self._correction_ready, self._messages):
             os.close(descriptor)
         self._errors.close()
 
@@ -231,10 +226,7 @@ class UrLink:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
 

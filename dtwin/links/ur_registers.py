@@ -49,11 +49,7 @@ SAFETY_BITS: dict[float, int] = {
 }
 """``safety_ok`` -> ``safety_status_bits`` of a controller that reports just that."""
 
-SAFETY_MODES: dict[float, int] = {
-    layout.SAFE: 1,
-    layout.PROTECTIVE_STOP: 3,
-    layout.EMERGENCY: 7,
-}
+SAFETY_MODES: dict[float, int] = {layout.SAFE: 1, layout.PROTECTIVE_STOP: 3, layout.EMERGENCY: 7}
 """``safety_ok`` -> ``safety_mode``."""
 
 _PLAYING = 2

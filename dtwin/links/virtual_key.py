@@ -47,17 +47,18 @@ def proof(home: Home, nonce: str) -> str:
         key = path.read_bytes()
     except OSError as error:
         raise StoreError(
-            "the key of virtual machines cannot be used", code="virtual.key", where=str(path),
-            got=error.strerror or str(error), hint="make DTWIN_HOME writable",
-        ) from error  # fmt: skip
+            "the key of virtual machines cannot be used",
+            code="virtual.key",
+            where=str(path),
+            got=error.strerror or str(error),
+            hint="make DTWIN_HOME writable",
+        ) from error
     return hmac.new(key, nonce.encode(), hashlib.sha256).hexdigest()
 
 
 def proves(home: Home, nonce: str, answer: object) -> bool:
     """Tell whether an answer to a nonce comes from a program of this ``DTWIN_HOME``."""
-    return isinstance(answer, str) and hmac.compare_digest(
-        proof(home, nonce).encode(), answer.encode()
-    )
+    return isinstance(answer, str) and hmac.compare_digest(proof(home, nonce).encode(), answer.encode())
 
 
 def _make(path: Path) -> None:

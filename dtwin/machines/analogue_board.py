@@ -68,10 +68,11 @@ class AnalogueBoard:
         if not program.exists():
             build_board(program)
         self._process = subprocess.Popen(
-            [str(program), str(firmware), str(self._baud), str(self._folder / "eeprom.bin"),
-             hex(self._stuck)],
-            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-        )  # fmt: skip
+            [str(program), str(firmware), str(self._baud), str(self._folder / "eeprom.bin"), hex(self._stuck)],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
         assert self._process.stdout is not None
         for line in self._process.stdout:
             if line.startswith("port "):
@@ -81,10 +82,7 @@ class AnalogueBoard:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Switch the board off; its EEPROM keeps."""
         assert self._process is not None
@@ -102,9 +100,7 @@ class AnalogueBoard:
         with self._changed:
             return self._volts.get(source, (0.0, 0.0, 0.0))
 
-    def wait_for(
-        self, wanted: tuple[float, float, float], source: str = "dac", timeout_s: float = 10.0
-    ) -> bool:
+    def wait_for(self, wanted: tuple[float, float, float], source: str = "dac", timeout_s: float = 10.0) -> bool:
         """Wait until the terminals are within a step of the wanted voltages."""
         step = 0.0002 if source == "dac" else 0.04
 

@@ -103,9 +103,7 @@ class AxisServer:
         How often the correction went to zero because nothing came.
     """
 
-    def __init__(
-        self, machine: AxisMachine, prove: Prove, *, clock: Clock = "machine", port: int = 0
-    ) -> None:
+    def __init__(self, machine: AxisMachine, prove: Prove, *, clock: Clock = "machine", port: int = 0) -> None:
         self._machine, self._prove, self._clock = machine, prove, clock
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -114,9 +112,12 @@ class AxisServer:
         except OSError as error:
             self._listener.close()
             raise DeviceError(
-                "the virtual control cannot listen", code="axes.port", where=f"127.0.0.1:{port}",
-                got=str(error), hint="another port: --listen PORT, or 0 for a free one",
-            ) from error  # fmt: skip
+                "the virtual control cannot listen",
+                code="axes.port",
+                where=f"127.0.0.1:{port}",
+                got=str(error),
+                hint="another port: --listen PORT, or 0 for a free one",
+            ) from error
         self._listener.listen(4)
         self.port = int(self._listener.getsockname()[1])
         self.watchdog_trips = 0
@@ -262,13 +263,19 @@ class AxisServer:
         asked = [*hello["inputs"], *hello["channels"]]
         rate_differs = hello["channels"] and hello["channels_hz"] != self._machine.channels_hz
         client.wanted = frozenset(asked)
-        client.send({
-            "dtwin": PROTOCOL, "control": self._machine.name, "period_s": self._machine.period_s,
-            "clock": self._clock, "watchdog_s": WATCHDOG_S, "axes": list(self._machine.axes),
-            "missing": [name for name in asked if name not in provides]
-            + ([f"channels at {hello['channels_hz']:g} Hz"] if rate_differs else []),
-            "proof": self._prove(hello["nonce"]),
-        })  # fmt: skip
+        client.send(
+            {
+                "dtwin": PROTOCOL,
+                "control": self._machine.name,
+                "period_s": self._machine.period_s,
+                "clock": self._clock,
+                "watchdog_s": WATCHDOG_S,
+                "axes": list(self._machine.axes),
+                "missing": [name for name in asked if name not in provides]
+                + ([f"channels at {hello['channels_hz']:g} Hz"] if rate_differs else []),
+                "proof": self._prove(hello["nonce"]),
+            }
+        )
         self._client = None if client.gone else client
         self._sequence, self._let_go = 0, False
         self._heard_s = time.monotonic()
@@ -285,9 +292,18 @@ class AxisServer:
 
 
 _ALWAYS = frozenset(
-    ("timestamp_s", "runtime_running", "safety_ok", "segment_id", "applied_sequence",
-     "applied_x_um", "applied_y_um", "applied_z_um", "finished")
-)  # fmt: skip
+    (
+        "timestamp_s",
+        "runtime_running",
+        "safety_ok",
+        "segment_id",
+        "applied_sequence",
+        "applied_x_um",
+        "applied_y_um",
+        "applied_z_um",
+        "finished",
+    )
+)
 
 
 class _Client:

@@ -13,24 +13,9 @@ from dtwin.machines import mechanism as m_
 from dtwin.machines.controller import CircleController
 from dtwin.machines.joints import gravity_torque_kernel, transmission_table, wind_up_kernel
 from dtwin.machines.mechanism import Mechanism, build_mechanism, run_kernel, start_memory
-from dtwin.machines.motion import (
-    ANGLE0,
-    KIND,
-    LINE,
-    LINE_FROM,
-    RADIUS0,
-    CircleCondition,
-    MotionPlan,
-    plan_motion,
-)
+from dtwin.machines.motion import ANGLE0, KIND, LINE, LINE_FROM, RADIUS0, CircleCondition, MotionPlan, plan_motion
 from dtwin.machines.parameters import CobotParameters, load_parameters
-from dtwin.machines.recording import (
-    CobotRecording,
-    RunTicks,
-    Setup,
-    path_geometry,
-    record,
-)
+from dtwin.machines.recording import CobotRecording, RunTicks, Setup, path_geometry, record
 from dtwin.machines.sensors import sensor_matrix
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
@@ -91,9 +76,7 @@ class VirtualCobot:
         plan = self.plan(condition)
         return self.recording_of(condition, plan, self.run(plan), setup, repeat)
 
-    def controller(
-        self, condition: CircleCondition, *, setup: str, repeat: int
-    ) -> CircleController:
+    def controller(self, condition: CircleCondition, *, setup: str, repeat: int) -> CircleController:
         """Return the machine's controller about to run a condition, for a closed loop."""
         condition = condition.standard()
         if condition not in self._prepared:
@@ -140,9 +123,7 @@ class VirtualCobot:
         """Return the timed motion of a condition in standard form."""
         parameters = self.parameters
         tick_s = 1.0 / parameters.controller.rate_hz
-        return plan_motion(
-            condition, self.centre_mm(condition.radius_mm), parameters.motion, tick_s
-        )
+        return plan_motion(condition, self.centre_mm(condition.radius_mm), parameters.motion, tick_s)
 
     def setup(self, name: str, plane: str) -> Setup:
         """Return the mounting of a given name."""
@@ -156,12 +137,7 @@ class VirtualCobot:
         return Setup(in_plane + normal, errors.bar_length_error_um * rng.uniform(-1, 1))
 
     def recording_of(
-        self,
-        condition: CircleCondition,
-        plan: MotionPlan,
-        ticks: RunTicks,
-        setup: str,
-        repeat: int,
+        self, condition: CircleCondition, plan: MotionPlan, ticks: RunTicks, setup: str, repeat: int
     ) -> CobotRecording:
         """Return what the instruments made of a finished run."""
         text = f"{condition.plane} {condition.radius_mm} {condition.feed_mm_min}"

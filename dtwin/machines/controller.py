@@ -31,13 +31,7 @@ class CobotController:
         The machine at rest at the start of the program.
     """
 
-    def __init__(
-        self,
-        condition: CircleCondition,
-        plan: MotionPlan,
-        mechanism: Mechanism,
-        memory: Floats,
-    ) -> None:
+    def __init__(self, condition: CircleCondition, plan: MotionPlan, mechanism: Mechanism, memory: Floats) -> None:
         self.condition = condition
         self.plan = plan
         self._mechanism = mechanism

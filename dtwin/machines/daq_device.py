@@ -104,10 +104,7 @@ class Chassis:
         Monotonic time in s.
     """
 
-    def __init__(
-        self, modules: tuple[str, ...], sensors: Sensors,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    def __init__(self, modules: tuple[str, ...], sensors: Sensors, clock: Callable[[], float] = time.monotonic) -> None:
         self.modules, self.sensors, self.clock = modules, sensors, clock
         self.removed: set[str] = set()
         self.swapped = False

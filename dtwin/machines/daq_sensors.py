@@ -52,9 +52,7 @@ class Sensors:
         Seed of the noise.
     """
 
-    def __init__(
-        self, channels: Sequence[str], recording: Mapping[str, Floats] | None = None, seed: int = 0
-    ) -> None:
+    def __init__(self, channels: Sequence[str], recording: Mapping[str, Floats] | None = None, seed: int = 0) -> None:
         self._place = {name: number for number, name in enumerate(channels)}
         self._recording = dict(recording or {})
         self._seed = seed

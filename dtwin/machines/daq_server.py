@@ -118,8 +118,7 @@ class DaqService(stubs.NiDAQmxServicer):
             request.name_to_assign_to_channel or request.physical_channel,
             request.physical_channel,
             request.sensitivity / (1000.0 if in_mv else 1.0),
-            request.current_excit_source_raw == ExcitationSource.INTERNAL.value
-            and request.current_excit_val > 0,
+            request.current_excit_source_raw == ExcitationSource.INTERNAL.value and request.current_excit_val > 0,
         )
         self.chassis.add_channel(self.chassis.task(request.task.name), channel)
         return messages.CreateAIAccelChanResponse()
@@ -150,9 +149,7 @@ class DaqService(stubs.NiDAQmxServicer):
         samples = self.chassis.read(task, request.num_samps_per_chan, request.timeout)
         if samples.size > request.array_size_in_samps:
             raise device.DaqFault(-200229, "the client's array is too small", 0)
-        return messages.ReadAnalogF64Response(
-            read_array=samples.ravel().tolist(), samps_per_chan_read=samples.shape[1]
-        )
+        return messages.ReadAnalogF64Response(read_array=samples.ravel().tolist(), samps_per_chan_read=samples.shape[1])
 
     @_answers
     def GetTimingAttributeDouble(self, request: Any) -> Any:
@@ -170,11 +167,7 @@ class DaqService(stubs.NiDAQmxServicer):
     def GetTaskAttributeString(self, request: Any) -> Any:
         task = self.chassis.task(request.task.name)
         modules = dict.fromkeys(c.physical.partition("/")[0] for c in task.channels)
-        known = {
-            _TASK_NAME: request.task.name,
-            _TASK_CHANNELS: self._names(task),
-            _TASK_DEVICES: ", ".join(modules),
-        }
+        known = {_TASK_NAME: request.task.name, _TASK_CHANNELS: self._names(task), _TASK_DEVICES: ", ".join(modules)}
         value = _known(known, request.attribute_raw)
         return messages.GetTaskAttributeStringResponse(value=value)
 
@@ -208,7 +201,7 @@ class DaqService(stubs.NiDAQmxServicer):
             _RELATIVE_TO: (ReadRelativeTo.MOST_RECENT_SAMPLE if task.newest else where).value,
             _OFFSET: task.offset,
             _OVERWRITE: (mode if task.overwrite else OverwriteMode.DO_NOT_OVERWRITE_UNREAD_SAMPLES).value,
-        }  # fmt: skip
+        }
         value = _known(known, request.attribute_raw)
         return messages.GetReadAttributeInt32Response(value=value)
 

@@ -15,12 +15,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.kinematics import kernel, plane_axes
 from dtwin.machines.ballbar import read_ballbar
-from dtwin.machines.hexapod_parameters import (
-    CENTRE_MM,
-    LEGS,
-    HexapodParameters,
-    build_legs,
-)
+from dtwin.machines.hexapod_parameters import CENTRE_MM, LEGS, HexapodParameters, build_legs
 from dtwin.machines.joints import play_kernel
 from dtwin.machines.motion import CircleCondition, travelled_kernel
 from dtwin.machines.structure import mode_table, modes_kernel
@@ -119,9 +114,14 @@ class VirtualHexapod:
         degrees = np.degrees(np.interp(t_s, np.arange(len(angle)) / RATE_HZ, angle))
         inside = np.flatnonzero((degrees * condition.sign >= 0.0) & (np.abs(degrees) < _TURN_DEG))
         return HexapodRecording(
-            condition, t_s, UM_PER_MM * bar, degrees, (int(inside[0]), int(inside[-1]) + 1),
-            _felt(tool, p.accelerometer_noise_g, rng), tool,
-        )  # fmt: skip
+            condition,
+            t_s,
+            UM_PER_MM * bar,
+            degrees,
+            (int(inside[0]), int(inside[-1]) + 1),
+            _felt(tool, p.accelerometer_noise_g, rng),
+            tool,
+        )
 
     def tool_mm(self, condition: CircleCondition, angle_rad: Floats) -> Floats:
         """Return where the ball in the spindle really is, shape (n, 3).
@@ -145,18 +145,29 @@ class VirtualHexapod:
         p = self.parameters
         constants = np.array(
             [
-                p.position_gain_1_s, p.play_um / UM_PER_MM, p.friction_um / UM_PER_MM,
-                p.friction_width_um / UM_PER_MM, p.friction_recovery_s, p.pitch_mm,
-                p.motor_order, p.vibration_um_s_mm / UM_PER_MM,
+                p.position_gain_1_s,
+                p.play_um / UM_PER_MM,
+                p.friction_um / UM_PER_MM,
+                p.friction_width_um / UM_PER_MM,
+                p.friction_recovery_s,
+                p.pitch_mm,
+                p.motor_order,
+                p.vibration_um_s_mm / UM_PER_MM,
             ]
-        )  # fmt: skip
+        )
         legs = self.legs
         out = np.empty_like(path_mm)
         follow_kernel(
-            path_mm, legs.believed, legs.true,
+            path_mm,
+            legs.believed,
+            legs.true,
             np.stack([legs.offset_mm, legs.scale_1, legs.feed_forward]),
-            constants, mode_table(p.structure), self._inverse(), p.tool_mm, out,
-        )  # fmt: skip
+            constants,
+            mode_table(p.structure),
+            self._inverse(),
+            p.tool_mm,
+            out,
+        )
         return out
 
     def _inverse(self) -> Floats:
@@ -183,12 +194,7 @@ def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) ->
     length_mm = np.radians(_TURN_DEG + 2.0 * OVERSHOOT_DEG) * condition.radius_mm
     moving_s = length_mm / speed + ramp_s + jerk_s
     ticks = np.arange(round((moving_s + 2.0 * _REST_S) * RATE_HZ)) / RATE_HZ - _REST_S
-    way_mm = np.array(
-        [
-            travelled_kernel(min(max(t, 0.0), moving_s), moving_s, speed, ramp_s, jerk_s)
-            for t in ticks
-        ]
-    )
+    way_mm = np.array([travelled_kernel(min(max(t, 0.0), moving_s), moving_s, speed, ramp_s, jerk_s) for t in ticks])
     return condition.sign * (way_mm / condition.radius_mm - np.radians(OVERSHOOT_DEG))
 
 
@@ -202,15 +208,14 @@ def _felt(tool_mm: Floats, noise_g: float, rng: np.random.Generator) -> SignalGr
 
 def _require_reach(condition: CircleCondition) -> None:
     radius, feed = condition.radius_mm, condition.feed_mm_min
-    if not (
-        _RADII_MM[0] <= radius <= _RADII_MM[1] and _FEEDS_MM_MIN[0] <= feed <= _FEEDS_MM_MIN[1]
-    ):
+    if not (_RADII_MM[0] <= radius <= _RADII_MM[1] and _FEEDS_MM_MIN[0] <= feed <= _FEEDS_MM_MIN[1]):
         raise InputError(
-            "radius or feed is outside what this hexapod can do", code="run.condition",
+            "radius or feed is outside what this hexapod can do",
+            code="run.condition",
             got=f"radius {radius:g} mm, feed {feed:g} mm/min",
             allowed=f"radius {_RADII_MM[0]:g} to {_RADII_MM[1]:g} mm, feed {_FEEDS_MM_MIN[0]:g} to "
             f"{_FEEDS_MM_MIN[1]:g} mm/min",
-        )  # fmt: skip
+        )
 
 
 @kernel

@@ -94,12 +94,7 @@ class HexapodParameters:
     length_error_um: float = 1.0
     bar: BallbarParameters = field(
         default_factory=lambda: BallbarParameters(
-            rate_hz=1000.0,
-            quantum_um=0.1,
-            noise_um=0.15,
-            clock_offset_s=0.0,
-            clock_error_ppm=0.0,
-            trigger_mm=0.0,
+            rate_hz=1000.0, quantum_um=0.1, noise_um=0.15, clock_offset_s=0.0, clock_error_ppm=0.0, trigger_mm=0.0
         )
     )
     accelerometer_noise_g: float = 2e-4
@@ -108,9 +103,8 @@ class HexapodParameters:
         """Return the same machine with stiff structure, perfect loops and quiet motors."""
         still = replace(self.structure, participation=(0.0,) * len(self.structure.frequency_hz))
         return replace(
-            self, structure=still, vibration_um_s_mm=0.0, feed_forward=1.0, friction_um=0.0,
-            feed_forward_spread=0.0,
-        )  # fmt: skip
+            self, structure=still, vibration_um_s_mm=0.0, feed_forward=1.0, friction_um=0.0, feed_forward_spread=0.0
+        )
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,12 @@ _FASTEST_MM_MIN = 3000.0
 _SPINDLE_V = 2.5
 MODE_HZ = 194.0
 ITEMS = (
-    "ProgramPositionCommand", "ProgramPositionFeedback", "PositionError",
-    "VelocityFeedbackAverage", "CurrentFeedbackAverage",
-)  # fmt: skip
+    "ProgramPositionCommand",
+    "ProgramPositionFeedback",
+    "PositionError",
+    "VelocityFeedbackAverage",
+    "CurrentFeedbackAverage",
+)
 _SENSOR_CORNER_HZ, SENSOR_NOISE_G = 0.5, 50e-6
 _G_MM_S2 = 9806.65
 _ACCELERATION_MM_S2 = 200.0
@@ -75,12 +78,16 @@ def hybrid_parameters() -> MillParameters:
     give the published mean error of 6 to 8 um on circles of 50 mm. The room goes from 16 to 21 C.
     """
     heat = HeatParameters(
-        rise_c=3.0, feed_mm_min=500.0, feed_share=0.4, time_constant_min=40.0,
-        room_c=18.5, room_swing_c=2.5, room_period_h=12.0,
-    )  # fmt: skip
+        rise_c=3.0,
+        feed_mm_min=500.0,
+        feed_share=0.4,
+        time_constant_min=40.0,
+        room_c=18.5,
+        room_swing_c=2.5,
+        room_period_h=12.0,
+    )
     made = MillParameters(squareness_um_m={"XY": 100.0}, heat=heat)
-    slide = {"mode_hz": MODE_HZ, "mode_damping": 0.03, "mode_share": 0.05, "feed_forward": 0.999,
-             "growth_um_m_k": 11.5}  # fmt: skip
+    slide = {"mode_hz": MODE_HZ, "mode_damping": 0.03, "mode_share": 0.05, "feed_forward": 0.999, "growth_um_m_k": 11.5}
     made = made.with_axis("X", scale_ppm=-270.0, bow_um=2.0, **slide)
     return made.with_axis("Y", scale_ppm=120.0, bow_um=-1.5, **slide)
 
@@ -150,9 +157,8 @@ class HybridMill:
         return 8.0 * np.random.default_rng([self.seed, 91]).standard_normal(2)
 
     def run(
-        self, corners_mm: Floats, feed_mm_min: float, *, c_deg: float = 0.0,
-        wanted_um: Floats | None = None,
-    ) -> HybridRun:  # fmt: skip
+        self, corners_mm: Floats, feed_mm_min: float, *, c_deg: float = 0.0, wanted_um: Floats | None = None
+    ) -> HybridRun:
         """Drive straight moves that stop at every corner.
 
         Parameters
@@ -176,9 +182,11 @@ class HybridMill:
         wanted = np.zeros((2, n)) if wanted_um is None else np.asarray(wanted_um, dtype=float)
         if wanted.shape != (2, n):
             raise InputError(
-                "the correction does not fit the program", code="hybrid.correction",
-                got=str(wanted.shape), allowed=f"(2, {n})",
-            )  # fmt: skip
+                "the correction does not fit the program",
+                code="hybrid.correction",
+                got=str(wanted.shape),
+                allowed=f"(2, {n})",
+            )
         added = self.correction_input.applied_um(wanted)
         driven = [
             mill_drive.drive(command, i, self.parameters.axis(a), 0.0, added[i] / UM_PER_MM)
@@ -211,15 +219,18 @@ class HybridMill:
         reach = np.array([STROKE_MM[a] / 2.0 for a in _AXES])
         if corners.ndim != 2 or corners.shape[1] != 2 or not np.all(np.abs(corners) <= reach):
             raise InputError(
-                "the program leaves the strokes of the mill", code="hybrid.stroke",
+                "the program leaves the strokes of the mill",
+                code="hybrid.stroke",
                 got=str(np.abs(corners).max(axis=0).tolist()) if corners.ndim == 2 else "no corners",
                 allowed="X within ±200 mm, Y within ±75 mm",
-            )  # fmt: skip
+            )
         if not 1.0 <= feed_mm_min <= _FASTEST_MM_MIN:
             raise InputError(
-                "the mill cannot drive this feed", code="hybrid.feed",
-                got=f"{feed_mm_min:g} mm/min", allowed=f"1 to {_FASTEST_MM_MIN:g} mm/min",
-            )  # fmt: skip
+                "the mill cannot drive this feed",
+                code="hybrid.feed",
+                got=f"{feed_mm_min:g} mm/min",
+                allowed=f"1 to {_FASTEST_MM_MIN:g} mm/min",
+            )
         parts = [_move(here, there, feed_mm_min / 60.0) for here, there in pairwise(corners)]
         place, speed, gain = (np.concatenate([p[k] for p in parts], axis=1) for k in range(3))
         return Command(0.0, np.zeros(place.shape[1]), place, speed, gain)
@@ -237,9 +248,11 @@ class HybridMill:
         out[0] -= np.sin(lean) * reading[1]
         offset = self.mounting_um()
         turned = np.array(
-            [np.cos(c_rad) * offset[0] - np.sin(c_rad) * offset[1],
-             np.sin(c_rad) * offset[0] + np.cos(c_rad) * offset[1]]
-        )  # fmt: skip
+            [
+                np.cos(c_rad) * offset[0] - np.sin(c_rad) * offset[1],
+                np.sin(c_rad) * offset[0] + np.cos(c_rad) * offset[1],
+            ]
+        )
         return np.asarray(UM_PER_MM * (out - ideal) - turned[:, None])
 
 

@@ -78,9 +78,7 @@ def drive_program(
         When there is no such motion, or a target is out of reach.
     """
     if motion not in MOTIONS:
-        raise InputError(
-            "no such motion", code="joints.motion", got=motion[:40], allowed=", ".join(MOTIONS)
-        )
+        raise InputError("no such motion", code="joints.motion", got=motion[:40], allowed=", ".join(MOTIONS))
     tick_s = 1.0 / cobot.parameters.controller.rate_hz
     first = _plan_at(stops[0].position_mm, datum_mm)
     mechanism, memory = cobot.at_rest(first)
@@ -114,9 +112,7 @@ def _plan_at(position_mm: Floats, datum_mm: Floats) -> MotionPlan:
     return MotionPlan(row[None], np.vstack([np.eye(3)[:2], datum_mm]), 0.0, (0.0, 0.0))
 
 
-def _shares(
-    cobot: VirtualCobot, start_mm: Floats, end_mm: Floats, feed_mm_min: float, tick_s: float
-) -> Floats:
+def _shares(cobot: VirtualCobot, start_mm: Floats, end_mm: Floats, feed_mm_min: float, tick_s: float) -> Floats:
     """Return the share of the way travelled at each tick of a move."""
     length = float(np.linalg.norm(end_mm - start_mm))
     if length < 1e-6:

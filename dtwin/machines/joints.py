@@ -81,9 +81,8 @@ def gravity_torque_kernel(q_rad: Floats, dh: Floats, mass_kg: Floats, torque_nm:
 
 @kernel
 def transmission_kernel(
-    angle_rad: float, flank: float, load_nm: float, orders: Floats, joint_orders: Floats,
-    joint: Floats,
-) -> float:  # fmt: skip
+    angle_rad: float, flank: float, load_nm: float, orders: Floats, joint_orders: Floats, joint: Floats
+) -> float:
     """Return the transmission error of one gear in rad.
 
     Parameters

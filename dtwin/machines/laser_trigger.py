@@ -143,10 +143,13 @@ class _Trigger:
     def _read(self, target: float, way: int, due: float) -> None:
         self.readings.append(
             Reading(
-                target, "forward" if way > 0 else "reverse", self.number // len(self.order),
-                due - self.setup.dwell_s / 2.0, due,
+                target,
+                "forward" if way > 0 else "reverse",
+                self.number // len(self.order),
+                due - self.setup.dwell_s / 2.0,
+                due,
             )
-        )  # fmt: skip
+        )
         self._next()
 
     def _next(self) -> None:
@@ -171,12 +174,7 @@ class _Trigger:
         beyond = not first - self.setup.window_mm <= p1 <= last + self.setup.window_mm
         step = abs(second - first)
         near = abs(p1 - target) <= min(_NEAR * self.setup.window_mm, 0.4 * step)
-        if (
-            halted
-            and near
-            and not beyond
-            and (not self.never_inside or self.never_inside[-1] != target)
-        ):
+        if halted and near and not beyond and (not self.never_inside or self.never_inside[-1] != target):
             self.never_inside.append(target)
 
     def summary(self, t_s: Floats, position_mm: Floats) -> list[Finding]:
@@ -185,42 +183,48 @@ class _Trigger:
         if self.left_early:
             alarms.append(
                 _alarm(
-                    "trigger.dwell_too_short", self.left_early,
+                    "trigger.dwell_too_short",
+                    self.left_early,
                     f"the axis left the window before {self.setup.dwell_s:g} s were over: halt longer",
                 )
-            )  # fmt: skip
+            )
         if self.never_inside:
             alarms.append(
                 _alarm(
-                    "trigger.window_too_small", self.never_inside,
+                    "trigger.window_too_small",
+                    self.never_inside,
                     f"the axis halted near, but not within {self.setup.window_mm:g} mm: widen the window",
                 )
-            )  # fmt: skip
+            )
         moved = [r.target_mm for r in self.readings if _moved(r, t_s, position_mm, self.setup)]
         if moved:
             alarms.append(
                 _alarm(
-                    "trigger.moved_while_reading", moved,
+                    "trigger.moved_while_reading",
+                    moved,
                     "the axis moved while the laser averaged: windows overlap, or the halts are short",
                 )
-            )  # fmt: skip
+            )
         missing = self.total - len(self.readings)
         if missing:
             alarms.append(
                 Finding(
-                    "trigger.missed", "error",
+                    "trigger.missed",
+                    "error",
                     f"{missing} of {self.total} readings were not taken",
                     {"missed_1": float(missing)},
                 )
-            )  # fmt: skip
+            )
         return alarms
 
 
 def _alarm(code: str, targets: Sequence[float], why: str) -> Finding:
     return Finding(
-        code, "error", f"{len(targets)} targets, the first at {targets[0]:z.3f} mm: {why}",
+        code,
+        "error",
+        f"{len(targets)} targets, the first at {targets[0]:z.3f} mm: {why}",
         {"targets_1": float(len(targets)), "first_mm": targets[0]},
-    )  # fmt: skip
+    )
 
 
 def _moved(reading: Reading, t_s: Floats, position_mm: Floats, setup: LaserSetup) -> bool:

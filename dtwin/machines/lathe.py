@@ -107,12 +107,8 @@ class ThreadScrew:
     def flanks_um(self, position_mm: Floats) -> tuple[Floats, Floats]:
         """Return lower and upper limit of slide minus screw in um, each of shape (n,)."""
         x = np.atleast_1d(np.asarray(position_mm, float))
-        lead = self.lead_um_per_m * (x / 1000.0) + self.wave_um * np.sin(
-            2 * np.pi * x / self.wave_mm
-        )
-        half = 0.5 * (
-            self.play_um + self.wear_um * np.exp(-(((x - self.worn_at_mm) / self.worn_mm) ** 2))
-        )
+        lead = self.lead_um_per_m * (x / 1000.0) + self.wave_um * np.sin(2 * np.pi * x / self.wave_mm)
+        half = 0.5 * (self.play_um + self.wear_um * np.exp(-(((x - self.worn_at_mm) / self.worn_mm) ** 2)))
         turned = np.mod(x / self.pitch_mm, 1.0)
         push = _periodic(turned, self._contact(self.leading, highest=True))
         pull = _periodic(turned, self._contact(self.trailing, highest=False))
@@ -222,9 +218,8 @@ class VirtualLathe:
         return np.array(out)
 
     def measure(
-        self, motion: Motion, setup: LaserSetup, t_s: Floats | None = None,
-        screw_mm: Floats | None = None,
-    ) -> LatheRecording:  # fmt: skip
+        self, motion: Motion, setup: LaserSetup, t_s: Floats | None = None, screw_mm: Floats | None = None
+    ) -> LatheRecording:
         """Let the laser watch a motion.
 
         Parameters
@@ -242,9 +237,7 @@ class VirtualLathe:
         triggered = watch(times[seen], slide[seen], setup)
         return self._recorded(motion, triggered, times, slide)
 
-    def _recorded(
-        self, motion: Motion, triggered: Triggered, times: Floats, slide: Floats
-    ) -> LatheRecording:
+    def _recorded(self, motion: Motion, triggered: Triggered, times: Floats, slide: Floats) -> LatheRecording:
         begin = np.array([r.begin_s for r in triggered.readings])
         end = np.array([r.end_s for r in triggered.readings])
         actual = _averages(times, slide, begin, end)
@@ -261,15 +254,16 @@ class VirtualLathe:
         step = self.wander.quantum_um
         air = 70.4 + 0.3 * wandering(rng, at, 7200.0)[1:]
         return LatheRecording(
-            triggered=triggered, t_s=end - motion.zeroed_s,
+            triggered=triggered,
+            t_s=end - motion.zeroed_s,
             error_um=np.round(shown / step) * step if step > 0 else shown,
-            air_f=air, air_inhg=29.25 + 0.02 * wandering(rng, at, 20_000.0)[1:],
-            material_f=air + 1.1 + 1.8 * self._warm_c(end - motion.t_s[0]), truth_um=truth,
-        )  # fmt: skip
+            air_f=air,
+            air_inhg=29.25 + 0.02 * wandering(rng, at, 20_000.0)[1:],
+            material_f=air + 1.1 + 1.8 * self._warm_c(end - motion.t_s[0]),
+            truth_um=truth,
+        )
 
-    def _wander_um(
-        self, rng: np.random.Generator, at: Floats, x_m: Floats, motion: Motion
-    ) -> Floats:
+    def _wander_um(self, rng: np.random.Generator, at: Floats, x_m: Floats, motion: Motion) -> Floats:
         wander = self.wander
         offset = wander.offset_um * wandering(rng, at, wander.time_constant_s)
         scale = wander.scale_um_per_m * wandering(rng, at, wander.time_constant_s)
@@ -279,9 +273,7 @@ class VirtualLathe:
         return moved
 
     def _warm_c(self, elapsed_s: Floats) -> Floats:
-        warm: Floats = self.wander.heating_c * (
-            1.0 - np.exp(-elapsed_s / self.wander.heating_time_s)
-        )
+        warm: Floats = self.wander.heating_c * (1.0 - np.exp(-elapsed_s / self.wander.heating_time_s))
         return warm
 
 
@@ -301,7 +293,5 @@ def _averages(times: Floats, values: Floats, begin: Floats, end: Floats) -> Floa
 
 def _periodic(turned: Floats, over_one_turn: Floats) -> Floats:
     n = len(over_one_turn)
-    there: Floats = np.interp(
-        turned * n, np.arange(n + 1), np.append(over_one_turn, over_one_turn[0])
-    )
+    there: Floats = np.interp(turned * n, np.arange(n + 1), np.append(over_one_turn, over_one_turn[0]))
     return there

@@ -125,7 +125,9 @@ class _State:
 
     def _refused(self, line: str, number: int) -> InputError:
         return InputError(
-            "the virtual lathe does not understand this block", code="lathe.block",
-            where=f"line {number}", got=line[:60],
+            "the virtual lathe does not understand this block",
+            code="lathe.block",
+            where=f"line {number}",
+            got=line[:60],
             allowed=f"G53 {self.axis}..., F, G04, M00, M01, M30, modes",
-        )  # fmt: skip
+        )

@@ -9,12 +9,7 @@ import numpy as np
 from dtwin.kinematics import UR10E, forward_kernel, inverse_kernel, kernel
 from dtwin.links import state as layout
 from dtwin.machines import joints as j_
-from dtwin.machines.joints import (
-    gravity_torque_kernel,
-    play_kernel,
-    transmission_kernel,
-    wind_up_kernel,
-)
+from dtwin.machines.joints import gravity_torque_kernel, play_kernel, transmission_kernel, wind_up_kernel
 from dtwin.machines.motion import START_S, jolt_kernel, path_kernel
 from dtwin.machines.parameters import CobotParameters
 from dtwin.machines.structure import mode_table, modes_kernel
@@ -80,12 +75,7 @@ class Mechanism(NamedTuple):
     geometry: Floats
 
 
-def build_mechanism(
-    parameters: CobotParameters,
-    transmission: Floats,
-    true_dh: Floats,
-    rotation: Floats,
-) -> Mechanism:
+def build_mechanism(parameters: CobotParameters, transmission: Floats, true_dh: Floats, rotation: Floats) -> Mechanism:
     """Return the constants of a machine, its set-up zero still at nought."""
     controller, structure = parameters.controller, parameters.structure
     tick_s = 1.0 / controller.rate_hz
@@ -183,9 +173,7 @@ def _apply_registers(registers: Floats, control: Floats, memory: Floats) -> None
 
 
 @kernel
-def _link_angles(
-    q_rad: Floats, machine: Mechanism, memory: Floats, actual_rad: Floats, link_rad: Floats
-) -> None:
+def _link_angles(q_rad: Floats, machine: Mechanism, memory: Floats, actual_rad: Floats, link_rad: Floats) -> None:
     torque = np.zeros(6)
     gravity_torque_kernel(q_rad, machine.dh[0], machine.masses_kg, torque)
     tick_s = machine.control[_TICK_S]
@@ -206,21 +194,13 @@ def _link_angles(
         flank = (angle - behind) / half if half > 0.0 else 0.0
         felt = play_kernel(torque[j], memory[_TORQUE + j], table[_HYSTERESIS_NM])
         memory[_TORQUE + j] = felt
-        ripple = transmission_kernel(
-            angle, flank, torque[j], machine.orders, machine.transmission[j], table
-        )
+        ripple = transmission_kernel(angle, flank, torque[j], machine.orders, machine.transmission[j], table)
         link_rad[j] = behind + ripple + wind_up_kernel(felt, table)
 
 
 @kernel
 def tick_kernel(
-    machine: Mechanism,
-    segments: Floats,
-    frame: Floats,
-    registers: Floats,
-    memory: Floats,
-    state: Floats,
-    truth: Floats,
+    machine: Mechanism, segments: Floats, frame: Floats, registers: Floats, memory: Floats, state: Floats, truth: Floats
 ) -> None:
     """Advance the machine by one controller period.
 
@@ -300,12 +280,7 @@ def tick_kernel(
 
 @kernel
 def run_kernel(
-    machine: Mechanism,
-    segments: Floats,
-    frame: Floats,
-    memory: Floats,
-    states: Floats,
-    truths: Floats,
+    machine: Mechanism, segments: Floats, frame: Floats, memory: Floats, states: Floats, truths: Floats
 ) -> None:
     """Run a whole program without correction; rows of ``states`` and ``truths`` are ticks."""
     registers = np.zeros(4)

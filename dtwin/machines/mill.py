@@ -144,21 +144,14 @@ class VirtualMill:
 
     def _motion(self, test: CircularTest) -> tuple[Command, Driven, Driven]:
         command = mill_drive.circle(
-            test.radius_mm,
-            test.feed_mm_min / 60.0,
-            _sense(test),
-            self.parameters.changeover_um / UM_PER_MM,
+            test.radius_mm, test.feed_mm_min / 60.0, _sense(test), self.parameters.changeover_um / UM_PER_MM
         )
         added = np.zeros_like(command.position_mm)
         if test.correction:
             added = self.corrections[test.correction](test, command)
         a, b = (
             mill_drive.drive(
-                command,
-                i,
-                self.parameters.axis(letter),
-                _CENTRE_ON_SCREW_MM[AXES.index(letter)],
-                added[i],
+                command, i, self.parameters.axis(letter), _CENTRE_ON_SCREW_MM[AXES.index(letter)], added[i]
             )
             for i, letter in enumerate(test.plane)
         )
@@ -202,9 +195,7 @@ class VirtualMill:
         rise_c = clock.rise_c
         deviation = UM_PER_MM * (length_mm - test.radius_mm) + setup[2]
         deviation += self.parameters.bar_growth_um_h * time_h
-        deviation += self.parameters.cup_lobe_um * np.cos(
-            3.0 * angle + self.parameters.cup_phase_rad
-        )
+        deviation += self.parameters.cup_lobe_um * np.cos(3.0 * angle + self.parameters.cup_phase_rad)
         if self.disturbance is not None:
             deviation += self.disturbance(Moment(number, test, angle, time_h, rise_c))
         noise = noise_um(self.noise, angle, test.feed_mm_min, rng, bad=bad)
@@ -215,11 +206,17 @@ class VirtualMill:
         if test.abbe_offset_mm is not None:
             covariates["abbe_offset_mm"] = test.abbe_offset_mm
         meta = RunMeta(
-            run_id=f"r{number + 1:03d}", plane=test.plane, direction=test.direction,
-            radius_mm=test.radius_mm, feed_mm_min=test.feed_mm_min, repeat=test.repeat,
-            setup=test.setup, started=(_BEGIN + timedelta(seconds=clock.time_s)).isoformat(),
-            sample_rate_hz=1.0 / period_s, covariates=covariates,
-        )  # fmt: skip
+            run_id=f"r{number + 1:03d}",
+            plane=test.plane,
+            direction=test.direction,
+            radius_mm=test.radius_mm,
+            feed_mm_min=test.feed_mm_min,
+            repeat=test.repeat,
+            setup=test.setup,
+            started=(_BEGIN + timedelta(seconds=clock.time_s)).isoformat(),
+            sample_rate_hz=1.0 / period_s,
+            covariates=covariates,
+        )
         samples = {"t_s": t_s, "angle_deg": np.degrees(written), "deviation_um": deviation}
         logged = _logged_mm(test, written, command, due_s, (first, second))
         return Run(meta=meta, samples=samples | logged)
@@ -308,11 +305,7 @@ class _Clock:
 
 
 def _logged_mm(
-    test: CircularTest,
-    angle: Floats,
-    command: Command,
-    due_s: Floats,
-    driven: tuple[Driven, Driven],
+    test: CircularTest, angle: Floats, command: Command, due_s: Floats, driven: tuple[Driven, Driven]
 ) -> dict[str, Floats]:
     """Return what the control logs on its own clock, from the middle of the circle."""
     grid_s = np.arange(len(command.phase_rad)) * mill_drive.STEP_S
@@ -338,9 +331,7 @@ def _scale_error_mm(position_mm: Floats, ppm: float, cubic_um: float) -> Floats:
     return np.asarray(1e-6 * ppm * position_mm + cubic_um / UM_PER_MM * (position_mm / 100.0) ** 3)
 
 
-def _slips_mm(
-    slip_um: float, fading_mm_s: float, speed: Floats, position: Floats, rng: np.random.Generator
-) -> Floats:
+def _slips_mm(slip_um: float, fading_mm_s: float, speed: Floats, position: Floats, rng: np.random.Generator) -> Floats:
     """Return saw teeth of random length: an axis that creeps sticks and jumps."""
     if slip_um == 0.0:
         return np.zeros_like(position)

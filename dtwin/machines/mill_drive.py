@@ -60,16 +60,10 @@ def circle(radius_mm: float, feed_mm_s: float, sense: float, changeover_mm: floa
     phase = sense * (speed * travelled - _LEAD_IN_RAD)
     rate = sense * speed * 0.5 * (1.0 - np.cos(np.pi * ramp))
     gain = sense * speed * 0.5 * np.pi / _RAMP_S * np.sin(np.pi * ramp)
-    along, across = (
-        np.stack([np.cos(phase), np.sin(phase)]),
-        np.stack([-np.sin(phase), np.cos(phase)]),
-    )
+    along, across = (np.stack([np.cos(phase), np.sin(phase)]), np.stack([-np.sin(phase), np.cos(phase)]))
     leads = np.abs(across[1]) > np.abs(across[0])
     r = radius_mm + np.where(leads, -0.5, 0.5) * changeover_mm
-    return Command(
-        start_s, phase, r * along, radius_mm * across * rate,
-        radius_mm * (across * gain - along * rate**2),
-    )  # fmt: skip
+    return Command(start_s, phase, r * along, radius_mm * across * rate, radius_mm * (across * gain - along * rate**2))
 
 
 @dataclass(frozen=True)
@@ -93,11 +87,7 @@ class Driven:
 
 
 def drive(
-    command: Command,
-    number: int,
-    axis: AxisParameters,
-    offset_mm: float,
-    correction_mm: Floats | None = None,
+    command: Command, number: int, axis: AxisParameters, offset_mm: float, correction_mm: Floats | None = None
 ) -> Driven:
     """Return what one axis makes of a command.
 
@@ -140,16 +130,31 @@ def _bow_mm(position_mm: Floats, bow_um: float) -> Floats:
 def _vector(a: AxisParameters, offset_mm: float) -> Floats:
     return np.array(
         [
-            a.position_gain_1_s, a.velocity_gain_1_s, a.integral_time_ms / 1000.0, a.feed_forward,
-            a.play_um / UM_PER_MM, a.play_taper_um / UM_PER_MM / 100.0,
+            a.position_gain_1_s,
+            a.velocity_gain_1_s,
+            a.integral_time_ms / 1000.0,
+            a.feed_forward,
+            a.play_um / UM_PER_MM,
+            a.play_taper_um / UM_PER_MM / 100.0,
             a.play_curve_um / UM_PER_MM / 1e4,
-            a.lateral_um / UM_PER_MM, a.lateral_taper_um / UM_PER_MM / 100.0, a.lateral_travel_mm,
-            a.friction_mm_s2, a.presliding_mm, a.stribeck_mm_s2, a.stribeck_mm_s,
-            a.pitch_error_um / UM_PER_MM, a.pitch_mm, a.pitch_phase_rad,
+            a.lateral_um / UM_PER_MM,
+            a.lateral_taper_um / UM_PER_MM / 100.0,
+            a.lateral_travel_mm,
+            a.friction_mm_s2,
+            a.presliding_mm,
+            a.stribeck_mm_s2,
+            a.stribeck_mm_s,
+            a.pitch_error_um / UM_PER_MM,
+            a.pitch_mm,
+            a.pitch_phase_rad,
             a.pitch_flank_um / UM_PER_MM,
-            2.0 * np.pi * a.mode_hz, a.mode_damping, a.mode_share, a.breakaway_mm, offset_mm,
+            2.0 * np.pi * a.mode_hz,
+            a.mode_damping,
+            a.mode_share,
+            a.breakaway_mm,
+            offset_mm,
         ]
-    )  # fmt: skip
+    )
 
 
 @kernel
@@ -202,9 +207,7 @@ def _drive_kernel(
         if before * moving < 0.0:
             bent_speed += sense * np.sqrt(2.0 * abs(acceleration[i]) * breakaway)
         before = moving
-        bent_speed -= dt * (
-            2.0 * damping * omega * bent_speed + omega * omega * bent + share * acceleration[i]
-        )
+        bent_speed -= dt * (2.0 * damping * omega * bent_speed + omega * omega * bent + share * acceleration[i])
         bent += dt * bent_speed
         along[i] = table + bent - command[i]
     return along, sideways, encoder

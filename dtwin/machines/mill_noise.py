@@ -39,21 +39,11 @@ class NoiseParameters:
     def __post_init__(self) -> None:
         """Refuse unknown kinds."""
         if self.kind not in KINDS:
-            raise InputError(
-                "unknown kind of noise",
-                code="mill.noise",
-                got=self.kind[:40],
-                allowed=", ".join(KINDS),
-            )
+            raise InputError("unknown kind of noise", code="mill.noise", got=self.kind[:40], allowed=", ".join(KINDS))
 
 
 def noise_um(
-    parameters: NoiseParameters,
-    angle_rad: Floats,
-    feed_mm_min: float,
-    rng: np.random.Generator,
-    *,
-    bad: bool,
+    parameters: NoiseParameters, angle_rad: Floats, feed_mm_min: float, rng: np.random.Generator, *, bad: bool
 ) -> Floats:
     """Return the noise of one run, shape (n,).
 

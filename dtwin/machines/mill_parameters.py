@@ -125,9 +125,7 @@ class HeatParameters:
 
     def room_at_c(self, time_h: float) -> float:
         """Return the room's temperature at a time."""
-        return self.room_c + self.room_swing_c * math.sin(
-            2.0 * math.pi * time_h / self.room_period_h
-        )
+        return self.room_c + self.room_swing_c * math.sin(2.0 * math.pi * time_h / self.room_period_h)
 
 
 @dataclass(frozen=True)

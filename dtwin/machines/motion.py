@@ -47,9 +47,7 @@ class CircleCondition:
             When plane, direction, radius or feed make no sense.
         """
         if self.direction not in ("CCW", "CW"):
-            raise InputError(
-                "unknown direction", code="run.direction", got=self.direction, allowed="CCW, CW"
-            )
+            raise InputError("unknown direction", code="run.direction", got=self.direction, allowed="CCW, CW")
         if not (10.0 <= self.radius_mm <= 400.0 and 50.0 <= self.feed_mm_min <= 30000.0):
             raise InputError(
                 "radius or feed is outside what this robot can do",
@@ -94,9 +92,7 @@ def _cubed(time_s: float) -> float:
 
 
 @kernel
-def travelled_kernel(
-    time_s: float, duration_s: float, speed: float, ramp_s: float, jerk_s: float
-) -> float:
+def travelled_kernel(time_s: float, duration_s: float, speed: float, ramp_s: float, jerk_s: float) -> float:
     """Return the way travelled on a jerk-limited, stop-to-stop speed profile.
 
     Acceleration is a trapezoid: jerk phases of ``jerk_s`` around a ramp of ``ramp_s``.
@@ -175,9 +171,7 @@ def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Flo
 
 
 @kernel
-def jolt_kernel(
-    time_s: float, segment: Floats, frame: Floats, jolts: Floats, acceleration: Floats
-) -> None:
+def jolt_kernel(time_s: float, segment: Floats, frame: Floats, jolts: Floats, acceleration: Floats) -> None:
     """Write the jolt with which the drives let go and catch the arm around an arc.
 
     Parameters
@@ -210,9 +204,7 @@ def jolt_kernel(
         acceleration[i] = pulse * (np.cos(angle) * frame[1, i] - np.sin(angle) * frame[0, i])
 
 
-def plan_motion(
-    condition: CircleCondition, centre_mm: Floats, motion: MotionParameters, tick_s: float
-) -> MotionPlan:
+def plan_motion(condition: CircleCondition, centre_mm: Floats, motion: MotionParameters, tick_s: float) -> MotionPlan:
     """Return the timed program of a circular run.
 
     XY runs are two revolutions of half circles with a stop after each; the middle revolution

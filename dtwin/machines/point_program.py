@@ -24,9 +24,7 @@ from dtwin.schema import Floats
 _SHORTEST_MM = 0.1
 
 
-def visit(
-    cobot: VirtualCobot, sent_mm: Floats, *, centre_mm: Floats, feed_mm_min: float, repeat: int
-) -> Floats:
+def visit(cobot: VirtualCobot, sent_mm: Floats, *, centre_mm: Floats, feed_mm_min: float, repeat: int) -> Floats:
     """Return where the tool really stood at each target, shape (n, 3) in mm.
 
     A touch probe reads every stop, with the noise of the ball bar's sensor. The frame is set at
@@ -62,9 +60,7 @@ def visit(
     return truths[ticks, m_.TCP : m_.TCP + 3] + noise_mm
 
 
-def _plan(
-    cobot: VirtualCobot, sent_mm: Floats, centre_mm: Floats, feed_mm_min: float
-) -> MotionPlan:
+def _plan(cobot: VirtualCobot, sent_mm: Floats, centre_mm: Floats, feed_mm_min: float) -> MotionPlan:
     ways = np.diff(sent_mm, axis=0)
     lengths = np.linalg.norm(ways, axis=1)
     if len(sent_mm) < 2 or lengths.min() < _SHORTEST_MM:

@@ -169,9 +169,7 @@ def record(
     samples = int((near[-1] / rate_hz - bar_start_s) * bar.rate_hz)
     noise_um = setup.length_error_um + bar.noise_um * rng.standard_normal(samples)
     clock = (bar_start_s, bar_ppm, samples)
-    deviation_mm = read_ballbar(
-        bar, tool_mm, rate_hz, centre_mm, condition.radius_mm, clock, noise_um
-    )
+    deviation_mm = read_ballbar(bar, tool_mm, rate_hz, centre_mm, condition.radius_mm, clock, noise_um)
     sensors = parameters.accelerometers
     sensor_start_s = rng.uniform(0.0, sensors.clock_offset_s)
     sensor_ppm = sensors.clock_error_ppm * rng.uniform(-1, 1)
@@ -219,10 +217,7 @@ def _parts_um(ticks: RunTicks, radial: Floats, drift_um: Floats, setup: Setup) -
 
 
 def _window(
-    plan: MotionPlan,
-    forward_rad: Floats,
-    clock: tuple[float, float, int],
-    parameters: CobotParameters,
+    plan: MotionPlan, forward_rad: Floats, clock: tuple[float, float, int], parameters: CobotParameters
 ) -> tuple[int, int]:
     """Return the bar's samples between the nominal angles of the commanded path."""
     start_s, ppm, samples = clock
@@ -248,6 +243,4 @@ def _controller_group(parameters: CobotParameters, states: Floats) -> SignalGrou
         "segment_id": rows[:, layout.SEGMENT_ID].astype(np.int64),
         "applied_sequence": columns.pop("applied_sequence").astype(np.int64),
     }
-    return SignalGroup(
-        "controller", parameters.controller.rate_hz / every, {**columns, **whole}, 0.0
-    )
+    return SignalGroup("controller", parameters.controller.rate_hz / every, {**columns, **whole}, 0.0)

@@ -147,17 +147,11 @@ _READERS: dict[str, Callable[[Floats], tuple[float, ...]]] = {
     "safety_mode": _coded(layout.SAFETY_OK, registers.SAFETY_MODES),
     "safety_status_bits": _coded(layout.SAFETY_OK, registers.SAFETY_BITS),
     "robot_status_bits": _choice(layout.RUNTIME_RUNNING, 0b11, 0b01),
-    **{
-        f"output_int_register_{number}": _whole(place)
-        for number, place in registers.OUTPUT_INTS.items()
-    },
+    **{f"output_int_register_{number}": _whole(place) for number, place in registers.OUTPUT_INTS.items()},
     f"output_int_register_{registers.OUTPUT_FEED}": lambda state: (
         round(registers.FEED_SCALE * float(state[layout.FEED])),
     ),
-    **{
-        f"output_double_register_{number}": _scalar(place)
-        for number, place in registers.OUTPUT_DOUBLES.items()
-    },
+    **{f"output_double_register_{number}": _scalar(place) for number, place in registers.OUTPUT_DOUBLES.items()},
 }
 
 

@@ -90,10 +90,7 @@ class RtdeServer:
     ) -> None:
         if not ipaddress.ip_address(host).is_loopback:
             raise InputError(
-                "the virtual robot serves this machine only",
-                code="rtde.host",
-                got=host,
-                allowed="127.0.0.0/8",
+                "the virtual robot serves this machine only", code="rtde.host", got=host, allowed="127.0.0.0/8"
             )
         self._cobot, self._condition = cobot, condition
         self._repeat_forever = repeat_forever
@@ -221,9 +218,7 @@ class RtdeServer:
             self._stopping = True
             return
         self._repeat += 1
-        self._controller = self._cobot.controller(
-            self._condition, setup="live", repeat=self._repeat
-        )
+        self._controller = self._cobot.controller(self._condition, setup="live", repeat=self._repeat)
         self._controller.adopt_sequence(int(self._registers[layout.REGISTER_SEQUENCE]))
         self._controller.set_speed_scaling(self._speed_factor)
 
@@ -344,13 +339,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--feed-mm-min", type=float, default=3000.0)
     parser.add_argument("--direction", default="CCW", choices=["CCW", "CW"])
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument(
-        "--watchdog-s", type=float, help="silence after which the program leads the offset to zero"
-    )
+    parser.add_argument("--watchdog-s", type=float, help="silence after which the program leads the offset to zero")
     parser.add_argument("--repeat-forever", action="store_true")
-    parser.add_argument(
-        "--realtime", action="store_true", help="real-time priority, as a controller has"
-    )
+    parser.add_argument("--realtime", action="store_true", help="real-time priority, as a controller has")
     parser.add_argument("--control", action="store_true", help="JSON commands on stdin")
     return parser.parse_args()
 
@@ -358,9 +349,7 @@ def _arguments() -> argparse.Namespace:
 def main() -> int:
     """Run the server; return the exit code."""
     chosen = _arguments()
-    condition = CircleCondition(
-        chosen.plane, chosen.radius_mm, chosen.feed_mm_min, chosen.direction
-    )
+    condition = CircleCondition(chosen.plane, chosen.radius_mm, chosen.feed_mm_min, chosen.direction)
     try:
         server = RtdeServer(
             _cobot(chosen.seed, chosen.watchdog_s),

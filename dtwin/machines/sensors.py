@@ -94,9 +94,7 @@ def felt_kernel(flange_mm: Floats, rotation: Floats, rate_hz: float, felt_g: Flo
 def sensor_matrix(parameters: AccelerometerParameters, rng: np.random.Generator) -> Floats:
     """Return one sensor's matrix (3, 3): misalignment, then cross-axis, then gain."""
     tilt = np.radians(parameters.misalignment_deg) * rng.uniform(-1, 1, 3)
-    turned = np.eye(3) + np.array(
-        [[0, -tilt[2], tilt[1]], [tilt[2], 0, -tilt[0]], [-tilt[1], tilt[0], 0]]
-    )
+    turned = np.eye(3) + np.array([[0, -tilt[2], tilt[1]], [tilt[2], 0, -tilt[0]], [-tilt[1], tilt[0], 0]])
     cross = parameters.cross_axis * rng.uniform(-1, 1, (3, 3)) / np.sqrt(2.0)
     np.fill_diagonal(cross, 1.0)
     gain = np.diag(1.0 + parameters.gain_error * rng.uniform(-1, 1, 3))

@@ -8,16 +8,7 @@ from dtwin.kinematics import kernel
 from dtwin.machines.parameters import StructureParameters
 from dtwin.schema import Floats
 
-_OMEGA, _DAMPING, _POSTURE, REACH_MM, _FLANGE_SHARE, SHAPE, _DRIVEN, _JOLTED = (
-    0,
-    1,
-    2,
-    3,
-    4,
-    5,
-    8,
-    9,
-)
+_OMEGA, _DAMPING, _POSTURE, REACH_MM, _FLANGE_SHARE, SHAPE, _DRIVEN, _JOLTED = (0, 1, 2, 3, 4, 5, 8, 9)
 _COLUMNS = 10
 
 

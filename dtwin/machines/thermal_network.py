@@ -21,20 +21,35 @@ BODIES = (*CASTINGS, *_OTHERS, *(f"{name}_core" for name in CASTINGS))
 _CASTING = (900.0, 1600.0, 420.0, 420.0, 700.0, 480.0)
 _SKIN_SHARE = 0.35
 _CAPACITY = (
-    *(_SKIN_SHARE * c for c in _CASTING), 30.0, 30.0, 9000.0, 250.0,
+    *(_SKIN_SHARE * c for c in _CASTING),
+    30.0,
+    30.0,
+    9000.0,
+    250.0,
     *((1.0 - _SKIN_SHARE) * c for c in _CASTING),
-)  # fmt: skip
+)
 _CORE_S = 2.2 * 3600.0
 # Conductance between two bodies, or a body and the hall's air ("hall"), in W/K.
 _LINKS = (
-    ("table", "front_air", 22.0), ("table", "bed", 14.0), ("bed", "back_air", 30.0),
-    ("bed", "foundation", 20.0), ("bed", "column_side", 9.0), ("bed", "column_back", 9.0),
-    ("column_side", "column_back", 12.0), ("column_side", "column_top", 14.0),
-    ("column_back", "column_top", 14.0), ("column_side", "back_air", 16.0),
-    ("column_back", "back_air", 16.0), ("column_top", "back_air", 22.0),
-    ("column_top", "ram", 16.0), ("ram", "front_air", 16.0), ("front_air", "hall", 60.0),
-    ("back_air", "hall", 240.0), ("foundation", "hall", 25.0), ("coolant_tank", "front_air", 6.0),
-)  # fmt: skip
+    ("table", "front_air", 22.0),
+    ("table", "bed", 14.0),
+    ("bed", "back_air", 30.0),
+    ("bed", "foundation", 20.0),
+    ("bed", "column_side", 9.0),
+    ("bed", "column_back", 9.0),
+    ("column_side", "column_back", 12.0),
+    ("column_side", "column_top", 14.0),
+    ("column_back", "column_top", 14.0),
+    ("column_side", "back_air", 16.0),
+    ("column_back", "back_air", 16.0),
+    ("column_top", "back_air", 22.0),
+    ("column_top", "ram", 16.0),
+    ("ram", "front_air", 16.0),
+    ("front_air", "hall", 60.0),
+    ("back_air", "hall", 240.0),
+    ("foundation", "hall", 25.0),
+    ("coolant_tank", "front_air", 6.0),
+)
 # Bodies that the hot air of a ventilator reaches, and its share.
 _VENTILATORS = {
     "h1": (("column_side", 0.75), ("bed", 0.10), ("back_air", 0.15)),
@@ -103,9 +118,7 @@ class Schedule:
     def hall_c(self, hour: float) -> float:
         """Return the temperature that the hall tends to."""
         of_day = (8.0 + hour) % 24.0
-        out = self.at(hour).hall_c + self.day_swing_c * float(
-            np.sin(2 * np.pi * (of_day - 9.0) / 24)
-        )
+        out = self.at(hour).hall_c + self.day_swing_c * float(np.sin(2 * np.pi * (of_day - 9.0) / 24))
         night = of_day >= self.off_from_h or of_day < 6.0
         return out + (self.night_rise_c if night and self.off_from_h < 24.0 else 0.0)
 
@@ -113,30 +126,49 @@ class Schedule:
 TRAINING = Schedule(
     "training",
     (
-        Segment(71), Segment(81, h1=True), Segment(93), Segment(103, h2=True), Segment(119),
-        Segment(129, h1=True, h2=True), Segment(145), Segment(159, h1=True), Segment(173, h2=True),
-        Segment(186), Segment(198, hall_c=17.5), Segment(210, hall_c=26.5),
-        Segment(222, hall_c=18.0), Segment(234, hall_c=26.5),
+        Segment(71),
+        Segment(81, h1=True),
+        Segment(93),
+        Segment(103, h2=True),
+        Segment(119),
+        Segment(129, h1=True, h2=True),
+        Segment(145),
+        Segment(159, h1=True),
+        Segment(173, h2=True),
+        Segment(186),
+        Segment(198, hall_c=17.5),
+        Segment(210, hall_c=26.5),
+        Segment(222, hall_c=18.0),
+        Segment(234, hall_c=26.5),
     ),
-)  # fmt: skip
+)
 _VALIDATION = Schedule(
     "validation",
     (
-        Segment(48, hall_c=24.0), Segment(54, h2=True, hall_c=24.0), Segment(62, hall_c=24.0),
-        Segment(69, h1=True, h2=True, hall_c=24.0), Segment(82, hall_c=24.0),
-        Segment(90, h1=True, hall_c=24.0), Segment(108, hall_c=24.0),
-        Segment(114, h2=True, hall_c=24.0), Segment(122, hall_c=24.0),
-        Segment(132, h1=True, hall_c=24.0), Segment(144, hall_c=21.0), Segment(156, hall_c=27.0),
+        Segment(48, hall_c=24.0),
+        Segment(54, h2=True, hall_c=24.0),
+        Segment(62, hall_c=24.0),
+        Segment(69, h1=True, h2=True, hall_c=24.0),
+        Segment(82, hall_c=24.0),
+        Segment(90, h1=True, hall_c=24.0),
+        Segment(108, hall_c=24.0),
+        Segment(114, h2=True, hall_c=24.0),
+        Segment(122, hall_c=24.0),
+        Segment(132, h1=True, hall_c=24.0),
+        Segment(144, hall_c=21.0),
+        Segment(156, hall_c=27.0),
         Segment(169, hall_c=24.7),
     ),
-    day_swing_c=0.7, off_from_h=18.0, night_rise_c=2.0, begun_c=25.6, season_c=24.6,
-)  # fmt: skip
+    day_swing_c=0.7,
+    off_from_h=18.0,
+    night_rise_c=2.0,
+    begun_c=25.6,
+    season_c=24.6,
+)
 SCHEDULES = {schedule.name: schedule for schedule in (TRAINING, _VALIDATION)}
 
 
-def temperatures_c(
-    schedule: Schedule, step_s: float, *, pump: bool = False
-) -> tuple[Floats, Floats]:
+def temperatures_c(schedule: Schedule, step_s: float, *, pump: bool = False) -> tuple[Floats, Floats]:
     """Return the temperatures of every body during a campaign.
 
     Parameters

@@ -174,10 +174,20 @@ class TurningSlide:
         """
         s = self.slide
         constants = np.array(
-            [2 * np.pi * s.servo_hz, s.servo_damping, s.velocity_feedforward,
-             2 * np.pi * s.structure_hz, s.structure_damping, s.hardening, s.hardening_um,
-             s.friction_um, s.friction_reach_um, _SOFTEST_UM, 1.0 / SERVO_HZ]
-        )  # fmt: skip
+            [
+                2 * np.pi * s.servo_hz,
+                s.servo_damping,
+                s.velocity_feedforward,
+                2 * np.pi * s.structure_hz,
+                s.structure_damping,
+                s.hardening,
+                s.hardening_um,
+                s.friction_um,
+                s.friction_reach_um,
+                _SOFTEST_UM,
+                1.0 / SERVO_HZ,
+            ]
+        )
         out = np.empty((3, len(command_um)))
         _follow(np.ascontiguousarray(command_um, dtype=np.float64), constants, self._state, out)
         return Motion(out[0], out[1], out[2])
@@ -256,19 +266,11 @@ def _follow(command: Floats, c: Floats, state: Floats, out: Floats) -> None:
             z = way + (z - way) * np.exp(-abs(v) * dt / reach)
             pull -= friction * z
         # The slide under a held force moves along a parabola.
-        half_e, next_e = (
-            e + 0.5 * dt * v + 0.125 * dt * dt * pull,
-            e + dt * v + 0.5 * dt * dt * pull,
-        )
+        half_e, next_e = (e + 0.5 * dt * v + 0.125 * dt * dt * pull, e + dt * v + 0.5 * dt * dt * pull)
         k1 = _tool(x, w, e, mode, loss, power, scale, softest)
         k2 = _tool(x + 0.5 * dt * w, w + 0.5 * dt * k1, half_e, mode, loss, power, scale, softest)
-        k3 = _tool(
-            x + 0.5 * dt * w + 0.25 * dt * dt * k1, w + 0.5 * dt * k2, half_e, mode, loss, power,
-            scale, softest,
-        )  # fmt: skip
-        k4 = _tool(
-            x + dt * w + 0.5 * dt * dt * k2, w + dt * k3, next_e, mode, loss, power, scale, softest
-        )
+        k3 = _tool(x + 0.5 * dt * w + 0.25 * dt * dt * k1, w + 0.5 * dt * k2, half_e, mode, loss, power, scale, softest)
+        k4 = _tool(x + dt * w + 0.5 * dt * dt * k2, w + dt * k3, next_e, mode, loss, power, scale, softest)
         out[0, i], out[1, i], out[2, i] = e, x, k1
         x += dt * w + dt * dt / 6.0 * (k1 + k2 + k3)
         w += dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
@@ -277,10 +279,7 @@ def _follow(command: Floats, c: Floats, state: Floats, out: Floats) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _tool(
-    x: float, w: float, e: float, mode: float, loss: float, power: float, scale: float,
-    softest: float,
-) -> float:  # fmt: skip
+def _tool(x: float, w: float, e: float, mode: float, loss: float, power: float, scale: float, softest: float) -> float:
     """Return the tool's acceleration: a joint between slide and tool, damping against the frame."""
     bent = x - e
     force = mode * mode * bent

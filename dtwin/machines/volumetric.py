@@ -37,9 +37,15 @@ _TOWARDS = 0.35
 # What the control logs: sensors of the plant, slow and coarse.
 _LOGGED_LAG_S, _LOGGED_NOISE_C, _LOGGED_STEP_C = 600.0, 0.2, 0.1
 _SENSORS = {
-    "table": 10, "bed": 10, "column_side": 6, "column_back": 5, "column_top": 5, "ram": 12,
-    "front_air": 2, "back_air": 2,
-}  # fmt: skip
+    "table": 10,
+    "bed": 10,
+    "column_side": 6,
+    "column_back": 5,
+    "column_top": 5,
+    "ram": 12,
+    "front_air": 2,
+    "back_air": 2,
+}
 
 # What moves with which body: its motion in um (um/m for turns) per kelvin. The letters are those of
 # ISO 230-1: what moves (E, direction), of which axis, and the power of the travel.
@@ -68,7 +74,7 @@ SENSITIVITY: Mapping[str, Mapping[str, float]] = {
     "EZY2": {"ram": 1.3, "front_air": -0.5},
     "EXY1": {"column_side": 1.62, "ram": -0.99},
     "EXY2": {"ram": 0.8, "foundation": -1.0},
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -165,10 +171,7 @@ class VolumetricMill:
         hour : ndarray, shape (n,)
             Time since the campaign began.
         """
-        named = {
-            body: np.interp(hour, self.hour, self.bodies_c[:, _deforming(body)]) - _REFERENCE_C
-            for body in BODIES
-        }
+        named = {body: np.interp(hour, self.hour, self.bodies_c[:, _deforming(body)]) - _REFERENCE_C for body in BODIES}
         every = {**SENSITIVITY, **self.parameters.hidden}
         return {
             name: sum((k * named[body] for body, k in of.items()), start=np.zeros(len(hour)))
@@ -202,8 +205,7 @@ class VolumetricMill:
             point = Rotation.from_rotvec(1e-6 * turned).apply(point) + 1e-3 * moved
             point[:, "xyz".index(axis)] += position[:, "xyz".index(axis)]
         moved, turned = (
-            np.column_stack([value.get(f"E{letter}0", still) for letter in letters])
-            for letters in ("XYZ", "ABC")
+            np.column_stack([value.get(f"E{letter}0", still) for letter in letters]) for letters in ("XYZ", "ABC")
         )
         point = Rotation.from_rotvec(1e-6 * turned).apply(point) + 1e-3 * moved
         return np.asarray(1e3 * (point - position))
@@ -257,13 +259,15 @@ class VolumetricMill:
         pump = _lagged(pumping(self.hour) * float(self.parameters.pump), _share(1500.0))
         oil = _lagged(((self.hour + 5.0) % 17.0 < 9.0).astype(float), _share(5400.0))
         true = {
-            "coolant_tank_c": tank, "coolant_pump_c": hall + 14.0 * pump,
-            "hydraulic_oil_c": hall + 9.0 * oil, "cabinet_c": air + 6.0, "hall_c": hall,
-        }  # fmt: skip
+            "coolant_tank_c": tank,
+            "coolant_pump_c": hall + 14.0 * pump,
+            "hydraulic_oil_c": hall + 9.0 * oil,
+            "cabinet_c": air + 6.0,
+            "hall_c": hall,
+        }
         felt = {name: _lagged(values, _share(_LOGGED_LAG_S)) for name, values in true.items()}
         return {
-            name: _LOGGED_STEP_C
-            * np.round((values + rng.normal(0, _LOGGED_NOISE_C, len(values))) / _LOGGED_STEP_C)
+            name: _LOGGED_STEP_C * np.round((values + rng.normal(0, _LOGGED_NOISE_C, len(values))) / _LOGGED_STEP_C)
             for name, values in felt.items()
         }
 
@@ -278,9 +282,7 @@ class VolumetricMill:
             core = self.bodies_c[:, _deforming(body)]
             for number in range(count):
                 # Some sit on the skin towards a neighbour, some may sit in pockets of the casting.
-                other, most = (
-                    (core, self.parameters.pocket_1) if number % 2 else (neighbour, _TOWARDS)
-                )
+                other, most = (core, self.parameters.pocket_1) if number % 2 else (neighbour, _TOWARDS)
                 part = most * (number + 1) / count
                 felt = _lagged((1 - part) * source + part * other, share)
                 felt = felt + rng.normal(0, self.parameters.sensor_noise_c, len(felt))
@@ -290,9 +292,15 @@ class VolumetricMill:
 
 
 _NEIGHBOUR = {
-    "table": "bed", "bed": "table", "column_side": "column_top", "column_back": "column_top",
-    "column_top": "ram", "ram": "front_air", "front_air": "back_air", "back_air": "front_air",
-}  # fmt: skip
+    "table": "bed",
+    "bed": "table",
+    "column_side": "column_top",
+    "column_back": "column_top",
+    "column_top": "ram",
+    "ram": "front_air",
+    "front_air": "back_air",
+    "back_air": "front_air",
+}
 
 
 def _deforming(body: str) -> int:
@@ -302,13 +310,7 @@ def _deforming(body: str) -> int:
 def array_balls(pose: int) -> list[tuple[int, int, Floats]]:
     """Return pose, number and nominal place in mm of the balls that the probe reaches."""
     azimuth, elevation = np.radians(AZIMUTHS_DEG[pose - 1]), np.radians(_ELEVATION_DEG)
-    along = np.array(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation),
-        ]
-    )
+    along = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     across = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     out = []
     upright = np.cross(along, across)

@@ -40,13 +40,26 @@ if TYPE_CHECKING:
     from dtwin.kinds.volumetric.twins import HeatTwins
     from dtwin.pipeline.twins import Twins
 
-_TOLD = (
-    "plane", "radius_mm", "feed_mm_min", "direction", "axis", "setup", "repeat", "machine", "campaign",
-)  # fmt: skip
+_TOLD = ("plane", "radius_mm", "feed_mm_min", "direction", "axis", "setup", "repeat", "machine", "campaign")
 _RUN_COLUMNS = (
-    "campaign", "run_id", "machine", "kind", "plane", "direction", "radius_mm", "feed_mm_min", "repeat",
-    "setup", "started", "sample_rate_hz", "n_samples", "n_errors", "status", "correction", "left_out",
-)  # fmt: skip
+    "campaign",
+    "run_id",
+    "machine",
+    "kind",
+    "plane",
+    "direction",
+    "radius_mm",
+    "feed_mm_min",
+    "repeat",
+    "setup",
+    "started",
+    "sample_rate_hz",
+    "n_samples",
+    "n_errors",
+    "status",
+    "correction",
+    "left_out",
+)
 
 
 class OpenHome:
@@ -69,9 +82,16 @@ class OpenHome:
         return f"home {self.home.root}, campaigns: {', '.join(campaigns) or 'none yet'}"
 
     def simulate(
-        self, machine: str, out: str | Path, *, quick: bool = False, seed: int = 0,
-        hidden: str | None = None, truth: str | None = None, schedule: str | None = None,
-    ) -> Path:  # fmt: skip
+        self,
+        machine: str,
+        out: str | Path,
+        *,
+        quick: bool = False,
+        seed: int = 0,
+        hidden: str | None = None,
+        truth: str | None = None,
+        schedule: str | None = None,
+    ) -> Path:
         """Measure the usual campaign of a virtual machine and return its folder.
 
         Parameters
@@ -116,16 +136,17 @@ class OpenHome:
         unknown = sorted(set(told) - set(_TOLD))
         if unknown:
             raise InputError(
-                "this is not told of a table", code="ingest.told", got=", ".join(unknown)[:120],
+                "this is not told of a table",
+                code="ingest.told",
+                got=", ".join(unknown)[:120],
                 allowed=", ".join(_TOLD),
-            )  # fmt: skip
+            )
         found = ingest_path(Path(path), self._lake, told=told)
         rows = [{"run_id": run, **finding.as_dict()} for run, finding in found.findings]
         columns = ["run_id", "severity", "code", "message"]
         return IngestResult(
-            found.campaign, found.added, found.unchanged, found.rejected_rows,
-            pd.DataFrame(rows, columns=columns),
-        )  # fmt: skip
+            found.campaign, found.added, found.unchanged, found.rejected_rows, pd.DataFrame(rows, columns=columns)
+        )
 
     def runs(self, campaign: str | None = None) -> pd.DataFrame:
         """Return one row for each run, with its conditions and covariates as columns.
@@ -186,15 +207,16 @@ class OpenHome:
             (group,) = groups
         if group not in groups:
             raise InputError(
-                "the run has no such signals", code="notebook.signals", where=f"{campaign} {run}",
-                got=str(group)[:60], allowed=", ".join(groups) or "it has none",
-            )  # fmt: skip
+                "the run has no such signals",
+                code="notebook.signals",
+                where=f"{campaign} {run}",
+                got=str(group)[:60],
+                allowed=", ".join(groups) or "it has none",
+            )
         columns = dict(groups[group].columns)
         return pd.DataFrame({"t_s": groups[group].t_s} | columns)
 
-    def fit(
-        self, campaign: str, effects: str | Sequence[str], name: str, *, robust: bool = False
-    ) -> TwinResult:
+    def fit(self, campaign: str, effects: str | Sequence[str], name: str, *, robust: bool = False) -> TwinResult:
         """Fit effects to a campaign; an existing twin of that name gets a new version.
 
         Parameters
@@ -215,9 +237,7 @@ class OpenHome:
         """
         names = effects.split(",") if isinstance(effects, str) else effects
         twins, known = twins_for(self.home, self._library, campaign)
-        made = twins.fit(
-            known, [part.strip() for part in names if part.strip()], name, robust=robust
-        )
+        made = twins.fit(known, [part.strip() for part in names if part.strip()], name, robust=robust)
         return of_twin(twins, made)
 
     def show(self, name: str, version: int | None = None) -> TwinResult:
@@ -275,9 +295,12 @@ class OpenHome:
         wanted = next(iter(drawings)) if drawing is None else drawing
         if wanted not in drawings:
             raise InputError(
-                "there is no such figure of the run", code="notebook.figure", got=wanted[:40],
-                where=f"{campaign} {run}", allowed=", ".join(drawings),
-            )  # fmt: skip
+                "there is no such figure of the run",
+                code="notebook.figure",
+                got=wanted[:40],
+                where=f"{campaign} {run}",
+                allowed=", ".join(drawings),
+            )
         return drawings[wanted].draw(found, lambda: self._floor_um(campaign))
 
     def _twins(self, name: str) -> Twins | HeatTwins:
@@ -289,9 +312,12 @@ class OpenHome:
             self._lake.campaign(campaign)
         if run not in rows:
             raise InputError(
-                "no such run in the campaign", code="run.unknown", where=f"campaign {campaign}",
-                got=run[:100], allowed=", ".join(sorted(rows))[:400],
-            )  # fmt: skip
+                "no such run in the campaign",
+                code="run.unknown",
+                where=f"campaign {campaign}",
+                got=run[:100],
+                allowed=", ".join(sorted(rows))[:400],
+            )
         return self._lake.load(rows[run], signals=signals)
 
     def _floor_um(self, campaign: str) -> float:

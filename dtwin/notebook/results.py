@@ -53,9 +53,11 @@ class Result:
         drawn = self._draw()
         if not 0 <= number < len(drawn):
             raise InputError(
-                "there is no such figure of the result", code="notebook.figure", got=str(number),
+                "there is no such figure of the result",
+                code="notebook.figure",
+                got=str(number),
                 allowed=f"0 to {len(drawn) - 1}" if drawn else "this result has no figure",
-            )  # fmt: skip
+            )
         return drawn[number]
 
     def _frame(self, name: str) -> pd.DataFrame:
@@ -186,9 +188,8 @@ def of_comparison(found: Any) -> ComparisonResult:
     """Return a comparison as a result."""
     document = found.as_dict()
     return ComparisonResult(
-        document, report.comparison_text(document),
-        lambda: _figures(report.comparison_sections(found, document)),
-    )  # fmt: skip
+        document, report.comparison_text(document), lambda: _figures(report.comparison_sections(found, document))
+    )
 
 
 def of_diagnosis(twin: Any, found: Any) -> DiagnosisResult:
@@ -196,9 +197,8 @@ def of_diagnosis(twin: Any, found: Any) -> DiagnosisResult:
     name: str = twin.name
     document = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
     return DiagnosisResult(
-        document, report.diagnosis_text(name, document),
-        lambda: _figures([report.diagnosis_section(name, document)]),
-    )  # fmt: skip
+        document, report.diagnosis_text(name, document), lambda: _figures([report.diagnosis_section(name, document)])
+    )
 
 
 def _figures(sections: Sequence[Any]) -> Sequence[go.Figure]:

@@ -93,17 +93,12 @@ class Candidates:
                 found.append(candidate)
         return found, invisible
 
-    def tested_instance(
-        self, problem: Problem, instance: Instance, level: NoiseLevel
-    ) -> Candidate | None:
+    def tested_instance(self, problem: Problem, instance: Instance, level: NoiseLevel) -> Candidate | None:
         """Test an effect in the shape that suits best; None when it cannot be seen."""
         residual = problem.residual
         shapes = list(self._shapes(instance, residual))
         tried = [self._visible(problem, Term(instance, shape)) for shape in shapes]
-        gains = [
-            float(((visible.T @ residual.ravel()) ** 2).sum()) if visible.size else -1.0
-            for visible, _ in tried
-        ]
+        gains = [float(((visible.T @ residual.ravel()) ** 2).sum()) if visible.size else -1.0 for visible, _ in tried]
         best = int(np.argmax(gains))
         if gains[best] < 0.0:
             return None
@@ -126,9 +121,7 @@ class Candidates:
         score = score_test(problem, visible, problem.residual, level, within=within)
         return Candidate(term, visible, share, score)
 
-    def at(
-        self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel
-    ) -> Candidate:
+    def at(self, problem: Problem, candidate: Candidate, term: Term, level: NoiseLevel) -> Candidate:
         """Return a candidate at another shape; its p-value stays that of all shapes tried."""
         visible, share = self._visible(problem, term)
         within = term.instance.effect.within_condition
@@ -221,9 +214,7 @@ def _never_changed(obs: Observations, effect: Effect) -> bool:
     return bool(needs) and all(np.ptp(obs.centred_columns[n]) == 0.0 for n in needs)
 
 
-def likely_pitches(
-    obs: Observations, residual: Floats, instance: Instance, n: int = 3
-) -> list[float]:
+def likely_pitches(obs: Observations, residual: Floats, instance: Instance, n: int = 3) -> list[float]:
     """Return the pitches at which the residual repeats most along an axis.
 
     Parameters
@@ -253,9 +244,7 @@ def likely_pitches(
             # The first axis moves against its positive sense where sin is positive in CCW.
             sense = -sign_of_row[row] * np.sign(across) if odd else 1.0
             mean += sense * angle_domain[row]
-        total += (mean * along) @ _waves(
-            axis == AXES_OF[plane][0], radius, len(rate), rate[0], rate[-1]
-        )
+        total += (mean * along) @ _waves(axis == AXES_OF[plane][0], radius, len(rate), rate[0], rate[-1])
     power = np.abs(total)
     peaks = np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])) + 1
     best = peaks[np.argsort(-power[peaks])[:n]]
@@ -271,9 +260,7 @@ def _waves(first: bool, radius_mm: float, n: int, slowest: float, fastest: float
     return np.asarray(np.exp(-2j * np.pi * np.outer(radius_mm * along, rate)))
 
 
-def _by_radius(
-    obs: Observations,
-) -> list[tuple[str, float, dict[int, float], list[int]]]:
+def _by_radius(obs: Observations) -> list[tuple[str, float, dict[int, float], list[int]]]:
     groups: dict[tuple[str, float], list[int]] = {}
     for row, condition in enumerate(obs.condition_of):
         c = obs.conditions[int(condition)]
@@ -322,8 +309,7 @@ def probes(problem: Problem) -> Floats:
     sign = obs.sense
     waves = [f(h * theta) for h in range(2, 9) for f in (np.cos, np.sin)]
     windows = [
-        np.exp(-(((np.degrees(theta) - centre + 180.0) % 360.0 - 180.0) ** 2) / 200.0)
-        for centre in range(0, 360, 30)
+        np.exp(-(((np.degrees(theta) - centre + 180.0) % 360.0 - 180.0) ** 2) / 200.0) for centre in range(0, 360, 30)
     ]
     out = []
     for profile in (*waves, *windows):

@@ -135,9 +135,7 @@ def fit_circle(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> Cir
     )
 
 
-def residual_um(
-    angle_deg: Floats, deviation_um: Floats, radius_mm: float, circle: Circle
-) -> Floats:
+def residual_um(angle_deg: Floats, deviation_um: Floats, radius_mm: float, circle: Circle) -> Floats:
     """Return the distance from the fitted circle, shape (n,)."""
     return _centred_um(angle_deg, deviation_um, radius_mm, circle) - circle.radius_change_um
 
@@ -232,14 +230,10 @@ def bidirectional_figures(
     )
 
 
-def _centred_um(
-    angle_deg: Floats, deviation_um: Floats, radius_mm: float, circle: Circle
-) -> Floats:
+def _centred_um(angle_deg: Floats, deviation_um: Floats, radius_mm: float, circle: Circle) -> Floats:
     theta = np.radians(angle_deg)
     r_um = radius_mm * 1000.0 + deviation_um
-    distance = np.hypot(
-        r_um * np.cos(theta) - circle.centre_a_um, r_um * np.sin(theta) - circle.centre_b_um
-    )
+    distance = np.hypot(r_um * np.cos(theta) - circle.centre_a_um, r_um * np.sin(theta) - circle.centre_b_um)
     return np.asarray(distance - radius_mm * 1000.0)
 
 

@@ -47,13 +47,7 @@ _VAGUE = 0.3
 _DWARFED = 0.4
 
 
-def diagnose(
-    obs: Observations,
-    known: Sequence[Term],
-    library: Mapping[str, Effect],
-    *,
-    seed: int = 0,
-) -> Diagnosis:
+def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], *, seed: int = 0) -> Diagnosis:
     """Find out what a twin lacks.
 
     Parameters
@@ -91,29 +85,20 @@ def diagnose(
     if problem.noise is None:
         return _once(blank, obs, known, library, seed)
     blank = replace(
-        blank,
-        noise_floor_um=problem.noise.floor_um,
-        floor_kind="repeats",
-        spread=spread_of(obs, residual, library),
+        blank, noise_floor_um=problem.noise.floor_um, floor_kind="repeats", spread=spread_of(obs, residual, library)
     )
     channels = screen_channels(problem, seed)
     beside = partial(_with_foreign, channels=channels, library=library)
     problem = beside(problem)
     candidates = Candidates(obs, tried)
     plain = unweighted(obs, known)
-    found = search(
-        problem, plain, candidates, known, beside=beside, seed=seed, shown_by_channel=bool(channels)
-    )
+    found = search(problem, plain, candidates, known, beside=beside, seed=seed, shown_by_channel=bool(channels))
     moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
     return _concluded(blank, found, candidates, known, channels, moving, residual, library)
 
 
 def _once(
-    blank: Diagnosis,
-    obs: Observations,
-    known: Sequence[Term],
-    library: Mapping[str, Effect],
-    seed: int,
+    blank: Diagnosis, obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], seed: int
 ) -> Diagnosis:
     """Say what runs that were measured once look like; nothing of it is confirmed."""
     said = "no condition was repeated: the noise floor is not known"
@@ -122,16 +107,19 @@ def _once(
         return replace(blank, headline=said)
     copies, floor_um = copied
     found = diagnose(copies, known, library, seed=seed)
-    groups = tuple(
-        tuple(replace(s, grade="shape-consistent") for s in group) for group in found.found
-    )
+    groups = tuple(tuple(replace(s, grade="shape-consistent") for s in group) for group in found.found)
     said += f", it is at least {floor_um:.2g} um (harmonics above {HIGHEST_HARMONIC})"
     names = "; ".join(" or ".join(s.label for s in group) for group in groups)
     return replace(
-        blank, headline=f"{said}; it looks like {names}" if names else said, suspects=found.suspects,
-        found=groups, unresolved=found.unresolved, invisible=found.invisible, floor_kind="within_run",
+        blank,
+        headline=f"{said}; it looks like {names}" if names else said,
+        suspects=found.suspects,
+        found=groups,
+        unresolved=found.unresolved,
+        invisible=found.invisible,
+        floor_kind="within_run",
         noise_floor_um=floor_um,
-    )  # fmt: skip
+    )
 
 
 def _concluded(
@@ -169,16 +157,11 @@ def _concluded(
     others = [f for f in found.found if f not in kept]
     told = much or others or _worth_telling(found, blank.noise_floor_um)
     unresolved = _unresolved(found, others) if told else None
-    groups = sized(
-        obs, known, kept, [members(f, tests[f.label], found, candidates, known) for f in kept]
-    )
+    groups = sized(obs, known, kept, [members(f, tests[f.label], found, candidates, known) for f in kept])
     bare = unweighted(obs, known)
     # What was found and not believed is shown with the tests that say why.
     withdrawn = [
-        replace(
-            suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])
-        )
-        for f in others
+        replace(suspect(f.top, bare, found, candidates, f.gain), laws=tuple(tests[f.label][f.label])) for f in others
     ]
     shown = suspects(found, candidates, known, groups, withdrawn)
     if not kept:
@@ -202,9 +185,8 @@ def _concluded(
         said += f"; besides, something moves with {', '.join(foreign)}"
     laws = tuple(search_laws(found.last)) if unresolved is not None else ()
     return replace(
-        blank, verdict=verdict, headline=said, suspects=shown, found=groups,
-        unresolved=unresolved, laws=laws,
-    )  # fmt: skip
+        blank, verdict=verdict, headline=said, suspects=shown, found=groups, unresolved=unresolved, laws=laws
+    )
 
 
 def _nothing_found(
@@ -227,10 +209,14 @@ def _nothing_found(
             said += f"; its spread depends on {', '.join(blank.spread.depends_on)}"
         return replace(blank, verdict=_quiet(blank), headline=said, suspects=shown)
     return replace(
-        blank, verdict="unknown_effect", suspects=shown, laws=laws, unresolved=_unresolved(found, ()),
+        blank,
+        verdict="unknown_effect",
+        suspects=shown,
+        laws=laws,
+        unresolved=_unresolved(found, ()),
         headline=_unexplained(words, [c.name for c in channels]),
         closest=_closest(found.first.candidates),
-    )  # fmt: skip
+    )
 
 
 def _unresolved(found: Search, withdrawn: Sequence[Found]) -> Unresolved:
@@ -263,9 +249,7 @@ def _much_left(found: Search, floor_um: float) -> bool:
 def _worth_telling(found: Search, floor_um: float) -> bool:
     """Tell whether what is left is certain, and large enough to be spoken of."""
     first_um, left_um = found.systematic_um
-    return found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > max(
-        _LITTLE * floor_um, _SPOKEN_OF * first_um
-    )
+    return found.lack_of_fit[-1] <= LACK_OF_FIT and left_um > max(_LITTLE * floor_um, _SPOKEN_OF * first_um)
 
 
 def _quiet(blank: Diagnosis) -> Verdict:
@@ -308,9 +292,7 @@ def _over_conditions(tests: Sequence[LawTest]) -> list[LawTest]:
     return [test for test in tests if test.variable not in ("time", "delay")]
 
 
-def _with_foreign(
-    problem: Problem, channels: Sequence[Channel], library: Mapping[str, Effect]
-) -> Problem:
+def _with_foreign(problem: Problem, channels: Sequence[Channel], library: Mapping[str, Effect]) -> Problem:
     """Take out what moves with a channel that no effect knows, so that it is not noise."""
     obs = problem.obs
     theta = obs.grid.phase_rad

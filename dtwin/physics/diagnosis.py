@@ -11,14 +11,7 @@ from dtwin.physics.law_search import ScalingLaw
 from dtwin.physics.laws import LawTest
 from dtwin.physics.screen import Channel
 
-Verdict = Literal[
-    "missing_effect",
-    "ambiguous",
-    "unknown_effect",
-    "nothing_missing",
-    "need_repeats",
-    "variance_effect",
-]
+Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats", "variance_effect"]
 Grade = Literal["shape-consistent", "law-confirmed", "intervention-confirmed"]
 
 

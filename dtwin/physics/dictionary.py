@@ -60,11 +60,7 @@ class Dictionary:
         self._room, self._room_gram = np.empty((0, len(self._residual))), np.empty((0, 0))
         self._right = np.empty(0)
         self._sizes: list[tuple[_Index, _Index, Floats]] | None = None
-        grids = [
-            Term(instance, shape)
-            for instance in candidates.instances
-            for shape in candidates.grid(instance)
-        ]
+        grids = [Term(instance, shape) for instance in candidates.instances for shape in candidates.grid(instance)]
         self.add(grids)
 
     def add(self, terms: Iterable[Term]) -> list[Entry]:
@@ -120,9 +116,7 @@ class Dictionary:
             pitches = [
                 term.shape[_PITCH]
                 for label, term in have.items()
-                if term.instance.axis == instance.axis
-                and _PITCH in term.shape
-                and label != instance.label
+                if term.instance.axis == instance.axis and _PITCH in term.shape and label != instance.label
             ]
             if instance.label not in have:
                 pitches += likely_pitches(self._problem.obs, rows, instance, 1)
@@ -179,9 +173,7 @@ class Dictionary:
 
 
 def _indices(chosen: Sequence[Entry]) -> _Index:
-    return np.concatenate(
-        [np.arange(e.columns.start, e.columns.stop) for e in chosen] or [np.empty(0, dtype=int)]
-    )
+    return np.concatenate([np.arange(e.columns.start, e.columns.stop) for e in chosen] or [np.empty(0, dtype=int)])
 
 
 def _root(gram: Floats) -> Floats:

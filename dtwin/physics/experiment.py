@@ -87,10 +87,7 @@ class Detectable:
 
 
 def next_experiment(
-    obs: Observations,
-    known: Sequence[Term],
-    diagnosis: Diagnosis,
-    library: Mapping[str, Effect],
+    obs: Observations, known: Sequence[Term], diagnosis: Diagnosis, library: Mapping[str, Effect]
 ) -> dict[str, Any] | None:
     """Return the runs that would separate most of what cannot be told apart.
 
@@ -128,25 +125,23 @@ def next_experiment(
     if not pairs:
         return None
     tried = [
-        replace(
-            p,
-            powers=tuple(
-                _power(obs, [*known, *beside], one, two, p.conditions) for one, two, beside in pairs
-            ),
-        )
+        replace(p, powers=tuple(_power(obs, [*known, *beside], one, two, p.conditions) for one, two, beside in pairs))
         for p in _proposals(obs)
     ]
     best = min(tried, key=_rank, default=None)
     advice = pairs[0][0].instance.effect.separate_by
     if best is None or max(best.powers) < _HOPELESS:
         return {
-            "text": advice, "separates": _labels(pairs[0]), "conditions": [], "repeats": 0,
-            "minutes": None, "expected_power": max(best.powers) if best else 0.0, "advice": advice,
-        }  # fmt: skip
+            "text": advice,
+            "separates": _labels(pairs[0]),
+            "conditions": [],
+            "repeats": 0,
+            "minutes": None,
+            "expected_power": max(best.powers) if best else 0.0,
+            "advice": advice,
+        }
     likely = max(POWER if best.separated else 0.0, _HOPELESS)
-    told = [
-        (pair, power) for pair, power in zip(pairs, best.powers, strict=True) if power >= likely
-    ]
+    told = [(pair, power) for pair, power in zip(pairs, best.powers, strict=True) if power >= likely]
     words = ", ".join(
         f"{labels[0]} from {' + '.join(labels[1:])} with a probability of {100 * power:z.0f} %"
         for labels, power in ((_labels(pair), power) for pair, power in told)
@@ -163,10 +158,7 @@ def next_experiment(
 
 
 def _pairs(
-    obs: Observations,
-    known: Sequence[Term],
-    library: Mapping[str, Effect],
-    diagnosis: Diagnosis,
+    obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], diagnosis: Diagnosis
 ) -> list[tuple[Term, list[Term], list[Term]]]:
     """Return, of every group, the first effect, the second on all its axes, and what was found besides.
 
@@ -233,9 +225,7 @@ def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None
     return _empty(campaign, metas, [c for _, _, c in rows], per_row)
 
 
-def detectable(
-    obs: Observations, library: Mapping[str, Effect], *, noise_um: float
-) -> list[Detectable]:
+def detectable(obs: Observations, library: Mapping[str, Effect], *, noise_um: float) -> list[Detectable]:
     """Return the size of each effect that a design would detect with a power of 80 %.
 
     Parameters
@@ -284,11 +274,7 @@ def _terms(
 ) -> list[Term]:
     tried, _ = applicable(library, obs, known)
     by_label = {instance.label: instance for instance in tried}
-    return [
-        Term(by_label[label], by_label[label].effect.start_shape)
-        for label in labels
-        if label in by_label
-    ]
+    return [Term(by_label[label], by_label[label].effect.start_shape) for label in labels if label in by_label]
 
 
 def _proposals(obs: Observations) -> list[Proposal]:
@@ -309,10 +295,7 @@ def _proposals(obs: Observations) -> list[Proposal]:
     feeds = sorted({c.feed_mm_min for c in conditions})
     radii = sorted({c.radius_mm for c in conditions})
     plane = conditions[0].plane
-    for feed, words in (
-        (2 * feeds[-1], "double the highest feed"),
-        (feeds[0] / 2, "halve the feed"),
-    ):
+    for feed, words in ((2 * feeds[-1], "double the highest feed"), (feeds[0] / 2, "halve the feed")):
         here = [Condition(plane, radii[0], feed, d) for d in _BOTH]
         out.append(_proposal(f"{words} ({feed:g} mm/min)", here, new_setup=False))
     for radius in (2 * radii[-1], radii[0] / 2):
@@ -320,9 +303,7 @@ def _proposals(obs: Observations) -> list[Proposal]:
         text = f"another radius ({radius:g} mm)"
         out.append(_proposal(text, list(dict.fromkeys(here)), new_setup=True))
     for other in sorted(set(PLANES) - {c.plane for c in conditions}):
-        here = [
-            Condition(other, radii[0], feed, d) for feed in (feeds[0], feeds[-1]) for d in _BOTH
-        ]
+        here = [Condition(other, radii[0], feed, d) for feed in (feeds[0], feeds[-1]) for d in _BOTH]
         text = f"another plane ({other})"
         out.append(_proposal(text, list(dict.fromkeys(here)), new_setup=True))
     return out
@@ -334,11 +315,7 @@ def _proposal(text: str, conditions: list[Condition], *, new_setup: bool) -> Pro
 
 
 def _power(
-    obs: Observations,
-    known: Sequence[Term],
-    wanted: Term,
-    rivals: Sequence[Term],
-    conditions: Sequence[Condition],
+    obs: Observations, known: Sequence[Term], wanted: Term, rivals: Sequence[Term], conditions: Sequence[Condition]
 ) -> float:
     """Return the probability that rivals together are rejected when the wanted effect is the truth."""
     problem = set_up(obs, known, [])
@@ -351,9 +328,7 @@ def _power(
     design = weighted_like(grown, known, problem.noise)
     profile = design.whitened(grown.regressors(wanted.instance, wanted.shape)) @ size
     other = [design.whitened(grown.regressors(r.instance, r.shape)) for r in rivals]
-    imitated, _ = design.visible(
-        np.concatenate(other, axis=1), least=min(map(least_visible, rivals))
-    )
+    imitated, _ = design.visible(np.concatenate(other, axis=1), least=min(map(least_visible, rivals)))
     seen, share = design.visible(profile[:, None], imitated, least_visible(wanted))
     if not seen.shape[1]:
         return 0.0
@@ -367,10 +342,7 @@ def _power(
 def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
     """Return the runs with more of them, empty, in the set-ups that they would have."""
     means = {name: float(np.mean([np.mean(c[name]) for c in obs.columns])) for name in obs.logged}
-    setups = {
-        obs.conditions[int(c)].mounted: meta.setup
-        for meta, c in zip(obs.runs, obs.condition_of, strict=True)
-    }
+    setups = {obs.conditions[int(c)].mounted: meta.setup for meta, c in zip(obs.runs, obs.condition_of, strict=True)}
     metas, cells = list(obs.runs), [obs.conditions[i] for i in obs.condition_of]
     columns = list(obs.columns)
     for condition in conditions:
@@ -378,11 +350,15 @@ def _grown(obs: Observations, conditions: Sequence[Condition]) -> Observations:
             setup = setups.get(condition.mounted, "new")
             metas.append(
                 RunMeta(
-                    f"next-{len(metas)}", plane=condition.plane, direction=condition.direction,
-                    radius_mm=condition.radius_mm, feed_mm_min=condition.feed_mm_min,
-                    repeat=100 + repeat, setup=setup,
+                    f"next-{len(metas)}",
+                    plane=condition.plane,
+                    direction=condition.direction,
+                    radius_mm=condition.radius_mm,
+                    feed_mm_min=condition.feed_mm_min,
+                    repeat=100 + repeat,
+                    setup=setup,
                 )
-            )  # fmt: skip
+            )
             cells.append(condition)
             columns.append(means)
     return _empty(obs.campaign, tuple(metas), cells, tuple(columns))

@@ -17,9 +17,7 @@ def smooth_share(problem: Problem, z: Floats) -> float:
     obs = problem.obs
     place = np.linspace(-1.0, 1.0, obs.n_bins)
     parts = [
-        np.outer(sense, place**power) * obs.mask
-        for power in range(_BOWS)
-        for sense in (np.ones(obs.n_rows), obs.sense)
+        np.outer(sense, place**power) * obs.mask for power in range(_BOWS) for sense in (np.ones(obs.n_rows), obs.sense)
     ]
     smooth, _ = problem.visible(problem.whitened(np.stack(parts, axis=2)))
     return float(((smooth.T @ z) ** 2).sum() / max(z.shape[1], 1))

@@ -14,14 +14,7 @@ from dtwin.physics import localise
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import implausible
-from dtwin.physics.problem import (
-    Problem,
-    Term,
-    least_visible,
-    set_up,
-    setup_columns,
-    unweighted,
-)
+from dtwin.physics.problem import Problem, Term, least_visible, set_up, setup_columns, unweighted
 from dtwin.physics.shapes import refined
 from dtwin.physics.solve import in_blocks, solve_blocks
 from dtwin.physics.uncertainty import expanded
@@ -143,9 +136,7 @@ class Fit:
     aliases: tuple[Alias, ...]
 
 
-def fit(
-    obs: Observations, terms: Sequence[Term], *, robust: bool = False, refine: bool = True
-) -> Fit:
+def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refine: bool = True) -> Fit:
     """Fit effects to a campaign.
 
     Parameters
@@ -213,10 +204,7 @@ def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
     """
     problem = unweighted(obs, [])
     seen = [
-        problem.visible(
-            problem.whitened(obs.regressors(t.instance, t.shape)), least=least_visible(t)
-        )[0]
-        for t in terms
+        problem.visible(problem.whitened(obs.regressors(t.instance, t.shape)), least=least_visible(t))[0] for t in terms
     ]
     found = []
     for i, first in enumerate(terms):
@@ -344,9 +332,7 @@ def _start(problem: Problem, candidates: Candidates, term: Term) -> Mapping[str,
     residual = problem.residual
     tries: list[Mapping[str, float]] = [term.shape or effect.start_shape]
     if not all(shape.grid for shape in effect.shapes):
-        tries += [
-            {effect.shapes[0].name: p} for p in likely_pitches(problem.obs, residual, term.instance)
-        ]
+        tries += [{effect.shapes[0].name: p} for p in likely_pitches(problem.obs, residual, term.instance)]
     else:
         tries += list(candidates.grid(term.instance))
     gains = []

@@ -26,9 +26,7 @@ def laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
         if candidate.term.label not in effect.absorbed:
             tests = law_tests(effect.problem, effect.candidates, candidate, effect.level)
             out[candidate.term.label] = [
-                test
-                if test.variable == "delay"
-                else replace(test, p_value=min(1.0, effects * test.p_value))
+                test if test.variable == "delay" else replace(test, p_value=min(1.0, effects * test.p_value))
                 for test in tests
             ]
     return out
@@ -40,11 +38,7 @@ def survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Can
     Where that of the top one does not, one with more parameters only hides that.
     """
     most = effect.top.visible.shape[1] if _broken(tests.get(effect.label, ())) else np.inf
-    return [
-        c
-        for c in effect.group
-        if c.visible.shape[1] <= most and not _broken(tests.get(c.term.label, ()))
-    ]
+    return [c for c in effect.group if c.visible.shape[1] <= most and not _broken(tests.get(c.term.label, ()))]
 
 
 def _broken(tests: Sequence[LawTest]) -> bool:
@@ -54,11 +48,7 @@ def _broken(tests: Sequence[LawTest]) -> bool:
 def variables(candidate: Candidate, tests: Sequence[LawTest]) -> tuple[list[str], list[str]]:
     """Return the variables of a law that were confirmed, and those that were not."""
     law = candidate.term.instance.effect.law
-    wanted = [
-        name
-        for name, exponent in (("feed", law.feed), ("radius", law.radius))
-        if exponent is not None
-    ]
+    wanted = [name for name, exponent in (("feed", law.feed), ("radius", law.radius)) if exponent is not None]
     wanted += ["direction"] if law.direction != "mixed" else []
     confirmed = {test.variable for test in tests if test.confirmed}
     return [n for n in wanted if n in confirmed], [n for n in wanted if n not in confirmed]

@@ -177,7 +177,4 @@ class Grid:
         """Return the stretch from one bin up to another as values of the coordinate."""
         step = np.diff(self.points)
         half = 0.5 * float(np.median(step)) if len(step) else 0.5
-        return [
-            round(float(self.points[first]) - half, 6),
-            round(float(self.points[end - 1]) + half, 6),
-        ]
+        return [round(float(self.points[first]) - half, 6), round(float(self.points[end - 1]) + half, 6)]

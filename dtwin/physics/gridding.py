@@ -133,9 +133,7 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
     turn = np.floor((sign * (angle - angle[0]) - 1e-9) / 360.0).astype(int).clip(0)
     bins = np.floor(angle).astype(int) % N_BINS
     feed_mm_s = _reached_feed_mm_s(run, marked, angle, condition)
-    names = [
-        n for n in run.samples if n not in _SAMPLE_COLUMNS and not n.startswith(("cmd_", "act_"))
-    ]
+    names = [n for n in run.samples if n not in _SAMPLE_COLUMNS and not n.startswith(("cmd_", "act_"))]
     out = []
     for number in range(int(turn.max()) + 1):
         here = turn == number
@@ -146,9 +144,7 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
 
         gaps = _short_gaps(mask)
         means = {
-            name: _filled(
-                np.asarray(run.samples[name], dtype=float)[marked][here], bins[here], count, gaps
-            )
+            name: _filled(np.asarray(run.samples[name], dtype=float)[marked][here], bins[here], count, gaps)
             for name in ("deviation_um", *names)
         }
         y_um = means.pop("deviation_um")
@@ -238,12 +234,8 @@ def bin_angle_rad() -> Floats:
     return np.asarray((np.arange(N_BINS) + 0.5) * (np.pi / 180.0), dtype=np.float64)
 
 
-def _state(
-    meta: RunMeta, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]
-) -> State:
-    return circular_state(
-        meta, fine_angle_rad(), feed_mm_s=feed_mm_s, columns={}, geometry=geometry
-    )
+def _state(meta: RunMeta, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]) -> State:
+    return circular_state(meta, fine_angle_rad(), feed_mm_s=feed_mm_s, columns={}, geometry=geometry)
 
 
 def _circle() -> Grid:

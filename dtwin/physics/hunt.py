@@ -32,10 +32,7 @@ _SHARP = 1.5
 
 
 def best_set(
-    problem: Problem,
-    candidates: Candidates,
-    known: Sequence[Term],
-    beside: Callable[[Problem], Problem],
+    problem: Problem, candidates: Candidates, known: Sequence[Term], beside: Callable[[Problem], Problem]
 ) -> tuple[list[Term], Observations, list[Term]]:
     """Return the effects that explain a campaign best, and the observations that told.
 
@@ -159,9 +156,7 @@ class Hunt:
         while True:
             self.dictionary.add_pitches(chosen)
             found = self._best(chosen)
-            if found is None or not self._is_worth(
-                found[1], self.left(chosen) - found[1], found[0]
-            ):
+            if found is None or not self._is_worth(found[1], self.left(chosen) - found[1], found[0]):
                 return chosen
             chosen = [*chosen, found[0]]
 
@@ -188,9 +183,7 @@ class Hunt:
                 continue
             other = [*rest, found[0]]
             changed = self._cost(other)
-            if changed < cost - 1e-9 * self.dictionary.total and (
-                best is None or changed < best[0]
-            ):
+            if changed < cost - 1e-9 * self.dictionary.total and (best is None or changed < best[0]):
                 best = changed, other
         if weakest is not None:
             return weakest[1]
@@ -213,9 +206,7 @@ class Hunt:
         return best
 
     def _refined(self, chosen: list[Entry]) -> list[Entry]:
-        terms = refined_together(
-            self._problem, self._candidates, [e.term for e in chosen], self._per_number
-        )
+        terms = refined_together(self._problem, self._candidates, [e.term for e in chosen], self._per_number)
         changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
         new = {entry.label: entry for entry in self.dictionary.add(changed)}
         return [new.get(entry.label, entry) for entry in chosen]

@@ -17,9 +17,7 @@ _lock = threading.Lock()
 _kept: OrderedDict[Hashable, Floats] = OrderedDict()
 
 
-def kept_columns(
-    instance: Instance, shape: Shape, condition: Hashable, make: Callable[[], Floats]
-) -> Floats:
+def kept_columns(instance: Instance, shape: Shape, condition: Hashable, make: Callable[[], Floats]) -> Floats:
     """Return columns of an effect under a condition, computed when they were not yet.
 
     A diagnosis asks for the same few hundred shapes of every effect each time; machines are
@@ -41,9 +39,7 @@ def kept_columns(
     ndarray, shape (n, parameters)
         Read-only.
     """
-    key = (
-        instance.effect.regressors, instance.label, tuple(sorted(shape.items())), condition,
-    )  # fmt: skip
+    key = (instance.effect.regressors, instance.label, tuple(sorted(shape.items())), condition)
     with _lock:
         found = _kept.get(key)
         if found is not None:

@@ -95,11 +95,16 @@ def search_laws(problem: Problem) -> list[ScalingLaw]:
     near = [i for i in np.argsort(-gains) if gains[i] > gains[best] - _NEAR * tested[best][2]]
     return [
         ScalingLaw(
-            harmonic=keys[i][0], odd=keys[i][1], feed=keys[i][2], radius=keys[i][3],
-            p_value=float(adjusted[i]), gain=float(gains[i]), amplitude_um=tested[i][3],
+            harmonic=keys[i][0],
+            odd=keys[i][1],
+            feed=keys[i][2],
+            radius=keys[i][3],
+            p_value=float(adjusted[i]),
+            gain=float(gains[i]),
+            amplitude_um=tested[i][3],
         )
         for i in near
-    ]  # fmt: skip
+    ]
 
 
 class _Tester:
@@ -138,9 +143,7 @@ class _Tester:
         left = max(dof - k + 1.0, 1.0)
         f = float(total @ np.linalg.pinv(variance) @ total) / k * left / max(dof, 1.0)
         fitted = inverse @ total
-        amplitude = float(np.linalg.norm(fitted)) * np.sqrt(
-            (2.0 if harmonic else 1.0) / self.n_bins
-        )
+        amplitude = float(np.linalg.norm(fitted)) * np.sqrt((2.0 if harmonic else 1.0) / self.n_bins)
         return f_tail(f, (k, left)), max(0.0, explained - expected), expected, amplitude
 
     def _dof(self, scores: Floats) -> float:

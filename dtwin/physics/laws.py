@@ -70,9 +70,7 @@ class LawTest:
         }
 
 
-def law_tests(
-    problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel
-) -> list[LawTest]:
+def law_tests(problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel) -> list[LawTest]:
     """Test the law of a candidate over every variable that the campaign changed.
 
     Parameters
@@ -122,12 +120,7 @@ def law_tests(
             test
             for lagging in _late(problem.obs)
             for test in _tested(
-                with_it,
-                "delay",
-                _of(lagging, problem, candidate, amplitude) - along,
-                level,
-                True,
-                least,
+                with_it, "delay", _of(lagging, problem, candidate, amplitude) - along, level, True, least
             )
         ]
         out += [_best_of(late)] if late else []
@@ -169,12 +162,7 @@ def _with(problem: Problem, profile: Floats) -> Problem:
 
 
 def _tested(
-    with_it: Problem,
-    variable: str,
-    profile: Floats,
-    level: NoiseLevel,
-    within: bool,
-    least: float,
+    with_it: Problem, variable: str, profile: Floats, level: NoiseLevel, within: bool, least: float
 ) -> list[LawTest]:
     column = profile.reshape(-1, 1)
     visible, share = with_it.visible(column, least=least)
@@ -247,9 +235,7 @@ def _during(obs: Observations, law: Law) -> list[Floats]:
     names = [n for n in obs.logged if not n.startswith(SETUP_COLUMNS)]
     series = [np.array([float(np.mean(c[n])) for c in obs.columns]) for n in names]
     slow = [n for n in names if n != "time_h"]
-    series += [
-        np.array([float(np.mean(c[n])) for c in late.columns]) for late in _late(obs) for n in slow
-    ]
+    series += [np.array([float(np.mean(c[n])) for c in late.columns]) for late in _late(obs) for n in slow]
     free = law.feed is None or law.radius is None
     out = []
     for values in series:

@@ -90,9 +90,7 @@ class Library(Mapping[str, Effect]):
         self._effects[effect.name] = effect
 
 
-def instances(
-    effect: Effect, planes: Sequence[str], axes: Sequence[str], *, joints: bool
-) -> list[Instance]:
+def instances(effect: Effect, planes: Sequence[str], axes: Sequence[str], *, joints: bool) -> list[Instance]:
     """Return an effect on every axis, plane or joint of a campaign.
 
     Parameters
@@ -118,11 +116,7 @@ def instances(
 
 
 def campaign_instances(
-    library: Mapping[str, Effect],
-    kind: str,
-    planes: Sequence[str],
-    axes: Sequence[str],
-    geometry: Mapping[str, object],
+    library: Mapping[str, Effect], kind: str, planes: Sequence[str], axes: Sequence[str], geometry: Mapping[str, object]
 ) -> list[Instance]:
     """Return everything in the library that could act in a campaign, set-up terms first.
 
@@ -142,11 +136,7 @@ def campaign_instances(
         key=lambda effect: (not effect.setup, effect.name),
     )
     joints = has_joints(geometry)
-    return [
-        instance
-        for effect in fitting
-        for instance in instances(effect, planes, axes, joints=joints)
-    ]
+    return [instance for effect in fitting for instance in instances(effect, planes, axes, joints=joints)]
 
 
 def _effect_of(module: ModuleType) -> Effect:
@@ -171,17 +161,12 @@ def _from_file(path: Path) -> Effect:
         raise InputError("no such effect file", code="effect.file", where=str(path))
     spec = importlib.util.spec_from_file_location(f"dtwin_user_effect_{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise InputError(
-            "an effect file is Python", code="effect.file", where=str(path), allowed="*.py"
-        )
+        raise InputError("an effect file is Python", code="effect.file", where=str(path), allowed="*.py")
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
     except Exception as error:
         raise InputError(
-            "an effect file failed to load",
-            code="effect.file",
-            where=str(path),
-            got=f"{type(error).__name__}: {error}",
+            "an effect file failed to load", code="effect.file", where=str(path), got=f"{type(error).__name__}: {error}"
         ) from error
     return replace(_as_effect(getattr(module, "EFFECT", None), str(path)), source=str(path))

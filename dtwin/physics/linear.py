@@ -88,10 +88,7 @@ def linear_figures(forward_um: Floats, backward_um: Floats) -> LinearFigures:
     s_up, s_down = forward.std(axis=1, ddof=1), backward.std(axis=1, ddof=1)
     reversal = up - down
     both = np.maximum.reduce([2 * s_up + 2 * s_down + np.abs(reversal), 4 * s_up, 4 * s_down])
-    highest, lowest = (
-        np.maximum(up + 2 * s_up, down + 2 * s_down),
-        np.minimum(up - 2 * s_up, down - 2 * s_down),
-    )
+    highest, lowest = (np.maximum(up + 2 * s_up, down + 2 * s_down), np.minimum(up - 2 * s_up, down - 2 * s_down))
     return LinearFigures(
         accuracy_um=float(highest.max() - lowest.min()),
         accuracy_forward_um=float((up + 2 * s_up).max() - (up - 2 * s_up).min()),

@@ -28,9 +28,7 @@ def in_angle(problem: Problem) -> Floats:
 
 def condition_means(obs: Observations, values: Floats) -> Floats:
     """Return the mean over the repeats of each condition, shape (conditions, n)."""
-    return np.array(
-        [values[obs.condition_of == c].mean(axis=0) for c in range(len(obs.conditions))]
-    )
+    return np.array([values[obs.condition_of == c].mean(axis=0) for c in range(len(obs.conditions))])
 
 
 def systematic_rms_um(obs: Observations, residual: Floats) -> float:
@@ -107,11 +105,7 @@ def headline(obs: Observations, residual: Floats) -> str:
     by_harmonic = np.bincount(harmonic_numbers(obs.n_bins), power)[: obs.grid.described + 1]
     top = int(np.argmax(by_harmonic))
     share = by_harmonic[top] / max(by_harmonic.sum(), 1e-300)
-    words.append(
-        f"{obs.grid.wave(top)} ({100 * share:z.0f} %)"
-        if share > 0.4
-        else "spread over many harmonics"
-    )
+    words.append(f"{obs.grid.wave(top)} ({100 * share:z.0f} %)" if share > 0.4 else "spread over many harmonics")
     size = 0.5 * np.log(np.maximum((means**2).mean(axis=1), 1e-300))
     for name in obs.conditions[0].swept:
         values = [c.swept[name] for c in obs.conditions]

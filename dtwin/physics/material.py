@@ -30,11 +30,7 @@ def floor_um(problem: Problem) -> float:
 
 
 def material(
-    terms: Sequence[Term],
-    obs: Observations,
-    known: Sequence[Term],
-    candidates: Candidates,
-    problem: Problem,
+    terms: Sequence[Term], obs: Observations, known: Sequence[Term], candidates: Candidates, problem: Problem
 ) -> tuple[list[Term], dict[str, list[Term]]]:
     """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
@@ -127,27 +123,21 @@ def _alike(dictionary: Dictionary, found: list[Entry], obs: Observations) -> lis
     return np.minimum(sums, dictionary.explained(found)).tolist()
 
 
-def _stand_ins(
-    dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float
-) -> list[Term]:
+def _stand_ins(dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float) -> list[Term]:
     rest = [e for e in chosen if e is not entry]
     have = {e.label for e in chosen}
     own = dictionary.explained(chosen) - dictionary.explained(rest)
     enough = own - min(least, _STANDS_IN * own)
     gains = zip(dictionary.gains(rest).tolist(), dictionary.entries, strict=True)
     near = [
-        (gain, other)
-        for gain, other in gains
-        if gain > enough and other.free < entry.free and other.label not in have
+        (gain, other) for gain, other in gains if gain > enough and other.free < entry.free and other.label not in have
     ]
     # The best shape of each: the last one wins.
     best = {other.label: other.term for _, other in sorted(near, key=lambda pair: pair[0])}
     return list(best.values())
 
 
-def _worthwhile(
-    dictionary: Dictionary, found: list[Entry], least: Mapping[str, float]
-) -> list[Entry]:
+def _worthwhile(dictionary: Dictionary, found: list[Entry], least: Mapping[str, float]) -> list[Entry]:
     """Return the best of the effects found where each must explain so much: drop, add and exchange."""
 
     def worth(entries: list[Entry]) -> float:

@@ -17,9 +17,7 @@ _COPIES = 3
 _MEDIAN_SQUARE = 0.4549
 
 
-def as_if_repeated(
-    obs: Observations, known: Sequence[Term], seed: int
-) -> tuple[Observations, float] | None:
+def as_if_repeated(obs: Observations, known: Sequence[Term], seed: int) -> tuple[Observations, float] | None:
     """Return circles as if each had been repeated, and the least noise that they can have.
 
     The noise is that of the harmonics above 60, where hardly any effect of a machine lives; by the

@@ -146,9 +146,7 @@ class Observations:
         """Logged columns minus their mean over the campaign, shape (rows, n) each."""
         out = {}
         for name in self.logged:
-            values = np.array(
-                [np.broadcast_to(c[name], self.n_bins) for c in self.columns], dtype=float
-            )
+            values = np.array([np.broadcast_to(c[name], self.n_bins) for c in self.columns], dtype=float)
             out[name] = values - values[self.mask].mean()
         return out
 
@@ -230,9 +228,7 @@ class Observations:
         if effect.within_condition or effect.needs or masks is None:
             return to_harmonics(self.regressors(instance, shape))
         columns = [
-            kept_columns(
-                instance, shape, key, partial(_averaged, self.grid, instance, shape, state)
-            )
+            kept_columns(instance, shape, key, partial(_averaged, self.grid, instance, shape, state))
             for key, state in zip(self._condition_keys, self._condition_states, strict=True)
         ]
         once = to_harmonics(np.stack(columns) * masks[:, :, None])
@@ -241,9 +237,7 @@ class Observations:
     @cached_property
     def _condition_masks(self) -> NDArray[np.bool_] | None:
         """Where runs of each condition were measured; None when repeats differ in that."""
-        first = np.array(
-            [np.flatnonzero(self.condition_of == i)[0] for i in range(len(self.conditions))]
-        )
+        first = np.array([np.flatnonzero(self.condition_of == i)[0] for i in range(len(self.conditions))])
         masks = self.mask[first]
         return masks if np.array_equal(masks[self.condition_of], self.mask) else None
 
@@ -295,8 +289,7 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
         raise InputError("there is no run to look at", code="twin.no_runs", where=campaign.name)
     grid, rows = kind_named(campaign.kind).rows(runs, _times_h(runs))
     conditions = sorted(
-        {row.condition for row in rows},
-        key=lambda c: (c.plane, c.radius_mm, c.feed_mm_min, c.direction),
+        {row.condition for row in rows}, key=lambda c: (c.plane, c.radius_mm, c.feed_mm_min, c.direction)
     )
     keys = [(row.run.meta.setup, row.condition.mounted) for row in rows]
     setups = list(dict.fromkeys(keys))

@@ -42,10 +42,7 @@ def odd_runs(problem: Problem) -> list[int]:
         for row in members if len(members) > 2 else ():
             others = members[members != row]
             values = (problem.residual, *[plain] * _LOW_HARMONICS)
-            found = [
-                _gap_and_spread(v[row][band], v[others][:, band])
-                for v, band in zip(values, bands, strict=True)
-            ]
+            found = [_gap_and_spread(v[row][band], v[others][:, band]) for v, band in zip(values, bands, strict=True)]
             rows.append(int(row))
             gaps.append([gap for gap, _ in found])
             spreads.append([spread for _, spread in found])

@@ -40,8 +40,7 @@ def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
         for parameter, value in zip(effect.parameters, own, strict=True):
             if not np.abs(value) <= parameter.largest:
                 said.append(
-                    f"its {parameter.name} of {value:.3g} {parameter.unit} is more than "
-                    f"{parameter.largest:.3g}"
+                    f"its {parameter.name} of {value:.3g} {parameter.unit} is more than {parameter.largest:.3g}"
                 )
         if said:
             out[term.label] = "; ".join(said)

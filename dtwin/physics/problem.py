@@ -77,9 +77,7 @@ class Problem:
         """Return columns of shape (rows, n, k) as shape (rows * n, k)."""
         return (to_harmonics(columns) * self.weights[:, None]).reshape(-1, columns.shape[2])
 
-    def visible(
-        self, whitened: Floats, given: Floats | None = None, least: float = INVISIBLE
-    ) -> tuple[Floats, Floats]:
+    def visible(self, whitened: Floats, given: Floats | None = None, least: float = INVISIBLE) -> tuple[Floats, Floats]:
         """Return the part of columns that the known effects cannot imitate.
 
         Parameters

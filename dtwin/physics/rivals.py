@@ -97,9 +97,7 @@ def described(
         if whole is not problem:
             beside = everywhere.given(whole, others)
             group = group[:1] + tuple(
-                c
-                for c in group[1:]
-                if c.term.label in absorbed or _adds_nothing(beside, top, c, everywhere, rough)
+                c for c in group[1:] if c.term.label in absorbed or _adds_nothing(beside, top, c, everywhere, rough)
             )
         have = {c.term.label for c in group}
         simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
@@ -126,10 +124,7 @@ def _far(dictionary: Dictionary, chosen: Mapping[str, Entry], term: Term) -> set
         entry.label
         for entry in dictionary.entries
         if entry.label in chosen
-        or (
-            most[entry.label] < _NEAR * own
-            and entry.term.instance.effect.name not in term.instance.effect.confusables
-        )
+        or (most[entry.label] < _NEAR * own and entry.term.instance.effect.name not in term.instance.effect.confusables)
     }
 
 
@@ -203,9 +198,7 @@ def _sets(
     return tuple(out)
 
 
-def refined_candidate(
-    problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel
-) -> Candidate:
+def refined_candidate(problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel) -> Candidate:
     """Return a candidate in the shape, within its grid, that leaves least."""
     term = refined(problem, candidate.term, bounded=True)
     if term is candidate.term:
@@ -214,11 +207,7 @@ def refined_candidate(
 
 
 def _adds_nothing(
-    problem: Problem,
-    top: Candidate,
-    other: Candidate,
-    candidates: Candidates,
-    level: NoiseLevel,
+    problem: Problem, top: Candidate, other: Candidate, candidates: Candidates, level: NoiseLevel
 ) -> bool:
     visible = candidates.visible(problem, other.term)
     given = problem.extended(visible, candidates.whitened(problem, other.term))

@@ -12,26 +12,13 @@ from scipy.special import polygamma
 from dtwin.physics.few_runs import along, inside, smooth_share
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
-from dtwin.physics.whitening import (
-    condition_sums,
-    from_harmonics,
-    harmonic_numbers,
-    smoothed,
-    within_condition,
-)
+from dtwin.physics.whitening import condition_sums, from_harmonics, harmonic_numbers, smoothed, within_condition
 from dtwin.schema import Floats
 from dtwin.statistics import f_tail
 
 HIGHEST_HARMONIC = 60
 # All together, in ranges, and one by one where most effects live.
-_BANDS = (
-    (0, HIGHEST_HARMONIC),
-    (0, 4),
-    (5, 12),
-    (13, 30),
-    (31, HIGHEST_HARMONIC),
-    *((h, h) for h in range(13)),
-)
+_BANDS = ((0, HIGHEST_HARMONIC), (0, 4), (5, 12), (13, 30), (31, HIGHEST_HARMONIC), *((h, h) for h in range(13)))
 _CIRCLE = 360
 _FLIPS = 1999
 _FEW_DOF = 12
@@ -86,12 +73,7 @@ class NoiseLevel:
 
 
 def score_test(
-    problem: Problem,
-    visible: Floats,
-    residual: Floats,
-    level: NoiseLevel,
-    *,
-    within: bool = False,
+    problem: Problem, visible: Floats, residual: Floats, level: NoiseLevel, *, within: bool = False
 ) -> Score:
     """Test whether columns explain the residual, the run being the unit of replication.
 
@@ -142,9 +124,7 @@ def score_test(
     )
 
 
-def _of_few(
-    problem: Problem, visible: Floats, residual: Floats, level: NoiseLevel, within: bool
-) -> Score:
+def _of_few(problem: Problem, visible: Floats, residual: Floats, level: NoiseLevel, within: bool) -> Score:
     """Return the score of a handful of runs, each of which passes every place twice.
 
     What differs between runs has no noise level to lean on: forward and back share what a run is
@@ -206,10 +186,7 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     if usable.sum() < 8:
         return NoiseLevel()
     dofs = np.array(
-        [
-            _satterthwaite(summed[:, [i]], obs.run_of, obs.condition_of, count, lost=0)
-            for i in np.flatnonzero(usable)
-        ]
+        [_satterthwaite(summed[:, [i]], obs.run_of, obs.condition_of, count, lost=0) for i in np.flatnonzero(usable)]
     )
     logs = np.log(found[usable] / foretold[usable])
     bias = np.log(dofs / 2.0) - polygamma(0, dofs / 2.0)
@@ -319,9 +296,7 @@ def _pairs(condition_of: Indices, run_of: Indices) -> Floats:
     """Return the weight of each pair of rows: same condition, different run."""
     same = condition_of[:, None] == condition_of[None, :]
     other = run_of[:, None] != run_of[None, :]
-    runs = np.array(
-        [len(set(run_of[condition_of == c].tolist())) for c in range(int(condition_of.max()) + 1)]
-    )
+    runs = np.array([len(set(run_of[condition_of == c].tolist())) for c in range(int(condition_of.max()) + 1)])
     weight = 1.0 / np.maximum(runs - 1, 1)
     return np.asarray((same & other) * weight[condition_of][:, None])
 
@@ -351,9 +326,7 @@ def _foretold(problem: Problem, z: Floats) -> Floats:
     return np.asarray(np.einsum("nq,nqj,nqk->jk", _local_variance(problem), angle, angle))
 
 
-def _moderated(
-    variance: Floats, dof: float, foretold: Floats, level: NoiseLevel
-) -> tuple[Floats, float]:
+def _moderated(variance: Floats, dof: float, foretold: Floats, level: NoiseLevel) -> tuple[Floats, float]:
     """Blend the variance that the runs show with the one that the noise level foretells."""
     if level.prior_dof <= 0.0 or dof <= 0.0:
         return variance, dof
@@ -361,9 +334,7 @@ def _moderated(
     return (dof * variance + level.prior_dof * level.ratio * foretold) / total, total
 
 
-def _satterthwaite(
-    summed: Floats, unit: Indices, condition_of: Indices, count: Indices, lost: int
-) -> float:
+def _satterthwaite(summed: Floats, unit: Indices, condition_of: Indices, count: Indices, lost: int) -> float:
     """Effective degrees of freedom of a variance that differs between conditions.
 
     A run that goes there and back is in two conditions, and is one unit all the same.
@@ -379,9 +350,7 @@ def _satterthwaite(
         units.setdefault(condition, set()).add(int(unit[row]))
     for condition, members in units.items():
         power[condition] = sum(float(size[u]) for u in members)
-    shares = np.array(
-        [(power[c], len(units[c]) - 1) for c in units if len(units[c]) > 1 and power[c] > 0.0]
-    )
+    shares = np.array([(power[c], len(units[c]) - 1) for c in units if len(units[c]) > 1 and power[c] > 0.0])
     if not len(shares):
         return 0.0
     dof = float(shares[:, 0].sum() ** 2 / (shares[:, 0] ** 2 / shares[:, 1]).sum())

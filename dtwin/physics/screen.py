@@ -83,10 +83,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     while channels:
         tested = {name: _test(spread, values, ways, others) for name, values in channels.items()}
         ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
-        best = max(
-            (n for n in ranked if tested[n][0] == tested[ranked[0]][0]),
-            key=lambda name: tested[name][1],
-        )
+        best = max((n for n in ranked if tested[n][0] == tested[ranked[0]][0]), key=lambda name: tested[name][1])
         p_value = min(1.0, tested[best][0] * len(channels))
         if p_value > ALPHA:
             break
@@ -97,9 +94,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
             spread = _without(spread, chosen * way)
         others.leave_out(chosen)
         channels = {
-            name: _without(values[:, None], chosen)[:, 0]
-            for name, values in channels.items()
-            if name not in instead
+            name: _without(values[:, None], chosen)[:, 0] for name, values in channels.items() if name not in instead
         }
     return found
 

@@ -123,10 +123,7 @@ def search(
         terms, obs, everywhere = best_set(problem, candidates, known, beside)
         terms, stand_ins = material(terms, obs, known, candidates, problem)
         if obs is not problem.obs and problem.noise is not None:
-            told, library = (
-                beside(weighted_like(obs, known, problem.noise)),
-                Candidates(obs, candidates.instances),
-            )
+            told, library = (beside(weighted_like(obs, known, problem.noise)), Candidates(obs, candidates.instances))
         terms = _significant(terms or ([top.term] if top else []), told, library, first)
         if not terms and top is not None:
             terms = [top.term]
@@ -153,16 +150,23 @@ def _described(
     candidates: Candidates,
 ) -> tuple[Found, ...]:
     """Return what was found away from reversals, and beside it what happens at reversals."""
-    found = described(
-        terms, stand_ins, library.given(told, sharp), library, candidates.given(problem, sharp),
-        candidates.given(plain, sharp), candidates,
-    ) if sharp else described(terms, stand_ins, told, library, problem, plain, candidates)  # fmt: skip
+    found = (
+        described(
+            terms,
+            stand_ins,
+            library.given(told, sharp),
+            library,
+            candidates.given(problem, sharp),
+            candidates.given(plain, sharp),
+            candidates,
+        )
+        if sharp
+        else described(terms, stand_ins, told, library, problem, plain, candidates)
+    )
     if not sharp:
         return found
     beside = candidates.given(problem, terms)
-    at = described(
-        sharp, {}, beside, candidates, beside, candidates.given(plain, terms), candidates
-    )
+    at = described(sharp, {}, beside, candidates, beside, candidates.given(plain, terms), candidates)
     return tuple(sorted([*found, *at], key=lambda f: -f.size_um))
 
 
@@ -219,9 +223,7 @@ def _is_material(plain: Problem, candidates: Candidates, term: Term, problem: Pr
     return candidates.size_um(plain, term) >= IMMATERIAL * floor_um(problem)
 
 
-def _significant(
-    terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test
-) -> list[Term]:
+def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates, first: Test) -> list[Term]:
     """Return the effects without those that are not significant beside all the others."""
     terms = list(terms)
     many = independent([c.visible for c in first.candidates])

@@ -96,9 +96,14 @@ def refined_together(
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
     before = float((projected.left(begun) ** 2).sum())
     found = scipy.optimize.least_squares(
-        projected.left, begun, projected.slopes, bounds=(low, high), x_scale="jac",
-        max_nfev=_MOST_TOGETHER, ftol=max(1e-8, min(0.1, enough / max(before, 1e-300))),
-    )  # fmt: skip
+        projected.left,
+        begun,
+        projected.slopes,
+        bounds=(low, high),
+        x_scale="jac",
+        max_nfev=_MOST_TOGETHER,
+        ftol=max(1e-8, min(0.1, enough / max(before, 1e-300))),
+    )
     if 2.0 * found.cost >= before:
         return tuple(terms)
     new = {t.label: _at(t, found.x[part]) for t, part in zip(shaped, parts, strict=True)}
@@ -135,9 +140,7 @@ class _Projected:
     def _solved(self, logs: Floats) -> tuple[Floats, Floats]:
         every = [self._columns(n, logs[part]) for n, part in enumerate(self._parts)]
         columns: Floats = np.concatenate(every, axis=1)
-        inverse = np.asarray(
-            np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float
-        )
+        inverse = np.asarray(np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float)
         return columns, inverse
 
     def _columns(self, number: int, logs: Floats) -> Floats:

@@ -20,9 +20,7 @@ _ALPHA = 0.01
 _MATERIAL_EXPONENT = 0.25
 
 
-def spread_of(
-    obs: Observations, residual_um: Floats, library: Mapping[str, Effect]
-) -> Spread | None:
+def spread_of(obs: Observations, residual_um: Floats, library: Mapping[str, Effect]) -> Spread | None:
     """Return what the spread of repeats depends on, None when nothing shows.
 
     Parameters

@@ -16,11 +16,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.schema import Floats, RunMeta
 
-AXES_OF: Mapping[str, tuple[str, str]] = {
-    "XY": ("X", "Y"),
-    "YZ": ("Y", "Z"),
-    "ZX": ("Z", "X"),
-}
+AXES_OF: Mapping[str, tuple[str, str]] = {"XY": ("X", "Y"), "YZ": ("Y", "Z"), "ZX": ("Z", "X")}
 _ROBOT = "ur10e"
 _TOOL_DOWN = np.diag([-1.0, 1.0, -1.0])
 _ELBOW_UP_RAD = np.radians([-18.5, -86.3, 137.0, -140.7, -90.0, -108.5])
@@ -147,12 +143,7 @@ def has_joints(geometry: Mapping[str, Any]) -> bool:
 
 
 def circular_state(
-    meta: RunMeta,
-    angle_rad: Floats,
-    *,
-    feed_mm_s: float,
-    columns: Mapping[str, Floats],
-    geometry: Mapping[str, Any],
+    meta: RunMeta, angle_rad: Floats, *, feed_mm_s: float, columns: Mapping[str, Floats], geometry: Mapping[str, Any]
 ) -> State:
     """Return the state along a circle.
 
@@ -171,9 +162,7 @@ def circular_state(
     """
     if meta.plane is None or meta.radius_mm is None or meta.direction is None:
         raise InputError(
-            "a circular run needs plane, radius and direction",
-            code="state.condition",
-            where=f"run {meta.run_id}",
+            "a circular run needs plane, radius and direction", code="state.condition", where=f"run {meta.run_id}"
         )
     radius, sign = meta.radius_mm, 1.0 if meta.direction == "CCW" else -1.0
     first, second = AXES_OF[meta.plane]
@@ -194,10 +183,7 @@ def circular_state(
         plane=meta.plane,
         position_mm={first: radius * cos, second: radius * sin},
         velocity_mm_s={first: -sign * feed_mm_s * sin, second: sign * feed_mm_s * cos},
-        acceleration_mm_s2={
-            first: -(omega**2) * radius * cos,
-            second: -(omega**2) * radius * sin,
-        },
+        acceleration_mm_s2={first: -(omega**2) * radius * cos, second: -(omega**2) * radius * sin},
         sensitivity={first: cos, second: sin},
         since_reversal_s=since,
         last_end=end,

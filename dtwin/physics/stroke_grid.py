@@ -97,17 +97,21 @@ def stroke_rows(runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, li
         if absent:
             raise InputError(
                 "a positioning run needs position_mm, direction and error_um",
-                code="twin.columns", where=f"run {run.meta.run_id}", got=", ".join(run.samples),
-            )  # fmt: skip
+                code="twin.columns",
+                where=f"run {run.meta.run_id}",
+                got=", ".join(run.samples),
+            )
     of_runs = [np.round(run.samples["position_mm"] / _ROUND_MM).astype(np.int64) for run in runs]
     targets = np.unique(np.concatenate(of_runs))
     most = max(len(np.unique(found)) for found in of_runs)
     if len(targets) < _FEWEST_TARGETS or len(targets) > 2 * most:
         raise InputError(
-            "the targets of the runs are too few, or not the same", code="twin.targets",
-            where=f"axis {axis}", got=f"{len(targets)} targets, {most} at most in a run",
+            "the targets of the runs are too few, or not the same",
+            code="twin.targets",
+            where=f"axis {axis}",
+            got=f"{len(targets)} targets, {most} at most in a run",
             allowed=f"at least {_FEWEST_TARGETS}, the same in every run",
-        )  # fmt: skip
+        )
     points = np.asarray(targets * _ROUND_MM, dtype=np.float64)
     half_mm = 0.5 * float(points[-1] - points[0])
     rows: list[Row] = []
@@ -128,10 +132,12 @@ def _axis(runs: Sequence[Run]) -> str:
     if len(axes) == 1 and axes[0] in ("X", "Y", "Z"):
         return axes[0]
     raise InputError(
-        "a twin of positioning tests is about one axis", code="twin.axis",
-        got=", ".join(a or "not stated" for a in axes), allowed="X, Y or Z, the same in all runs",
+        "a twin of positioning tests is about one axis",
+        code="twin.axis",
+        got=", ".join(a or "not stated" for a in axes),
+        allowed="X, Y or Z, the same in all runs",
         hint='axis = "Z" under [run.condition]; a campaign for each axis',
-    )  # fmt: skip
+    )
 
 
 def _row(run: Run, condition: Stroke, here: Any, bins: Any, n_bins: int, time_h: float) -> Row:
@@ -166,9 +172,7 @@ def _grid(points: Floats) -> Grid:
     half_mm = 0.5 * float(points[-1] - points[0])
     step_mm = 2.0 * half_mm / (len(points) - 1)
 
-    def state(
-        meta: RunMeta, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]
-    ) -> State:
+    def state(meta: RunMeta, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]) -> State:
         # Tests turn round beyond the last target, so that play is taken up there: ISO 230-2.
         return _state(points - centre_mm, half_mm + step_mm, condition, feed_mm_s, geometry)
 
@@ -192,11 +196,7 @@ def _grid(points: Floats) -> Grid:
 
 
 def _state(
-    position_mm: Floats,
-    turns_at_mm: float,
-    condition: PathCondition,
-    feed_mm_s: float,
-    geometry: Mapping[str, Any],
+    position_mm: Floats, turns_at_mm: float, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]
 ) -> State:
     (axis,) = condition.axes
     n, sense = len(position_mm), condition.sense

@@ -19,10 +19,7 @@ from dtwin.physics.search import Search
 
 
 def sized(
-    obs: Observations,
-    known: Sequence[Term],
-    kept: Sequence[Found],
-    groups: Sequence[tuple[Suspect, ...]],
+    obs: Observations, known: Sequence[Term], kept: Sequence[Found], groups: Sequence[tuple[Suspect, ...]]
 ) -> tuple[tuple[Suspect, ...], ...]:
     """Return groups with the sizes that their first members have beside each other."""
     if not kept:
@@ -36,11 +33,7 @@ def sized(
 
 
 def members(
-    effect: Found,
-    tests: Mapping[str, Sequence[LawTest]],
-    found: Search,
-    candidates: Candidates,
-    known: Sequence[Term],
+    effect: Found, tests: Mapping[str, Sequence[LawTest]], found: Search, candidates: Candidates, known: Sequence[Term]
 ) -> tuple[Suspect, ...]:
     """Return an effect that was found and what cannot be told from it."""
     left = survivors(effect, tests)
@@ -53,12 +46,16 @@ def members(
         own_case = suspect(candidate, bare, found, candidates, effect.gain)
         out.append(
             replace(
-                own_case, in_group=True, grade=grade_of(candidate, own, len(left) == 1),
+                own_case,
+                in_group=True,
+                grade=grade_of(candidate, own, len(left) == 1),
                 confounded_with=tuple(sorted(set(labels) - {candidate.term.label})),
-                laws=tuple(own), size_um=effect.size_um, tested=tuple(tested),
+                laws=tuple(own),
+                size_um=effect.size_um,
+                tested=tuple(tested),
                 untested=tuple(untested),
             )
-        )  # fmt: skip
+        )
     return tuple(out)
 
 
@@ -74,23 +71,14 @@ def suspects(
     labels = {s.label for s in named}
     first = [replace(s, in_group=True) for s in (groups[0] if groups else ())]
     others = [replace(s, in_group=False) for group in groups[1:] for s in group]
-    rest = sorted(
-        (c for c in found.first.candidates if c.term.label not in labels),
-        key=lambda c: -c.score.gain,
-    )
+    rest = sorted((c for c in found.first.candidates if c.term.label not in labels), key=lambda c: -c.score.gain)
     room = max(0, SHOWN - len(named))
     bare = unweighted(found.last.obs, known)
     others += withdrawn
     return (*first, *others, *(suspect(c, bare, found, candidates, None) for c in rest[:room]))
 
 
-def suspect(
-    candidate: Candidate,
-    bare: Problem,
-    found: Search,
-    candidates: Candidates,
-    gain: float | None,
-) -> Suspect:
+def suspect(candidate: Candidate, bare: Problem, found: Search, candidates: Candidates, gain: float | None) -> Suspect:
     """Return an effect as it stands beside what the twin knows."""
     effect = candidate.term.instance.effect
     visible = candidates.visible(bare, candidate.term)

@@ -99,32 +99,31 @@ def tone_row(run: Run, time_h: float) -> Row:
     if not {"t_s", *names} <= set(run.samples):
         raise InputError(
             "a twin of tones needs the time, the command and what the tool did",
-            code="twin.columns", where=f"run {run.meta.run_id}", got=", ".join(run.samples),
+            code="twin.columns",
+            where=f"run {run.meta.run_id}",
+            got=", ".join(run.samples),
             allowed=f"t_s, {', '.join(names)}",
-        )  # fmt: skip
+        )
     t_s = np.asarray(run.samples["t_s"], dtype=float)
     settled = t_s >= t_s[0] + _SETTLING_S
     command, tool = (np.asarray(run.samples[n], float)[settled] * UM_PER_MM for n in names)
     rate_hz = (len(t_s) - 1) / max(float(t_s[-1] - t_s[0]), 1e-300)
     if settled.sum() < 2 * _POINTS or rate_hz < _POINTS * condition.frequency_hz:
         raise InputError(
-            "a tone has too few samples for its harmonics", code="twin.short",
+            "a tone has too few samples for its harmonics",
+            code="twin.short",
             where=f"run {run.meta.run_id}",
             got=f"{int(settled.sum())} samples after {_SETTLING_S:g} s, "
             f"{rate_hz / condition.frequency_hz:z.1f} in a period",
             allowed=f"at least {_POINTS} in a period",
-        )  # fmt: skip
+        )
     turn = 2.0 * np.pi * condition.frequency_hz * t_s[settled]
     sine, cosine = np.linalg.lstsq(
         np.stack([np.sin(turn), np.cos(turn), np.ones_like(turn)], axis=1), command, rcond=None
     )[0][:2]
     phase = turn + np.arctan2(cosine, sine)
     fitted = np.linalg.lstsq(_waves(phase), tool - command, rcond=None)[0]
-    means = {
-        name: float(np.mean(values))
-        for name, values in run.samples.items()
-        if not name.startswith(_NOT_LOGGED)
-    }
+    means = {name: float(np.mean(values)) for name, values in run.samples.items() if not name.startswith(_NOT_LOGGED)}
     columns = {"time_h": time_h, **run.meta.covariates, **means}
     y_um = _waves(_phases(_POINTS)) @ fitted
     mask = np.ones(_POINTS, dtype=bool)
@@ -139,10 +138,11 @@ def _condition(run: Run) -> ToneCondition:
     if axis not in ("X", "Y", "Z") or len(good) < 2:
         raise InputError(
             "a twin of tones needs axis, amplitude and frequency of every run",
-            code="twin.condition", where=f"run {run.meta.run_id}",
+            code="twin.condition",
+            where=f"run {run.meta.run_id}",
             got=f"axis {axis or 'not stated'}, amplitude_um, frequency_hz = {numbers}",
             allowed="X, Y or Z, and positive numbers under [run.condition]",
-        )  # fmt: skip
+        )
     return ToneCondition(axis, *good)
 
 
@@ -155,9 +155,7 @@ def _waves(phase: Floats) -> Floats:
     return np.stack([np.ones_like(phase), *parts], axis=1)
 
 
-def _state(
-    meta: RunMeta, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]
-) -> State:
+def _state(meta: RunMeta, condition: PathCondition, feed_mm_s: float, geometry: Mapping[str, Any]) -> State:
     phase = _phases(_POINTS * _FINE)
     (axis,) = condition.axes
     size = condition.radius_mm

@@ -43,11 +43,7 @@ def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
     if moving:
         does = [localise.condition_means(obs, _does_um(f, obs)) for f in kept]
         power = _harmonics(localise.condition_means(obs, sum_um(moving, obs)), obs)
-        kept = [
-            f
-            for f, own in zip(kept, does, strict=True)
-            if _overlap(_harmonics(own, obs), power) < _APART
-        ]
+        kept = [f for f, own in zip(kept, does, strict=True) if _overlap(_harmonics(own, obs), power) < _APART]
     while True:
         means = localise.condition_means(obs, unknown)
         doubtful = [

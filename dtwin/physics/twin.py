@@ -125,18 +125,13 @@ class Twin:
         """Effects whose values or shapes are not plausible, in words."""
         values = np.array([e.value for e in self.estimates])
         return tuple(
-            f"{label} is not told by these runs: {why}"
-            for label, why in implausible(self.terms, values).items()
+            f"{label} is not told by these runs: {why}" for label, why in implausible(self.terms, values).items()
         )
 
     def values(self, term: Term) -> Floats:
         """Return the fitted parameters of an effect, shape (parameters,)."""
         return np.array(
-            [
-                e.value
-                for e in self.estimates
-                if (e.effect, e.axis) == (term.instance.effect.name, term.instance.axis)
-            ]
+            [e.value for e in self.estimates if (e.effect, e.axis) == (term.instance.effect.name, term.instance.axis)]
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -149,11 +144,7 @@ class Twin:
             "campaign": self.campaign,
             "action": self.action,
             "effects": [
-                {
-                    "effect": term.instance.effect.name,
-                    "axis": term.instance.axis,
-                    "shape": dict(term.shape),
-                }
+                {"effect": term.instance.effect.name, "axis": term.instance.axis, "shape": dict(term.shape)}
                 for term in self.terms
             ],
             "parameters": [estimate.as_dict() for estimate in self.estimates],
@@ -173,15 +164,7 @@ def data_lines(data: Mapping[str, Any]) -> list[str]:
     return [*out, *data.get("amended", [])]
 
 
-def twin_of(
-    fit: Fit,
-    obs: Observations,
-    *,
-    name: str,
-    version: int,
-    action: str,
-    data: Mapping[str, Any],
-) -> Twin:
+def twin_of(fit: Fit, obs: Observations, *, name: str, version: int, action: str, data: Mapping[str, Any]) -> Twin:
     """Freeze a fit as a version of a twin.
 
     Parameters
@@ -227,9 +210,7 @@ def twin_of(
     )
 
 
-def by_condition(
-    obs: Observations, before_um: Floats, after_um: Floats
-) -> tuple[Mapping[str, Any], ...]:
+def by_condition(obs: Observations, before_um: Floats, after_um: Floats) -> tuple[Mapping[str, Any], ...]:
     """Return RMS before and after for every condition.
 
     Parameters
@@ -291,9 +272,7 @@ def frozen_residual_um(twin: Twin, obs: Observations) -> Floats:
     return localise.residual_um(obs.with_y(obs.y_um - predict_um(twin, obs)), [])
 
 
-def chosen_terms(
-    names: Sequence[str], library: Mapping[str, Effect], obs: Observations, axis: str = ""
-) -> list[Term]:
+def chosen_terms(names: Sequence[str], library: Mapping[str, Effect], obs: Observations, axis: str = "") -> list[Term]:
     """Return effects by name, on every axis where they can act.
 
     Parameters

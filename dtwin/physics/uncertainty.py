@@ -64,9 +64,7 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
     level = noise_level(white, probes(white))
     variance = np.nan_to_num(problem.noise.variance, nan=float(np.nanmean(problem.noise.variance)))
     coloured = influence / problem.noise.weights[:, None]
-    foretold = level.ratio * np.einsum(
-        "n,nqk,nqk->k", variance[obs.condition_of], coloured, coloured
-    )
+    foretold = level.ratio * np.einsum("n,nqk,nqk->k", variance[obs.condition_of], coloured, coloured)
     dof = float(problem.noise.dof)
     blended = (dof * clustered + level.prior_dof * foretold) / (dof + level.prior_dof)
     out = t_quantile(0.5 + _COVERAGE / 2.0, dof + level.prior_dof) * np.sqrt(blended)

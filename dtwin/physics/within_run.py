@@ -42,9 +42,7 @@ STOP_RINGING = Effect(
     meaning="A mode of the structure that the start of every arc excites, and that dies out.",
     formula="A exp(-t / T) cos(2 pi f t + p), t since the last programmed stop",
     looks_like="A decaying wave that begins after every stop.",
-    separate_by=(
-        "The same circle at half the feed: a mode keeps its frequency, a gear its count per turn."
-    ),
+    separate_by=("The same circle at half the feed: a mode keeps its frequency, a gear its count per turn."),
     remedy="Blend the arcs instead of stopping between them; lower the acceleration.",
     reference="[D] free damped oscillation",
     needs=(SINCE_STOP, ARC_SIGN),

@@ -54,8 +54,7 @@ class Comparison:
         )
         return (
             f"candidate {self.candidate} leaves {what} than champion {self.champion} "
-            f"({self.candidate_um:z.1f} against {self.champion_um:z.1f} um) on {self.n_runs} runs"
-            + known
+            f"({self.candidate_um:z.1f} against {self.champion_um:z.1f} um) on {self.n_runs} runs" + known
         )
 
     def table(self) -> tuple[list[str], list[list[str]]]:
@@ -68,9 +67,7 @@ class Comparison:
         ]
 
 
-def compare_with_champion(
-    home: Home, registered: Registered, rows: Sequence[dict[str, Any]]
-) -> Comparison | None:
+def compare_with_champion(home: Home, registered: Registered, rows: Sequence[dict[str, Any]]) -> Comparison | None:
     """Compare a fresh candidate with the champion, and leave the result for the reviewer.
 
     Parameters
@@ -134,12 +131,7 @@ def _leave_for_reviewer(
     )
     title = f"Version {found.candidate} against champion {champion.version}"
     registry.attach(
-        registered.version,
-        {"against-champion.html": page(title, f"machine {champion.machine}", [section])},
+        registered.version, {"against-champion.html": page(title, f"machine {champion.machine}", [section])}
     )
     before = registry.description(registered.version)
-    registry.mark(
-        registered.version,
-        {},
-        description=f"{before}\n\nScheduled training: {found.verdict}.",
-    )
+    registry.mark(registered.version, {}, description=f"{before}\n\nScheduled training: {found.verdict}.")

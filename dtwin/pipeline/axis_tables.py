@@ -41,13 +41,7 @@ class AxisTable:
 
 
 def axis_table(
-    twin: Twin,
-    axis: str,
-    travel_mm: tuple[float, float],
-    *,
-    origin_mm: float,
-    points: int | None,
-    speed_mm_s: float,
+    twin: Twin, axis: str, travel_mm: tuple[float, float], *, origin_mm: float, points: int | None, speed_mm_s: float
 ) -> AxisTable:
     """Tabulate one axis with as few rows as the tolerance allows.
 
@@ -74,14 +68,18 @@ def axis_table(
     low, high = travel_mm
     if not (np.isfinite([low, high]).all() and low < high):
         raise InputError(
-            "the travel is empty", code="export.travel", got=f"{low:g} to {high:g} mm",
+            "the travel is empty",
+            code="export.travel",
+            got=f"{low:g} to {high:g} mm",
             allowed="LOW,HIGH with LOW below HIGH",
-        )  # fmt: skip
+        )
     if points is not None and not 2 <= points <= MOST_TRIPLETS:
         raise InputError(
-            "a table has too few or too many rows", code="export.points", got=str(points),
+            "a table has too few or too many rows",
+            code="export.points",
+            got=str(points),
             allowed=f"2 to {MOST_TRIPLETS}",
-        )  # fmt: skip
+        )
     dense = np.linspace(low, high, _CHECKED)
     truth = axis_table_um(twin, axis, dense - origin_mm, speed_mm_s)
     counts = [points] if points is not None else [2, 3, 5, 9, 17, 33, 65, 129, MOST_TRIPLETS]

@@ -55,17 +55,12 @@ def campaign_figures(home: Home, campaign: str, progress: Progress | None = None
         "runs": results,
         "findings": [
             finding.as_dict()
-            for finding in [
-                *judge_campaign(light),
-                *amendment_findings(lake.runs(campaign, left_out=True)),
-            ]
+            for finding in [*judge_campaign(light), *amendment_findings(lake.runs(campaign, left_out=True))]
         ],
     }
 
 
-def error_curves(
-    home: Home, campaign: str, most: int = 6
-) -> dict[str, dict[str, tuple[Floats, Floats]]]:
+def error_curves(home: Home, campaign: str, most: int = 6) -> dict[str, dict[str, tuple[Floats, Floats]]]:
     """Return the error over the path angle of the first run of each condition.
 
     Parameters

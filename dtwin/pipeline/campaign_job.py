@@ -58,9 +58,8 @@ class CampaignRequest:
 
 
 def run_request(
-    home: Home, request: CampaignRequest, desk_of: Callable[[Path], Desk],
-    asked: Callable[[], bool],
-) -> dict[str, Any]:  # fmt: skip
+    home: Home, request: CampaignRequest, desk_of: Callable[[Path], Desk], asked: Callable[[], bool]
+) -> dict[str, Any]:
     """Measure a campaign, bring it into the lake, and with a version compute its evidence.
 
     Parameters
@@ -96,9 +95,11 @@ def run_request(
     )
     if job.inbox.resolve().is_relative_to(job.folder.resolve()):
         raise InputError(
-            "the instrument must not write into the campaign folder itself", code="campaign.inbox",
-            where=str(job.inbox), hint="let it write somewhere else; its files are copied",
-        )  # fmt: skip
+            "the instrument must not write into the campaign folder itself",
+            code="campaign.inbox",
+            where=str(job.inbox),
+            hint="let it write somewhere else; its files are copied",
+        )
     enter_desk(home, job.folder)
     found = measure_campaign(job, desk_of(job.folder), asked)
     report = ingest(job.folder, Lake(home.lake))
@@ -133,8 +134,7 @@ def _campaign_head(
         rows = [row for row in lake.runs() if row["machine"] == machine]
         if rows:
             known = lake.campaign(max(rows, key=lambda row: str(row["ingested"]))["campaign"])
-            head = {"machine_geometry": dict(known.machine_geometry),
-                    "instrument": dict(known.instrument)}  # fmt: skip
+            head = {"machine_geometry": dict(known.machine_geometry), "instrument": dict(known.instrument)}
     geometry = head.setdefault("machine_geometry", {})
     geometry.pop("corrected", None)
     if robot is not None and is_virtual(robot):
@@ -157,9 +157,11 @@ def _by_turns(home: Home, plan: Plan, version: RegisteredVersion) -> tuple[Step,
     else:
         raise GateRefusal(
             "the version is neither on trial nor champion: nothing would serve it",
-            code="campaign.version", where=f"machine {plan.machine}", got=version.version,
+            code="campaign.version",
+            where=f"machine {plan.machine}",
+            got=version.version,
             hint=f"dtwin promote {version.version} --machine {plan.machine} --trial",
-        )  # fmt: skip
+        )
     bundle = Bundle.from_dict(Registry(home).bundle(version))
     serve = f"dtwin serve --machine {plan.machine} --model {model}, with the options of its link"
     return by_turns(plan, bundle.model_sha256, serve)

@@ -81,21 +81,26 @@ def by_turns(plan: Plan, correction: str, serve: str) -> tuple[Step, ...]:
     least = min(counts.values())
     if least < FEWEST_REPEATS or least * len(plan.directions) < FEWEST_RUNS:
         raise InputError(
-            "the plan repeats too little for evidence", code="campaign.few", where=plan.name,
+            "the plan repeats too little for evidence",
+            code="campaign.few",
+            where=plan.name,
             got=f"{least} repeats in {len(plan.directions)} directions",
             allowed=f"{FEWEST_REPEATS} repeats or more, and {FEWEST_RUNS} runs of a condition each way",
             hint="repeats under [grid] of the plan",
-        )  # fmt: skip
+        )
     rng = np.random.default_rng([plan.seed, 59])
     steps: list[Step] = []
     for step in circle_steps(plan):
         pair = [
             replace(step, run_id=f"{step.run_id}-without", title=f"{step.title}, without"),
             replace(
-                step, run_id=f"{step.run_id}-with", title=f"{step.title}, with the correction",
-                correction=correction, serve=serve,
+                step,
+                run_id=f"{step.run_id}-with",
+                title=f"{step.title}, with the correction",
+                correction=correction,
+                serve=serve,
             ),
-        ]  # fmt: skip
+        ]
         steps += [pair[i] for i in rng.permutation(2)]
     return tuple(steps)
 
@@ -103,14 +108,16 @@ def by_turns(plan: Plan, correction: str, serve: str) -> tuple[Step, ...]:
 def _step(plan: Plan, test: PlannedTest) -> Step:
     return Step(
         run_id=test.test_id,
-        title=f"{test.plane} R{test.radius_mm:g} F{test.feed_mm_min:g}, repeat {test.repeat}, "
-        f"set-up {test.setup}",
+        title=f"{test.plane} R{test.radius_mm:g} F{test.feed_mm_min:g}, repeat {test.repeat}, set-up {test.setup}",
         programs={
             f"{test.test_id}.nc": gcode(test, plan.directions),
             f"{test.test_id}.script": urscript(test, plan.directions),
         },
         stated={
-            "plane": test.plane, "radius_mm": test.radius_mm, "feed_mm_min": test.feed_mm_min,
-            "repeat": test.repeat, "setup": test.setup,
+            "plane": test.plane,
+            "radius_mm": test.radius_mm,
+            "feed_mm_min": test.feed_mm_min,
+            "repeat": test.repeat,
+            "setup": test.setup,
         },
-    )  # fmt: skip
+    )

@@ -120,9 +120,11 @@ def do_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:
     """
     if (step, twin) not in STEPS:
         raise InputError(
-            "the cell has no such step with this twin live", code="cell.step",
-            got=f"{step[:40]}, {twin[:20]}", allowed=", ".join(f"{s}: {t}" for s, t in STEPS),
-        )  # fmt: skip
+            "the cell has no such step with this twin live",
+            code="cell.step",
+            got=f"{step[:40]}, {twin[:20]}",
+            allowed=", ".join(f"{s}: {t}" for s, t in STEPS),
+        )
     if twin == COBOT:
         return _load(seed) if step == "load" else _unload(seed)
     if twin == MILL:
@@ -218,10 +220,12 @@ def _cobot_twin(seed: int) -> tuple[VirtualCobot, TargetCorrection]:
     error_mm, _ = _placed(cobot, cubesat.PLACE_MM)
     rng = np.random.default_rng([seed, 71])
     taught = [
-        TrainingPlacement(motion, cubesat.ROBOT_FEED_MM_MIN,
-                          1e3 * (error_mm - cubesat.PLACE_MM) + 10.0 * rng.standard_normal(3))
-        for motion in ("MoveL", "MoveJ") for _ in range(_TAUGHT)
-    ]  # fmt: skip
+        TrainingPlacement(
+            motion, cubesat.ROBOT_FEED_MM_MIN, 1e3 * (error_mm - cubesat.PLACE_MM) + 10.0 * rng.standard_normal(3)
+        )
+        for motion in ("MoveL", "MoveJ")
+        for _ in range(_TAUGHT)
+    ]
     bundle = placement_bundle(taught, "virtual-cobot", feeds_mm_min=(500.0, 6000.0))
     joints = UR10E.inverse(cubesat.PLACE_MM, TOOL_DOWN, _TCP_MM, ELBOW_UP_RAD)
     frame = TargetFrame("XY", cubesat.LOAD_SAFE_MM, joints)
@@ -265,9 +269,8 @@ def _placed(cobot: VirtualCobot, target_mm: Floats) -> tuple[Floats, float]:
 
 def _drive(cobot: VirtualCobot, stops: list[Waypoint]) -> tuple[Floats, float]:
     return drive_program(
-        cobot, stops, motion="MoveL", feed_mm_min=cubesat.ROBOT_FEED_MM_MIN,
-        datum_mm=cubesat.LOAD_SAFE_MM,
-    )  # fmt: skip
+        cobot, stops, motion="MoveL", feed_mm_min=cubesat.ROBOT_FEED_MM_MIN, datum_mm=cubesat.LOAD_SAFE_MM
+    )
 
 
 def _distance_um(reached_mm: Floats) -> float:

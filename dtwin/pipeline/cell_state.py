@@ -54,14 +54,15 @@ class CellFile:
         """
         if not 1 <= parts <= _MOST_PARTS:
             raise InputError(
-                "a job has one part or more", code="cell.parts", got=str(parts),
-                allowed=f"1 to {_MOST_PARTS}",
-            )  # fmt: skip
+                "a job has one part or more", code="cell.parts", got=str(parts), allowed=f"1 to {_MOST_PARTS}"
+            )
         if self._path.exists() and next_step(self.read()) is not None:
             raise InputError(
-                "the cell has a job that is not done", code="cell.unfinished", where=self.name,
+                "the cell has a job that is not done",
+                code="cell.unfinished",
+                where=self.name,
                 hint=f"dtwin cell resume --cell {self.name}, or dtwin cell clear --cell {self.name}",
-            )  # fmt: skip
+            )
         steps = [
             {"part": part + 1, "step": step, "twin": twin, "state": _WAITING, "result": {}}
             for part in range(parts)
@@ -86,19 +87,23 @@ class CellFile:
             found = json.loads(self._path.read_text(encoding="utf-8"))
         except FileNotFoundError as error:
             raise InputError(
-                "the cell has no job", code="cell.none", where=self.name,
-                hint=f"dtwin cell run --cell {self.name}",
-            ) from error  # fmt: skip
+                "the cell has no job", code="cell.none", where=self.name, hint=f"dtwin cell run --cell {self.name}"
+            ) from error
         except ValueError as error:
             raise StoreError(
-                "the cell's state cannot be read", code="cell.state", where=str(self._path),
-                got=str(error)[:120], hint=f"dtwin cell clear --cell {self.name}",
-            ) from error  # fmt: skip
+                "the cell's state cannot be read",
+                code="cell.state",
+                where=str(self._path),
+                got=str(error)[:120],
+                hint=f"dtwin cell clear --cell {self.name}",
+            ) from error
         if not isinstance(found, dict) or not isinstance(found.get("steps"), list):
             raise StoreError(
-                "the cell's state is something else", code="cell.state", where=str(self._path),
+                "the cell's state is something else",
+                code="cell.state",
+                where=str(self._path),
                 hint=f"dtwin cell clear --cell {self.name}",
-            )  # fmt: skip
+            )
         return found
 
     def write(self, state: dict[str, Any]) -> None:
@@ -148,9 +153,11 @@ class CellFile:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise InputError(
-                    "the cell is running already", code="cell.busy", where=self.name,
+                    "the cell is running already",
+                    code="cell.busy",
+                    where=self.name,
                     hint=f"dtwin cell status --cell {self.name}",
-                ) from error  # fmt: skip
+                ) from error
             yield
 
     @property

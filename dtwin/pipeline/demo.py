@@ -75,11 +75,7 @@ def quick_size() -> DemoSize:
     Three radii: without one of them two must remain, or orders cannot be told from each other.
     """
     plan = training_plan(
-        radii_mm=(100.0, 150.0, 300.0),
-        feeds_mm_min=(4000.0, 6000.0),
-        planes=("YZ",),
-        repeats=2,
-        name="training-quick",
+        radii_mm=(100.0, 150.0, 300.0), feeds_mm_min=(4000.0, 6000.0), planes=("YZ",), repeats=2, name="training-quick"
     )
     evidence = EvidencePlan((("YZ", 150.0, 5000.0), ("YZ", 100.0, 6000.0)), 2, (4000.0, 6000.0))
     return DemoSize(plan, evidence, 3.0)
@@ -122,20 +118,14 @@ def run_demo(
         lambda work: _measure(work, home, screen, size, seed),
     )
     registered = clock.step(
-        "3 of 5  features, candidates, comparison",
-        "training",
-        lambda work: _train(work, screen, size, sections),
+        "3 of 5  features, candidates, comparison", "training", lambda work: _train(work, screen, size, sections)
     )
     outcome = clock.step(
         "4 of 5  gates, trial, serving, evidence",
         "correction",
         lambda work: _correct(work, screen, size, seed, registered, sections),
     )
-    path = clock.step(
-        "5 of 5  report",
-        "report",
-        lambda work: _report(work, home, screen, size, outcome, sections),
-    )
+    path = clock.step("5 of 5  report", "report", lambda work: _report(work, home, screen, size, outcome, sections))
     screen.say(_final(outcome, clock.seconds))
     return {
         "recording": recording,
@@ -153,8 +143,7 @@ def _recording(work: Work, screen: Screen, sections: list[Section]) -> dict[str,
     result = work.check(path)
     screen.say(render_check(result))
     screen.say(
-        f"in the lake as campaign {report.campaign}: {len(report.added)} runs added, "
-        f"{len(report.unchanged)} were there"
+        f"in the lake as campaign {report.campaign}: {len(report.added)} runs added, {len(report.unchanged)} were there"
     )
     seen = sample_check()
     said = str(seen)
@@ -204,9 +193,8 @@ def _train(work: Work, screen: Screen, size: DemoSize, sections: list[Section]) 
 
 
 def _correct(
-    work: Work, screen: Screen, size: DemoSize, seed: int, registered: Registered,
-    sections: list[Section],
-) -> dict[str, Any]:  # fmt: skip
+    work: Work, screen: Screen, size: DemoSize, seed: int, registered: Registered, sections: list[Section]
+) -> dict[str, Any]:
     version = registered.version
     screen.say("\n".join(verdict_lines(registered.verdicts)))
     if not all(v.passed for v in registered.verdicts):
@@ -219,9 +207,7 @@ def _correct(
     found = evidence.as_dict()
     screen.say(table(*evidence_table(found)))
     path, reason = work.make_champion(version, "demo")
-    screen.say(
-        f"champion: version {version.version}, {path}" if path else f"not promoted\n{reason}"
-    )
+    screen.say(f"champion: version {version.version}, {path}" if path else f"not promoted\n{reason}")
     sections += [_serving_section(serving), evidence_section(found, evidence.profiles)]
     return {
         "gates": [vars(v) for v in registered.verdicts],
@@ -233,9 +219,8 @@ def _correct(
 
 
 def _report(
-    work: Work, home: Home, screen: Screen, size: DemoSize, outcome: Mapping[str, Any],
-    sections: list[Section],
-) -> Path:  # fmt: skip
+    work: Work, home: Home, screen: Screen, size: DemoSize, outcome: Mapping[str, Any], sections: list[Section]
+) -> Path:
     title = "dtwin: from a recording to a served correction"
     content = page(title, f"machine {size.plan.machine}", sections)
     path = write_text(home.reports / "demo.html", content, "the report")

@@ -69,9 +69,7 @@ class Desk:
         usual answer.
     """
 
-    def __init__(
-        self, folder: Path, show: Callable[[str], None], typed: Callable[[], str | None]
-    ) -> None:
+    def __init__(self, folder: Path, show: Callable[[str], None], typed: Callable[[], str | None]) -> None:
         self._folder, self.show, self._typed = folder, show, typed
         self._question: Question | None = None
 
@@ -167,10 +165,13 @@ def give_answer(folder: Path, question_id: str, answer: str) -> None:
     asked = open_question(folder)
     if asked is None or asked["id"] != question_id or answer not in asked["answers"]:
         raise InputError(
-            "this is not asked now", code="campaign.answer", where=str(folder), got=answer[:40],
+            "this is not asked now",
+            code="campaign.answer",
+            where=str(folder),
+            got=answer[:40],
             allowed=", ".join(asked["answers"]) if asked else "nothing is asked",
             hint="look again: the campaign has gone on",
-        )  # fmt: skip
+        )
     text = json.dumps({"question": question_id, "answer": answer})
     write_text(folder / _ANSWER, text, "the operator's answer")
 

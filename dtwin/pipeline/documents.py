@@ -56,11 +56,7 @@ def read_document(path: Path, hint: str = _HINT) -> dict[str, Any]:
             raise ValueError("it is not what was written")
     except (OSError, ValueError, RecursionError) as error:
         raise StoreError(
-            "a stored document cannot be read",
-            code="twin.damaged",
-            where=str(path),
-            got=str(error)[:120],
-            hint=hint,
+            "a stored document cannot be read", code="twin.damaged", where=str(path), got=str(error)[:120], hint=hint
         ) from error
     return dict(found)
 

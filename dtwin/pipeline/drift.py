@@ -114,9 +114,7 @@ def campaign_of(registry: Registry, version: RegisteredVersion) -> str:
     return str(registry.client.get_run(version.run_id).data.params.get("campaign", ""))
 
 
-def trained_rows(
-    registry: Registry, lake: Lake, version: RegisteredVersion
-) -> list[dict[str, Any]]:
+def trained_rows(registry: Registry, lake: Lake, version: RegisteredVersion) -> list[dict[str, Any]]:
     """Return the rows of ``runs`` that a version was trained on, by its table version.
 
     Parameters
@@ -139,9 +137,7 @@ def usable(row: Any) -> bool:
     return bool(row["n_errors"] == 0 and row["status"] == "complete")
 
 
-def check_drift(
-    home: Home, champion: RegisteredVersion, campaign: str, progress: Progress | None = None
-) -> DriftCheck:
+def check_drift(home: Home, champion: RegisteredVersion, campaign: str, progress: Progress | None = None) -> DriftCheck:
     """Judge the champion on those runs of a campaign that it was never trained on.
 
     Mean squares add: what the champion's error has grown by is the root of the difference of
@@ -178,9 +174,7 @@ def check_drift(
     error = champion_error(registry, champion, lake, fresh, progress)
     new = [g for g in ("radius_mm", "feed_mm_min") if {r[g] for r in fresh} - {r[g] for r in known}]
     left_out = new[0] if new else "run"
-    expected = registry.metrics(champion).get(
-        f"leave_{left_out}_out.rms_um" if new else FRESH_RUN, float("nan")
-    )
+    expected = registry.metrics(champion).get(f"leave_{left_out}_out.rms_um" if new else FRESH_RUN, float("nan"))
     if np.isnan(expected):
         return silent("no held-out error was registered with the champion", error)
     if np.isnan(error.noise_floor_um):
@@ -194,9 +188,7 @@ def check_drift(
         f"{'more' if drifted else 'not more'} than the noise floor of "
         f"{error.noise_floor_um:z.1f} um"
     )
-    return DriftCheck(
-        champion.version, campaign, error, expected, left_out, excess, drifted, reason
-    )
+    return DriftCheck(champion.version, campaign, error, expected, left_out, excess, drifted, reason)
 
 
 def champion_error(

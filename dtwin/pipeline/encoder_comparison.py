@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.features.encoder_split import (
-    DEFAULT_CYCLES_PER_REV,
-    Cutoff,
-    Split,
-    seen_by_controller_um,
-    split,
-)
+from dtwin.features.encoder_split import DEFAULT_CYCLES_PER_REV, Cutoff, Split, seen_by_controller_um, split
 from dtwin.physics import localise
 from dtwin.physics.gridding import N_BINS, rows_of
 from dtwin.physics.observations import Observations
@@ -57,9 +51,7 @@ class EncoderSplit:
                 {
                     **condition.as_dict(),
                     "runs": len(set(self.obs.run_of[rows].tolist())),
-                    "cutoff_cycles_per_rev": self.cutoff.cycles(
-                        condition.radius_mm, condition.feed_mm_min
-                    ),
+                    "cutoff_cycles_per_rev": self.cutoff.cycles(condition.radius_mm, condition.feed_mm_min),
                     **self._figures(rows),
                 }
                 for condition, rows in self._by_condition()
@@ -131,11 +123,7 @@ def encoder_split(
     seen = localise.residual_um(chosen.with_y(controller_um[there]), [])
     cycles = [cutoff.cycles(c.radius_mm, c.feed_mm_min) for c in chosen.conditions]
     found = split(
-        localise.residual_um(chosen, []),
-        seen,
-        chosen.mask,
-        chosen.condition_of,
-        np.array(cycles)[chosen.condition_of],
+        localise.residual_um(chosen, []), seen, chosen.mask, chosen.condition_of, np.array(cycles)[chosen.condition_of]
     )
     return EncoderSplit(cutoff, chosen, found, tuple(sorted(without)))
 

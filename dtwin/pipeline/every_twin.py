@@ -32,9 +32,7 @@ def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> Twins | 
     return kind_named(kind_of(home, name)).twins(home, library)
 
 
-def twins_for(
-    home: Home, library: Mapping[str, Effect], campaign: str
-) -> tuple[Twins | HeatTwins, str]:
+def twins_for(home: Home, library: Mapping[str, Effect], campaign: str) -> tuple[Twins | HeatTwins, str]:
     """Return the twins that suit a campaign, and the name of the campaign in the lake.
 
     Parameters

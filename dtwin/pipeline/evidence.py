@@ -29,9 +29,13 @@ if TYPE_CHECKING:
 
 
 def compute(
-    home: Home, version: RegisteredVersion, without: Sequence[str], with_: Sequence[str],
-    *, notes: Mapping[str, Any] | None = None,
-) -> Evidence:  # fmt: skip
+    home: Home,
+    version: RegisteredVersion,
+    without: Sequence[str],
+    with_: Sequence[str],
+    *,
+    notes: Mapping[str, Any] | None = None,
+) -> Evidence:
     """Compute evidence from campaigns in the lake and keep it with the version.
 
     Parameters
@@ -58,9 +62,13 @@ def compute(
 
 
 def measure(
-    home: Home, version: RegisteredVersion, *, seed: int, plan: EvidencePlan | None = None,
+    home: Home,
+    version: RegisteredVersion,
+    *,
+    seed: int,
+    plan: EvidencePlan | None = None,
     progress: Progress | None = None,
-) -> Evidence:  # fmt: skip
+) -> Evidence:
     """Measure a virtual machine with and without a version, and compute evidence from the runs.
 
     Parameters
@@ -161,11 +169,7 @@ def proven_or_measured(
 
 
 def promote_proven(
-    home: Home,
-    version: RegisteredVersion,
-    comment: str = "",
-    despite: Sequence[str] = (),
-    valid_days: float = 0.0,
+    home: Home, version: RegisteredVersion, comment: str = "", despite: Sequence[str] = (), valid_days: float = 0.0
 ) -> Path:
     """Make a version champion by its evidence, computed again from its runs.
 
@@ -194,17 +198,19 @@ def promote_proven(
     """
     registry = Registry(home)
     return promote(
-        registry, home, version, geometry=geometry_of(registry, version),
-        evidence=proven(home, version), despite=despite, comment=comment, valid_days=valid_days,
-    )  # fmt: skip
+        registry,
+        home,
+        version,
+        geometry=geometry_of(registry, version),
+        evidence=proven(home, version),
+        despite=despite,
+        comment=comment,
+        valid_days=valid_days,
+    )
 
 
 def make_champion(
-    home: Home,
-    version: RegisteredVersion,
-    comment: str = "",
-    despite: Sequence[str] = (),
-    valid_days: float = 0.0,
+    home: Home, version: RegisteredVersion, comment: str = "", despite: Sequence[str] = (), valid_days: float = 0.0
 ) -> tuple[Path | None, str]:
     """Return what :func:`promote_proven` does, or None and why it refuses."""
     try:
@@ -214,18 +220,22 @@ def make_champion(
 
 
 def _computed(
-    home: Home, version: RegisteredVersion, without: Sequence[str], with_: Sequence[str],
-    notes: Mapping[str, Any],
-) -> Evidence:  # fmt: skip
+    home: Home, version: RegisteredVersion, without: Sequence[str], with_: Sequence[str], notes: Mapping[str, Any]
+) -> Evidence:
     registry = Registry(home)
     bundle = Bundle.from_dict(registry.bundle(version))
     campaigns = {WITHOUT: tuple(dict.fromkeys(without)), WITH: tuple(dict.fromkeys(with_))}
     virtual = bool(geometry_of(registry, version).get("virtual", False))
     found = gathered(home, version.machine, bundle.model_sha256, campaigns, virtual=virtual)
     return evidence_of_runs(
-        found.runs, kind=found.kind, machine=version.machine, model_sha256=bundle.model_sha256,
-        campaigns=campaigns, notes=notes, told=found.told,
-    )  # fmt: skip
+        found.runs,
+        kind=found.kind,
+        machine=version.machine,
+        model_sha256=bundle.model_sha256,
+        campaigns=campaigns,
+        notes=notes,
+        told=found.told,
+    )
 
 
 def _virtual(geometry: Mapping[str, Any]) -> VirtualMachine:
@@ -233,11 +243,13 @@ def _virtual(geometry: Mapping[str, Any]) -> VirtualMachine:
     if machine is not None:
         return machine
     raise InputError(
-        "no virtual machine of this type is known", code="evidence.machine",
-        where="machine_geometry.type", got=str(geometry.get("type", "not stated"))[:40],
+        "no virtual machine of this type is known",
+        code="evidence.machine",
+        where="machine_geometry.type",
+        got=str(geometry.get("type", "not stated"))[:40],
         allowed=", ".join(known.type for known in machines() if known.offers("evidence")),
         hint=FROM_THE_LAKE,
-    )  # fmt: skip
+    )
 
 
 def _keep(registry: Registry, version: RegisteredVersion, evidence: Evidence) -> None:

@@ -36,18 +36,13 @@ def said_of(bundle: Bundle, state: str) -> list[str]:
         What it may be used for.
     """
     lines = [
-        f"dtwin: {bundle.name} for machine {bundle.machine}, version {bundle.model_version}, "
-        f"state {state}",
+        f"dtwin: {bundle.name} for machine {bundle.machine}, version {bundle.model_version}, state {state}",
         f"bundle sha256 {bundle.sha256}",
     ]
     for o in bundle.outputs:
-        meaning = (
-            "predicted error, apply with its sign changed" if o.role == "error" else "correction"
-        )
+        meaning = "predicted error, apply with its sign changed" if o.role == "error" else "correction"
         lines.append(f"output {o.name}, {o.unit}, along {o.frame}: {meaning}")
-    lines.append(
-        "inputs in this order, valid in these ranges, outside of which nothing may be corrected:"
-    )
+    lines.append("inputs in this order, valid in these ranges, outside of which nothing may be corrected:")
     lines += [f"  {i.name}, {i.unit}: {i.low!r} to {i.high!r}" for i in bundle.inputs]
     lines += [f"state {s.name}, {s.unit}, begins at {s.initial!r}" for s in bundle.states]
     return [_UNSAFE.sub("?", line) for line in lines]
@@ -69,8 +64,7 @@ def c_header(said: Sequence[str], bundle: Bundle, code: str) -> str:
     symbol = f"dtwin_{identifier(bundle.name).strip('_').lower()}"
     boxes = {i.name: (i.low, i.high) for i in bundle.inputs}
     tests = [
-        f"in[{n}] >= {boxes[name][0]!r} && in[{n}] <= {boxes[name][1]!r}"
-        for n, name in enumerate(bundle.tick_inputs)
+        f"in[{n}] >= {boxes[name][0]!r} && in[{n}] <= {boxes[name][1]!r}" for n, name in enumerate(bundle.tick_inputs)
     ]
     inside = " &&\n         ".join(tests) or "1"
     return "\n".join(

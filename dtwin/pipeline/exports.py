@@ -14,14 +14,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.axis_tables import (
-    MOST_TRIPLETS,
-    TOLERANCE_UM,
-    AxisTable,
-    axis_table,
-    compensation_file,
-    csv_table,
-)
+from dtwin.pipeline.axis_tables import MOST_TRIPLETS, TOLERANCE_UM, AxisTable, axis_table, compensation_file, csv_table
 from dtwin.pipeline.export_heads import c_header, commented, said_of
 from dtwin.pipeline.gcode_compensation import compensate
 from dtwin.pipeline.twins import Twins
@@ -112,9 +105,7 @@ class Export:
     notes: tuple[str, ...] = ()
 
 
-def source_of(
-    home: Home, name: str, machine: str | None, library: Mapping[str, Effect] | None = None
-) -> Source:
+def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, Effect] | None = None) -> Source:
     """Return what a name stands for.
 
     Parameters
@@ -143,9 +134,11 @@ def source_of(
     if name.isdigit():
         if machine is None:
             raise InputError(
-                "a version number needs its machine", code="export.machine", got=name,
+                "a version number needs its machine",
+                code="export.machine",
+                got=name,
                 hint="--machine NAME; dtwin models lists both",
-            )  # fmt: skip
+            )
         version = registry.version(machine, name)
     else:
         version = _of_twin(home, registry, name)
@@ -235,11 +228,7 @@ def _tables(twin: Twin, request: Request) -> Export:
         refused = own_axis_only(twin.terms, twin, axis, relative, speed)
         left_out |= {f"{label} on {axis}": reason for label, reason in refused.items()}
         kept = replace(twin, terms=tuple(t for t in twin.terms if t.label not in refused))
-        tables.append(
-            axis_table(
-                kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed
-            )
-        )
+        tables.append(axis_table(kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed))
     text = compensation_file(tables[0]) if request.form == "comp" else csv_table(tables)
     return Export(text, _table_figures(tables), left_out, tuple(_table_notes(request, tables)))
 
@@ -267,36 +256,29 @@ def _table_notes(request: Request, tables: Sequence[AxisTable]) -> list[str]:
     ]
     if request.form == "comp":
         notes.append("COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table")
-        notes.append(
-            "LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure"
-        )
+        notes.append("LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure")
     return notes
 
 
 def _program(twin: Twin, request: Request) -> Export:
     if request.program is None:
-        raise InputError(
-            "there is no program to compensate", code="export.program", hint="--program FILE"
-        )
+        raise InputError("there is no program to compensate", code="export.program", hint="--program FILE")
     if not 0.001 <= request.tolerance_um <= 100.0:
         raise InputError(
-            "the tolerance makes no sense", code="export.tolerance",
-            got=f"{request.tolerance_um:g} um", allowed="0.001 to 100 um",
-        )  # fmt: skip
+            "the tolerance makes no sense",
+            code="export.tolerance",
+            got=f"{request.tolerance_um:g} um",
+            allowed="0.001 to 100 um",
+        )
     raw = read_bounded(request.program, _MAX_PROGRAM_BYTES)
     try:
         text = raw.decode("ascii")
     except UnicodeDecodeError as error:
         raise InputError(
-            "the program is no plain text", code="gcode.text", where=str(request.program),
-            got=str(error)[:80],
-        ) from error  # fmt: skip
+            "the program is no plain text", code="gcode.text", where=str(request.program), got=str(error)[:80]
+        ) from error
     made = compensate(
-        text,
-        twin,
-        origin_mm=np.array(request.origin_mm),
-        where=request.program.name,
-        tolerance_um=request.tolerance_um,
+        text, twin, origin_mm=np.array(request.origin_mm), where=request.program.name, tolerance_um=request.tolerance_um
     )
     notes = ["the tool's own program is changed: compare both before it runs"]
     if made.outside:
@@ -314,11 +296,7 @@ def _program(twin: Twin, request: Request) -> Export:
 
 
 def _source(
-    home: Home,
-    bundle: Bundle,
-    state: str,
-    version: RegisteredVersion | None,
-    library: Mapping[str, Effect] | None,
+    home: Home, bundle: Bundle, state: str, version: RegisteredVersion | None, library: Mapping[str, Effect] | None
 ) -> Source:
     if version is None or "twin" not in version.tags:
         return Source(bundle, state, None)

@@ -88,9 +88,7 @@ def compensate(
                 got=f"more than {_MOST_POINTS}",
                 hint="allow a larger --tolerance-um",
             )
-    return Compensated(
-        "\n".join(lines) + "\n", work.points, work.largest_um, work.interpolation_um, work.outside
-    )
+    return Compensated("\n".join(lines) + "\n", work.points, work.largest_um, work.interpolation_um, work.outside)
 
 
 class _Work:
@@ -111,9 +109,7 @@ class _Work:
             self._turn(move.directions(last)[0])
             return [*head, self._line("G0", move, self._targets(move, last)[0])]
         if move.feed_mm_min <= 0.0:
-            raise InputError(
-                "a motion has no feed", code="gcode.feed", where=f"line {move.line}", hint="add F"
-            )
+            raise InputError("a motion has no feed", code="gcode.feed", where=f"line {move.line}", hint="add F")
         if move.started != move.known:
             # Where this motion begins is not known: its end is.
             self._turn(np.where(move.started, move.directions(last)[0], 0.0))

@@ -174,9 +174,8 @@ def _rest(words: list[tuple[str, float]]) -> str:
 
 
 def _arc(
-    words: list[tuple[str, float]], at: Floats, end: Floats, mode: float,
-    plane: tuple[int, int], where: str,
-) -> tuple[tuple[int, int], Floats, float]:  # fmt: skip
+    words: list[tuple[str, float]], at: Floats, end: Floats, mode: float, plane: tuple[int, int], where: str
+) -> tuple[tuple[int, int], Floats, float]:
     """Return plane, centre and angle of an arc."""
     offsets = {k: v for k, v in words if k in "IJK"}
     a, b = plane

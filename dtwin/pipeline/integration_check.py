@@ -71,9 +71,7 @@ def _check_integration(run: Run) -> IntegrationCheck:
     window = max(2, round(WINDOW_S * rate_hz))
 
     def seen(cutoff_g2: float) -> Visibility:
-        return displacement_visibility(
-            error_mm, rate_hz, window, corner_hz=_COUPLING_HZ, cutoff_power=cutoff_g2
-        )
+        return displacement_visibility(error_mm, rate_hz, window, corner_hz=_COUPLING_HZ, cutoff_power=cutoff_g2)
 
     chosen = swarm_minimum(lambda c: seen(c).lost_fraction, 1e-9, 1e3, particles=12, iterations=20)
     plain, filtered = seen(0.0), seen(chosen.position)

@@ -58,10 +58,7 @@ class LiveCorrection:
         Logged channels that it asks for.
     """
 
-    def __init__(
-        self, session: LinuxcncSession, bundle: Bundle,
-        covariates: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+    def __init__(self, session: LinuxcncSession, bundle: Bundle, covariates: Mapping[str, float] | None = None) -> None:
         self.session = session
         self.decision = Decision(CompiledBundle(bundle), _NO_TOOL, covariates)
         self._sequence = 1
@@ -88,14 +85,10 @@ class LiveCorrection:
             trips = int(bridge.ask(do="get", pin="correction.trips")["value"]) - before
         (status,) = found
         if status.fault or not status.released:
-            raise DeviceError(
-                "serving failed", code="linuxcnc.served", got=str(status.fault or status.ended)
-            )
+            raise DeviceError("serving failed", code="linuxcnc.served", got=str(status.fault or status.ended))
         return LiveTrace(trace, status, trips)
 
-    def _serve(
-        self, link: LinuxcncLink, begin: Callable[[], None], ended: Callable[[], bool]
-    ) -> ServeStatus:
+    def _serve(self, link: LinuxcncLink, begin: Callable[[], None], ended: Callable[[], bool]) -> ServeStatus:
         self.decision.reset()
         self.decision.guard.reset()
         begun_s = 0.0
@@ -119,9 +112,8 @@ class LiveCorrection:
 
 
 def measure_live(
-    session: LinuxcncSession, bundle: Bundle, circles: Sequence[Circle],
-    progress: Progress | None = None,
-) -> list[LiveTrace]:  # fmt: skip
+    session: LinuxcncSession, bundle: Bundle, circles: Sequence[Circle], progress: Progress | None = None
+) -> list[LiveTrace]:
     """Run circles with a correction served live.
 
     Parameters

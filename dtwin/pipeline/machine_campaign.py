@@ -21,13 +21,7 @@ from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.instrument import Instrument
 from dtwin.acquire.quality import judge_run
-from dtwin.acquire.run_recording import (
-    InForce,
-    RunRequest,
-    record_run,
-    recover_runs,
-    withdraw_run,
-)
+from dtwin.acquire.run_recording import InForce, RunRequest, record_run, recover_runs, withdraw_run
 from dtwin.atomic import whole_file, write_text
 from dtwin.errors import DeviceError, InputError, Interrupted, StoreError
 from dtwin.pipeline.campaign_steps import Step
@@ -135,10 +129,14 @@ class _Campaign:
                     self._judge(step, number)
         self._desk.clear()
         return {
-            "campaign": job.name, "machine": job.machine, "folder": str(job.folder), "kept": kept,
-            "measured": len(self._state.accepted) - kept, "set_aside": self._state.aside,
+            "campaign": job.name,
+            "machine": job.machine,
+            "folder": str(job.folder),
+            "kept": kept,
+            "measured": len(self._state.accepted) - kept,
+            "set_aside": self._state.aside,
             "findings": self._findings,
-        }  # fmt: skip
+        }
 
     def _go_on(self) -> None:
         """Read where an earlier process stopped; what it left in the making is put aside."""
@@ -149,16 +147,19 @@ class _Campaign:
             known = _read_state(path)
             if known.plan != self._state.plan:
                 raise StoreError(
-                    "the folder holds another plan's measurements", code="campaign.other_plan",
+                    "the folder holds another plan's measurements",
+                    code="campaign.other_plan",
                     where=str(job.folder),
                     hint="use another folder, or the plan that it was begun with",
-                )  # fmt: skip
+                )
             self._state = known
         elif (job.folder / "campaign.toml").exists():
             raise StoreError(
                 "the folder holds a campaign that was measured in another way",
-                code="campaign.other_plan", where=str(job.folder), hint="use another folder",
-            )  # fmt: skip
+                code="campaign.other_plan",
+                where=str(job.folder),
+                hint="use another folder",
+            )
         self._keep()
         for left in recover_runs(job.folder, job.in_force):
             self._put_aside(left.run_id, "its recording was interrupted")
@@ -177,13 +178,11 @@ class _Campaign:
                 f"  run it, and let the instrument save its file in {job.inbox}",
             ]
         )
-        question = Question(step.run_id, told, (DONE,), tuple(map(str, programs)), number,
-                            len(job.steps))  # fmt: skip
+        question = Question(step.run_id, told, (DONE,), tuple(map(str, programs)), number, len(job.steps))
         reference = f"{step.run_id}{SUFFIX}"
         request = RunRequest(
-            job.folder, job.name, job.machine, step.run_id, None, reference, step.stated, job.head,
-            job.in_force,
-        )  # fmt: skip
+            job.folder, job.name, job.machine, step.run_id, None, reference, step.stated, job.head, job.in_force
+        )
         desk.ask(question)
         refused: dict[Path, Stamp] = {}
         taken: list[Arrival] = []
@@ -230,9 +229,10 @@ class _Campaign:
     def _stopped(self) -> Interrupted:
         return Interrupted(
             f"{len(self._state.accepted)} of {len(self._job.steps)} tests are kept",
-            code="campaign.interrupted", where=str(self._job.folder),
+            code="campaign.interrupted",
+            where=str(self._job.folder),
             hint="run the same command again to continue",
-        )  # fmt: skip
+        )
 
     def _await_correction(self, step: Step, number: int, what: str) -> None:
         """Wait until the correction that the test asks for is in force, or none."""
@@ -263,9 +263,7 @@ class _Campaign:
             return None
         # Who says "done" need not wait until the file has stood still for long.
         chosen = [Arrival(p, s) for p, s in sorted(present.items())] if done else settled
-        fresh = [
-            a for a in chosen if before.get(a.path) != a.stamp and refused.get(a.path) != a.stamp
-        ]
+        fresh = [a for a in chosen if before.get(a.path) != a.stamp and refused.get(a.path) != a.stamp]
         for arrival in fresh:
             if why := self._refusal(arrival.path):
                 refused[arrival.path] = arrival.stamp
@@ -299,8 +297,7 @@ class _Campaign:
         if spoilt:
             lines = "\n".join(f"  {f.severity}: {f.message}" for f in found)
             text = f"{step.run_id} is spoilt:\n{lines}\n  repeat it, or keep it as it is?"
-            self._desk.ask(Question(step.run_id, text, (REPEAT, KEEP), (), number,
-                                    len(self._job.steps)))  # fmt: skip
+            self._desk.ask(Question(step.run_id, text, (REPEAT, KEEP), (), number, len(self._job.steps)))
             answer = self._await_answer()
         else:
             self._desk.show(f"{step.run_id}: taken, {len(found)} remarks, nothing wrong")
@@ -339,9 +336,12 @@ def _read_state(path: Path) -> _State:
         return _State(**json.loads(path.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
         raise StoreError(
-            "what was measured so far cannot be read", code="campaign.state", where=str(path),
-            got=str(error)[:160], hint="remove the file and use another folder; this one can be ingested",
-        ) from error  # fmt: skip
+            "what was measured so far cannot be read",
+            code="campaign.state",
+            where=str(path),
+            got=str(error)[:160],
+            hint="remove the file and use another folder; this one can be ingested",
+        ) from error
 
 
 def _strange(run: Run, step: Step) -> list[Finding]:

@@ -52,9 +52,7 @@ class FeatureReport:
     version: int
 
 
-def simulate(
-    plan: Plan, out: Path, *, seed: int = 0, progress: Progress | None = None
-) -> CampaignRun:
+def simulate(plan: Plan, out: Path, *, seed: int = 0, progress: Progress | None = None) -> CampaignRun:
     """Measure a plan on the virtual cobot, on the machine clock.
 
     Parameters
@@ -72,10 +70,7 @@ def simulate(
 
 
 def ingest(
-    path: Path,
-    home: Home,
-    progress: Progress | None = None,
-    told: Mapping[str, Any] | None = None,
+    path: Path, home: Home, progress: Progress | None = None, told: Mapping[str, Any] | None = None
 ) -> IngestReport:
     """Bring a campaign folder, a ball-bar file or a table that lies alone into the lake.
 

@@ -77,9 +77,7 @@ def migrate(home: Home, progress: Progress) -> Migrated:
         When a run is not what was ingested, or something cannot be read or written.
     """
     campaigns, n_runs = _lake(home, progress)
-    documents = [
-        path for path in sorted((home.root / "twins").rglob("*.json")) if _sealed_now(path)
-    ]
+    documents = [path for path in sorted((home.root / "twins").rglob("*.json")) if _sealed_now(path)]
     folders = sorted(path.parent for path in home.bundles.glob("*/machine.json"))
     machines = tuple(folder.name for folder in folders if _seal(folder))
     before = home.root / BEFORE
@@ -96,9 +94,11 @@ def _lake(home: Home, progress: Progress) -> tuple[tuple[str, ...], int]:
         return (), 0
     if before.exists():
         raise InputError(
-            "a lake was set aside by an earlier migration", code="migrate.before", where=str(before),
+            "a lake was set aside by an earlier migration",
+            code="migrate.before",
+            where=str(before),
             hint="look which of both is wanted, and move the other one away",
-        )  # fmt: skip
+        )
     lake, n_runs, names = Lake(made), 0, []
     rejected = _rejected(home.lake)
     campaigns = _campaigns(home.lake)
@@ -155,9 +155,7 @@ def _rows(root: Path, table: str) -> list[dict[str, Any]]:
 def _read(folder: Path, name: str) -> pa.Table:
     path = folder / name
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise StoreError(
-            "a data file lies outside its table", code="store.name", where=str(folder), got=name
-        )
+        raise StoreError("a data file lies outside its table", code="store.name", where=str(folder), got=name)
     return read_parquet(path)
 
 
@@ -169,12 +167,7 @@ def _run(root: Path, row: Mapping[str, Any]) -> Run:
         samples=columns_of(_read(root / "samples", row["samples_file"])),
         window=None if row["window_start"] is None else (row["window_start"], row["window_end"]),
         signals=tuple(
-            SignalGroup(
-                g["group"],
-                g["rate_hz"],
-                columns_of(_read(root / "signals", g["file"])),
-                g["start_s"],
-            )
+            SignalGroup(g["group"], g["rate_hz"], columns_of(_read(root / "signals", g["file"])), g["start_s"])
             for g in groups
         ),
         source=row["source"],
@@ -182,10 +175,11 @@ def _run(root: Path, row: Mapping[str, Any]) -> Run:
     )
     if _content_sha256(run) != row["content_sha256"]:
         raise StoreError(
-            "a run is not what was ingested", code="store.content",
+            "a run is not what was ingested",
+            code="store.content",
             where=f"{row['campaign']} {row['run_id']}",
             hint="restore the lake from a backup, or ingest its sources again into a new home",
-        )  # fmt: skip
+        )
     return run
 
 

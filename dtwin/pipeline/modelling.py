@@ -48,12 +48,7 @@ class Registered:
 
 
 def train(
-    home: Home,
-    campaign: str,
-    *,
-    seed: int = 1,
-    engine: Engine | None = None,
-    progress: StageProgress | None = None,
+    home: Home, campaign: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
 ) -> Registered:
     """Train every candidate on a campaign, log them, register the proposed one.
 
@@ -78,9 +73,7 @@ def train(
     lake = Lake(home.lake)
     known = lake.campaign(campaign)
     require_uncorrected(known)
-    training = kind_named(known.kind).training()(
-        lake, campaign, seed=seed, engine=engine, progress=progress
-    )
+    training = kind_named(known.kind).training()(lake, campaign, seed=seed, engine=engine, progress=progress)
     amended = [f.message for f in amendment_findings(lake.runs(campaign, left_out=True))]
     told = *training.report.told, *worse_in_sample(training.report.candidates), *amended
     report = replace(training.report, told=told)
@@ -123,9 +116,11 @@ def require_uncorrected(campaign: Campaign) -> None:
     if campaign.machine_geometry.get("corrected", False):
         raise InputError(
             "a correction was in force during this campaign: it shows what that left, not the machine",
-            code="train.corrected", where=campaign.name, got="corrected = true",
+            code="train.corrected",
+            where=campaign.name,
+            got="corrected = true",
             hint="use a campaign without; dtwin twin fit shows what is left of this one",
-        )  # fmt: skip
+        )
 
 
 def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> Path:

@@ -32,9 +32,19 @@ _ARRAYS = ("y_um", "mask", "condition_of", "setup_of", "run_of", "feed_mm_s")
 _COLUMN, _CONTROLLER, _WORDS = "column:", "controller_um", "words"
 # What reading a damaged file of arrays may raise; a header may ask for any amount of memory.
 _DAMAGED = (
-    OSError, EOFError, ValueError, KeyError, TypeError, MemoryError, OverflowError, RuntimeError,
-    zipfile.BadZipFile, zlib.error, SyntaxError, tokenize.TokenError,
-)  # fmt: skip
+    OSError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    MemoryError,
+    OverflowError,
+    RuntimeError,
+    zipfile.BadZipFile,
+    zlib.error,
+    SyntaxError,
+    tokenize.TokenError,
+)
 Reduced = tuple[Observations, Floats | None]
 
 
@@ -109,9 +119,7 @@ def keep_reduced(home: Home, campaign: str, stamp: str, reduced: Reduced) -> Non
     blank = np.full(N_BINS, np.nan)
     arrays = {name: getattr(obs, name) for name in _ARRAYS}
     arrays |= {
-        f"{_COLUMN}{name}": np.array(
-            [np.broadcast_to(row.get(name, blank), N_BINS) for row in obs.columns]
-        )
+        f"{_COLUMN}{name}": np.array([np.broadcast_to(row.get(name, blank), N_BINS) for row in obs.columns])
         for name in names
     }
     if controller is not None:
@@ -125,10 +133,7 @@ def keep_reduced(home: Home, campaign: str, stamp: str, reduced: Reduced) -> Non
         "columns": [{n: float(v) for n, v in row.items() if n not in names} for row in obs.columns],
     }
     try:
-        with (
-            whole_file(_path(home, campaign), "the reduced runs") as partial,
-            partial.open("wb") as file,
-        ):
+        with whole_file(_path(home, campaign), "the reduced runs") as partial, partial.open("wb") as file:
             np.savez(file, **arrays, words=np.array(json.dumps(words)))
     except StoreError:
         return

@@ -17,14 +17,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.locks import locked
 from dtwin.pipeline.against_champion import Comparison, compare_with_champion
-from dtwin.pipeline.drift import (
-    DriftCheck,
-    campaign_of,
-    champion_of,
-    check_drift,
-    trained_rows,
-    usable,
-)
+from dtwin.pipeline.drift import DriftCheck, campaign_of, champion_of, check_drift, trained_rows, usable
 from dtwin.pipeline.modelling import Registered, train
 from dtwin.progress import StageProgress
 from dtwin.schema import Campaign
@@ -111,9 +104,7 @@ class Scheduled:
         return found
 
 
-def scheduled_training(
-    home: Home, *, seed: int = 1, progress: StageProgress | None = None
-) -> Scheduled:
+def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress | None = None) -> Scheduled:
     """Train on the newest campaign if it has new runs, compare with the champion.
 
     Campaigns that are older than what a machine's newest training used are passed over, so the
@@ -162,8 +153,7 @@ def news(home: Home, registry: Registry) -> list[CampaignNews]:
         by_campaign.setdefault(row["campaign"], []).append(row)
     order = sorted(by_campaign, key=lambda n: max(r["ingested"] for r in by_campaign[n]))
     known = {
-        machine: _known(registry, lake, machine)
-        for machine in {rows[0]["machine"] for rows in by_campaign.values()}
+        machine: _known(registry, lake, machine) for machine in {rows[0]["machine"] for rows in by_campaign.values()}
     }
     found = []
     for name in reversed(order):
@@ -214,9 +204,7 @@ def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftChec
         check = check_drift(home, champion, item.campaign)
     except InputError as error:
         nan = float("nan")
-        check = DriftCheck(
-            champion.version, item.campaign, None, nan, "", nan, False, error.message
-        )
+        check = DriftCheck(champion.version, item.campaign, None, nan, "", nan, False, error.message)
     registry.mark(champion, {tag: f"{'DRIFT: ' * check.drifted}{check.reason} {mark}"})
     if check.drifted:
         registry.attach(champion, {f"{tag}.json": json.dumps(check.as_dict(), indent=1)})
@@ -230,9 +218,7 @@ def _ingested(rows: list[dict[str, Any]]) -> str:
 class _Turn:
     """One pass over the campaigns, the newest first."""
 
-    def __init__(
-        self, home: Home, registry: Registry, seed: int, progress: StageProgress | None
-    ) -> None:
+    def __init__(self, home: Home, registry: Registry, seed: int, progress: StageProgress | None) -> None:
         self.home, self.registry, self.seed, self.progress = home, registry, seed, progress
         self.told: dict[str, str] = {}
         self.drift: list[DriftCheck] = []
@@ -256,9 +242,7 @@ class _Turn:
             self.settled.add(item.machine)
             return
         try:
-            self.registered = train(
-                self.home, item.campaign, seed=self.seed, progress=self.progress
-            )
+            self.registered = train(self.home, item.campaign, seed=self.seed, progress=self.progress)
         except InputError as error:
             self.told[item.campaign] = error.message
             return
@@ -275,9 +259,7 @@ class _Turn:
             judged = any(check.error is not None for check in self.drift)
             outcome = "checked" if judged else "skipped"
             reason = "nothing new to train on" + _newest_training(self.registry, found)
-        return Scheduled(
-            outcome, reason, self.told, self.registered, self.comparison, tuple(self.drift)
-        )
+        return Scheduled(outcome, reason, self.told, self.registered, self.comparison, tuple(self.drift))
 
 
 def _newest_training(registry: Registry, found: list[CampaignNews]) -> str:

@@ -177,8 +177,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
             where=f"twin {name} version {twin.version}",
             got="; ".join(objections),
             allowed=f"nothing missing, and every corrected effect {way.grades[0]}",
-            hint=_advice(name, gradings, frozen.twin, obs)
-            + "; --trial registers it for a trial only",
+            hint=_advice(name, gradings, frozen.twin, obs) + "; --trial registers it for a trial only",
         )
     left = _left(found, frozen.twin, way)
     judged = way.judge(frozen, twin, obs, twins.home)
@@ -186,10 +185,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     registry = Registry(twins.home)
     ids = registry.log_training(report, {})
     version = registry.register(
-        report,
-        ids[report.proposed],
-        report.candidates[0],
-        _description(frozen, found, objections, left),
+        report, ids[report.proposed], report.candidates[0], _description(frozen, found, objections, left)
     )
     geometry = dict(way.geometry) | dict(obs.campaign.machine_geometry)
     registry.attach(
@@ -208,9 +204,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     _, gates = check_version(registry, version)
     virtual = bool(geometry.get("virtual", False))
     predicted = tuple(_predicted(frozen, obs))
-    return Correction(
-        frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual, left
-    )
+    return Correction(frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual, left)
 
 
 def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observations) -> str:
@@ -223,11 +217,7 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
     def cost(term: Term) -> tuple[int, float]:
         # What cannot be told apart stands for each other: keep what explains it with least.
         rest = [t for t in corrected.terms if t.label != term.label]
-        needed = {
-            f"{e.effect} {e.axis}"
-            for e in fit(obs, rest).estimates
-            if not abs(e.value) <= e.uncertainty
-        }
+        needed = {f"{e.effect} {e.axis}" for e in fit(obs, rest).estimates if not abs(e.value) <= e.uncertainty}
         return len(needed), rms(predict_um(replace(corrected, terms=(term,)), obs)[obs.mask])
 
     weakest = min(unneeded, key=cost).instance
@@ -260,9 +250,7 @@ def _grading(term: Term, found: Diagnosis, way: TwinWay) -> Grading:
     return Grading(term.label, grade, grade in way.grades)
 
 
-def _objections(
-    found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: TwinWay
-) -> list[str]:
+def _objections(found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: TwinWay) -> list[str]:
     out = []
     if found.verdict not in way.quiet and not _left(found, corrected, way):
         out.append(f"{found.verdict}: {found.headline}")
@@ -287,15 +275,14 @@ def _left(found: Diagnosis, twin: Twin, way: TwinWay) -> str:
     )
 
 
-def _report(
-    frozen: TwinBundle, judged: Judged, twin: Twin, obs: Observations, seed: int
-) -> TrainingReport:
+def _report(frozen: TwinBundle, judged: Judged, twin: Twin, obs: Observations, seed: int) -> TrainingReport:
     out = (t for t in frozen.terms if not t.included)
     findings = (f"{t.label} is not corrected: {t.how}" for t in out)
     candidate = replace(
-        judged.candidate, findings=(*findings, *judged.candidate.findings),
+        judged.candidate,
+        findings=(*findings, *judged.candidate.findings),
         numbers={**judged.candidate.numbers, "terms": float(len(frozen.twin.terms))},
-    )  # fmt: skip
+    )
     return TrainingReport(
         machine=twin.machine,
         campaign=twin.campaign,
@@ -334,10 +321,7 @@ def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str]
         f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{found.verdict}`, "
         f"on `{twin.campaign}`.",
         "",
-        *(
-            f"- {t.label}: {'corrected. ' if t.included else 'not corrected: '}{t.how}"
-            for t in frozen.terms
-        ),
+        *(f"- {t.label}: {'corrected. ' if t.included else 'not corrected: '}{t.how}" for t in frozen.terms),
     ]
     if left:
         lines += ["", f"Left: {left}"]

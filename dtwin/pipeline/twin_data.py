@@ -130,9 +130,7 @@ def load(home: Home, campaign: str) -> Loaded:
     name = in_lake(home, campaign)
     found = lake.campaign(name)
     rows = lake.runs(name, left_out=True)
-    left_out = {
-        str(row["run_id"]): why for row in rows if (why := row["left_out"] or _error_in(row))
-    }
+    left_out = {str(row["run_id"]): why for row in rows if (why := row["left_out"] or _error_in(row))}
     usable = [row for row in rows if str(row["run_id"]) not in left_out]
     if not usable:
         why = "; ".join(f"{k}: {v}" for k, v in list(left_out.items())[:3])

@@ -33,9 +33,8 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
     """
     if document.get("format") != FORMAT:
         raise StoreError(
-            "this is not a twin", code="twin.format", where=where, allowed=FORMAT,
-            got=str(document.get("format"))[:40],
-        )  # fmt: skip
+            "this is not a twin", code="twin.format", where=where, allowed=FORMAT, got=str(document.get("format"))[:40]
+        )
     terms = []
     for entry in document["effects"]:
         if entry["effect"] not in library:
@@ -44,8 +43,7 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
                 code="twin.effect_source",
                 where=where,
                 got=entry["effect"],
-                hint="--effects-path "
-                + str(document["effect_sources"].get(entry["effect"], "FILE")),
+                hint="--effects-path " + str(document["effect_sources"].get(entry["effect"], "FILE")),
             )
         effect = library[entry["effect"]]
         terms.append(Term(Instance(effect, entry["axis"]), entry["shape"]))
@@ -64,7 +62,8 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
         estimates=estimates,
         setups=tuple(document["setups"]),
         box=ValidityBox(
-            tuple(box["planes"]), tuple(box["directions"]),
+            tuple(box["planes"]),
+            tuple(box["directions"]),
             (box["radius_mm"][0], box["radius_mm"][1]),
             (box["feed_mm_min"][0], box["feed_mm_min"][1]),
         ),
@@ -73,7 +72,7 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
         aliases=tuple(document["aliases"]),
         data=document["data"],
         effect_sources=document["effect_sources"],
-    )  # fmt: skip
+    )
 
 
 def _number(value: float | None) -> float:

@@ -47,9 +47,8 @@ class WithFormulas(Mapping[str, Effect]):
                 raise ValueError("it is not the formula that was written")
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise StoreError(
-                "a learned formula cannot be read", code="twin.formula", where=str(path),
-                got=str(error)[:120],
-            ) from error  # fmt: skip
+                "a learned formula cannot be read", code="twin.formula", where=str(path), got=str(error)[:120]
+            ) from error
         return formula_effect(name, text)
 
     def __contains__(self, name: object) -> bool:

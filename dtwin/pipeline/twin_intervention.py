@@ -161,9 +161,7 @@ def interventions(twins: TwinShelf, name: str) -> list[dict[str, Any]]:
 
 
 def _change(before: Estimate, after: Estimate) -> Change:
-    return Change(
-        before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty
-    )
+    return Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
 
 
 def _keep(twins: Twins, name: str, found: Intervention) -> None:

@@ -59,14 +59,11 @@ def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:
         code="twin.law_does_not_hold",
         where=f"twin {name} version {twin.version}",
         got=found.laws[0].equation if found.laws else "no power law is significant",
-        hint="--symbolic searches for other formulas; or measure more feeds and radii, or write "
-        "the effect yourself",
+        hint="--symbolic searches for other formulas; or measure more feeds and radii, or write the effect yourself",
     )
 
 
-def learn_formula(
-    twins: Twins, name: str, engine: Engine, seed: int
-) -> tuple[Twin, ResidualFormula]:
+def learn_formula(twins: Twins, name: str, engine: Engine, seed: int) -> tuple[Twin, ResidualFormula]:
     """Add a formula for what is left, found by symbolic regression.
 
     Parameters

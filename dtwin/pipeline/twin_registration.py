@@ -56,9 +56,7 @@ class Waiting:
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
-        return {
-            "twin": self.path.parent.name, "version": int(self.path.stem[1:]), "failed": self.failed,
-        }  # fmt: skip
+        return {"twin": self.path.parent.name, "version": int(self.path.stem[1:]), "failed": self.failed}
 
 
 def place_of(path: Path, document: Mapping[str, Any]) -> dict[str, str]:
@@ -142,9 +140,12 @@ def log_soon(home: Home, name: str, *, at_once: bool) -> None:
         left = [item for item in log_waiting(home) if item.path.parent.name == name]
         if left:
             raise StoreError(
-                "the twin is kept, but MLflow did not take it", code="registry.write",
-                where=left[0].label, got=left[0].failed, hint="dtwin repair tries again",
-            )  # fmt: skip
+                "the twin is kept, but MLflow did not take it",
+                code="registry.write",
+                where=left[0].label,
+                got=left[0].failed,
+                hint="dtwin repair tries again",
+            )
         return
     if find_spec("mlflow") is None:
         return
@@ -210,9 +211,7 @@ def _log(registry: Registry, path: Path) -> None:
     place = {key: known[key] for key in _PLACE if key in known}
     if "model_version" not in place:
         document = read_document(path)
-        place = log_twin(
-            registry, document, digest, description=_description(document), parent=_parent(path)
-        )
+        place = log_twin(registry, document, digest, description=_description(document), parent=_parent(path))
         _keep(path, {**place, "version": digest})
     file = _verdict(path)
     noted = _sha256(file)

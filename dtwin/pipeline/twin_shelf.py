@@ -39,27 +39,34 @@ def require_same_machine(name: str, machine: str, campaign: str, its_machine: st
     """
     if its_machine != machine:
         raise InputError(
-            "the twin is of another machine", code="twin.machine",
+            "the twin is of another machine",
+            code="twin.machine",
             where=f"twin {name}, machine {machine}",
-            got=f"campaign {campaign}, machine {its_machine}", hint="fit a twin to that campaign",
-        )  # fmt: skip
+            got=f"campaign {campaign}, machine {its_machine}",
+            hint="fit a twin to that campaign",
+        )
 
 
 def effect_there(twin: Twin | HeatTwin, effect: str, hint: str | None = None) -> InputError:
     """Return the refusal to add what a twin has."""
     return InputError(
-        "the twin has this effect already", code="twin.has_effect",
-        where=f"twin {twin.name} version {twin.version}", got=effect, hint=hint,
-    )  # fmt: skip
+        "the twin has this effect already",
+        code="twin.has_effect",
+        where=f"twin {twin.name} version {twin.version}",
+        got=effect,
+        hint=hint,
+    )
 
 
 def effect_absent(twin: Twin | HeatTwin, effect: str) -> InputError:
     """Return the refusal to take out what a twin does not have."""
     return InputError(
-        "the twin does not have this effect", code="twin.no_effect",
-        where=f"twin {twin.name} version {twin.version}", got=effect,
+        "the twin does not have this effect",
+        code="twin.no_effect",
+        where=f"twin {twin.name} version {twin.version}",
+        got=effect,
         allowed=", ".join(twin.labels) or "it has none",
-    )  # fmt: skip
+    )
 
 
 class TwinShelf:
@@ -100,12 +107,7 @@ class TwinShelf:
         if version is not None:
             paths = [p for p in paths if p.stem == f"v{version:03d}"]
         if not paths:
-            raise InputError(
-                "no such version of the twin",
-                code="twin.version",
-                where=f"twin {name}",
-                got=str(version),
-            )
+            raise InputError("no such version of the twin", code="twin.version", where=f"twin {name}", got=str(version))
         document = read_document(paths[-1])
         self._require_ours(name, document)
         return document, paths[-1]
@@ -125,8 +127,7 @@ class TwinShelf:
                 "no such twin",
                 code="twin.unknown",
                 got=name,
-                allowed=", ".join(sorted(p.name for p in self.root.glob("*") if p.is_dir()))
-                or "none yet",
+                allowed=", ".join(sorted(p.name for p in self.root.glob("*") if p.is_dir())) or "none yet",
                 hint="dtwin twin fit CAMPAIGN --effects ... --name NAME makes one",
             )
         return folder
@@ -201,11 +202,14 @@ class TwinShelf:
         kind = document.get("kind", PATHS)
         if kind != self.kind:
             raise InputError(
-                "the twin is of another kind of campaign", code="twin.kind", where=f"twin {name}",
-                got=str(kind)[:40], allowed=_CAMPAIGNS.get(self.kind, f"a twin of {self.kind} campaigns"),
+                "the twin is of another kind of campaign",
+                code="twin.kind",
+                where=f"twin {name}",
+                got=str(kind)[:40],
+                allowed=_CAMPAIGNS.get(self.kind, f"a twin of {self.kind} campaigns"),
                 hint="dtwin twin fit, compare, diagnose, add, remove, restore, discover, history and "
                 "show take every kind",
-            )  # fmt: skip
+            )
 
     def _numbers(self, name: str) -> Sequence[int]:
         return [int(p.stem[1:]) for p in (self.root / name).glob(VERSIONS)]

@@ -14,24 +14,12 @@ from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.problem import Term
-from dtwin.physics.twin import (
-    Twin,
-    chosen_terms,
-    data_lines,
-    frozen_residual_um,
-    twin_of,
-)
+from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.pipeline.twin_data import Comparison, Loaded, load
 from dtwin.pipeline.twin_files import twin_from
 from dtwin.pipeline.twin_formulas import WithFormulas
 from dtwin.pipeline.twin_learning import learn_formula, learn_law
-from dtwin.pipeline.twin_shelf import (
-    PATHS,
-    TwinShelf,
-    effect_absent,
-    effect_there,
-    require_same_machine,
-)
+from dtwin.pipeline.twin_shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 from dtwin.schema import require_name
 from dtwin.train.residual_formula import ResidualFormula
 from dtwin.train.symbolic import Engine
@@ -55,9 +43,7 @@ class Twins(TwinShelf):
         others = Library() if library is None else library
         self.library = WithFormulas(others, home.root / "formulas")
 
-    def fit(
-        self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False
-    ) -> Twin:
+    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> Twin:
         """Fit a twin to a campaign; an existing twin of that name gets a new version.
 
         Parameters
@@ -167,11 +153,7 @@ class Twins(TwinShelf):
         twin = self.newest(name)
         wanted, _, own = effect.partition(":")
         where = own or axis
-        kept = [
-            t
-            for t in twin.terms
-            if t.instance.effect.name != wanted or (where and t.instance.axis != where)
-        ]
+        kept = [t for t in twin.terms if t.instance.effect.name != wanted or (where and t.instance.axis != where)]
         if len(kept) == len(twin.terms):
             raise effect_absent(twin, effect)
         loaded = load(self.home, twin.campaign)
@@ -194,15 +176,11 @@ class Twins(TwinShelf):
         """Add the scaling law that describes unknown structure best; see :func:`learn_law`."""
         return learn_law(self, name, seed)
 
-    def learn_formula(
-        self, name: str, engine: Engine, *, seed: int = 0
-    ) -> tuple[Twin, ResidualFormula]:
+    def learn_formula(self, name: str, engine: Engine, *, seed: int = 0) -> tuple[Twin, ResidualFormula]:
         """Add a formula for unknown structure; see :func:`dtwin.pipeline.twin_learning`."""
         return learn_formula(self, name, engine, seed)
 
-    def discover(
-        self, name: str, *, seed: int = 0
-    ) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
+    def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
         """Diagnose and add all that was found, until nothing more is found.
 
         Parameters
@@ -244,13 +222,9 @@ class Twins(TwinShelf):
         document, path = self.newest_document(name, version)
         return twin_from(document, self.library, str(path))
 
-    def _store(
-        self, name: str, loaded: Loaded, terms: Sequence[Term], action: str, *, robust: bool = False
-    ) -> Twin:
+    def _store(self, name: str, loaded: Loaded, terms: Sequence[Term], action: str, *, robust: bool = False) -> Twin:
         version = self.next_version(name)
         found = fit(loaded.obs, terms, robust=robust)
-        twin = twin_of(
-            found, loaded.obs, name=name, version=version, action=action, data=loaded.data
-        )
+        twin = twin_of(found, loaded.obs, name=name, version=version, action=action, data=loaded.data)
         self.store(twin.as_dict())
         return twin

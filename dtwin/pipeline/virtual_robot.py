@@ -38,9 +38,8 @@ def free_address() -> str:
 
 @contextlib.contextmanager
 def virtual_controller(
-    *, plane: str = "XY", radius_mm: float = 100.0, feed_mm_min: float = 3000.0, seed: int = 0,
-    log: Path | None = None,
-) -> Iterator[str]:  # fmt: skip
+    *, plane: str = "XY", radius_mm: float = 100.0, feed_mm_min: float = 3000.0, seed: int = 0, log: Path | None = None
+) -> Iterator[str]:
     """Run the virtual controller while the body runs, and give its address.
 
     Parameters
@@ -76,9 +75,7 @@ def virtual_controller(
         log.parent.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
         errors = stack.enter_context(log.open("ab")) if log is not None else subprocess.DEVNULL
-        process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
-        )
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True)
         try:
             _await_ready(process)
             yield host
@@ -102,6 +99,4 @@ def _await_ready(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(ValueError):
         if json.loads(line or "{}").get("ready"):
             return
-    raise DeviceError(
-        "the virtual robot did not start", code="virtual.start", got=line[:120] or "no answer"
-    )
+    raise DeviceError("the virtual robot did not start", code="virtual.start", got=line[:120] or "no answer")

@@ -17,9 +17,7 @@ Circle = tuple[str, float, float]
 """Plane, radius in mm, feed in mm/min."""
 
 
-def serve_wall_clock(
-    home: Home, machine: str, circle: Circle, duration_s: float, seed: int
-) -> dict[str, Any]:
+def serve_wall_clock(home: Home, machine: str, circle: Circle, duration_s: float, seed: int) -> dict[str, Any]:
     """Serve the trial to the virtual controller over real RTDE, on the wall clock.
 
     Serving runs in a process of its own, as it would beside a machine: no other thread may
@@ -50,9 +48,7 @@ def serve_wall_clock(
     """
     plane, radius, feed = circle
     log = home.logs / "virtual-controller.log"
-    with virtual_controller(
-        plane=plane, radius_mm=radius, feed_mm_min=feed, seed=seed, log=log
-    ) as host:
+    with virtual_controller(plane=plane, radius_mm=radius, feed_mm_min=feed, seed=seed, log=log) as host:
         done = subprocess.run(
             [
                 *(sys.executable, "-m", "dtwin", "serve", "--model", "trial"),

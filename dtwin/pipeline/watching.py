@@ -65,9 +65,7 @@ class FolderWatch:
         Time for which a file must stand still before it is read.
     """
 
-    def __init__(
-        self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = SETTLE_S
-    ) -> None:
+    def __init__(self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = SETTLE_S) -> None:
         self._arrivals = Arrivals(folder, settle_s, lambda path: path.suffix.lower() in _ALONE)
         self._home, self._named = home, frozenset(machines)
         self._file = _state_file(home, folder)
@@ -97,9 +95,11 @@ class FolderWatch:
         with locked(self._file.with_suffix(".lock")) as mine:
             if not mine:
                 raise StoreError(
-                    "the folder is watched already", code="watch.busy",
-                    where=str(self._arrivals.folder), hint="one dtwin watch is enough",
-                )  # fmt: skip
+                    "the folder is watched already",
+                    code="watch.busy",
+                    where=str(self._arrivals.folder),
+                    hint="one dtwin watch is enough",
+                )
             yield
 
     def _taken(self, arrival: Arrival) -> WatchEvent | None:
@@ -118,9 +118,12 @@ class FolderWatch:
             # Gone, locked by who writes it, or another ingest goes on: the next look tells.
             return None
         self._known[name] = {
-            "stamp": stamp, "sha256": digest, "outcome": event.outcome, "machine": machine,
+            "stamp": stamp,
+            "sha256": digest,
+            "outcome": event.outcome,
+            "machine": machine,
             "campaign": event.campaign,
-        }  # fmt: skip
+        }
         write_text(self._file, json.dumps(self._known, indent=1), "the state of the watch")
         return event
 
@@ -160,9 +163,13 @@ class FolderWatch:
 
 
 def watch(
-    folder_watch: FolderWatch, tell: Callable[[WatchEvent], None],
-    wait: Callable[[float], bool], *, every_s: float, once: bool = False,
-) -> None:  # fmt: skip
+    folder_watch: FolderWatch,
+    tell: Callable[[WatchEvent], None],
+    wait: Callable[[float], bool],
+    *,
+    every_s: float,
+    once: bool = False,
+) -> None:
     """Look again and again.
 
     Parameters

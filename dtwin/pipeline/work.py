@@ -155,9 +155,7 @@ class PlainWork:
 
     def evidence(self, version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
         """Measure circles with and without a version."""
-        return evidence.measure(
-            self._home, version, seed=seed, plan=plan, progress=self._progress("circles")
-        )
+        return evidence.measure(self._home, version, seed=seed, plan=plan, progress=self._progress("circles"))
 
     def make_champion(self, version: RegisteredVersion, comment: str) -> tuple[Path | None, str]:
         """Make a version champion, or return why not."""

@@ -15,13 +15,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure
 from dtwin.report.plots import error_figure, magnification_for, polar_figure
 from dtwin.schema import Floats, Run
-from dtwin.train.results import (
-    Candidate,
-    TrainingReport,
-    condition_name,
-    r2_text,
-    without_correction,
-)
+from dtwin.train.results import Candidate, TrainingReport, condition_name, r2_text, without_correction
 
 _NOT_COMPARABLE = (
     "Reductions of the mean error with the mounting in it are not comparable: they keep the "
@@ -58,8 +52,7 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
         tables.append(Table(head, rows))
         findings += [(f["severity"], f"{run['run']}: {f['message']}") for f in run["findings"]]
         lines = ", ".join(
-            f"{line['frequency_hz']:z.2f} Hz ({line['amplitude_um']:z.1f} um)"
-            for line in run["spectrum"]["lines"]
+            f"{line['frequency_hz']:z.2f} Hz ({line['amplitude_um']:z.1f} um)" for line in run["spectrum"]["lines"]
         )
         findings.append(("info", f"{run['run']}: strongest lines {lines}"))
     by_file = {r.meta.run_id: _centred(r, r.samples["angle_deg"], r.window) for r in runs}
@@ -113,11 +106,7 @@ def training_section(report: TrainingReport) -> Section:
         [
             f"Campaign {report.campaign} on {report.machine}: {report.n_runs} runs, "
             f"{report.n_rows} rows. Error without a model {report.rms_before_um:z.1f} um RMS"
-            + (
-                " after centre and radius of each set-up"
-                if "feed_mm_min" in proposed.scores
-                else ""
-            )
+            + (" after centre and radius of each set-up" if "feed_mm_min" in proposed.scores else "")
             + f"; noise floor {report.noise_floor_text}: {report.floor_is}.",
             *report.told,
             "Every error is on what was left out as a whole: one "
@@ -131,9 +120,7 @@ def training_section(report: TrainingReport) -> Section:
     )
 
 
-def comparison_table(
-    candidates: Sequence[Candidate],
-) -> tuple[list[str], list[list[str]]]:
+def comparison_table(candidates: Sequence[Candidate]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of the comparison of candidates.
 
     Parameters
@@ -200,12 +187,11 @@ def evidence_section(evidence: Mapping[str, Any], profiles: Mapping[str, Any]) -
         told.append(_NOT_COMPARABLE)
     return Section(
         "Compensated against uncompensated",
-        [f"{evidence['kind'].capitalize()} evidence on the {evidence['clock']}.",
-         *_of_the_oracle(evidence), *told],
+        [f"{evidence['kind'].capitalize()} evidence on the {evidence['clock']}.", *_of_the_oracle(evidence), *told],
         [],
         [Table(*evidence_table(evidence))],
         figures,
-    )  # fmt: skip
+    )
 
 
 def _of_the_oracle(evidence: Mapping[str, Any]) -> list[str]:
@@ -263,10 +249,13 @@ def _um(value: float) -> str:
 
 
 _LEFT_OUT = {
-    "feed_mm_min": "feed", "radius_mm": "radius", "frequency_hz": "frequency",
-    "amplitude_um": "amplitude", "run": "run",
+    "feed_mm_min": "feed",
+    "radius_mm": "radius",
+    "frequency_hz": "frequency",
+    "amplitude_um": "amplitude",
+    "run": "run",
     "hours": "span of hours",
-}  # fmt: skip
+}
 _FIGURES = (
     ("centre along first axis, um", "centre_a_um", "centre_a_um"),
     ("centre along second axis, um", "centre_b_um", "centre_b_um"),

@@ -21,11 +21,7 @@ from dtwin.store import Lake, RejectedRows
 _MAX_DETAILED = 12
 
 
-def check_source(
-    path: Path,
-    progress: Progress | None = None,
-    told: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
+def check_source(path: Path, progress: Progress | None = None, told: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
 
     Parameters
@@ -120,9 +116,7 @@ def run_result(run: Run) -> dict[str, Any]:
         "vendor": dict(run.meta.vendor),
         "findings": [finding.as_dict() for finding in findings],
     }
-    broken = any(
-        f.severity == "error" and f.code.startswith(("clock", "angle.j")) for f in findings
-    )
+    broken = any(f.severity == "error" and f.code.startswith(("clock", "angle.j")) for f in findings)
     return result if broken else {**result, **kind_named(run.meta.kind).run_figures(run)}
 
 
@@ -204,13 +198,9 @@ def _render_run(run: dict[str, Any]) -> list[str]:
         head = ("", "by the file's indices", "vendor's file says", "aligned by the stops")
         lines += ["  " + line for line in table(head, rows).splitlines()]
         strongest = ", ".join(
-            f"{line['frequency_hz']:z.2f} Hz {line['amplitude_um']:z.1f} um"
-            for line in run["spectrum"]["lines"]
+            f"{line['frequency_hz']:z.2f} Hz {line['amplitude_um']:z.1f} um" for line in run["spectrum"]["lines"]
         )
-        bands = ", ".join(
-            f"{b['from_hz']:g}-{b['to_hz']:g} Hz {b['rms_um']:z.1f}"
-            for b in run["spectrum"]["bands_um"]
-        )
+        bands = ", ".join(f"{b['from_hz']:g}-{b['to_hz']:g} Hz {b['rms_um']:z.1f}" for b in run["spectrum"]["bands_um"])
         lines += [f"  strongest lines: {strongest}", f"  bands, um RMS: {bands}"]
     return lines + [f"  {f['severity']}: {f['message']}" for f in run["findings"]]
 

@@ -18,21 +18,14 @@ def correction_text(found: Mapping[str, Any]) -> str:
     """
     grades = {g["label"]: g["grade"] for g in found["grades"]}
     terms = [
-        (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"])
-        for t in found["terms"]
+        (t["label"], "yes" if t["included"] else "no", grades.get(t["label"], "-"), t["how"]) for t in found["terms"]
     ]
     digits = 2 if max(p["rms_before_um"] for p in found["predicted"]) >= 10.0 else 3
     predicted = [
-        (
-            p["condition"],
-            f"{p['rms_before_um']:z.{digits}f}",
-            f"{p['rms_predicted_um']:z.{digits}f}",
-        )
+        (p["condition"], f"{p['rms_before_um']:z.{digits}f}", f"{p['rms_predicted_um']:z.{digits}f}")
         for p in found["predicted"]
     ]
-    gates = [
-        f"{'pass' if g['passed'] else 'FAIL'}  {g['gate']}: {g['reason']}" for g in found["gates"]
-    ]
+    gates = [f"{'pass' if g['passed'] else 'FAIL'}  {g['gate']}: {g['reason']}" for g in found["gates"]]
     lines = [
         f"twin {found['twin']} version {found['twin_version']} ({found['verdict']}) is version "
         f"{found['version']} of {found['machine']}",

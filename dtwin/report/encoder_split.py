@@ -12,12 +12,7 @@ from dtwin.report.html import Section, Table
 from dtwin.report.plots import COLOURS, styled
 from dtwin.report.text import table
 
-_SHOWN = {
-    "measured": "measured",
-    "controller": "controller saw",
-    "quasi_static": "quasi-static",
-    "dynamic": "dynamic",
-}
+_SHOWN = {"measured": "measured", "controller": "controller saw", "quasi_static": "quasi-static", "dynamic": "dynamic"}
 _COLOURS = dict(zip(_SHOWN, ("measured", "second", "third", "fourth"), strict=True))
 
 
@@ -115,10 +110,7 @@ def _figure(found: Mapping[str, Any]) -> go.Figure:
 
 
 def _name(condition: Mapping[str, Any]) -> str:
-    return (
-        f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g} "
-        f"{condition['direction']}"
-    )
+    return f"{condition['plane']} R{condition['radius_mm']:g} F{condition['feed_mm_min']:g} {condition['direction']}"
 
 
 def _number(value: float | None) -> str:

@@ -116,11 +116,4 @@ def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
 
 
 def _figure_html(figure: go.Figure) -> str:
-    return str(
-        pio.to_html(
-            figure,
-            full_html=False,
-            include_plotlyjs=False,
-            config=_CONFIG,
-        )
-    )
+    return str(pio.to_html(figure, full_html=False, include_plotlyjs=False, config=_CONFIG))

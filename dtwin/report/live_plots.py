@@ -45,16 +45,12 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float) -> go
     for limit in (-clamp_um, clamp_um):
         figure.add_hline(y=limit, line={"color": COLOURS["floor"], "dash": "dash"})
     figure.update_layout(
-        title="Correction of each axis; dashed: its limit",
-        xaxis_title="s before now",
-        yaxis_title="um",
+        title="Correction of each axis; dashed: its limit", xaxis_title="s before now", yaxis_title="um"
     )
     return styled(figure)
 
 
-def circle_figure(
-    position_mm: Floats, centre_mm: Floats, radius_mm: Floats, correction_um: Floats
-) -> go.Figure | None:
+def circle_figure(position_mm: Floats, centre_mm: Floats, radius_mm: Floats, correction_um: Floats) -> go.Figure | None:
     """Return the newest whole circle as the controller sees it, with and without the correction.
 
     The radial part of the correction is what it added to the path: without it, that much would
@@ -95,9 +91,7 @@ def circle_figure(
     return None
 
 
-def _turn_figure(
-    arm_mm: Floats, radius_mm: float, seen_um: Floats, radial_um: Floats
-) -> go.Figure | None:
+def _turn_figure(arm_mm: Floats, radius_mm: float, seen_um: Floats, radial_um: Floats) -> go.Figure | None:
     """Return the newest turn of a stretch on the circle; None when it is shorter."""
     first, second = (int(i) for i in sorted(np.argsort(-arm_mm.var(axis=0))[:2]))
     if (first, second) == (0, 2):

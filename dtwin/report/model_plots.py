@@ -49,12 +49,7 @@ def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Fig
             y=[c["oracle_um"] for c in conditions],
             name="oracle",
             mode="markers",
-            marker={
-                "symbol": "line-ew-open",
-                "size": 22,
-                "color": COLOURS["third"],
-                "line": {"width": 3},
-            },
+            marker={"symbol": "line-ew-open", "size": 22, "color": COLOURS["third"], "line": {"width": 3}},
         )
     )
     figure.add_trace(
@@ -66,17 +61,11 @@ def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Fig
             line={"color": COLOURS["floor"], "dash": "dash"},
         )
     )
-    figure.update_layout(
-        title=title,
-        yaxis_title="um",
-        barmode="group",
-    )
+    figure.update_layout(title=title, yaxis_title="um", barmode="group")
     return styled(figure)
 
 
-def comparison_figure(
-    candidates: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0
-) -> go.Figure:
+def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0) -> go.Figure:
     """Return held-out error against latency, one point per candidate.
 
     Parameters
@@ -98,11 +87,7 @@ def comparison_figure(
                 textposition="top center",
                 hovertemplate="%{text}<br>%{x:.3g} us, %{y:z.1f} um<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
-                marker={
-                    "size": 12,
-                    "color": colour,
-                    "symbol": "circle" if promotable else "square",
-                },
+                marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
             )
         )
     axis = _range_of([c["rms_um"] for c in candidates])
@@ -110,10 +95,15 @@ def comparison_figure(
         figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"])
         _draw_band(figure, floor_um, floor_dof)
         figure.add_annotation(
-            text="noise floor", xref="paper", x=1.0, xanchor="right", yanchor="bottom",
+            text="noise floor",
+            xref="paper",
+            x=1.0,
+            xanchor="right",
+            yanchor="bottom",
             # Shapes take the value itself, annotations its logarithm.
-            y=float(np.log10(floor_um)) if "type" in axis else floor_um, showarrow=False,
-        )  # fmt: skip
+            y=float(np.log10(floor_um)) if "type" in axis else floor_um,
+            showarrow=False,
+        )
     figure.update_layout(
         title="Error on conditions left out against time of one row (hover for names)",
         xaxis={"title": "median time of one row, us", "type": "log"},
@@ -135,19 +125,17 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
         chosen = [c for c in candidates if c["promotable"] == promotable and c["p50_us"]]
         figure.add_trace(
             go.Scatter(
-                x=[c["p50_us"] for c in chosen], y=[max(c["r2"], _LOWEST_R2) for c in chosen],
+                x=[c["p50_us"] for c in chosen],
+                y=[max(c["r2"], _LOWEST_R2) for c in chosen],
                 customdata=[c["r2_text"] for c in chosen],
-                text=[c["name"] for c in chosen], mode="markers",
+                text=[c["name"] for c in chosen],
+                mode="markers",
                 hovertemplate="%{text}<br>%{x:.3g} us, R2 %{customdata}<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
-                marker={
-                    "size": 12, "color": colour, "symbol": "circle" if promotable else "square"
-                },
+                marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
             )
-        )  # fmt: skip
-    figure.add_hline(
-        y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction"
-    )
+        )
+    figure.add_hline(y=0.0, line_dash="dash", line_color=COLOURS["floor"], annotation_text="no correction")
     figure.update_layout(
         title=f"R2 on feeds left out against time of one row (below {_LOWEST_R2:g}: at the edge)",
         xaxis={"title": "median time of one row, us", "type": "log"},
@@ -156,9 +144,7 @@ def r2_figure(candidates: Sequence[Mapping[str, Any]]) -> go.Figure:
     return styled(figure)
 
 
-def front_figure(
-    front: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0
-) -> go.Figure:
+def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float, floor_dof: float = 0) -> go.Figure:
     """Return the error that chose the size of the equation, over that size.
 
     Parameters
@@ -176,16 +162,10 @@ def front_figure(
     ):
         figure.add_trace(
             go.Scatter(
-                x=terms,
-                y=[point[key] for point in front],
-                mode="lines+markers",
-                name=name,
-                line={"color": colour},
+                x=terms, y=[point[key] for point in front], mode="lines+markers", name=name, line={"color": colour}
             )
         )
-    figure.add_hline(
-        y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor"
-    )
+    figure.add_hline(y=floor_um, line_dash="dash", line_color=COLOURS["floor"], annotation_text="noise floor")
     _draw_band(figure, floor_um, floor_dof)
     figure.update_layout(
         title="Accuracy and complexity of the physics library (orders and modes found on all runs)",
@@ -216,9 +196,7 @@ def jitter_figure(histogram: Mapping[str, int]) -> go.Figure:
         Ticks by jitter in us, as ``LoopTiming.summary`` counts them.
     """
     top = float(np.ceil(np.log10(max([*histogram.values(), 10]))))
-    figure = go.Figure(
-        go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"])
-    )
+    figure = go.Figure(go.Bar(x=list(histogram), y=list(histogram.values()), marker_color=COLOURS["measured"]))
     figure.update_layout(
         title="Jitter of the period",
         xaxis_title="distance from the nominal period, us",

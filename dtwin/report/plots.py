@@ -11,13 +11,7 @@ import plotly.graph_objects as go
 from dtwin.schema import Floats
 
 # Okabe and Ito: told apart by every kind of colour vision.
-COLOURS = {
-    "measured": "#0072B2",
-    "second": "#D55E00",
-    "third": "#009E73",
-    "fourth": "#CC79A7",
-    "floor": "#999999",
-}
+COLOURS = {"measured": "#0072B2", "second": "#D55E00", "third": "#009E73", "fourth": "#CC79A7", "floor": "#999999"}
 BEHIND_TEXT = "rgba(255,255,255,0.75)"
 _PALETTE = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"]
 
@@ -73,9 +67,7 @@ def polar_figure(
                 name=name,
                 line={"color": colour, "width": 1.5},
                 customdata=_short(deviation),
-                hovertemplate="%{theta:z.1f} deg<br>%{customdata:z.1f} um<extra>"
-                + name
-                + "</extra>",
+                hovertemplate="%{theta:z.1f} deg<br>%{customdata:z.1f} um<extra>" + name + "</extra>",
             )
         )
     figure.update_layout(
@@ -111,13 +103,7 @@ def error_figure(
     figure = go.Figure()
     for colour, (name, (angle, error)) in zip(_PALETTE * 4, traces.items(), strict=False):
         figure.add_trace(
-            go.Scatter(
-                x=_short(angle),
-                y=_short(error),
-                mode="lines",
-                name=name,
-                line={"color": colour, "width": 1.5},
-            )
+            go.Scatter(x=_short(angle), y=_short(error), mode="lines", name=name, line={"color": colour, "width": 1.5})
         )
     figure.update_layout(title=title, xaxis_title=x_title, yaxis_title="error, um")
     if floor_um is not None:
@@ -139,10 +125,16 @@ def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
         say_no_floor(figure)
         return
     figure.add_hrect(
-        y0=-floor_um, y1=floor_um, fillcolor=COLOURS["floor"], opacity=0.25, line_width=0, layer="below",
-        annotation_text=f"noise floor ±{floor_um:z.2f} um", annotation_position="bottom right",
+        y0=-floor_um,
+        y1=floor_um,
+        fillcolor=COLOURS["floor"],
+        opacity=0.25,
+        line_width=0,
+        layer="below",
+        annotation_text=f"noise floor ±{floor_um:z.2f} um",
+        annotation_position="bottom right",
         annotation_bgcolor=BEHIND_TEXT,
-    )  # fmt: skip
+    )
 
 
 def floor_rings(floor_um: float | None) -> list[tuple[str, float, dict[str, Any]]]:
@@ -161,14 +153,19 @@ def floor_rings(floor_um: float | None) -> list[tuple[str, float, dict[str, Any]
 def say_no_floor(figure: go.Figure) -> None:
     """Write into a figure that the noise floor is not known."""
     figure.add_annotation(
-        text="noise floor not known", xref="paper", yref="paper", x=1.0, y=0.0, xanchor="right",
-        yanchor="bottom", showarrow=False, bgcolor=BEHIND_TEXT,
-    )  # fmt: skip
+        text="noise floor not known",
+        xref="paper",
+        yref="paper",
+        x=1.0,
+        y=0.0,
+        xanchor="right",
+        yanchor="bottom",
+        showarrow=False,
+        bgcolor=BEHIND_TEXT,
+    )
 
 
-def spectrum_figure(
-    frequency_hz: Floats, amplitude_um: Floats, floor_um: float, *, title: str
-) -> go.Figure:
+def spectrum_figure(frequency_hz: Floats, amplitude_um: Floats, floor_um: float, *, title: str) -> go.Figure:
     """Return the amplitude spectrum of a run.
 
     Parameters
@@ -182,20 +179,23 @@ def spectrum_figure(
     """
     figure = go.Figure(
         go.Scatter(
-            x=_short(frequency_hz), y=_short(amplitude_um), mode="lines", name="amplitude",
+            x=_short(frequency_hz),
+            y=_short(amplitude_um),
+            mode="lines",
+            name="amplitude",
             line={"color": COLOURS["measured"], "width": 1.3},
             hovertemplate="%{x:z.2f} Hz: %{y:z.3f} um<extra></extra>",
         )
-    )  # fmt: skip
+    )
     if np.isfinite(floor_um):
         figure.add_hline(
-            y=floor_um, line={"color": COLOURS["floor"], "dash": "dash"},
+            y=floor_um,
+            line={"color": COLOURS["floor"], "dash": "dash"},
             annotation_text=f"noise of one line {floor_um:z.3f} um",
-        )  # fmt: skip
+        )
     figure.update_layout(
-        title=title, xaxis_title="frequency, Hz",
-        yaxis={"title": "amplitude, um", "rangemode": "tozero"},
-    )  # fmt: skip
+        title=title, xaxis_title="frequency, Hz", yaxis={"title": "amplitude, um", "rangemode": "tozero"}
+    )
     return styled(figure)
 
 

@@ -19,20 +19,11 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
         Cells; floats are shown with up to four significant places.
     """
     cells = [[_cell(value) for value in row] for row in rows]
-    widths = [
-        max(len(title), *(len(row[i]) for row in cells)) if cells else len(title)
-        for i, title in enumerate(head)
-    ]
-    right = [
-        all(isinstance(row[i], int | float) or row[i] is None for row in rows)
-        for i in range(len(head))
-    ]
+    widths = [max(len(title), *(len(row[i]) for row in cells)) if cells else len(title) for i, title in enumerate(head)]
+    right = [all(isinstance(row[i], int | float) or row[i] is None for row in rows) for i in range(len(head))]
 
     def line(row: Sequence[str]) -> str:
-        padded = (
-            text.rjust(w) if r else text.ljust(w)
-            for text, w, r in zip(row, widths, right, strict=True)
-        )
+        padded = (text.rjust(w) if r else text.ljust(w) for text, w, r in zip(row, widths, right, strict=True))
         return "  ".join(padded).rstrip()
 
     return "\n".join([line(head), line(["-" * w for w in widths]), *map(line, cells)])

@@ -24,11 +24,7 @@ from dtwin.report.text import micrometres
 from dtwin.schema import Floats
 
 _CURVES = (COLOURS["measured"], COLOURS["second"], COLOURS["third"], COLOURS["fourth"])
-_NOMINAL = (
-    "nominal",
-    0.0,
-    {"line": {"color": COLOURS["floor"], "width": 1, "dash": "dot"}, "hoverinfo": "skip"},
-)
+_NOMINAL = ("nominal", 0.0, {"line": {"color": COLOURS["floor"], "width": 1, "dash": "dot"}, "hoverinfo": "skip"})
 _ALONG = {"angle_deg": "path angle", "position_mm": "position", "phase_deg": "phase of the command"}
 _CELLS = 72
 _STEPS = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -71,19 +67,26 @@ def overlay_figure(
     for name, values, look in rings:
         figure.add_trace(
             go.Scatterpolar(
-                theta=angle, r=_drawn(values, radius_mm, fitting), mode="lines", name=name,
-                customdata=_closed(values), **look,
+                theta=angle,
+                r=_drawn(values, radius_mm, fitting),
+                mode="lines",
+                name=name,
+                customdata=_closed(values),
+                **look,
             )
-        )  # fmt: skip
+        )
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
         figure.add_trace(
             go.Scatterpolar(
-                theta=angle, r=_drawn(curve, radius_mm, fitting), mode="lines", name=name,
+                theta=angle,
+                r=_drawn(curve, radius_mm, fitting),
+                mode="lines",
+                name=name,
                 line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
                 customdata=_closed(curve),
                 hovertemplate="%{theta:z.0f} deg<br>%{customdata:z.2f} um<extra>" + name + "</extra>",
             )
-        )  # fmt: skip
+        )
     figure.update_layout(
         title=title,
         meta={"radius_mm": radius_mm, "magnification": fitting},
@@ -104,9 +107,7 @@ def overlay_figure(
     return made
 
 
-def along_figure(
-    curves: Mapping[str, Floats], *, title: str, floor_um: float, grid: Grid = CIRCLE
-) -> go.Figure:
+def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, grid: Grid = CIRCLE) -> go.Figure:
     """Return error along the path with the noise floor as a band.
 
     Parameters
@@ -124,23 +125,20 @@ def along_figure(
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
         figure.add_trace(
             go.Scatter(
-                x=grid.points, y=[round(float(v), 4) for v in curve], mode="lines",
-                name=name, line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
+                x=grid.points,
+                y=[round(float(v), 4) for v in curve],
+                mode="lines",
+                name=name,
+                line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
                 hovertemplate="%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} um<extra>" + name + "</extra>",
             )
-        )  # fmt: skip
+        )
     draw_floor_band(figure, floor_um)
-    figure.update_layout(
-        title=title,
-        xaxis=_axis(grid),
-        yaxis_title="error, um",
-    )
+    figure.update_layout(title=title, xaxis=_axis(grid), yaxis_title="error, um")
     return styled(figure)
 
 
-def harmonics_figure(
-    curves: Mapping[str, Floats], floor_um: Floats | None, *, title: str, most: int = 60
-) -> go.Figure:
+def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, title: str, most: int = 60) -> go.Figure:
     """Return the amplitude of every harmonic of the path.
 
     Parameters
@@ -161,22 +159,29 @@ def harmonics_figure(
     for colour, (name, curve) in zip(_CURVES * 3, curves.items(), strict=False):
         figure.add_trace(
             go.Bar(
-                x=numbers, y=np.round(harmonic_amplitudes_um(curve)[1 : most + 1], 4), name=name,
+                x=numbers,
+                y=np.round(harmonic_amplitudes_um(curve)[1 : most + 1], 4),
+                name=name,
                 marker_color=colour,
                 hovertemplate="%{x} times: %{y:z.3f} um<extra>" + name + "</extra>",
             )
-        )  # fmt: skip
+        )
     if floor_um is not None:
         figure.add_trace(
             go.Scatter(
-                x=numbers, y=np.round(floor_um[1 : most + 1], 4), mode="lines",
-                name="noise floor of one run", line={"color": COLOURS["floor"], "dash": "dash"},
+                x=numbers,
+                y=np.round(floor_um[1 : most + 1], 4),
+                mode="lines",
+                name="noise floor of one run",
+                line={"color": COLOURS["floor"], "dash": "dash"},
             )
-        )  # fmt: skip
+        )
     figure.update_layout(
-        title=title, barmode="group", xaxis_title="undulations along the path",
+        title=title,
+        barmode="group",
+        xaxis_title="undulations along the path",
         yaxis={"title": "amplitude, um", "rangemode": "tozero"},
-    )  # fmt: skip
+    )
     return styled(figure)
 
 
@@ -196,12 +201,7 @@ def harmonic_amplitudes_um(curve: Floats) -> Floats:
 
 
 def residual_map(
-    means_um: Floats,
-    conditions: Sequence[str],
-    *,
-    floor_um: float,
-    title: str,
-    grid: Grid = CIRCLE,
+    means_um: Floats, conditions: Sequence[str], *, floor_um: float, title: str, grid: Grid = CIRCLE
 ) -> go.Figure:
     """Return the mean residual of every condition along the path.
 
@@ -258,16 +258,22 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up on
     heights = [first["rms_before_um"], *(r["rms_after_um"] for r in rungs)]
     figure = go.Figure(
         go.Bar(
-            x=names, y=heights, marker_color=[COLOURS["second"]] + [COLOURS["measured"]] * len(rungs),
-            text=[micrometres(h) for h in heights], textposition="outside", name="residual RMS",
+            x=names,
+            y=heights,
+            marker_color=[COLOURS["second"]] + [COLOURS["measured"]] * len(rungs),
+            text=[micrometres(h) for h in heights],
+            textposition="outside",
+            name="residual RMS",
         )
-    )  # fmt: skip
+    )
     floor = rungs[-1]["noise_floor_um"]
     if floor is not None:
         figure.add_hline(
-            y=floor, line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise floor {micrometres(floor)} um", annotation_bgcolor=BEHIND_TEXT,
-        )  # fmt: skip
+            y=floor,
+            line={"color": COLOURS["floor"], "dash": "dash"},
+            annotation_text=f"noise floor {micrometres(floor)} um",
+            annotation_bgcolor=BEHIND_TEXT,
+        )
     figure.update_layout(title="Error from version to version", yaxis_title="RMS, um")
     return styled(figure)
 
@@ -284,23 +290,28 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
     names = [c.get("label", f"{c['effect']} {c['axis']}".strip()) for c in rows]
     figure = go.Figure(
         go.Bar(
-            x=[c["rms_after_um"] for c in rows], y=names, orientation="h",
+            x=[c["rms_after_um"] for c in rows],
+            y=names,
+            orientation="h",
             marker_color=[COLOURS["measured"] if c["in_group"] else "#BBBBBB" for c in rows],
-            text=[f"p {c['p_value']:.1g}" for c in rows], name="after adding",
+            text=[f"p {c['p_value']:.1g}" for c in rows],
+            name="after adding",
         )
-    )  # fmt: skip
-    figure.add_vline(x=diagnosis["residual_rms_um"], line={"color": COLOURS["second"]},
-                     annotation_text="now")  # fmt: skip
+    )
+    figure.add_vline(x=diagnosis["residual_rms_um"], line={"color": COLOURS["second"]}, annotation_text="now")
     if np.isfinite(diagnosis["noise_floor_um"]):
         figure.add_vline(
-            x=diagnosis["noise_floor_um"], line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text="noise floor", annotation_position="bottom right",
+            x=diagnosis["noise_floor_um"],
+            line={"color": COLOURS["floor"], "dash": "dash"},
+            annotation_text="noise floor",
+            annotation_position="bottom right",
             annotation_bgcolor=BEHIND_TEXT,
-        )  # fmt: skip
+        )
     figure.update_layout(
         title="Predicted error after adding each (blue: reported)",
-        xaxis_title="RMS, um", height=max(320, 170 + 30 * len(rows)),
-    )  # fmt: skip
+        xaxis_title="RMS, um",
+        height=max(320, 170 + 30 * len(rows)),
+    )
     return styled(figure)
 
 

@@ -17,13 +17,7 @@ from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
-from dtwin.report.twin_plots import (
-    along_figure,
-    overlay_figure,
-    ranked_figure,
-    residual_map,
-    waterfall_figure,
-)
+from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
 
@@ -73,12 +67,7 @@ def parameter_table(twin: Twin) -> Table:
     ]
     for term in twin.terms:
         rows += [
-            (
-                term.label,
-                shape.name.replace("_", " "),
-                number(term.shape[shape.name], 4),
-                shape.unit,
-            )
+            (term.label, shape.name.replace("_", " "), number(term.shape[shape.name], 4), shape.unit)
             for shape in term.instance.effect.shapes
         ]
     return Table(("effect", "parameter", "value (k = 2)", "unit"), rows)
@@ -121,12 +110,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
     """Return a comparison for the terminal."""
     head = ("condition", "runs", "before, um", "after, um")
     rows = [
-        (
-            condition_words(c),
-            c["runs"],
-            micrometres(c["rms_before_um"]),
-            micrometres(c["rms_after_um"]),
-        )
+        (condition_words(c), c["runs"], micrometres(c["rms_before_um"]), micrometres(c["rms_after_um"]))
         for c in result["conditions"]
     ]
     lines = [
@@ -213,15 +197,7 @@ def found_table(result: Mapping[str, Any]) -> Table:
         )
         for group in result.get("found", [])
     ]
-    head = (
-        "found",
-        "explains, um",
-        "size (k = 2)",
-        "left-out gain",
-        "grade",
-        "law tested over",
-        "not over",
-    )
+    head = ("found", "explains, um", "size (k = 2)", "left-out gain", "grade", "law tested over", "not over")
     return Table(head, rows)
 
 
@@ -310,9 +286,7 @@ def comparison_sections(found: Comparison, result: Mapping[str, Any]) -> list[Se
     ]
 
 
-def _overlay(
-    obs: Observations, number: int, measured_um: Floats, left_um: Floats, floor_um: float
-) -> go.Figure:
+def _overlay(obs: Observations, number: int, measured_um: Floats, left_um: Floats, floor_um: float) -> go.Figure:
     condition = obs.conditions[number]
     curves = {"measured": measured_um, "predicted": measured_um - left_um, "residual": left_um}
     if obs.grid is CIRCLE:
@@ -329,9 +303,7 @@ def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
 
 def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
     """Return how the error fell."""
-    return Section(
-        "From version to version", [], [], [], [waterfall_figure(rungs)], [history_text(rungs)]
-    )
+    return Section("From version to version", [], [], [], [waterfall_figure(rungs)], [history_text(rungs)])
 
 
 def twin_section(twin: Twin) -> Section:
@@ -349,22 +321,14 @@ def twin_section(twin: Twin) -> Section:
 
 def _condition_table(result: Mapping[str, Any]) -> Table:
     rows = [
-        (
-            condition_words(c),
-            str(c["runs"]),
-            micrometres(c["rms_before_um"]),
-            micrometres(c["rms_after_um"]),
-        )
+        (condition_words(c), str(c["runs"]), micrometres(c["rms_before_um"]), micrometres(c["rms_after_um"]))
         for c in result["conditions"]
     ]
     return Table(("condition", "runs", "before, um", "after, um"), rows)
 
 
 def _alias(alias: Mapping[str, Any]) -> str:
-    return (
-        f"{alias['first']} and {alias['second']} (correlation {alias['correlation']:z.3f}). "
-        f"{alias['separate_by']}"
-    )
+    return f"{alias['first']} and {alias['second']} (correlation {alias['correlation']:z.3f}). {alias['separate_by']}"
 
 
 def place_words(place: Mapping[str, Any]) -> str:
@@ -380,9 +344,7 @@ def _advice(name: str, result: Mapping[str, Any]) -> str:
     if result["verdict"] == "missing_effect":
         best = group[0]
         axis = f" --axis {best['axis']}" if best["axis"] else ""
-        every = (
-            f"\nall of them: dtwin twin discover {name}" if len(result.get("found", [])) > 1 else ""
-        )
+        every = f"\nall of them: dtwin twin discover {name}" if len(result.get("found", [])) > 1 else ""
         return f"try: dtwin twin add {name} {best['effect']}{axis}\nremedy: {best['remedy']}{every}"
     if result["verdict"] == "ambiguous":
         return "these runs cannot tell them apart; adding one would only be a guess"

@@ -52,9 +52,7 @@ class AxisInputs:
             self.watch = ToneWatch(window.hop)
             wanted[COMMANDED] = window.rate_hz
         self.live = LiveValues(wanted)
-        self._of_watch = [
-            self.live.names.index(n) if self.watch else 0 for n in (COMMANDED, COMMAND_PHASE)
-        ]
+        self._of_watch = [self.live.names.index(n) if self.watch else 0 for n in (COMMANDED, COMMAND_PHASE)]
         self._sent = self.channels.index(SENT) if self.watch else 0
 
     def sample(self, values: Floats) -> None:

@@ -57,9 +57,16 @@ class LockstepControl:
     """
 
     def __init__(
-        self, link: AxisLink, decision: Decision, inputs: AxisInputs, longest_s: float,
-        asked: Stop, withdrawn: Withdrawn, board: LiveBoard | None, note: Note,
-    ) -> None:  # fmt: skip
+        self,
+        link: AxisLink,
+        decision: Decision,
+        inputs: AxisInputs,
+        longest_s: float,
+        asked: Stop,
+        withdrawn: Withdrawn,
+        board: LiveBoard | None,
+        note: Note,
+    ) -> None:
         self._link, self._decision, self._inputs = link, decision, inputs
         self._asked, self._withdrawn, self._board = asked, withdrawn, board
         self._program, self._note = ProgramWatch(note), Sparing(note)
@@ -143,9 +150,15 @@ class LockstepControl:
 
 
 def serve_machine_clock(
-    link: AxisLink, decision: Decision, inputs: AxisInputs, request: ServeRequest, note: Note,
-    withdrawn: Withdrawn, board: LiveBoard | None, asked: Stop,
-) -> ServeStatus:  # fmt: skip
+    link: AxisLink,
+    decision: Decision,
+    inputs: AxisInputs,
+    request: ServeRequest,
+    note: Note,
+    withdrawn: Withdrawn,
+    board: LiveBoard | None,
+    asked: Stop,
+) -> ServeStatus:
     """Serve a control on its own clock until its program ends or the correction is released.
 
     Parameters
@@ -165,12 +178,8 @@ def serve_machine_clock(
     """
     if link.wait_state(_ANSWER_S) is None:
         raise DeviceError("the control sends no states", code="states.silent", where=request.place)
-    control = LockstepControl(
-        link, decision, inputs, request.longest_s, asked, withdrawn, board, note
-    )  # fmt: skip
-    status = serve_lockstep(
-        decision, control, period_s=link.greeting.period_s, mode=request.mode, stop=control.stops
-    )
+    control = LockstepControl(link, decision, inputs, request.longest_s, asked, withdrawn, board, note)
+    status = serve_lockstep(decision, control, period_s=link.greeting.period_s, mode=request.mode, stop=control.stops)
     if status.fault is not None:
         note(LINK_LOST, why=status.ended, said=status.fault["message"])
         return status
@@ -183,6 +192,9 @@ def serve_machine_clock(
     trips = f"{decision.guard.trips} faults; {decision.trouble or 'nothing is missing now'}"
     fault = fault_of(control.why, request.place, control.reason or trips)
     return dataclasses.replace(
-        status, ended=control.why or "finished", released=True, last_sequence=last,
+        status,
+        ended=control.why or "finished",
+        released=True,
+        last_sequence=last,
         fault=fault.as_dict() if fault else None,
-    )  # fmt: skip
+    )

@@ -95,8 +95,5 @@ def _read(machine: str, home: Home) -> dict[str, str]:
     if found is None:
         return {}
     if not isinstance(found, dict):
-        raise InputError(
-            "the list of withdrawn versions is malformed", code="barred.file",
-            where=str(folder / BARRED),
-        )  # fmt: skip
+        raise InputError("the list of withdrawn versions is malformed", code="barred.file", where=str(folder / BARRED))
     return {str(key): str(value) for key, value in found.items()}

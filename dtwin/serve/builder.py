@@ -125,9 +125,8 @@ class GraphBuilder:
         return self._add(Node("pow_int", (term.index,), n=n))
 
     def lookup(
-        self, argument: Term, start: float, spacing: float, values: Sequence[float],
-        periodic: bool = False,
-    ) -> Expression:  # fmt: skip
+        self, argument: Term, start: float, spacing: float, values: Sequence[float], periodic: bool = False
+    ) -> Expression:
         """Return the handle of a uniform table's linear interpolation.
 
         Parameters
@@ -154,9 +153,7 @@ class GraphBuilder:
             result = result + term
         return result
 
-    def graph(
-        self, outputs: Mapping[str, Term], updates: Mapping[str, Term] | None = None
-    ) -> Graph:
+    def graph(self, outputs: Mapping[str, Term], updates: Mapping[str, Term] | None = None) -> Graph:
         """Return the graph of what the outputs and updates need, nothing else.
 
         Parameters

@@ -116,9 +116,7 @@ class Bundle:
             if len(set(found)) != len(found):
                 raise wrong(f"an {what} is declared twice", ", ".join(found)[:200])
         if not self.outputs or set(self.tick_graph.outputs) != {o.name for o in self.outputs}:
-            raise wrong(
-                "the outputs are not those of the graph", str(list(self.tick_graph.outputs))
-            )
+            raise wrong("the outputs are not those of the graph", str(list(self.tick_graph.outputs)))
         unknown = set(self.tick_graph.inputs) - set(names)
         unknown |= set(self.tick_graph.states) - set(self.initial_state)
         if self.window_graph is not None:
@@ -128,16 +126,12 @@ class Bundle:
             raise wrong("a graph uses what is not declared", ", ".join(sorted(unknown))[:200])
         for item in self.inputs:
             if not item.low <= item.high:
-                raise wrong(
-                    f"the validity box of {item.name} is empty", f"{item.low} to {item.high}"
-                )
+                raise wrong(f"the validity box of {item.name} is empty", f"{item.low} to {item.high}")
 
     def _check_window(self) -> None:
         if self.window is None:
             if self.feature_inputs or self.window_graph is not None:
-                raise wrong(
-                    "feature inputs without a window contract", str(self.feature_inputs)[:200]
-                )
+                raise wrong("feature inputs without a window contract", str(self.feature_inputs)[:200])
             return
         unknown = set(self.feature_inputs) - set(self.window.columns)
         if unknown:
@@ -220,22 +214,35 @@ class Bundle:
             inputs=tuple(read_input(i) for i in sequence(body["inputs"], "inputs")),
             outputs=tuple(read_output(o) for o in sequence(body["outputs"], "outputs")),
             states=tuple(read_state(s) for s in sequence(body["states"], "states")),
-            window=None if body["window"] is None else WindowContract.from_dict(
-                mapping(body["window"], "window")),
-            window_graph=None if body["window_graph"] is None else Graph.from_dict(
-                body["window_graph"], "window_graph"),
+            window=None if body["window"] is None else WindowContract.from_dict(mapping(body["window"], "window")),
+            window_graph=None
+            if body["window_graph"] is None
+            else Graph.from_dict(body["window_graph"], "window_graph"),
             tick_graph=Graph.from_dict(body["tick_graph"], "tick_graph"),
             safety=read_safety(body["safety"]),
             provenance=read_provenance(body["provenance"]),
             vectors=read_vectors(body["vectors"]),
             corrects=text(body["corrects"], "corrects") if told else "",
-        )  # fmt: skip
+        )
 
 
 _BODY_FIELDS = (
-    "format", "version", "name", "machine", "model_version", "created", "inputs", "outputs",
-    "states", "window", "window_graph", "tick_graph", "safety", "provenance", "vectors",
-)  # fmt: skip
+    "format",
+    "version",
+    "name",
+    "machine",
+    "model_version",
+    "created",
+    "inputs",
+    "outputs",
+    "states",
+    "window",
+    "window_graph",
+    "tick_graph",
+    "safety",
+    "provenance",
+    "vectors",
+)
 
 
 _OF_THE_VERSION = ("model_version", "provenance")

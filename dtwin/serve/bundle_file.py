@@ -14,14 +14,7 @@ from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.features.windows import WindowContract
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.graph import Graph
-from dtwin.serve.interface import (
-    Input,
-    Output,
-    Provenance,
-    SafetyLimits,
-    State,
-    TestVectors,
-)
+from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits, State, TestVectors
 from dtwin.serve.proof import prove, with_vectors
 from dtwin.serve.runtime import CompiledBundle
 
@@ -29,12 +22,21 @@ MAX_BYTES = 8_000_000
 
 
 def create_bundle(
-    *, name: str, machine: str, model_version: int, inputs: Sequence[Input],
-    outputs: Sequence[Output], tick_graph: Graph, states: Sequence[State] = (),
-    window: WindowContract | None = None, window_graph: Graph | None = None,
-    safety: SafetyLimits | None = None, provenance: Provenance | None = None, seed: int = 1,
+    *,
+    name: str,
+    machine: str,
+    model_version: int,
+    inputs: Sequence[Input],
+    outputs: Sequence[Output],
+    tick_graph: Graph,
+    states: Sequence[State] = (),
+    window: WindowContract | None = None,
+    window_graph: Graph | None = None,
+    safety: SafetyLimits | None = None,
+    provenance: Provenance | None = None,
+    seed: int = 1,
     corrects: str = "",
-) -> Bundle:  # fmt: skip
+) -> Bundle:
     """Return a bundle with its test vectors, proved on this host.
 
     Raises
@@ -46,10 +48,21 @@ def create_bundle(
     """
     created = datetime.now(UTC).isoformat(timespec="seconds")
     bundle = Bundle(
-        name, machine, model_version, created, tuple(inputs), tuple(outputs), tuple(states),
-        window, window_graph, tick_graph, safety or SafetyLimits(), provenance or Provenance(),
-        TestVectors((), (), ()), corrects,
-    )  # fmt: skip
+        name,
+        machine,
+        model_version,
+        created,
+        tuple(inputs),
+        tuple(outputs),
+        tuple(states),
+        window,
+        window_graph,
+        tick_graph,
+        safety or SafetyLimits(),
+        provenance or Provenance(),
+        TestVectors((), (), ()),
+        corrects,
+    )
     proved = with_vectors(bundle, seed)
     prove(proved)
     return proved
@@ -77,14 +90,14 @@ def require_new(path: Path, *, force: bool = False) -> None:
     """
     if path.exists() and not force:
         raise InputError(
-            "the file is there already", code="bundle.exists", where=str(path),
+            "the file is there already",
+            code="bundle.exists",
+            where=str(path),
             hint="another --out, or --force where the command has it",
-        )  # fmt: skip
+        )
 
 
-def load_bundle(
-    path: Path, machine: str | None = None, contract: WindowContract | None = None
-) -> CompiledBundle:
+def load_bundle(path: Path, machine: str | None = None, contract: WindowContract | None = None) -> CompiledBundle:
     """Read, check and prove a bundle, and compile it.
 
     Parameters
@@ -158,10 +171,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
             os.close(folder)
     except OSError as error:
         raise StoreError(
-            "the file cannot be written",
-            code="bundle.write",
-            where=str(path),
-            got=error.strerror or str(error),
+            "the file cannot be written", code="bundle.write", where=str(path), got=error.strerror or str(error)
         ) from error
 
 
@@ -196,10 +206,7 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
             hint="dtwin promote writes it",
         ) from error
     if len(raw) > max_bytes:
-        raise InputError(
-            "the file is too large", code="bundle.size", where=str(path),
-            allowed=f"{max_bytes} bytes",
-        )  # fmt: skip
+        raise InputError("the file is too large", code="bundle.size", where=str(path), allowed=f"{max_bytes} bytes")
     return raw
 
 
@@ -222,10 +229,7 @@ def parse_json(raw: bytes, path: Path) -> Any:
         return json.loads(raw, parse_constant=_refuse_constant, object_pairs_hook=_unrepeated)
     except (ValueError, RecursionError) as error:
         raise InputError(
-            "the file is not usable JSON",
-            code="bundle.json",
-            where=str(path),
-            got=str(error)[:120],
+            "the file is not usable JSON", code="bundle.json", where=str(path), got=str(error)[:120]
         ) from error
 
 

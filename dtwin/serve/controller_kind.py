@@ -48,9 +48,7 @@ def is_virtual(host: str, timeout_s: float = 2.0) -> bool:
             return False
         with socket.create_connection((host, RTDE_PORT), timeout_s) as connection:
             _ask(connection, _REQUEST_VERSION, struct.pack(">H", 2))
-            reply = _ask(
-                connection, _SETUP_OUTPUTS, struct.pack(">d", 1.0) + VIRTUAL_VARIABLE.encode()
-            )
+            reply = _ask(connection, _SETUP_OUTPUTS, struct.pack(">d", 1.0) + VIRTUAL_VARIABLE.encode())
     except (OSError, UnicodeError):
         return False
     return reply[1:] == b"INT32"

@@ -82,10 +82,14 @@ class Decision:
     """
 
     def __init__(
-        self, compiled: CompiledBundle, tcp_mm: Floats,
-        covariates: Mapping[str, float] | None = None, sensors: SensorSource | None = None,
-        live: LiveValues | None = None, largest: Floats | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        compiled: CompiledBundle,
+        tcp_mm: Floats,
+        covariates: Mapping[str, float] | None = None,
+        sensors: SensorSource | None = None,
+        live: LiveValues | None = None,
+        largest: Floats | None = None,
+    ) -> None:
         bundle = compiled.bundle
         sent = live or LiveValues({})
         self.compiled, self.sensors = compiled, sensors
@@ -176,9 +180,15 @@ class Decision:
         self.compiled.outputs[:] = 0.0
 
     def decide(
-        self, state: Floats, *, age_s: float, elapsed_s: float, enabled: bool,
-        stages: NDArray[np.int64], found: int = OK,
-    ) -> Floats:  # fmt: skip
+        self,
+        state: Floats,
+        *,
+        age_s: float,
+        elapsed_s: float,
+        enabled: bool,
+        stages: NDArray[np.int64],
+        found: int = OK,
+    ) -> Floats:
         """Return the safe correction (3,) in um for the newest state.
 
         Parameters
@@ -201,9 +211,8 @@ class Decision:
             self.reset()
             stages[:4] = 0
             return self.guard.step(
-                self._nothing, self._inputs, age_s=age_s, elapsed_s=elapsed_s, enabled=enabled,
-                found=IMPOSSIBLE,
-            )  # fmt: skip
+                self._nothing, self._inputs, age_s=age_s, elapsed_s=elapsed_s, enabled=enabled, found=IMPOSSIBLE
+            )
         if self._uses_window:
             self._take_window()
         windowed = perf_counter_ns()
@@ -219,20 +228,22 @@ class Decision:
             self.compiled.evaluate()
         evaluated = perf_counter_ns()
         wanted = self.direction.apply(self.compiled.outputs, self._pool[0], state[layout.PLANE_ID])
-        device_ok = (
-            not self.hold and state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
-        )
+        device_ok = not self.hold and state[layout.RUNTIME_RUNNING] > 0.5 and state[layout.SAFETY_OK] > 0.5
         safe = self.guard.step(
-            wanted, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
-            window_age_s=self.window_age_s, enabled=enabled, device_ok=bool(device_ok), found=found,
-        )  # fmt: skip
+            wanted,
+            self._inputs,
+            age_s=age_s,
+            elapsed_s=elapsed_s,
+            window_age_s=self.window_age_s,
+            enabled=enabled,
+            device_ok=bool(device_ok),
+            found=found,
+        )
         stages[0], stages[1] = windowed - start, pathed - windowed
         stages[2], stages[3] = evaluated - pathed, perf_counter_ns() - evaluated
         return safe
 
-    def release(
-        self, *, elapsed_s: float, age_s: float = 0.0, enabled: bool = False, found: int = OK
-    ) -> Floats:
+    def release(self, *, elapsed_s: float, age_s: float = 0.0, enabled: bool = False, found: int = OK) -> Floats:
         """Return the next correction when there is no usable state: towards zero.
 
         Parameters
@@ -247,9 +258,14 @@ class Decision:
             As in ``decide``.
         """
         return self.guard.step(
-            self.direction.vector_um, self._inputs, age_s=age_s, elapsed_s=elapsed_s,
-            window_age_s=self.window_age_s, enabled=enabled, found=found,
-        )  # fmt: skip
+            self.direction.vector_um,
+            self._inputs,
+            age_s=age_s,
+            elapsed_s=elapsed_s,
+            window_age_s=self.window_age_s,
+            enabled=enabled,
+            found=found,
+        )
 
     def _take_window(self) -> None:
         assert self.sensors is not None

@@ -14,9 +14,8 @@ _ERROR_SIGN = {"error": -1.0, "correction": 1.0}
 
 @compiled
 def correction_kernel(
-    outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: float, plane_id: float,
-    vector_um: Floats,
-) -> None:  # fmt: skip
+    outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: float, plane_id: float, vector_um: Floats
+) -> None:
     """Write the correction vector in the base frame.
 
     Parameters
@@ -58,9 +57,8 @@ def correction_kernel(
 
 @compiled
 def _kernel_many(
-    outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: Floats, plane_id: float,
-    vectors_um: Floats,
-) -> None:  # fmt: skip
+    outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: Floats, plane_id: float, vectors_um: Floats
+) -> None:
     """Write the correction vectors of successive ticks, shape (n, 3)."""
     for tick in range(outputs.shape[0]):
         correction_kernel(outputs[tick], frames, signs, angle_rad[tick], plane_id, vectors_um[tick])

@@ -98,9 +98,7 @@ class AxisDoor(Door):
         Where the key of virtual machines lies.
     """
 
-    def __init__(
-        self, request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home
-    ) -> None:
+    def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home) -> None:
         super().__init__(request, bundle, trial)
         self._address, self._writes = str(request.axes), request.mode != "shadow"
         self._inputs, self._home = inputs, home
@@ -152,10 +150,14 @@ class AxisDoor(Door):
         # No window spans the time in which nothing came.
         found.forget()
         link = AxisLink(
-            self._address, found.live, self._axes, channels=found.channels,
-            channels_hz=found.channels_hz, samples=found.sample if found.channels else None,
+            self._address,
+            found.live,
+            self._axes,
+            channels=found.channels,
+            channels_hz=found.channels_hz,
+            samples=found.sample if found.channels else None,
             writes=self._writes,
-        )  # fmt: skip
+        )
         link.open()
         try:
             proven = is_loopback(link.host) and proves(self._home, link.nonce, link.greeting.proof)
@@ -170,9 +172,12 @@ def _axis_of(frame: str) -> str:
     kind, _, axis = frame.partition("_")
     if kind != "base":
         raise InputError(
-            "the model corrects along a path, not along axes", code="serve.axes", got=frame,
-            allowed="base_x, base_y, base_z", hint="serve it without --link axes",
-        )  # fmt: skip
+            "the model corrects along a path, not along axes",
+            code="serve.axes",
+            got=frame,
+            allowed="base_x, base_y, base_z",
+            hint="serve it without --link axes",
+        )
     return axis
 
 

@@ -35,9 +35,11 @@ def fault_of(why: str, where: str, got: str) -> DtwinError | None:
     if why == "withdrawn":
         return GateRefusal(
             "the model was withdrawn while it was served; the correction was released",
-            code="serve.withdrawn", where=where, got=got,
+            code="serve.withdrawn",
+            where=where,
+            got=got,
             hint="dtwin models shows the history; serve again for the champion of now",
-        )  # fmt: skip
+        )
     if why in _DEVICE:
         message, hint = _DEVICE[why]
         return DeviceError(message, code=f"serve.{why}", where=where, got=got, hint=hint)

@@ -39,14 +39,16 @@ class Style:
 def operations_with(**changes: str) -> dict[str, str]:
     """Return templates of all operators, some of them changed."""
     plain = {
-        "add": "({0} + {1})", "sub": "({0} - {1})", "mul": "({0} * {1})", "div": "({0} / {1})",
-        "neg": "(-{0})", "square": "({0} * {0})",
-    }  # fmt: skip
+        "add": "({0} + {1})",
+        "sub": "({0} - {1})",
+        "mul": "({0} * {1})",
+        "div": "({0} / {1})",
+        "neg": "(-{0})",
+        "square": "({0} * {0})",
+    }
     names = ("abs", "sqrt", "exp", "log", "sin", "cos", "tan", "atan2", "tanh", "logistic")
     for name in (*names, "min", "max", "sign", "step"):
-        plain[name] = (
-            f"{name}({{0}}, {{1}})" if name in ("atan2", "min", "max") else f"{name}({{0}})"
-        )
+        plain[name] = f"{name}({{0}}, {{1}})" if name in ("atan2", "min", "max") else f"{name}({{0}})"
     return plain | changes
 
 
@@ -72,10 +74,17 @@ def to_latex(graph: Graph) -> str:
         number=_latex_number,
         name=lambda node: r"\mathrm{" + node.name.replace("_", r"\_") + "}",
         operations=operations_with(
-            mul=r"{0} \cdot {1}", div=r"\frac{{{0}}}{{{1}}}", square=r"\left({0}\right)^2",
-            add=r"\left({0} + {1}\right)", sub=r"\left({0} - {1}\right)", neg=r"\left(-{0}\right)",
-            abs=r"\left|{0}\right|", sqrt=r"\sqrt{{{0}}}", logistic=r"\sigma\left({0}\right)",
-            step=r"H\left({0}\right)", sign=r"\operatorname{{sgn}}\left({0}\right)",
+            mul=r"{0} \cdot {1}",
+            div=r"\frac{{{0}}}{{{1}}}",
+            square=r"\left({0}\right)^2",
+            add=r"\left({0} + {1}\right)",
+            sub=r"\left({0} - {1}\right)",
+            neg=r"\left(-{0}\right)",
+            abs=r"\left|{0}\right|",
+            sqrt=r"\sqrt{{{0}}}",
+            logistic=r"\sigma\left({0}\right)",
+            step=r"H\left({0}\right)",
+            sign=r"\operatorname{{sgn}}\left({0}\right)",
             atan2=r"\operatorname{{atan2}}\left({0}, {1}\right)",
             **{f: rf"\{f}\left({{0}}\right)" for f in ("exp", "log", "sin", "cos", "tan", "tanh")},
             **{f: rf"\{f}\left({{0}}, {{1}}\right)" for f in ("min", "max")},
@@ -83,7 +92,7 @@ def to_latex(graph: Graph) -> str:
         power=r"\left({0}\right)^{{{1}}}",
         table=r"T_{{{1}}}\left({0}\right)",
         assign="{0} &= {1}",
-    )  # fmt: skip
+    )
     lines = assignments(graph, style, "t_{{{}}}", lambda name: style.name(Node("input", name=name)))
     return "\\begin{aligned}\n" + " \\\\\n".join(lines) + "\n\\end{aligned}"
 
@@ -126,9 +135,10 @@ def to_python(graph: Graph, name: str = "tick") -> str:
     """
     style = Style(
         number=lambda v: repr(float(v)) if v >= 0 else f"({float(v)!r})",
-        name=lambda node: f'{"inputs" if node.op == "input" else "state"}[{node.name!r}]',
+        name=lambda node: f"{'inputs' if node.op == 'input' else 'state'}[{node.name!r}]",
         operations=operations_with(
-            logistic="(1.0 / (1.0 + math.exp(-{0})))", sign="float(({0} > 0) * 1 - ({0} < 0) * 1)",
+            logistic="(1.0 / (1.0 + math.exp(-{0})))",
+            sign="float(({0} > 0) * 1 - ({0} < 0) * 1)",
             step="float({0} >= 0)",
             **{f: f"math.{f}({{0}})" for f in ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh")},
             atan2="math.atan2({0}, {1})",
@@ -136,12 +146,9 @@ def to_python(graph: Graph, name: str = "tick") -> str:
         power="_power({0}, {1})",
         table="_table({0}, *TABLES[{1}])",
         assign="    {0} = {1}",
-    )  # fmt: skip
+    )
     lines = assignments(graph, style, "t{}", lambda n: f"out[{n!r}]", lambda n: f"after[{n!r}]")
-    tables = [
-        f"    ({t.start!r}, {t.spacing!r}, {list(t.values)!r}, {t.periodic!r}),"
-        for t in graph.tables
-    ]
+    tables = [f"    ({t.start!r}, {t.spacing!r}, {list(t.values)!r}, {t.periodic!r})," for t in graph.tables]
     head = ["TABLES = (", *tables, ")", "", "", f"def {identifier(name)}(inputs, state):"]
     body = ["    out, after = {}, dict(state)", *lines, "    return out, after"]
     return _PYTHON_PRELUDE + "\n".join(head + body) + "\n"
@@ -185,9 +192,8 @@ static double dtwin_table(double x, double start, double spacing, const double *
 
 
 def to_c(
-    graph: Graph, inputs: tuple[str, ...], states: tuple[str, ...], outputs: tuple[str, ...],
-    name: str = "tick",
-) -> str:  # fmt: skip
+    graph: Graph, inputs: tuple[str, ...], states: tuple[str, ...], outputs: tuple[str, ...], name: str = "tick"
+) -> str:
     """Return a C99 file with ``void dtwin_<name>(const double *in, double *state, double *out)``.
 
     Every symbol starts with ``dtwin_``, because C libraries own short names such as ``step``.
@@ -211,17 +217,18 @@ def to_c(
         number=lambda v: f"({float(v)!r})",
         name=leaf,
         operations=operations_with(
-            abs="fabs({0})", logistic="(1.0 / (1.0 + exp(-{0})))", min="dtwin_min({0}, {1})",
-            max="dtwin_max({0}, {1})", sign="dtwin_sign({0})", step="dtwin_at_least_zero({0})",
+            abs="fabs({0})",
+            logistic="(1.0 / (1.0 + exp(-{0})))",
+            min="dtwin_min({0}, {1})",
+            max="dtwin_max({0}, {1})",
+            sign="dtwin_sign({0})",
+            step="dtwin_at_least_zero({0})",
         ),
         power="dtwin_power({0}, {1})",
         table="dtwin_table({0}, DTWIN_TABLE_ARGUMENTS_{1})",
         assign="  const double {0} = {1};",
-    )  # fmt: skip
-    lines = assignments(
-        graph, style, "t{}", lambda n: f"out_{outputs.index(n)}",
-        lambda n: f"after_{states.index(n)}",
-    )  # fmt: skip
+    )
+    lines = assignments(graph, style, "t{}", lambda n: f"out_{outputs.index(n)}", lambda n: f"after_{states.index(n)}")
     lines += [f"  out[{i}] = out_{i};" for i in range(len(outputs))]
     lines += [f"  state[{states.index(n)}] = after_{states.index(n)};" for n in graph.updates]
     tables = [line for i, t in enumerate(graph.tables) for line in _c_table(i, t)]
@@ -241,9 +248,12 @@ def _c_table(i: int, table: Table) -> list[str]:
 
 
 def assignments(
-    graph: Graph, style: Style, temporary: str,
-    output: Callable[[str], str] = str, update: Callable[[str], str] = "next {}".format,
-) -> list[str]:  # fmt: skip
+    graph: Graph,
+    style: Style,
+    temporary: str,
+    output: Callable[[str], str] = str,
+    update: Callable[[str], str] = "next {}".format,
+) -> list[str]:
     """Return one assignment per shared term, then one per output and per update.
 
     Parameters

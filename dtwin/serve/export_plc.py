@@ -100,15 +100,19 @@ def to_structured_text(
         number=_st_number,
         name=lambda node: node.name,
         operations=operations_with(
-            logistic="(1.0 / (1.0 + EXP(-{0})))", sign="DTWIN_SIGN({0})", step="DTWIN_STEP({0})",
-            atan2="DTWIN_ATAN2({0}, {1})", tanh="DTWIN_TANH({0})", log="LN({0})",
+            logistic="(1.0 / (1.0 + EXP(-{0})))",
+            sign="DTWIN_SIGN({0})",
+            step="DTWIN_STEP({0})",
+            atan2="DTWIN_ATAN2({0}, {1})",
+            tanh="DTWIN_TANH({0})",
+            log="LN({0})",
             **{f: f"{f.upper()}({{0}})" for f in ("abs", "sqrt", "exp", "sin", "cos", "tan")},
             **{f: f"{f.upper()}({{0}}, {{1}})" for f in ("min", "max")},
         ),
         power="DTWIN_POWER({0}, {1})",
         table="DTWIN_TABLE_{1}({0})",
         assign="{0} := {1};",
-    )  # fmt: skip
+    )
     lines = assignments(graph, style, "tmp{}", update="next_{}".format)
     temporaries = [line.split(" := ")[0] for line in lines if line.startswith("tmp")]
     held = [*temporaries, *(f"next_{s}" for s in graph.updates)]
@@ -250,9 +254,7 @@ end
 }
 
 
-def to_urscript(
-    graph: Graph, inputs: Sequence[str], states: Sequence[str], name: str = "dtwin_correction"
-) -> str:
+def to_urscript(graph: Graph, inputs: Sequence[str], states: Sequence[str], name: str = "dtwin_correction") -> str:
     """Return a URScript function with the functions that it needs.
 
     It takes the inputs and the states, and returns a list: outputs, then next states. It keeps
@@ -278,14 +280,15 @@ def to_urscript(
         name=lambda node: node.name,
         operations=operations_with(
             logistic="(1.0 / (1.0 + pow(2.718281828459045, (-{0}))))",
-            exp="pow(2.718281828459045, {0})", log="log(2.718281828459045, {0})",
+            exp="pow(2.718281828459045, {0})",
+            log="log(2.718281828459045, {0})",
             **{f: f"dtwin_{f}({{0}})" for f in ("abs", "sign", "step", "tanh")},
             **{f: f"dtwin_{f}({{0}}, {{1}})" for f in ("min", "max")},
         ),
         power="dtwin_power({0}, {1})",
         table="dtwin_table_{1}({0})",
         assign="  local {0} = {1}",
-    )  # fmt: skip
+    )
     lines = assignments(graph, style, "tmp{}", "out_{}".format, "next_{}".format)
     text = "\n".join(lines)
     helpers = [code for word, code in _UR_HELPERS.items() if word + "(" in text]

@@ -92,9 +92,4 @@ def one_of(value: object, allowed: Sequence[str], where: str) -> str:
 
 
 def _wrong_type(where: str, value: object, allowed: str) -> InputError:
-    return InputError(
-        f"{where} has an unusable value",
-        code="bundle.value",
-        got=repr(value)[:80],
-        allowed=allowed,
-    )
+    return InputError(f"{where} has an unusable value", code="bundle.value", got=repr(value)[:80], allowed=allowed)

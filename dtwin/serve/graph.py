@@ -114,9 +114,8 @@ class Graph:
         return {name: values[i] for name, i in self.outputs.items()}, after
 
     def _value(
-        self, node: Node, values: Sequence[float], inputs: Mapping[str, float],
-        state: Mapping[str, float],
-    ) -> float:  # fmt: skip
+        self, node: Node, values: Sequence[float], inputs: Mapping[str, float], state: Mapping[str, float]
+    ) -> float:
         if node.op == "const":
             return node.value
         if node.op == "input":
@@ -138,12 +137,7 @@ class Graph:
             "outputs": dict(self.outputs),
             "updates": dict(self.updates),
             "tables": [
-                {
-                    "start": t.start,
-                    "spacing": t.spacing,
-                    "values": list(t.values),
-                    "periodic": t.periodic,
-                }
+                {"start": t.start, "spacing": t.spacing, "values": list(t.values), "periodic": t.periodic}
                 for t in self.tables
             ],
         }
@@ -177,9 +171,7 @@ def _check_graph(graph: Graph) -> None:
         With the number of the offending node.
     """
     if not 1 <= len(graph.nodes) <= _MAX_NODES:
-        raise _wrong(
-            "the count of nodes is out of range", f"{len(graph.nodes)}", f"1 to {_MAX_NODES}"
-        )
+        raise _wrong("the count of nodes is out of range", f"{len(graph.nodes)}", f"1 to {_MAX_NODES}")
     if sum(len(table.values) for table in graph.tables) > _MAX_TABLE_VALUES:
         raise _wrong("the tables are too large", "", f"{_MAX_TABLE_VALUES} values")
     for i, table in enumerate(graph.tables):
@@ -202,9 +194,8 @@ def _check_node(graph: Graph, node: Node, i: int) -> None:
     arity = OPERATORS[node.op].arity if node.op in OPERATORS else 0
     if len(node.args) != arity or not all(0 <= a < i for a in node.args):
         raise _wrong(
-            f"node {i} ({node.op}) has wrong arguments", str(node.args)[:80],
-            f"{arity} numbers of earlier nodes",
-        )  # fmt: skip
+            f"node {i} ({node.op}) has wrong arguments", str(node.args)[:80], f"{arity} numbers of earlier nodes"
+        )
     if node.op == "const" and not math.isfinite(node.value):
         raise _wrong(f"node {i} is a constant that is not finite", str(node.value), "a number")
     if node.op in ("input", "state") and not node.name:
@@ -218,9 +209,7 @@ def _check_node(graph: Graph, node: Node, i: int) -> None:
 def _check_table(table: Table, i: int) -> None:
     finite = all(math.isfinite(v) for v in (table.start, table.spacing, *table.values))
     if not finite or table.spacing <= 0 or len(table.values) < 2:
-        raise _wrong(
-            f"table {i} is unusable", "", "two or more finite values at a positive spacing"
-        )
+        raise _wrong(f"table {i} is unusable", "", "two or more finite values at a positive spacing")
 
 
 def _node_to_dict(node: Node) -> dict[str, Any]:
@@ -240,9 +229,7 @@ def _node_to_dict(node: Node) -> dict[str, Any]:
 
 def _node_from_dict(data: object, where: str) -> Node:
     op = text(data.get("op"), f"{where}.op") if isinstance(data, dict) else ""
-    extra: tuple[str, ...] = {"const": ("value",), "input": ("name",), "state": ("name",)}.get(
-        op, ("args",)
-    )
+    extra: tuple[str, ...] = {"const": ("value",), "input": ("name",), "state": ("name",)}.get(op, ("args",))
     extra += {"pow_int": ("n",), "lookup": ("table",)}.get(op, ())
     fields = only_fields(data, ("op", *extra), where)
     args = _listed(fields.get("args", []), f"{where}.args", 2)

@@ -116,9 +116,7 @@ class InForce:
         """Return for how long a correction has been sent and has not come into force."""
         if not self.engaged or self._behind == 0:
             return 0.0
-        return now_s - float(
-            self._sent_s[(self._n - min(self._behind, _REMEMBERED) + 1) % _REMEMBERED]
-        )
+        return now_s - float(self._sent_s[(self._n - min(self._behind, _REMEMBERED) + 1) % _REMEMBERED])
 
     @property
     def rests(self) -> bool:

@@ -11,9 +11,7 @@ from dtwin.serve.fields import number, one_of, only_fields, text, whole
 
 _SOURCES = ("path", "controller", "covariate", "feature")
 _INPUT_FRAMES = ("none", "path", "joint", "base", "sensor")
-OUTPUT_FRAMES = (
-    "path_radial", "path_tangential", "path_normal", "base_x", "base_y", "base_z",
-)  # fmt: skip
+OUTPUT_FRAMES = ("path_radial", "path_tangential", "path_normal", "base_x", "base_y", "base_z")
 _ROLES = ("error", "correction")
 _EVIDENCE = ("none", "virtual", "real")
 _MAX_LISTED = 512
@@ -110,14 +108,16 @@ class SafetyLimits:
     def __post_init__(self) -> None:
         """Refuse limits that would switch a guard off."""
         positive = (
-            self.clamp_um, self.slew_um_s, self.stale_s, self.window_stale_s,
-            self.shrink_span, float(self.trips_to_latch),
-        )  # fmt: skip
+            self.clamp_um,
+            self.slew_um_s,
+            self.stale_s,
+            self.window_stale_s,
+            self.shrink_span,
+            float(self.trips_to_latch),
+        )
         if not all(0 < value < 1e9 for value in positive):
             raise InputError(
-                "every safety limit must be positive and finite",
-                code="bundle.safety",
-                got=str(asdict(self))[:200],
+                "every safety limit must be positive and finite", code="bundle.safety", got=str(asdict(self))[:200]
             )
 
 
@@ -186,10 +186,14 @@ def read_input(data: object) -> Input:
     f = only_fields(data, tuple(Input.__dataclass_fields__), "input")
     name = text(f["name"], "input.name")
     return Input(
-        name, text(f["unit"], name), one_of(f["frame"], _INPUT_FRAMES, f"{name}.frame"),
-        number(f["rate_hz"], f"{name}.rate_hz"), one_of(f["source"], _SOURCES, f"{name}.source"),
-        number(f["low"], f"{name}.low"), number(f["high"], f"{name}.high"),
-    )  # fmt: skip
+        name,
+        text(f["unit"], name),
+        one_of(f["frame"], _INPUT_FRAMES, f"{name}.frame"),
+        number(f["rate_hz"], f"{name}.rate_hz"),
+        one_of(f["source"], _SOURCES, f"{name}.source"),
+        number(f["low"], f"{name}.low"),
+        number(f["high"], f"{name}.high"),
+    )
 
 
 def read_output(data: object) -> Output:
@@ -197,16 +201,17 @@ def read_output(data: object) -> Output:
     f = only_fields(data, tuple(Output.__dataclass_fields__), "output")
     name = text(f["name"], "output.name")
     return Output(
-        name, one_of(f["frame"], OUTPUT_FRAMES, f"{name}.frame"),
-        one_of(f["role"], _ROLES, f"{name}.role"), one_of(f["unit"], ("um",), f"{name}.unit"),
-    )  # fmt: skip
+        name,
+        one_of(f["frame"], OUTPUT_FRAMES, f"{name}.frame"),
+        one_of(f["role"], _ROLES, f"{name}.role"),
+        one_of(f["unit"], ("um",), f"{name}.unit"),
+    )
 
 
 def read_state(data: object) -> State:
     """Return one declared state."""
     f = only_fields(data, tuple(State.__dataclass_fields__), "state")
-    return State(text(f["name"], "state.name"), text(f["unit"], "state.unit"),
-                 number(f["initial"], "state.initial"))  # fmt: skip
+    return State(text(f["name"], "state.name"), text(f["unit"], "state.unit"), number(f["initial"], "state.initial"))
 
 
 def read_safety(data: object) -> SafetyLimits:
@@ -214,13 +219,14 @@ def read_safety(data: object) -> SafetyLimits:
     f = only_fields(data, tuple(SafetyLimits.__dataclass_fields__), "safety")
     outside = one_of(f["outside"], ("zero", "shrink"), "safety.outside")
     return SafetyLimits(
-        number(f["clamp_um"], "safety.clamp_um"), number(f["slew_um_s"], "safety.slew_um_s"),
+        number(f["clamp_um"], "safety.clamp_um"),
+        number(f["slew_um_s"], "safety.slew_um_s"),
         number(f["stale_s"], "safety.stale_s"),
         number(f["window_stale_s"], "safety.window_stale_s"),
         "zero" if outside == "zero" else "shrink",
         number(f["shrink_span"], "safety.shrink_span"),
         whole(f["trips_to_latch"], "safety.trips_to_latch"),
-    )  # fmt: skip
+    )
 
 
 def read_provenance(data: object) -> Provenance:
@@ -235,11 +241,13 @@ def read_provenance(data: object) -> Provenance:
     if not 0.0 <= valid_days <= _LONGEST_DAYS:
         raise wrong("evidence cannot hold for so long", f"{valid_days:g} days")
     return Provenance(
-        text(f["code_version"], "code_version"), text(f["mlflow_version"], "mlflow_version"),
+        text(f["code_version"], "code_version"),
+        text(f["mlflow_version"], "mlflow_version"),
         {k: whole(v, f"table_versions.{k}") for k, v in tables.items()},
-        one_of(f["evidence"], _EVIDENCE, "provenance.evidence"), dict(gates),
+        one_of(f["evidence"], _EVIDENCE, "provenance.evidence"),
+        dict(gates),
         valid_days,
-    )  # fmt: skip
+    )
 
 
 def read_vectors(data: object) -> TestVectors:
@@ -254,10 +262,12 @@ def read_vectors(data: object) -> TestVectors:
     }
     features = sequence(f["window_features"], "vectors.window_features", 1_000_000)
     return TestVectors(
-        rows["inputs"], rows["features"], rows["outputs"],
+        rows["inputs"],
+        rows["features"],
+        rows["outputs"],
         whole(f["window_seed"], "vectors.window_seed"),
         tuple(number(v, "vectors.window_features") for v in features),
-    )  # fmt: skip
+    )
 
 
 def sequence(data: object, where: str, longest: int = _MAX_LISTED) -> Sequence[Any]:

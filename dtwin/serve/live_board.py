@@ -24,10 +24,23 @@ from dtwin.serve.machine_file import machine_folder
 from dtwin.serve.safety import REASONS
 
 COLUMNS = (
-    "stamp_s", "interval_s", "age_s", "window_age_s", "correction_x_um", "correction_y_um",
-    "correction_z_um", "reason", "actual_x_mm", "actual_y_mm", "actual_z_mm", "centre_x_mm",
-    "centre_y_mm", "centre_z_mm", "radius_mm", "segment",
-)  # fmt: skip
+    "stamp_s",
+    "interval_s",
+    "age_s",
+    "window_age_s",
+    "correction_x_um",
+    "correction_y_um",
+    "correction_z_um",
+    "reason",
+    "actual_x_mm",
+    "actual_y_mm",
+    "actual_z_mm",
+    "centre_x_mm",
+    "centre_y_mm",
+    "centre_z_mm",
+    "radius_mm",
+    "segment",
+)
 """Columns of a row, in their order."""
 
 _FORMAT = 2026.0
@@ -98,9 +111,13 @@ class LiveBoard:
         self._head[_FORMAT_AT] = _FORMAT
 
     def show(
-        self, state: Floats, correction_um: Floats, reason: int, times_s: tuple[float, float, float],
+        self,
+        state: Floats,
+        correction_um: Floats,
+        reason: int,
+        times_s: tuple[float, float, float],
         counts: tuple[int, int],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Show a tick.
 
         Parameters

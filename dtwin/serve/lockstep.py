@@ -34,9 +34,14 @@ class Controller(Protocol):
 
 
 def serve_lockstep(
-    decision: Decision, controller: Controller, *, period_s: float = 0.002, mode: Mode = "live",
-    transport_ticks: int = 1, stop: Callable[[], bool] | None = None,
-) -> ServeStatus:  # fmt: skip
+    decision: Decision,
+    controller: Controller,
+    *,
+    period_s: float = 0.002,
+    mode: Mode = "live",
+    transport_ticks: int = 1,
+    stop: Callable[[], bool] | None = None,
+) -> ServeStatus:
     """Serve a virtual controller on its own clock, one tick at a time, until it is done.
 
     Parameters
@@ -73,9 +78,7 @@ def serve_lockstep(
         state = controller.state()
         stopped = stopped or (stop is not None and stop())
         row = timing.stages()
-        safe = decision.decide(
-            state, age_s=0.0, elapsed_s=period_s, enabled=not stopped, stages=row
-        )
+        safe = decision.decide(state, age_s=0.0, elapsed_s=period_s, enabled=not stopped, stages=row)
         largest = max(largest, float(np.sqrt(safe @ safe)))
         arriving = queue[sequence % len(queue)]
         arriving[layout.REGISTER_SEQUENCE] = 0.0 if mode == "shadow" else sequence + 1

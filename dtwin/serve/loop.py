@@ -122,10 +122,17 @@ class ServingLoop:
     """
 
     def __init__(
-        self, decision: Decision, link: Link, *, period_s: float = 0.002, mode: Mode = "live",
-        first_sequence: int = 1, note: Note = no_journal, board: LiveBoard | None = None,
+        self,
+        decision: Decision,
+        link: Link,
+        *,
+        period_s: float = 0.002,
+        mode: Mode = "live",
+        first_sequence: int = 1,
+        note: Note = no_journal,
+        board: LiveBoard | None = None,
         echoed: bool = True,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.decision, self.link, self.mode = decision, link, mode
         self._board = board
         self.timing = LoopTiming(period_s)
@@ -156,9 +163,14 @@ class ServingLoop:
         self.decision.guard.out_um[:] = 0.0
 
     def run(
-        self, duration_s: float, *, stop: Callable[[], bool] | None = None, priority: int = 60,
-        core: int | None = None, begin: Callable[[], None] | None = None,
-    ) -> ServeStatus:  # fmt: skip
+        self,
+        duration_s: float,
+        *,
+        stop: Callable[[], bool] | None = None,
+        priority: int = 60,
+        core: int | None = None,
+        begin: Callable[[], None] | None = None,
+    ) -> ServeStatus:
         """Serve until the time is up, a stop is asked for, or the device fails.
 
         Whatever ends it, the correction is led to zero and zero is sent, as long as the link
@@ -239,10 +251,13 @@ class ServingLoop:
         self.decision.hold = self.watch.hold(state, now_s)
         row = self.timing.stages()
         safe = self.decision.decide(
-            state, age_s=now_s - self._heard_s,
-            elapsed_s=self._room_um() / self.decision.guard.limits.slew_um_s, enabled=True,
-            stages=row, found=found,
-        )  # fmt: skip
+            state,
+            age_s=now_s - self._heard_s,
+            elapsed_s=self._room_um() / self.decision.guard.limits.slew_um_s,
+            enabled=True,
+            stages=row,
+            found=found,
+        )
         reason = self.decision.guard.reason
         trouble = self.decision.trouble if reason in (NOT_FINITE, IMPOSSIBLE) else ""
         self.watch.reason(reason, now_s, trouble)
@@ -255,14 +270,21 @@ class ServingLoop:
         self.timing.applied(self._number_in_force(), stamp_s)
         age_s, window_age_s = time.monotonic() - self.link.received_s, self.decision.window_age_s
         self.timing.tick(
-            interval_s, step_s, age_s, window_age_s, stamp_s=stamp_s,
+            interval_s,
+            step_s,
+            age_s,
+            window_age_s,
+            stamp_s=stamp_s,
             sequence=0 if self.mode == "shadow" else self._in_force.sequence,
-        )  # fmt: skip
+        )
         if self._board is not None:
             self._board.show(
-                state, sent_um, self.decision.guard.reason, (interval_s, age_s, window_age_s),
+                state,
+                sent_um,
+                self.decision.guard.reason,
+                (interval_s, age_s, window_age_s),
                 (self.timing.late, self.timing.missed),
-            )  # fmt: skip
+            )
         self._last_s, self._last_stamp_s = now_s, stamp_s
 
     def _found(self, stamp_s: float, interval_s: float, *, engaged: bool) -> int:
@@ -318,9 +340,10 @@ class ServingLoop:
             self.decision.guard.out_um[:] = 0.0
         safe = self.decision.release(
             elapsed_s=room_um / self.decision.guard.limits.slew_um_s,
-            age_s=max(now_s - self._heard_s, self._in_force.overdue_s(now_s)), enabled=enabled,
+            age_s=max(now_s - self._heard_s, self._in_force.overdue_s(now_s)),
+            enabled=enabled,
             found=OK if engaged else ENGAGING,
-        )  # fmt: skip
+        )
         if room_um > 0.0 or again:
             self._send(safe)
         self._leading_back = room_um > 0.0 and not self.decision.guard.at_rest

@@ -116,9 +116,14 @@ class MachineServing:
     """
 
     def __init__(
-        self, request: ServingRequest, decision: Decision, connect: Connect, note: Note,
-        withdrawn: Withdrawn = str, board: LiveBoard | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        request: ServingRequest,
+        decision: Decision,
+        connect: Connect,
+        note: Note,
+        withdrawn: Withdrawn = str,
+        board: LiveBoard | None = None,
+    ) -> None:
         self._withdrawn, self._board = withdrawn, board
         self._request, self._decision, self._connect, self._note = request, decision, connect, note
         self.reconnects, self.realtime = 0, False
@@ -140,16 +145,19 @@ class MachineServing:
         until_s = time.monotonic() + self._request.duration_s
         first = self._first_sequence()
         self._loop = loop = ServingLoop(
-            self._decision, self._link, period_s=1.0 / self._request.rate_hz, mode=self._request.mode,
-            first_sequence=first, note=self._note, board=self._board, echoed=self._request.echoed,
-        )  # fmt: skip
+            self._decision,
+            self._link,
+            period_s=1.0 / self._request.rate_hz,
+            mode=self._request.mode,
+            first_sequence=first,
+            note=self._note,
+            board=self._board,
+            echoed=self._request.echoed,
+        )
         while True:
             stops = _Stops(asked, loop, self._decision, self._request, self._withdrawn)
             left_s = until_s - time.monotonic()
-            status = loop.run(
-                max(left_s, 0.0), stop=stops, priority=self._request.priority,
-                begin=self._link.begin,
-            )  # fmt: skip
+            status = loop.run(max(left_s, 0.0), stop=stops, priority=self._request.priority, begin=self._link.begin)
             status = dataclasses.replace(status, reconnects=self.reconnects)
             if status.fault is not None and self._may_return(status.ended):
                 self._note(LINK_LOST, why=status.ended, said=status.fault["message"])
@@ -170,9 +178,7 @@ class MachineServing:
         link = self._connect()
         try:
             if link.wait_state(_FIRST_STATE_S) is None:
-                raise DeviceError(
-                    "the machine sends no states", code="states.silent", where=self._request.where
-                )
+                raise DeviceError("the machine sends no states", code="states.silent", where=self._request.where)
         except BaseException:
             link.close()
             raise
@@ -221,9 +227,8 @@ class _Stops:
     """Asked every tick whether to end, and afterwards why."""
 
     def __init__(
-        self, asked: Stop, loop: ServingLoop, decision: Decision, request: ServingRequest,
-        withdrawn: Withdrawn,
-    ) -> None:  # fmt: skip
+        self, asked: Stop, loop: ServingLoop, decision: Decision, request: ServingRequest, withdrawn: Withdrawn
+    ) -> None:
         self._asked, self._watch, self._guard = asked, loop.watch, decision.guard
         self._sensors, self._patience_s = decision.sensors, request.patience_s
         self._withdrawn, self._reason = withdrawn, ""
@@ -232,8 +237,7 @@ class _Stops:
     def __call__(self) -> bool:
         condition = self._watch.condition
         if condition == "emergency_stop" or (
-            condition == "protective_stop"
-            and time.monotonic() - self._watch.since_s >= self._patience_s
+            condition == "protective_stop" and time.monotonic() - self._watch.since_s >= self._patience_s
         ):
             self.why = "safety_stop"
         elif self._guard.latched:

@@ -75,16 +75,17 @@ class Resolved:
 
     def describe(self) -> str:
         """Return one line for the terminal."""
-        return (
-            f"{self.machine}: version {self.version} ({self.state}), "
-            f"{self.path.name}, sha256 {self.sha256[:12]}"
-        )
+        return f"{self.machine}: version {self.version} ({self.state}), {self.path.name}, sha256 {self.sha256[:12]}"
 
 
 def write_pointer(
-    machine: str, home: Home, bundle: Path, version: int,
-    state: Literal["champion", "trial", "candidate", "barred"], proved: str = "",
-) -> Path:  # fmt: skip
+    machine: str,
+    home: Home,
+    bundle: Path,
+    version: int,
+    state: Literal["champion", "trial", "candidate", "barred"],
+    proved: str = "",
+) -> Path:
     """Point to a bundle, atomically, and return the pointer's path.
 
     A trial goes to ``trial.json``, every other state to ``champion.json``.
@@ -124,9 +125,12 @@ def write_pointer(
     told = mapping(parse_json(raw, path), str(path)).get("model_version")
     if told != version:
         raise InputError(
-            "the bundle is of another version", code="pointer.version", where=str(path),
-            got=str(told)[:40], allowed=str(version),
-        )  # fmt: skip
+            "the bundle is of another version",
+            code="pointer.version",
+            where=str(path),
+            got=str(told)[:40],
+            allowed=str(version),
+        )
     content = {
         "bundle": path.name,
         "sha256": hashlib.sha256(raw).hexdigest(),
@@ -168,9 +172,7 @@ def on_trial(machine: str, home: Home) -> int | None:
         Where state lives.
     """
     found = read_sealed(machine_folder(machine, home), TRIAL)
-    return (
-        None if found is None else whole(only_fields(found, _FIELDS, TRIAL)["version"], "version")
-    )
+    return None if found is None else whole(only_fields(found, _FIELDS, TRIAL)["version"], "version")
 
 
 def clear_trial(machine: str, home: Home) -> None:
@@ -241,10 +243,12 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
         found = _follow(model, only_machine(home, model) if machine is None else machine, home)
     else:
         raise InputError(
-            "unknown model", code="serve.model", got=model[:80],
+            "unknown model",
+            code="serve.model",
+            got=model[:80],
             allowed="latest, trial, or the path of a bundle's .json file",
             hint="dtwin promote moves the pointer that latest follows",
-        )  # fmt: skip
+        )
     why = barred_why(found.machine, home, found.version)
     if why and found.state in _SERVED_LIVE:
         found = dataclasses.replace(found, state="barred")
@@ -274,9 +278,8 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
     found = read_sealed(folder, pointer.name)
     if found is None:
         raise InputError(
-            "the file cannot be read", code="bundle.missing", where=str(pointer),
-            hint="dtwin promote writes it",
-        )  # fmt: skip
+            "the file cannot be read", code="bundle.missing", where=str(pointer), hint="dtwin promote writes it"
+        )
     fields = only_fields(found, _FIELDS, str(pointer))
     path = _inside(folder, text(fields["bundle"], "bundle"))
     states = tuple(state for state in STATES if (state == "trial") == (model == "trial"))
@@ -293,10 +296,13 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
     bundle, _ = _read_bundle(path)
     if bundle.model_version != version:
         raise GateRefusal(
-            "the pointer names another version than its bundle does", code="pointer.version",
-            where=str(pointer), got=str(version), allowed=str(bundle.model_version),
+            "the pointer names another version than its bundle does",
+            code="pointer.version",
+            where=str(pointer),
+            got=str(version),
+            allowed=str(bundle.model_version),
             hint="dtwin promote writes bundle and pointer together",
-        )  # fmt: skip
+        )
     proved = text(fields["proved"], "proved")
     return Resolved(path, sha256, bundle.model_version, state, machine, proved)
 
@@ -326,9 +332,7 @@ def _inside(folder: Path, name: str) -> Path:
     root = folder.resolve()
     path = (root / name).resolve()
     if path.parent != root:
-        raise InputError(
-            "the bundle's file leaves its folder", code="pointer.outside", got=name[:120]
-        )
+        raise InputError("the bundle's file leaves its folder", code="pointer.outside", got=name[:120])
     return path
 
 

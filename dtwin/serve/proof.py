@@ -31,9 +31,7 @@ def _test_window(contract: WindowContract, seed: int) -> Floats:
     """
     count = len(contract.channels) * contract.n_samples
     with np.errstate(over="ignore"):
-        z = np.uint64(seed) + np.arange(1, count + 1, dtype=np.uint64) * np.uint64(
-            0x9E3779B97F4A7C15
-        )
+        z = np.uint64(seed) + np.arange(1, count + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
         z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         z ^= z >> np.uint64(31)
@@ -81,9 +79,7 @@ def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
 
 
 def _reference_outputs(
-    bundle: Bundle,
-    inputs: tuple[tuple[float, ...], ...],
-    features: tuple[tuple[float, ...], ...],
+    bundle: Bundle, inputs: tuple[tuple[float, ...], ...], features: tuple[tuple[float, ...], ...]
 ) -> tuple[tuple[float, ...], ...]:
     """Return the outputs of successive ticks by the slow evaluation of the graphs.
 

@@ -34,9 +34,7 @@ def proof_of(found: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]
     return f"last proved {when:%Y-%m-%d}, {max(age.days, 0)} days ago{limit}", holds
 
 
-def require_proof(
-    found: Resolved, bundle: Bundle, when_expired: WhenExpired, now: datetime | None = None
-) -> str:
+def require_proof(found: Resolved, bundle: Bundle, when_expired: WhenExpired, now: datetime | None = None) -> str:
     """Return what is to be told of a champion's proof before it moves a machine.
 
     Parameters
@@ -59,10 +57,12 @@ def require_proof(
     if when_expired == "warn":
         return f"WARNING: the evidence has expired: {told}"
     raise GateRefusal(
-        "the evidence for this model has expired", code="serve.expired", where=str(found.path),
-        got=told, hint="dtwin recheck proves it anew; or look at it with --shadow; "
-        "--expired warn serves it all the same",
-    )  # fmt: skip
+        "the evidence for this model has expired",
+        code="serve.expired",
+        where=str(found.path),
+        got=told,
+        hint="dtwin recheck proves it anew; or look at it with --shadow; --expired warn serves it all the same",
+    )
 
 
 def _moment(text: str) -> datetime | None:

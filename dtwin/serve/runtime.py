@@ -22,9 +22,7 @@ class CompiledBundle:
         self.bundle = bundle
         ticks, held = len(bundle.tick_inputs), bundle.feature_inputs + bundle.intermediates
         outputs = tuple(o.name for o in bundle.outputs)
-        self._tape = Tape(
-            bundle.tick_graph, bundle.tick_inputs + held, bundle.initial_state, outputs
-        )
+        self._tape = Tape(bundle.tick_graph, bundle.tick_inputs + held, bundle.initial_state, outputs)
         self._window_tape = (
             Tape(bundle.window_graph, bundle.feature_inputs, {}, bundle.intermediates)
             if bundle.window_graph is not None

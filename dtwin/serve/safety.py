@@ -10,14 +10,39 @@ from dtwin.schema import Floats
 from dtwin.serve.interface import SafetyLimits
 
 (
-    OK, DISABLED, NOT_FINITE, STALE, STALE_WINDOW, OUTSIDE, SHRUNK, CLAMPED, SLEWED, LATCHED, DEVICE,
-    STALLED, IMPOSSIBLE, JUMPED, ENGAGING,
-) = range(15)  # fmt: skip
+    OK,
+    DISABLED,
+    NOT_FINITE,
+    STALE,
+    STALE_WINDOW,
+    OUTSIDE,
+    SHRUNK,
+    CLAMPED,
+    SLEWED,
+    LATCHED,
+    DEVICE,
+    STALLED,
+    IMPOSSIBLE,
+    JUMPED,
+    ENGAGING,
+) = range(15)
 REASONS: tuple[str, ...] = (
-    "ok", "disabled", "not_finite", "stale", "stale_window", "outside_box", "shrunk", "clamped",
-    "slew_limited", "latched", "device_stopped", "stalled", "impossible_state", "clock_jump",
+    "ok",
+    "disabled",
+    "not_finite",
+    "stale",
+    "stale_window",
+    "outside_box",
+    "shrunk",
+    "clamped",
+    "slew_limited",
+    "latched",
+    "device_stopped",
+    "stalled",
+    "impossible_state",
+    "clock_jump",
     "engaging",
-)  # fmt: skip
+)
 """Why the guard acts. ``stalled``: the loop itself was away for too long; ``impossible_state``,
 ``clock_jump``: what came is no state of a machine, or its stamps do not go on; ``engaging``: nothing of
 ours is in force yet, or no more, and zeros are sent until it is."""
@@ -76,9 +101,17 @@ def _scaled(vector: Floats, longest: float) -> bool:
 
 @compiled
 def guard_kernel(
-    wanted_um: Floats, factor: float, age_s: float, window_age_s: float, elapsed_s: float,
-    enabled: bool, found: int, limits: Floats, memory: Floats, out_um: Floats,
-) -> int:  # fmt: skip
+    wanted_um: Floats,
+    factor: float,
+    age_s: float,
+    window_age_s: float,
+    elapsed_s: float,
+    enabled: bool,
+    found: int,
+    limits: Floats,
+    memory: Floats,
+    out_um: Floats,
+) -> int:
     """Turn a wanted correction into one that is safe to send.
 
     Parameters
@@ -164,16 +197,23 @@ def guard_kernel(
 
 @compiled
 def _guard_many(
-    wanted_um: Floats, inputs: Floats, low: Floats, high: Floats, span: float, elapsed_s: float,
-    limits: Floats, memory: Floats, out_um: Floats, sent_um: Floats, counts: NDArray[np.int64],
-) -> int:  # fmt: skip
+    wanted_um: Floats,
+    inputs: Floats,
+    low: Floats,
+    high: Floats,
+    span: float,
+    elapsed_s: float,
+    limits: Floats,
+    memory: Floats,
+    out_um: Floats,
+    sent_um: Floats,
+    counts: NDArray[np.int64],
+) -> int:
     """Guard successive ticks into ``sent_um``; return the last reason."""
     reason = DISABLED
     for tick in range(wanted_um.shape[0]):
         factor = box_factor(inputs[tick], low, high, span)
-        reason = guard_kernel(
-            wanted_um[tick], factor, 0.0, 0.0, elapsed_s, True, OK, limits, memory, out_um
-        )
+        reason = guard_kernel(wanted_um[tick], factor, 0.0, 0.0, elapsed_s, True, OK, limits, memory, out_um)
         counts[reason] += 1
         sent_um[tick] = out_um
     return reason
@@ -196,13 +236,7 @@ class Guard:
         self._high = np.ascontiguousarray(high, dtype=np.float64)
         self._span = limits.shrink_span if limits.outside == "shrink" else 0.0
         self._limits = np.array(
-            [
-                limits.clamp_um,
-                limits.slew_um_s,
-                limits.stale_s,
-                limits.window_stale_s,
-                limits.trips_to_latch,
-            ]
+            [limits.clamp_um, limits.slew_um_s, limits.stale_s, limits.window_stale_s, limits.trips_to_latch]
         )
         self._memory = np.zeros(4)
         self.out_um = np.zeros(3)
@@ -232,9 +266,17 @@ class Guard:
         self.reason = DISABLED
 
     def step(
-        self, wanted_um: Floats, inputs: Floats, *, age_s: float, elapsed_s: float,
-        window_age_s: float = 0.0, enabled: bool = True, device_ok: bool = True, found: int = OK,
-    ) -> Floats:  # fmt: skip
+        self,
+        wanted_um: Floats,
+        inputs: Floats,
+        *,
+        age_s: float,
+        elapsed_s: float,
+        window_age_s: float = 0.0,
+        enabled: bool = True,
+        device_ok: bool = True,
+        found: int = OK,
+    ) -> Floats:
         """Return the correction (3,) in um that may be sent; the next call overwrites it.
 
         Parameters
@@ -254,9 +296,17 @@ class Guard:
         """
         factor = box_factor(inputs, self._low, self._high, self._span)
         self.reason = guard_kernel(
-            wanted_um, factor, age_s, window_age_s, elapsed_s, enabled,
-            found if device_ok else DEVICE, self._limits, self._memory, self.out_um,
-        )  # fmt: skip
+            wanted_um,
+            factor,
+            age_s,
+            window_age_s,
+            elapsed_s,
+            enabled,
+            found if device_ok else DEVICE,
+            self._limits,
+            self._memory,
+            self.out_um,
+        )
         self.counts[self.reason] += 1
         return self.out_um
 
@@ -274,9 +324,18 @@ class Guard:
         """
         sent = np.empty(wanted_um.shape)
         self.reason = _guard_many(
-            np.ascontiguousarray(wanted_um), np.ascontiguousarray(inputs), self._low, self._high,
-            self._span, elapsed_s, self._limits, self._memory, self.out_um, sent, self.counts,
-        )  # fmt: skip
+            np.ascontiguousarray(wanted_um),
+            np.ascontiguousarray(inputs),
+            self._low,
+            self._high,
+            self._span,
+            elapsed_s,
+            self._limits,
+            self._memory,
+            self.out_um,
+            sent,
+            self.counts,
+        )
         return sent
 
     def counted(self) -> dict[str, int]:

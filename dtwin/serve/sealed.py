@@ -115,9 +115,11 @@ def locked(folder: Path) -> Iterator[None]:
         handle = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
     except OSError as error:
         raise StoreError(
-            "the machine's folder cannot be written", code="bundle.write", where=str(folder),
+            "the machine's folder cannot be written",
+            code="bundle.write",
+            where=str(folder),
             got=error.strerror or str(error),
-        ) from error  # fmt: skip
+        ) from error
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
         mine = _held.set(_held.get() | {folder})
@@ -158,14 +160,15 @@ def _remove(path: Path) -> None:
         path.unlink(missing_ok=True)
     except OSError as error:
         raise StoreError(
-            "the file cannot be removed", code="pointer.write", where=str(path),
-            got=error.strerror or str(error),
-        ) from error  # fmt: skip
+            "the file cannot be removed", code="pointer.write", where=str(path), got=error.strerror or str(error)
+        ) from error
 
 
 def _broken(path: Path, code: str, text: str) -> GateRefusal:
     return GateRefusal(
-        text, code=code, where=str(path),
+        text,
+        code=code,
+        where=str(path),
         hint=f"put the folder back from a copy; or look whether champion, machine and withdrawn versions "
         f"are right, remove {SEAL} there, and dtwin promote again; of a home that an earlier version made: dtwin migrate",
-    )  # fmt: skip
+    )

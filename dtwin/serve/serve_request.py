@@ -85,9 +85,14 @@ class ServeRequest:
         end = "control" if self.axes else "robot" if self.analogue is None else "board"
         known_hz = RATE_HZ if self.analogue is None else self.analogue.states_hz
         return ServingRequest(
-            f"{end} at {self.place}", self.mode, self.longest_s, self.patience_s, self.priority,
-            rate_hz or known_hz, echoed=self.analogue is None,
-        )  # fmt: skip
+            f"{end} at {self.place}",
+            self.mode,
+            self.longest_s,
+            self.patience_s,
+            self.priority,
+            rate_hz or known_hz,
+            echoed=self.analogue is None,
+        )
 
     def __post_init__(self) -> None:
         """Refuse a time that is none."""
@@ -107,10 +112,7 @@ class ServeRequest:
             )
         if not 0 <= self.priority <= 99:
             raise InputError(
-                "no such priority",
-                code="serve.priority",
-                got=str(self.priority),
-                allowed="0 (none) to 99",
+                "no such priority", code="serve.priority", got=str(self.priority), allowed="0 (none) to 99"
             )
 
 

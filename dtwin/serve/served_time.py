@@ -12,15 +12,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.schema import MIXED_CORRECTION, require_name
-from dtwin.serve.journal import (
-    ENDED,
-    KILLED,
-    LINK_LOST,
-    NOT_RELEASED,
-    RECONNECTED,
-    RELEASED,
-    SERVING,
-)
+from dtwin.serve.journal import ENDED, KILLED, LINK_LOST, NOT_RELEASED, RECONNECTED, RELEASED, SERVING
 
 _ENDS = (RELEASED, NOT_RELEASED, ENDED, KILLED)
 _FOREVER = datetime.max.replace(tzinfo=UTC)
@@ -78,9 +70,11 @@ def served_stretches(home: Home, machine: str) -> list[ServedStretch]:
         lines = path.read_bytes().splitlines() if path.exists() else []
     except OSError as error:
         raise StoreError(
-            "the journal of the serving sessions cannot be read", code="served.journal",
-            where=str(path), got=error.strerror or str(error),
-        ) from error  # fmt: skip
+            "the journal of the serving sessions cannot be read",
+            code="served.journal",
+            where=str(path),
+            got=error.strerror or str(error),
+        ) from error
     return _stretches(_events(lines))
 
 
@@ -110,11 +104,13 @@ def served_during(
     if len(touched) == 1 and first.begin <= begin and end <= first.end:
         return first
     raise InputError(
-        "a correction was in force during a part of the run only", code="served.partly",
-        where=where, got=", ".join(_told(s) for s in touched[:4]),
+        "a correction was in force during a part of the run only",
+        code="served.partly",
+        where=where,
+        got=", ".join(_told(s) for s in touched[:4]),
         allowed=f"one correction or none from {begin.isoformat()} to {end.isoformat()}",
         hint="measure it again; start dtwin serve before the recording and end it afterwards",
-    )  # fmt: skip
+    )
 
 
 def correction_in_force(home: Home, machine: str) -> Callable[[datetime, datetime], str]:
@@ -170,9 +166,12 @@ def _stretches(events: Iterable[Mapping[str, Any]]) -> list[ServedStretch]:
             done += [replace(left, end=event["at"]) for left in going.values()]
             going.clear()
             going[session] = ServedStretch(
-                event["at"], _FOREVER, str(event.get("model_sha256", "")),
-                str(event.get("device", "real")), bool(event.get("trial", False)),
-            )  # fmt: skip
+                event["at"],
+                _FOREVER,
+                str(event.get("model_sha256", "")),
+                str(event.get("device", "real")),
+                bool(event.get("trial", False)),
+            )
         elif what == LINK_LOST and session in going:
             lost[session] = replace(going.pop(session), end=event["at"])
             done.append(lost[session])

@@ -39,9 +39,7 @@ Announce = Callable[[str], None]
 OpenSensors = Callable[[WindowContract], AbstractContextManager[SensorSource]]
 
 
-def serve(
-    request: ServeRequest, home: Home, announce: Announce, open_sensors: OpenSensors | None = None
-) -> Served:
+def serve(request: ServeRequest, home: Home, announce: Announce, open_sensors: OpenSensors | None = None) -> Served:
     """Serve a model to a robot until the time is up, a stop is asked for, or something fails.
 
     Call it in the main thread of a process that runs nothing else.
@@ -88,9 +86,8 @@ def serve(
 
 
 def _serve_resolved(
-    request: ServeRequest, resolved: Resolved, home: Home, announce: Announce,
-    open_sensors: OpenSensors | None,
-) -> Served:  # fmt: skip
+    request: ServeRequest, resolved: Resolved, home: Home, announce: Announce, open_sensors: OpenSensors | None
+) -> Served:
     compiled = load_bundle(resolved.path, resolved.machine)
     # Of the model as it was promoted: a trial's clamp is no other model.
     model_sha256 = compiled.bundle.model_sha256
@@ -119,51 +116,55 @@ def _serve_resolved(
         held.callback(door.close)
         rate_hz = door.rate_hz
         decision = Decision(
-            compiled, machine.tcp if machine else NO_TOOL_MM, request.covariates,
-            sensors or inputs.windows, inputs.live, machine.largest if machine else None,
-        )  # fmt: skip
+            compiled,
+            machine.tcp if machine else NO_TOOL_MM,
+            request.covariates,
+            sensors or inputs.windows,
+            inputs.live,
+            machine.largest if machine else None,
+        )
         board = None
         # A shadow holds no lease: the board belongs to who holds it.
         if request.mode != "shadow":
-            board = held.enter_context(live_board(
-                resolved.machine, home, clamp_um=bundle.safety.clamp_um,
-                period_s=1.0 / rate_hz, started_s=time.time(),
-            ))  # fmt: skip
+            board = held.enter_context(
+                live_board(
+                    resolved.machine,
+                    home,
+                    clamp_um=bundle.safety.clamp_um,
+                    period_s=1.0 / rate_hz,
+                    started_s=time.time(),
+                )
+            )
         barred = BarredWatch(resolved.machine, home, resolved.version)
         run: Callable[[Stop], ServeStatus]
         if isinstance(door, AxisDoor) and door.clock == "machine":
-            run = partial(
-                serve_machine_clock, door(), decision, inputs, request,
-                events.note, barred, board,
-            )  # fmt: skip
+            run = partial(serve_machine_clock, door(), decision, inputs, request, events.note, barred, board)
         else:
-            serving = MachineServing(
-                request.serving(rate_hz), decision, door, events.note, barred, board
-            )
+            serving = MachineServing(request.serving(rate_hz), decision, door, events.note, barred, board)
             held.callback(serving.close)
             run = serving.run
         time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
-        announce(
-            f"serving the {door.device} controller at {request.place}, {request.mode}, {time_text}"
-        )
+        announce(f"serving the {door.device} controller at {request.place}, {request.mode}, {time_text}")
         model = {"version": resolved.version, "state": resolved.state}
         events.note(
-            SERVING, at=request.place, mode=request.mode, model=model, pid=os.getpid(),
-            model_sha256=model_sha256, device=door.device, trial=trial,
-        )  # fmt: skip
+            SERVING,
+            at=request.place,
+            mode=request.mode,
+            model=model,
+            pid=os.getpid(),
+            model_sha256=model_sha256,
+            device=door.device,
+            trial=trial,
+        )
         with stop_on_signals() as asked:
             status = run(lambda: asked() or door.finished)
         if door.finished and status.ended == "stopped":
             status = dataclasses.replace(status, ended="finished")
         events.note(RELEASED if status.released else NOT_RELEASED, why=status.ended)
-        return Served(
-            request, resolved, door.device, trial, bundle.safety.clamp_um, status, door.realtime
-        )
+        return Served(request, resolved, door.device, trial, bundle.safety.clamp_um, status, door.realtime)
 
 
-def _door(
-    request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home
-) -> Door:
+def _door(request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home) -> Door:
     """Return the way to the machine; an axis control has greeted then."""
     if request.axes is None:
         return Door(request, bundle, trial)
@@ -171,10 +172,12 @@ def _door(
     if inputs.watch is not None and door.clock == "wall":
         door.close()
         raise InputError(
-            "a sine cannot be corrected over a network in real time", code="serve.tones",
-            where=request.place, got="a control on the wall clock",
+            "a sine cannot be corrected over a network in real time",
+            code="serve.tones",
+            where=request.place,
+            got="a control on the wall clock",
             hint="export the bundle to the control: dtwin export --as c",
-        )  # fmt: skip
+        )
     return door
 
 
@@ -184,16 +187,16 @@ def _require_control(request: ServeRequest, bundle: Bundle) -> None:
     unknown = [name for name in bundle.tick_inputs if name not in known]
     if unknown and request.axes is None:
         raise InputError(
-            "the model needs inputs that only the machine's control can send", code="serve.inputs",
-            where=f"machine {bundle.machine}", got=", ".join(unknown)[:200],
+            "the model needs inputs that only the machine's control can send",
+            code="serve.inputs",
+            where=f"machine {bundle.machine}",
+            got=", ".join(unknown)[:200],
             hint="a control that sends them: dtwin serve --link axes --states HOST:PORT; or give a "
             "covariate its value: --covariate NAME=NUMBER",
-        )  # fmt: skip
+        )
 
 
-def _write_log(
-    home: Home, machine: str, started: datetime, record: Mapping[str, Any], announce: Announce
-) -> str:
+def _write_log(home: Home, machine: str, started: datetime, record: Mapping[str, Any], announce: Announce) -> str:
     """Append one JSON line; a log that cannot be written never stops the serving."""
     path = home.logs / f"serve-{machine}.jsonl"
     ended = datetime.now(UTC)

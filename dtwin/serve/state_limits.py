@@ -13,12 +13,24 @@ from dtwin.schema import Floats
 
 _TURN_RAD = 2.0 * np.pi
 _LARGEST = {
-    "timestamp_s": 1e11, "q_rad": 6 * _TURN_RAD, "qd_rad_s": 100.0, "tcp_mm": 1e5,
-    "speed_mm_s": 1e5, "speed_scaling": 10.0, "runtime_running": 1.0, "safety_ok": 1.0,
-    "segment_id": 1e9, "segment_time_s": 1e9, "plane_id": 2.0, "centre_mm": 1e6,
-    "radius_mm": 1e6, "direction_sign": 1.0, "feed_mm_min": 1e7,
-    "applied_sequence": float(layout.SEQUENCE_LIMIT), "applied_um": 1e5,
-}  # fmt: skip
+    "timestamp_s": 1e11,
+    "q_rad": 6 * _TURN_RAD,
+    "qd_rad_s": 100.0,
+    "tcp_mm": 1e5,
+    "speed_mm_s": 1e5,
+    "speed_scaling": 10.0,
+    "runtime_running": 1.0,
+    "safety_ok": 1.0,
+    "segment_id": 1e9,
+    "segment_time_s": 1e9,
+    "plane_id": 2.0,
+    "centre_mm": 1e6,
+    "radius_mm": 1e6,
+    "direction_sign": 1.0,
+    "feed_mm_min": 1e7,
+    "applied_sequence": float(layout.SEQUENCE_LIMIT),
+    "applied_um": 1e5,
+}
 """By what is left of a number's name without ``target``, ``actual``, joint and axis. Poses of the
 largest machine tools are within 100 m."""
 

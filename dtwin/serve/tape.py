@@ -19,13 +19,7 @@ from dtwin.schema import Floats
 from dtwin.serve.graph import Graph
 from dtwin.serve.operators import FARTHEST
 from dtwin.serve.sine import sine_and_cosine
-from dtwin.serve.tape_program import (
-    MULTIPLY_ADD,
-    POWER_SHIFT,
-    SINE_AND_COSINE,
-    Instruction,
-    tape_runs,
-)
+from dtwin.serve.tape_program import MULTIPLY_ADD, POWER_SHIFT, SINE_AND_COSINE, Instruction, tape_runs
 
 Program = NDArray[np.uint64]
 _WORDS = 4
@@ -216,9 +210,8 @@ class Tape:
     """
 
     def __init__(
-        self, graph: Graph, inputs: Sequence[str], states: Mapping[str, float],
-        outputs: Sequence[str],
-    ) -> None:  # fmt: skip
+        self, graph: Graph, inputs: Sequence[str], states: Mapping[str, float], outputs: Sequence[str]
+    ) -> None:
         _require(graph.inputs, inputs, "inputs")
         _require(graph.states, list(states), "states")
         _require(outputs, list(graph.outputs), "outputs")
@@ -297,9 +290,7 @@ def _fill(memory: Floats, graph: Graph, slots: Sequence[int], tables: Sequence[i
 
 
 def _assembled(
-    runs: Sequence[tuple[int, Sequence[Instruction]]],
-    copies: Sequence[tuple[int, int]],
-    first_output: int,
+    runs: Sequence[tuple[int, Sequence[Instruction]]], copies: Sequence[tuple[int, int]], first_output: int
 ) -> Program:
     """Return the words that ``run_tape`` reads."""
     words = [len(runs), len(copies), first_output]

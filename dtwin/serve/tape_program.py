@@ -49,9 +49,7 @@ class Instruction:
         return frozenset((self.target,) if self.also is None else (self.target, self.also))
 
 
-def tape_runs(
-    graph: Graph, slots: Sequence[int], tables: Sequence[int]
-) -> list[tuple[int, list[Instruction]]]:
+def tape_runs(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> list[tuple[int, list[Instruction]]]:
     """Return the operator of each run, with its instructions.
 
     Parameters
@@ -105,11 +103,7 @@ def _instructions(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> 
             found.append(Instruction(MULTIPLY_ADD, slots[i], _three(places), frozenset(places)))
         elif i in cosines:
             also = slots[cosines[i]]
-            found.append(
-                Instruction(
-                    SINE_AND_COSINE, slots[i], (places[0], also, 0), frozenset(places), also
-                )
-            )
+            found.append(Instruction(SINE_AND_COSINE, slots[i], (places[0], also, 0), frozenset(places), also))
         else:
             arguments = places[0], _second(node, tables, places[-1]), 0
             op = OPERATORS[node.op].code
@@ -132,11 +126,7 @@ def _products_of_sums(graph: Graph) -> dict[int, int]:
 def _cosines_of_sines(graph: Graph) -> dict[int, int]:
     """Return for sines the cosine of the same angle: both come from one reduction."""
     cosines = {node.args: i for i, node in enumerate(graph.nodes) if node.op == "cos"}
-    return {
-        i: cosines[node.args]
-        for i, node in enumerate(graph.nodes)
-        if node.op == "sin" and node.args in cosines
-    }
+    return {i: cosines[node.args] for i, node in enumerate(graph.nodes) if node.op == "sin" and node.args in cosines}
 
 
 def _three(places: Sequence[int]) -> tuple[int, int, int]:

@@ -118,17 +118,16 @@ class TargetCorrection:
     """
 
     def __init__(
-        self, compiled: CompiledBundle, tcp_mm: Floats, frame: TargetFrame,
+        self,
+        compiled: CompiledBundle,
+        tcp_mm: Floats,
+        frame: TargetFrame,
         covariates: Mapping[str, float] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         bundle = compiled.bundle
         # From one clamp to the opposite one within a step.
-        safety = dataclasses.replace(
-            bundle.safety, slew_um_s=2.0 * bundle.safety.clamp_um / _STEP_S
-        )
-        self._decision = Decision(
-            CompiledBundle(dataclasses.replace(bundle, safety=safety)), tcp_mm, covariates
-        )
+        safety = dataclasses.replace(bundle.safety, slew_um_s=2.0 * bundle.safety.clamp_um / _STEP_S)
+        self._decision = Decision(CompiledBundle(dataclasses.replace(bundle, safety=safety)), tcp_mm, covariates)
         plane_axes(frame.plane)
         self._frame, self._tcp_mm = frame, np.asarray(tcp_mm, dtype=float)
         self._joints_rad = np.asarray(frame.joints_rad, dtype=float)
@@ -158,9 +157,7 @@ class TargetCorrection:
         state = self._state_at(base_mm, target.feed_mm_min)
         # Targets are far from each other: nothing is carried over but the joints' branch.
         self._decision.reset()
-        offset_um = self._decision.decide(
-            state, age_s=0.0, elapsed_s=_STEP_S, enabled=True, stages=self._stages
-        ).copy()
+        offset_um = self._decision.decide(state, age_s=0.0, elapsed_s=_STEP_S, enabled=True, stages=self._stages).copy()
         sent_mm = frame.rotation.T @ (base_mm + 1e-3 * offset_um - frame.origin_mm)
         return CorrectedTarget(target, sent_mm, offset_um, REASONS[self._decision.guard.reason])
 
@@ -224,6 +221,5 @@ def corrected_csv(made: Iterable[CorrectedTarget]) -> str:
 
 def _unusable(path: Path, what: str, got: str, allowed: str) -> InputError:
     return InputError(
-        "the targets cannot be used", code="targets.file", where=f"{path}, {what}",
-        got=got[:160], allowed=allowed,
-    )  # fmt: skip
+        "the targets cannot be used", code="targets.file", where=f"{path}, {what}", got=got[:160], allowed=allowed
+    )

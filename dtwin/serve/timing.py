@@ -70,9 +70,15 @@ class LoopTiming:
         self._applied = sequence
 
     def tick(
-        self, interval_s: float, state_step_s: float, age_s: float, window_age_s: float,
-        *, stamp_s: float = np.nan, sequence: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        interval_s: float,
+        state_step_s: float,
+        age_s: float,
+        window_age_s: float,
+        *,
+        stamp_s: float = np.nan,
+        sequence: int = 0,
+    ) -> None:
         """Close a tick; late is a correction that was ready more than a period after its state.
 
         Parameters
@@ -132,15 +138,11 @@ class LoopTiming:
             "timeouts": self.timeouts,
             "late_share": self.late_share,
             "period_ms": _percentiles(interval * 1e3),
-            "stage_us": {
-                name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(STAGES)
-            },
+            "stage_us": {name: _percentiles(self._stages[:n, i] / 1e3) for i, name in enumerate(STAGES)},
             "state_age_ms": _percentiles(self._age_s[:n] * 1e3),
             "answer_ms": _percentiles(_finite(self._answer_s) * 1e3),
             "window_age_ms": _percentiles(_finite(self._window_age_s[:n]) * 1e3),
-            "jitter_us_histogram": {
-                label: int(count) for label, count in zip(labels, counts, strict=True)
-            },
+            "jitter_us_histogram": {label: int(count) for label, count in zip(labels, counts, strict=True)},
         }
 
 
@@ -152,9 +154,4 @@ def _percentiles(values: NDArray[np.float64]) -> dict[str, float] | None:
     if not len(values):
         return None
     p50, p99, p999 = np.percentile(values, [50, 99, 99.9]).tolist()
-    return {
-        "p50": round(p50, 3),
-        "p99": round(p99, 3),
-        "p99.9": round(p999, 3),
-        "max": round(float(values.max()), 3),
-    }
+    return {"p50": round(p50, 3), "p99": round(p99, 3), "p99.9": round(p999, 3), "max": round(float(values.max()), 3)}

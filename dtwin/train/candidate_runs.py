@@ -41,9 +41,7 @@ def training_candidates(registry: Registry, found: RegisteredVersion) -> list[di
     """
     run = registry.client.get_run(found.run_id)
     parent = run.data.tags.get(_PARENT, "")
-    siblings = registry.client.search_runs(
-        [run.info.experiment_id], f"tags.`{_PARENT}` = '{parent}'"
-    )
+    siblings = registry.client.search_runs([run.info.experiment_id], f"tags.`{_PARENT}` = '{parent}'")
     return [
         {
             "name": sibling.data.tags.get("dtwin.candidate", sibling.info.run_name),

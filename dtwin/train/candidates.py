@@ -56,24 +56,14 @@ class Recipe:
 
 RECIPES: tuple[Recipe, ...] = (
     Recipe("linear", "linear", lambda s, splits: RidgeCV(_PENALTIES, cv=splits)),
-    Recipe(
-        "robust", "linear", lambda s, splits: HuberRegressor(alpha=1.0, max_iter=1000, tol=1e-3)
-    ),
-    Recipe(
-        "accelerometers-only", "linear", lambda s, splits: RidgeCV(_PENALTIES, cv=splits), "sensor"
-    ),
+    Recipe("robust", "linear", lambda s, splits: HuberRegressor(alpha=1.0, max_iter=1000, tol=1e-3)),
+    Recipe("accelerometers-only", "linear", lambda s, splits: RidgeCV(_PENALTIES, cv=splits), "sensor"),
     Recipe("k-nearest", "neighbours", lambda s, splits: KNeighborsRegressor(5)),
-    Recipe(
-        "tree",
-        "tree",
-        lambda s, splits: DecisionTreeRegressor(max_depth=12, min_samples_leaf=5, random_state=s),
-    ),
+    Recipe("tree", "tree", lambda s, splits: DecisionTreeRegressor(max_depth=12, min_samples_leaf=5, random_state=s)),
     Recipe(
         "forest",
         "tree",
-        lambda s, splits: RandomForestRegressor(
-            20, max_depth=14, max_features=0.4, min_samples_leaf=3, random_state=s
-        ),
+        lambda s, splits: RandomForestRegressor(20, max_depth=14, max_features=0.4, min_samples_leaf=3, random_state=s),
     ),
     Recipe(
         "boosting",
@@ -85,9 +75,7 @@ RECIPES: tuple[Recipe, ...] = (
     Recipe(
         "neural-net",
         "neural",
-        lambda s, splits: MLPRegressor(
-            hidden_layer_sizes=(32, 32), max_iter=60, early_stopping=True, random_state=s
-        ),
+        lambda s, splits: MLPRegressor(hidden_layer_sizes=(32, 32), max_iter=60, early_stopping=True, random_state=s),
     ),
 )
 
@@ -112,9 +100,7 @@ class Regressor:
         return np.asarray(self.model.predict(x[:, self.used].astype(np.float32)), dtype=float)
 
 
-def fitted(
-    recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, group: NDArray[np.int64]
-) -> Regressor:
+def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, group: NDArray[np.int64]) -> Regressor:
     """Fit a comparison model.
 
     Parameters
@@ -201,9 +187,7 @@ def train_recipe(rows: Rows, inputs: GenericInputs, recipe: Recipe, seed: int) -
     for group in held_out_groups(rows):
         predicted = np.zeros(rows.n)
         for inside, outside in rows.folds(group):
-            predicted[outside] = _fit(recipe, x, rows.blind(inside), inside, seed).predict(
-                x[outside]
-            )
+            predicted[outside] = _fit(recipe, x, rows.blind(inside), inside, seed).predict(x[outside])
         scores[group] = score(rows, predicted, group)
     final = _fit(recipe, x, rows, np.ones(rows.n, dtype=bool), seed)
     rest = rows.without_setups(rows.target_um - final.predict(x))

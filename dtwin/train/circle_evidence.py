@@ -49,11 +49,7 @@ class EvidencePlan:
 
 _PLANES: tuple[tuple[Plane, float], ...] = (("XY", 100.0), ("YZ", 150.0), ("ZX", 100.0))
 DEFAULT_PLAN = EvidencePlan(
-    tuple(
-        (plane, radius, feed)
-        for plane, radius in _PLANES
-        for feed in (1000.0, 2000.0, 3000.0, 6000.0)
-    )
+    tuple((plane, radius, feed) for plane, radius in _PLANES for feed in (1000.0, 2000.0, 3000.0, 6000.0))
 )
 
 
@@ -78,9 +74,14 @@ def plan_within(conditions: Sequence[tuple[Plane, float, float]], repeats: int =
 
 
 def measured_circles(
-    bundle: Bundle, *, seed: int, tcp_mm: Floats, plan: EvidencePlan = DEFAULT_PLAN,
-    workers: int = 2, progress: Progress | None = None,
-) -> MeasuredWays:  # fmt: skip
+    bundle: Bundle,
+    *,
+    seed: int,
+    tcp_mm: Floats,
+    plan: EvidencePlan = DEFAULT_PLAN,
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> MeasuredWays:
     """Measure compensated, uncompensated and oracle circles on the virtual cobot.
 
     Runs in lock-step on the machine clock: the controller advances a tick when that tick's
@@ -103,10 +104,7 @@ def measured_circles(
     progress : callable, optional
         Called with (done, total, what).
     """
-    jobs = [
-        (bundle.to_dict(), seed, tcp_mm.tolist(), condition, plan.repeats)
-        for condition in plan.conditions
-    ]
+    jobs = [(bundle.to_dict(), seed, tcp_mm.tolist(), condition, plan.repeats) for condition in plan.conditions]
     ways: dict[str, list[Run]] = {"measured": [], "oracle": []}
     acted: dict[str, dict[str, float]] = {}
     with ProcessPoolExecutor(workers) as pool:
@@ -148,9 +146,7 @@ def _measure_condition(job: tuple[Any, ...]) -> list[tuple[str, Run, dict[str, i
         for way in WAYS:
             for direction in ("CCW", "CW"):
                 condition = CircleCondition(plane, radius, feed, direction)
-                recording, acted = run_circle(
-                    cobot, bundle, np.array(tcp), condition, setup, 101 + len(found), way
-                )
+                recording, acted = run_circle(cobot, bundle, np.array(tcp), condition, setup, 101 + len(found), way)
                 run = run_of(recording, "e", plane, EPOCH)
                 samples = dict(run.samples)
                 if direction == "CW" and plane != "XY":

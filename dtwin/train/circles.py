@@ -24,9 +24,8 @@ Way = Literal["uncompensated", "compensated", "oracle"]
 
 
 def run_circle(
-    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, condition: CircleCondition,
-    setup: str, repeat: int, way: str,
-) -> tuple[CobotRecording, dict[str, int]]:  # fmt: skip
+    cobot: VirtualCobot, bundle: Bundle, tcp_mm: Floats, condition: CircleCondition, setup: str, repeat: int, way: str
+) -> tuple[CobotRecording, dict[str, int]]:
     """Return the recording of one circle in lock-step, and how often each guard acted.
 
     Parameters
@@ -55,13 +54,10 @@ def run_circle(
 
 
 @lru_cache(maxsize=8)
-def _best_of_both(
-    cobot: VirtualCobot, condition: CircleCondition, safety: SafetyLimits
-) -> list[Floats]:
+def _best_of_both(cobot: VirtualCobot, condition: CircleCondition, safety: SafetyLimits) -> list[Floats]:
     """Return the oracle's offsets of both directions; the same for every mounting and repeat."""
     begun = [
-        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1)
-        for way in DIRECTIONS
+        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1) for way in DIRECTIONS
     ]
     centre = cobot.centre_mm(condition.radius_mm)
     return best_offsets(begun, centre, cobot.parameters.controller, safety)

@@ -68,10 +68,7 @@ class TickRun:
 
 
 def load_ticks(
-    lake: Lake,
-    campaign: Campaign,
-    rows: Sequence[Mapping[str, Any]],
-    progress: Progress | None = None,
+    lake: Lake, campaign: Campaign, rows: Sequence[Mapping[str, Any]], progress: Progress | None = None
 ) -> list[TickRun]:
     """Read runs one by one and bring them to the controller's clock.
 
@@ -123,9 +120,7 @@ def _tick_run(run: Run, campaign: Campaign) -> TickRun:
     inputs = PathInputs(_INDEX, tool).batch(states)
     commanded_um = _commanded_deviation_um(states, run.meta)
     bar = np.asarray(run.samples["deviation_um"], dtype=float)
-    found = align_infeed(
-        bar, run.meta.sample_rate_hz, commanded_um[::4], inputs[::4, 0], TICK_HZ / 4
-    )
+    found = align_infeed(bar, run.meta.sample_rate_hz, commanded_um[::4], inputs[::4, 0], TICK_HZ / 4)
     covered = _covered_ticks(groups["controller"], len(states))
     bare = TickRun(
         run.meta,
@@ -181,9 +176,7 @@ def _controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, 
         if name in group.columns:
             out[:, place] = np.interp(t, t_log[known], group.columns[name][known])
     out[:, _INDEX["timestamp_s"]] = t
-    out[:, _INDEX["segment_time_s"]] = _segment_time(
-        t, t_log[known], group.columns["segment_time_s"][known]
-    )
+    out[:, _INDEX["segment_time_s"]] = _segment_time(t, t_log[known], group.columns["segment_time_s"][known])
     centre = centre_mm(meta, geometry)
     for axis, value in zip("xyz", centre, strict=True):
         out[:, _INDEX[f"centre_{axis}_mm"]] = value

@@ -98,8 +98,7 @@ class Evidence:
         """Return the reduction as a share of the oracle's, over feeds that were trained or not."""
         shown = [c for c in self._shown() if c["oracle_um"] and c["trained"] is trained]
         before, after, oracle = (
-            math.sqrt(sum(c[name] ** 2 for c in shown))
-            for name in ("before_um", "after_um", "oracle_um")
+            math.sqrt(sum(c[name] ** 2 for c in shown)) for name in ("before_um", "after_um", "oracle_um")
         )
         return (before - after) / (before - oracle) if before > oracle else math.nan
 
@@ -127,10 +126,15 @@ class Evidence:
 
 
 def evidence_of_runs(
-    runs: Sequence[EvidenceRun], *, kind: str, machine: str, model_sha256: str,
-    campaigns: Mapping[Way, tuple[str, ...]], notes: Mapping[str, Any] | None = None,
+    runs: Sequence[EvidenceRun],
+    *,
+    kind: str,
+    machine: str,
+    model_sha256: str,
+    campaigns: Mapping[Way, tuple[str, ...]],
+    notes: Mapping[str, Any] | None = None,
     told: Sequence[str] = (),
-) -> Evidence:  # fmt: skip
+) -> Evidence:
     """Return what runs say, the run as unit of replication.
 
     Parameters
@@ -154,38 +158,45 @@ def evidence_of_runs(
     paired = sorted(key for key in errors[WITHOUT] if key in errors[WITH])
     if not paired:
         raise GateRefusal(
-            "no condition was run both with and without the correction", code="evidence.pairs",
+            "no condition was run both with and without the correction",
+            code="evidence.pairs",
             got=f"{len(errors[WITHOUT])} conditions without, {len(errors[WITH])} with",
-        )  # fmt: skip
+        )
     alone = {way: [k for k in errors[way] if k not in paired] for way in errors}
     said += [
-        f"not counted, because run only {way}: {', '.join(map(_named, keys))}"
-        for way, keys in alone.items()
-        if keys
+        f"not counted, because run only {way}: {', '.join(map(_named, keys))}" for way, keys in alone.items() if keys
     ]
     directions = {
         key: sorted({e.direction for e in errors[WITHOUT][key]} & {e.direction for e in errors[WITH][key]})
         for key in paired
-    }  # fmt: skip
-    counted = {
-        way: {k: [e for e in errors[way][k] if e.direction in directions[k]] for k in paired}
-        for way in errors
     }
+    counted = {way: {k: [e for e in errors[way][k] if e.direction in directions[k]] for k in paired} for way in errors}
     _require_enough(counted, directions)
     used = _used(own, counted)
     switches = _require_turns(used)
     said += _in_a_row(own, counted)
     conditions = [_condition(k, counted[WITHOUT][k], counted[WITH][k]) for k in paired]
     return Evidence(
-        kind, machine, model_sha256, dict(campaigns), tuple(conditions),
+        kind,
+        machine,
+        model_sha256,
+        dict(campaigns),
+        tuple(conditions),
         tuple(
-            {"way": r.way, "campaign": r.campaign, "run_id": r.run.meta.run_id,
-             "started": r.run.meta.started, "content_sha256": r.content_sha256}
+            {
+                "way": r.way,
+                "campaign": r.campaign,
+                "run_id": r.run.meta.run_id,
+                "started": r.run.meta.started,
+                "content_sha256": r.content_sha256,
+            }
             for r in used
         ),
-        switches, tuple(said), dict(notes or {}),
+        switches,
+        tuple(said),
+        dict(notes or {}),
         {condition_name(dict(k)): _profile({w: counted[w][k] for w in counted}) for k in paired},
-    )  # fmt: skip
+    )
 
 
 def started_at(run: Run) -> datetime | None:
@@ -228,17 +239,15 @@ def _require_enough(
                 few.append(f"{_named(key)} {way}: {told}")
     if few:
         raise GateRefusal(
-            "too few runs to know what repeats disagree by", code="evidence.few",
+            "too few runs to know what repeats disagree by",
+            code="evidence.few",
             got="; ".join(few)[:400],
-            allowed=f"of every condition {FEWEST_RUNS} runs each way, and {FEWEST_REPEATS} of each "
-            "direction",
+            allowed=f"of every condition {FEWEST_RUNS} runs each way, and {FEWEST_REPEATS} of each direction",
             hint="measure more of them, with and without by turns",
-        )  # fmt: skip
+        )
 
 
-def _used(
-    own: Sequence[EvidenceRun], counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]]
-) -> list[EvidenceRun]:
+def _used(own: Sequence[EvidenceRun], counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]]) -> list[EvidenceRun]:
     """Return the runs that were counted, in order of time where it is known."""
     chosen = []
     for way, found in counted.items():
@@ -253,36 +262,32 @@ def _require_turns(used: Sequence[EvidenceRun]) -> int:
     untold = [r.name for r in used if started_at(r.run) is None]
     if untold:
         raise GateRefusal(
-            "runs do not say when they were measured, so that nobody knows whether the ways took "
-            "turns",
-            code="evidence.time", got=", ".join(untold[:8]),
+            "runs do not say when they were measured, so that nobody knows whether the ways took turns",
+            code="evidence.time",
+            got=", ".join(untold[:8]),
             hint="state started for every run of campaign.toml",
-        )  # fmt: skip
+        )
     if not _take_turns(used):
-        spans = {way: [s for r in used if r.way == way and (s := started_at(r.run))]
-                 for way in (WITHOUT, WITH)}  # fmt: skip
+        spans = {way: [s for r in used if r.way == way and (s := started_at(r.run))] for way in (WITHOUT, WITH)}
         raise GateRefusal(
-            "the runs without and with the correction follow each other", code="evidence.turns",
+            "the runs without and with the correction follow each other",
+            code="evidence.turns",
             got="; ".join(
-                f"{way} {min(times).isoformat(timespec='seconds')} to "
-                f"{max(times).isoformat(timespec='seconds')}"
+                f"{way} {min(times).isoformat(timespec='seconds')} to {max(times).isoformat(timespec='seconds')}"
                 for way, times in spans.items()
             ),
             allowed="with and without by turns: else warmth and drift look like a correction",
             hint="dtwin campaign --with VERSION measures them in turns",
-        )  # fmt: skip
+        )
     return sum(one.way != other.way for one, other in pairwise(used))
 
 
 def _take_turns(runs: Sequence[EvidenceRun]) -> bool:
-    times = {way: [s for r in runs if r.way == way and (s := started_at(r.run))]
-             for way in (WITHOUT, WITH)}  # fmt: skip
+    times = {way: [s for r in runs if r.way == way and (s := started_at(r.run))] for way in (WITHOUT, WITH)}
     return max(times[WITHOUT]) > min(times[WITH]) and max(times[WITH]) > min(times[WITHOUT])
 
 
-def _in_a_row(
-    own: Sequence[EvidenceRun], counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]]
-) -> list[str]:
+def _in_a_row(own: Sequence[EvidenceRun], counted: Mapping[Way, Mapping[_Key, Sequence[RunError]]]) -> list[str]:
     """Name the conditions whose own runs happened to follow each other."""
     mine = {way: [r for r in own if r.way == way] for way in counted}
     rows = [
@@ -297,11 +302,18 @@ def _condition(key: _Key, without: Sequence[RunError], with_: Sequence[RunError]
     (before, before_ci), (after, after_ci) = _mean(without), _mean(with_)
     change, half = after - before, math.hypot(before_ci, after_ci)
     return {
-        **dict(key), "before_um": before, "after_um": after, "before_ci_um": before_ci,
-        "after_ci_um": after_ci, "floor_um": _floor(without), "n_without": len(without),
-        "n_with": len(with_), "reduction": 1.0 - after / before, "better": change < -half,
+        **dict(key),
+        "before_um": before,
+        "after_um": after,
+        "before_ci_um": before_ci,
+        "after_ci_um": after_ci,
+        "floor_um": _floor(without),
+        "n_without": len(without),
+        "n_with": len(with_),
+        "reduction": 1.0 - after / before,
+        "better": change < -half,
         "worse": change > half,
-    }  # fmt: skip
+    }
 
 
 def _mean(errors: Sequence[RunError]) -> tuple[float, float]:

@@ -88,8 +88,10 @@ def records(registry: Registry, found: RegisteredVersion) -> list[Record]:
         if hashlib.sha256(text.encode()).hexdigest()[:12] != name or not _whole(content):
             raise GateRefusal(
                 "evidence was changed after it was computed, or was not computed by dtwin",
-                code="evidence.changed", where=path, hint="dtwin evidence computes it from runs",
-            )  # fmt: skip
+                code="evidence.changed",
+                where=path,
+                hint="dtwin evidence computes it from runs",
+            )
         out.append(Record(name, str(content["time"]), content))
     return out
 
@@ -128,11 +130,13 @@ def require_same(record: Record, evidence: Evidence) -> None:
         ]
     if differ:
         raise GateRefusal(
-            "the evidence is not what its runs say", code="evidence.differs",
-            where=f"evidence {record.id} of {record.time}", got=", ".join(differ[:6]),
+            "the evidence is not what its runs say",
+            code="evidence.differs",
+            where=f"evidence {record.id} of {record.time}",
+            got=", ".join(differ[:6]),
             hint="runs were added, amended or left out since, or the evidence was not computed: "
             "dtwin evidence computes it anew",
-        )  # fmt: skip
+        )
 
 
 def _runs_differ(before: Sequence[Mapping[str, str]], now: Sequence[Mapping[str, str]]) -> str:

@@ -35,9 +35,8 @@ class Gathered:
 
 
 def gathered(
-    home: Home, machine: str, model_sha256: str, campaigns: Mapping[Way, Sequence[str]],
-    *, virtual: bool,
-) -> Gathered:  # fmt: skip
+    home: Home, machine: str, model_sha256: str, campaigns: Mapping[Way, Sequence[str]], *, virtual: bool
+) -> Gathered:
     """Return the runs of campaigns, each with the way in which it was measured.
 
     A campaign may be named for both ways: its runs then say themselves which one they are.
@@ -70,9 +69,12 @@ def gathered(
         known = lake.campaign(name)
         if known.machine != machine:
             raise InputError(
-                "the campaign is of another machine", code="evidence.machine", where=name,
-                got=known.machine, allowed=machine,
-            )  # fmt: skip
+                "the campaign is of another machine",
+                code="evidence.machine",
+                where=name,
+                got=known.machine,
+                allowed=machine,
+            )
         virtual = virtual or bool(known.machine_geometry.get("virtual", False))
         ways = [way for way in (WITHOUT, WITH) if name in campaigns.get(way, ())]
         found, spared = _of_campaign(lake, name, ways, model_sha256)
@@ -88,9 +90,7 @@ def gathered(
     return Gathered(tuple(runs), "real" if real else "virtual", tuple(told))
 
 
-def _of_campaign(
-    lake: Lake, name: str, ways: Sequence[Way], model_sha256: str
-) -> tuple[list[EvidenceRun], list[str]]:
+def _of_campaign(lake: Lake, name: str, ways: Sequence[Way], model_sha256: str) -> tuple[list[EvidenceRun], list[str]]:
     found, told = [], []
     strange: dict[str, list[str]] = {}
     for row in lake.runs(name):
@@ -102,10 +102,7 @@ def _of_campaign(
             told.append(f"not counted: {label} is spoilt")
         else:
             run = lake.load(row, signals=False)
-            told += [
-                f"{label} was amended by {record['who']}: {record['because']}"
-                for record in row["amendments"]
-            ]
+            told += [f"{label} was amended by {record['who']}: {record['because']}" for record in row["amendments"]]
             found.append(EvidenceRun(way, name, row["content_sha256"], run))
     for correction, labels in strange.items():
         what = f"under {correction[:12]}" if correction else "without a recorded correction"
@@ -114,11 +111,13 @@ def _of_campaign(
             continue
         (way,) = ways
         raise GateRefusal(
-            f"runs were not measured {way} this correction", code=f"evidence.{way}",
-            where=f"campaign {name}", got=f"{what}: {', '.join(labels[:6])}",
+            f"runs were not measured {way} this correction",
+            code=f"evidence.{way}",
+            where=f"campaign {name}",
+            got=f"{what}: {', '.join(labels[:6])}",
             allowed=f"runs under {model_sha256[:12]}" if way == WITH else "runs without a correction",
             hint="dtwin record and dtwin campaign write into the run what was served meanwhile",
-        )  # fmt: skip
+        )
     return found, told
 
 
@@ -127,35 +126,36 @@ def _require_recorded(name: str, geometry: Mapping[str, Any], found: Sequence[Ev
     if geometry.get("corrected", False) and not any(r.run.meta.correction for r in found):
         raise GateRefusal(
             "a correction was in force during the campaign, but no run says which",
-            code="evidence.without", where=f"campaign {name}", got="corrected = true",
+            code="evidence.without",
+            where=f"campaign {name}",
+            got="corrected = true",
             allowed="runs that were recorded with dtwin record or dtwin campaign",
-        )  # fmt: skip
+        )
 
 
-def _served(
-    runs: Sequence[EvidenceRun], stretches: Sequence[ServedStretch], model_sha256: str
-) -> list[ServedStretch]:
+def _served(runs: Sequence[EvidenceRun], stretches: Sequence[ServedStretch], model_sha256: str) -> list[ServedStretch]:
     """Compare runs with the journal; return when the correction was served."""
     served = []
     for one in runs:
         begin = started_at(one.run)
         if begin is None:
-            raise GateRefusal(
-                "a run does not say when it was measured", code="evidence.time", where=one.name
-            )
+            raise GateRefusal("a run does not say when it was measured", code="evidence.time", where=one.name)
         stretch = served_during(stretches, begin, begin + _duration(one.run), one.name)
         if one.way == WITH and (stretch is None or stretch.model_sha256 != model_sha256):
             raise GateRefusal(
                 "the journal does not say that this correction was served during the run",
-                code="evidence.journal", where=one.name,
+                code="evidence.journal",
+                where=one.name,
                 got=f"{stretch.model_sha256[:12]} was served" if stretch else "nothing was served",
                 allowed=f"{model_sha256[:12]} from {begin.isoformat()} on, throughout the run",
-            )  # fmt: skip
+            )
         if one.way == WITHOUT and stretch is not None:
             raise GateRefusal(
                 "the journal says that a correction was served during a run without one",
-                code="evidence.journal", where=one.name, got=f"{stretch.model_sha256[:12]} was served",
-            )  # fmt: skip
+                code="evidence.journal",
+                where=one.name,
+                got=f"{stretch.model_sha256[:12]} was served",
+            )
         if stretch is not None:
             served.append(stretch)
     return served

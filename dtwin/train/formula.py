@@ -12,12 +12,7 @@ from dtwin.errors import InputError
 from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 
-_BINARY: dict[type[ast.operator], str] = {
-    ast.Add: "add",
-    ast.Sub: "sub",
-    ast.Mult: "mul",
-    ast.Div: "div",
-}
+_BINARY: dict[type[ast.operator], str] = {ast.Add: "add", ast.Sub: "sub", ast.Mult: "mul", ast.Div: "div"}
 _FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "square", "abs", "tanh")
 _NUMPY: dict[str, Callable[..., Floats]] = {
     "add": np.add,
@@ -79,9 +74,7 @@ class Formula:
         if self.op == "input":
             return inputs[self.name]
         with np.errstate(all="ignore"):
-            return np.asarray(
-                _NUMPY[self.op](*(arg.values(inputs, constants) for arg in self.args))
-            )
+            return np.asarray(_NUMPY[self.op](*(arg.values(inputs, constants) for arg in self.args)))
 
     def build(self, builder: GraphBuilder, constants: Sequence[float]) -> Expression:
         """Add the formula to a graph and return its handle."""
@@ -153,9 +146,7 @@ def _power(node: ast.BinOp, names: frozenset[str], constants: list[float]) -> Fo
 
 
 def _refused(got: str, allowed: str) -> InputError:
-    return InputError(
-        "not a formula that can be served", code="formula.grammar", got=got, allowed=allowed
-    )
+    return InputError("not a formula that can be served", code="formula.grammar", got=got, allowed=allowed)
 
 
 def unit_findings(formula: Formula, units: Mapping[str, str]) -> list[str]:
@@ -190,11 +181,7 @@ def _unit(formula: Formula, units: Mapping[str, str], found: list[str]) -> str:
             found.append(f"adds {known[0]} and {known[1]}")
         return known[0] if known else _FREE
     if formula.op in ("mul", "div"):
-        return (
-            _FREE
-            if _FREE in parts
-            else f"({parts[0]}{'*' if formula.op == 'mul' else '/'}{parts[1]})"
-        )
+        return _FREE if _FREE in parts else f"({parts[0]}{'*' if formula.op == 'mul' else '/'}{parts[1]})"
     if formula.op in ("neg", "abs"):
         return parts[0]
     if formula.op in ("square", "sqrt"):

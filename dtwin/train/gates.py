@@ -106,13 +106,9 @@ def _errs(condition: Mapping[str, Any]) -> bool:
 
 
 def _held_out(metrics: Mapping[str, float]) -> Verdict:
-    found = {
-        group: metrics.get(f"leave_{group}_out.r2", float("nan"))
-        for group in ("feed_mm_min", "radius_mm")
-    }
+    found = {group: metrics.get(f"leave_{group}_out.r2", float("nan")) for group in ("feed_mm_min", "radius_mm")}
     told = ", ".join(
-        f"{group} out: " + ("not tested" if np.isnan(r2) else f"R2 {r2:z.3f}")
-        for group, r2 in found.items()
+        f"{group} out: " + ("not tested" if np.isnan(r2) else f"R2 {r2:z.3f}") for group, r2 in found.items()
     )
     passed = all(np.isnan(r2) or r2 >= _MIN_R2 for r2 in found.values())
     passed = passed and found["feed_mm_min"] >= _MIN_R2
@@ -122,8 +118,7 @@ def _held_out(metrics: Mapping[str, float]) -> Verdict:
 def _no_slice_worse(metrics: Mapping[str, float]) -> Verdict:
     """Judge conditions whose feed was left out; those whose radius was are told only."""
     by_feed, by_radius = (
-        metrics.get(f"leave_{group}_out.worst_slice_ratio", float("nan"))
-        for group in ("feed_mm_min", "radius_mm")
+        metrics.get(f"leave_{group}_out.worst_slice_ratio", float("nan")) for group in ("feed_mm_min", "radius_mm")
     )
     told = f"worst condition with its feed left out keeps {100 * by_feed:z.0f} % of its error"
     if not np.isnan(by_radius):
@@ -199,14 +194,11 @@ def _contract(bundle: Bundle) -> Verdict:
     return Verdict(
         "train and serve agree",
         not problems,
-        ", ".join(problems)
-        or f"{len(bundle.inputs)} inputs at {TICK_HZ:g} Hz, test vectors proved",
+        ", ".join(problems) or f"{len(bundle.inputs)} inputs at {TICK_HZ:g} Hz, test vectors proved",
     )
 
 
 def latency_gate(metrics: Mapping[str, float]) -> Verdict:
     """Compare the time of one evaluation with its budget."""
     p99 = metrics.get("latency_p99_us", float("inf"))
-    return Verdict(
-        "latency", p99 <= _LATENCY_BUDGET_US, f"p99 {p99:z.2f} us of {_LATENCY_BUDGET_US:g}"
-    )
+    return Verdict("latency", p99 <= _LATENCY_BUDGET_US, f"p99 {p99:z.2f} us of {_LATENCY_BUDGET_US:g}")

@@ -85,9 +85,7 @@ def _contract_of(rows: Rows) -> WindowContract | None:
 def window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
     """Return the features of every window of a run's accelerometers."""
     if run.accelerometers is None:
-        raise InputError(
-            "the run has no accelerometers", code="train.signals", where=run.meta.run_id
-        )
+        raise InputError("the run has no accelerometers", code="train.signals", where=run.meta.run_id)
     block = np.stack([run.accelerometers.columns[name] for name in contract.channels])
     return batch_features(block, contract)
 
@@ -120,9 +118,7 @@ def _accelerometer_lag_s(run: TickRun, contract: WindowContract) -> float:
     acceleration = np.linalg.norm(run.inputs[::4, first : first + 3].astype(float), axis=1)
     wrist = np.asarray(run.accelerometers.columns[contract.channels[0]], dtype=float)
     try:
-        found = align_stops(
-            wrist[::4], run.accelerometers.rate_hz / 4, acceleration, TICK_HZ / 4, max_lag_s=1.5
-        )
+        found = align_stops(wrist[::4], run.accelerometers.rate_hz / 4, acceleration, TICK_HZ / 4, max_lag_s=1.5)
     except InputError:
         return 0.0
     return found.lag_s if found.correlation > 0.2 else 0.0

@@ -64,13 +64,15 @@ class MeasuredWays:
         machine, model_sha256 : str
             As for :class:`Evidence`.
         """
-        runs = [
-            EvidenceRun(WITH if run.meta.correction else WITHOUT, "", "", run) for run in self.runs
-        ]
+        runs = [EvidenceRun(WITH if run.meta.correction else WITHOUT, "", "", run) for run in self.runs]
         return evidence_of_runs(
-            runs, kind="virtual", machine=machine, model_sha256=model_sha256,
-            campaigns={WITHOUT: (), WITH: ()}, notes=self.notes(),
-        )  # fmt: skip
+            runs,
+            kind="virtual",
+            machine=machine,
+            model_sha256=model_sha256,
+            campaigns={WITHOUT: (), WITH: ()},
+            notes=self.notes(),
+        )
 
 
 def numbered(runs: Iterable[Run]) -> tuple[Run, ...]:

@@ -27,9 +27,11 @@ _ON_CIRCLE_MM = 0.1
 
 
 def best_offsets(
-    begun: Sequence[Callable[[], CobotController]], centre_mm: Floats,
-    motion: ControllerParameters, safety: SafetyLimits,
-) -> list[Floats]:  # fmt: skip
+    begun: Sequence[Callable[[], CobotController]],
+    centre_mm: Floats,
+    motion: ControllerParameters,
+    safety: SafetyLimits,
+) -> list[Floats]:
     """Return the offsets that leave least of the true radial error, found by running again and again.
 
     Begun with nothing; then what is left of the best runs so far is led ahead by delay and lag and
@@ -60,8 +62,7 @@ def best_offsets(
     low = butter(2, next(hz), fs=1.0 / TICK_S, output="sos")
     for _ in range(_ROUNDS):
         tried = [
-            was[np.minimum(np.arange(len(rest)), len(was) - 1)]
-            - gain * sosfiltfilt(low, _led(rest, ahead), axis=0)
+            was[np.minimum(np.arange(len(rest)), len(was) - 1)] - gain * sosfiltfilt(low, _led(rest, ahead), axis=0)
             for was, rest in zip(best, left, strict=True)
         ]
         after, size = _left_um(begun, tried, centre_mm, safety)
@@ -73,9 +74,7 @@ def best_offsets(
     return best
 
 
-def follow(
-    controller: Controller, offsets_um: Floats, safety: SafetyLimits
-) -> tuple[Controller, dict[str, int]]:
+def follow(controller: Controller, offsets_um: Floats, safety: SafetyLimits) -> tuple[Controller, dict[str, int]]:
     """Run a program with offsets through the guard; return it and how often each guard acted.
 
     Parameters
@@ -98,9 +97,8 @@ def follow(
 
 
 def _left_um(
-    begun: Sequence[Callable[[], CobotController]], offsets: Sequence[Floats], centre_mm: Floats,
-    safety: SafetyLimits,
-) -> tuple[list[Floats], float]:  # fmt: skip
+    begun: Sequence[Callable[[], CobotController]], offsets: Sequence[Floats], centre_mm: Floats, safety: SafetyLimits
+) -> tuple[list[Floats], float]:
     """Return what is left along the radius, each of shape (ticks, 3), and its RMS on the circles."""
     outward, error, counted = [], [], []
     for make, offset in zip(begun, offsets, strict=True):

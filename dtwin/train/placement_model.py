@@ -54,10 +54,7 @@ def placement_bundle(
     feeds_mm_min : tuple of float
         Lowest and highest feed at which the correction may be used.
     """
-    means = [
-        np.mean([p.error_um for p in placements if p.motion == motion], axis=0)
-        for motion in ("MoveL", "MoveJ")
-    ]
+    means = [np.mean([p.error_um for p in placements if p.motion == motion], axis=0) for motion in ("MoveL", "MoveJ")]
     g = GraphBuilder()
     joint, feed = g.input(JOINT_MOTION), g.input("programmed_feed_mm_min")
     outputs = {

@@ -40,10 +40,7 @@ def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle,
     bundle = Bundle.from_dict(registry.bundle(found))
     if bundle.machine != found.machine:
         raise GateRefusal(
-            "the bundle is for another machine",
-            code="promote.machine",
-            got=bundle.machine,
-            allowed=found.machine,
+            "the bundle is for another machine", code="promote.machine", got=bundle.machine, allowed=found.machine
         )
     verdicts = kind_of(bundle).gates(bundle, registry.metrics(found))
     barred = found.tags.get("state") == "barred"
@@ -125,12 +122,7 @@ def promote(
 
 
 def trial(
-    registry: Registry,
-    home: Home,
-    found: RegisteredVersion,
-    *,
-    geometry: Mapping[str, Any],
-    comment: str = "",
+    registry: Registry, home: Home, found: RegisteredVersion, *, geometry: Mapping[str, Any], comment: str = ""
 ) -> Path:
     """Put a version on trial: served only with ``--trial``, under a tight clamp.
 
@@ -187,10 +179,7 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
     path = _bundle_path(home, previous)
     if not path.is_file():
         raise StoreError(
-            "the previous bundle is gone",
-            code="rollback.bundle",
-            where=str(path),
-            hint="promote that version again",
+            "the previous bundle is gone", code="rollback.bundle", where=str(path), hint="promote that version again"
         )
     replaced = present is not None and present.version != previous.version
     proved = previous.tags.get("proved", "")
@@ -267,9 +256,11 @@ def _against(kept: Sequence[Record], despite: Sequence[str]) -> list[Verdict]:
     strange = [name for name in despite if name not in known]
     if strange:
         raise InputError(
-            "no such evidence against the version", code="promote.despite",
-            got=", ".join(strange)[:200], allowed=", ".join(sorted(known)) or "there is none",
-        )  # fmt: skip
+            "no such evidence against the version",
+            code="promote.despite",
+            got=", ".join(strange)[:200],
+            allowed=", ".join(sorted(known)) or "there is none",
+        )
     if not against:
         return []
     told = "; ".join(f"{r.id} of {r.time[:19]}: worse at {', '.join(r.worse)}" for r in against)
@@ -295,9 +286,13 @@ def _bundle_path(home: Home, found: RegisteredVersion) -> Path:
 
 
 def _freeze(
-    home: Home, found: RegisteredVersion, bundle: Bundle, verdicts: Sequence[Verdict], kind: str,
+    home: Home,
+    found: RegisteredVersion,
+    bundle: Bundle,
+    verdicts: Sequence[Verdict],
+    kind: str,
     valid_days: float = 0.0,
-) -> Path:  # fmt: skip
+) -> Path:
     provenance = dataclasses.replace(
         bundle.provenance,
         mlflow_version=found.version,
@@ -311,9 +306,7 @@ def _freeze(
     return save_bundle(frozen, path)
 
 
-def _record_verdicts(
-    registry: Registry, found: RegisteredVersion, verdicts: Sequence[Verdict]
-) -> None:
+def _record_verdicts(registry: Registry, found: RegisteredVersion, verdicts: Sequence[Verdict]) -> None:
     passed = all(v.passed for v in verdicts)
     registry.mark(found, {"gates": "passed" if passed else "refused"})
     registry.attach(found, {"gates.txt": "\n".join(verdict_lines(verdicts)) + "\n"})
@@ -344,9 +337,13 @@ def _now() -> str:
 
 
 def _remember(
-    home: Home, found: RegisteredVersion, action: Action, comment: str,
-    verdicts: Sequence[Verdict], despite: Sequence[str] = (),
-) -> None:  # fmt: skip
+    home: Home,
+    found: RegisteredVersion,
+    action: Action,
+    comment: str,
+    verdicts: Sequence[Verdict],
+    despite: Sequence[str] = (),
+) -> None:
     path = machine_folder(found.machine, home) / _HISTORY
     entry = {
         "time": _now(),
@@ -361,8 +358,5 @@ def _remember(
             handle.write(json.dumps(entry) + "\n")
     except OSError as error:
         raise StoreError(
-            "the promotion history cannot be written",
-            code="store.write",
-            where=str(path),
-            got=str(error),
+            "the promotion history cannot be written", code="store.write", where=str(path), got=str(error)
         ) from error

@@ -115,10 +115,15 @@ class Recheck:
 
 
 def interleaved_runs(
-    bundle: Bundle, cobot: VirtualCobot, *, tcp_mm: Floats,
-    conditions: Sequence[tuple[str, float, float]], blocks: int = 3, seed: int = 0,
+    bundle: Bundle,
+    cobot: VirtualCobot,
+    *,
+    tcp_mm: Floats,
+    conditions: Sequence[tuple[str, float, float]],
+    blocks: int = 3,
+    seed: int = 0,
     progress: Progress | None = None,
-) -> list[CheckedRun]:  # fmt: skip
+) -> list[CheckedRun]:
     """Measure circles with and without a correction on the virtual cobot, in random order.
 
     Every block holds each condition in both directions, with and without, in an order of its own.
@@ -154,17 +159,20 @@ def interleaved_runs(
     total = len(order)
     for number, (block, ((plane, radius, feed), direction, way)) in enumerate(order):
         recording, _ = run_circle(
-            cobot, bundle, tcp_mm, CircleCondition(plane, radius, feed, direction),
-            f"recheck-{seed}-{plane}-{radius:g}", 1000 * (seed + 1) + number, way,
-        )  # fmt: skip
+            cobot,
+            bundle,
+            tcp_mm,
+            CircleCondition(plane, radius, feed, direction),
+            f"recheck-{seed}-{plane}-{radius:g}",
+            1000 * (seed + 1) + number,
+            way,
+        )
         run = evaluate_circle(recording, direction) | {"block": block}
         found[(plane, radius, feed), way].append(run)
         if progress is not None:
             progress(number + 1, total, f"{plane} R{radius:g} F{feed:g}, {way}")
     return [
-        CheckedRun(
-            plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms)
-        )
+        CheckedRun(plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms))
         for ((plane, radius, feed), way), runs in found.items()
         for run, rms in zip(runs, rms_per_run(runs), strict=True)
     ]
@@ -210,16 +218,18 @@ def judge_evidence(evidence: Evidence) -> Recheck:
     """
     rows = [
         ConditionCheck(
-            condition_name(c), c["before_um"], c["after_um"], c["after_um"] - c["before_um"],
-            math.hypot(c["before_ci_um"], c["after_ci_um"]), c["n_with"],
+            condition_name(c),
+            c["before_um"],
+            c["after_um"],
+            c["after_um"] - c["before_um"],
+            math.hypot(c["before_ci_um"], c["after_ci_um"]),
+            c["n_with"],
         )
         for c in evidence.conditions
-    ]  # fmt: skip
+    ]
     means = [float(np.mean([getattr(r, f) for r in rows])) for f in ("before_um", "after_um")]
     half = math.sqrt(sum(r.half_width_um**2 for r in rows)) / len(rows)
-    every = ConditionCheck(
-        "all", means[0], means[1], means[1] - means[0], half, sum(r.pairs for r in rows)
-    )
+    every = ConditionCheck("all", means[0], means[1], means[1] - means[0], half, sum(r.pairs for r in rows))
     return _verdict([*rows, every])
 
 

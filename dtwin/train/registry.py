@@ -79,19 +79,14 @@ class Registry:
                 database.touch(mode=0o600)
             except OSError as error:
                 raise StoreError(
-                    "the model registry cannot be written",
-                    code="registry.write",
-                    where=self.uri,
-                    got=str(error),
+                    "the model registry cannot be written", code="registry.write", where=self.uri, got=str(error)
                 ) from error
         self.client = MlflowClient(tracking_uri=self.uri, registry_uri=self.uri)
 
     @contextmanager
     def open_run(self, name: str, tags: Mapping[str, str]) -> Iterator[str]:
         """Open an MLflow run and yield its id; it is marked failed when the body fails."""
-        run = self.client.create_run(
-            self.experiment(), run_name=name, tags={**tags, _PROCESS: process()}
-        )
+        run = self.client.create_run(self.experiment(), run_name=name, tags={**tags, _PROCESS: process()})
         try:
             yield run.info.run_id
         except BaseException:
@@ -101,17 +96,13 @@ class Registry:
 
     def close_abandoned(self) -> int:
         """Mark runs as killed whose process of this computer is gone; return how many."""
-        running = self.client.search_runs(
-            [self.experiment()], "attributes.status = 'RUNNING'", max_results=1000
-        )
+        running = self.client.search_runs([self.experiment()], "attributes.status = 'RUNNING'", max_results=1000)
         gone = [r.info.run_id for r in running if is_gone(r.data.tags.get(_PROCESS, ""))]
         for run_id in gone:
             self.client.set_terminated(run_id, status="KILLED")
         return len(gone)
 
-    def log_training(
-        self, report: TrainingReport, artifacts: Mapping[str, str | bytes]
-    ) -> dict[str, str]:
+    def log_training(self, report: TrainingReport, artifacts: Mapping[str, str | bytes]) -> dict[str, str]:
         """Log every candidate as a run, below one parent for the training.
 
         Parameters
@@ -254,17 +245,12 @@ class Registry:
                 content = path.read_text(encoding="utf-8")
         except (MlflowException, OSError) as error:
             raise InputError(
-                "the registry holds no such file",
-                code="model.artifact",
-                where=where,
-                got=str(error)[:160],
+                "the registry holds no such file", code="model.artifact", where=where, got=str(error)[:160]
             ) from error
         try:
             return json.loads(content)
         except ValueError as error:
-            raise StoreError(
-                "a file in the registry is damaged", code="model.artifact", where=where
-            ) from error
+            raise StoreError("a file in the registry is damaged", code="model.artifact", where=where) from error
 
     def files(self, found: RegisteredVersion, folder: str) -> list[str]:
         """Return the names of the files in a folder of the run behind a version, sorted."""
@@ -272,10 +258,11 @@ class Registry:
             listed = self.client.list_artifacts(found.run_id, folder)
         except (MlflowException, OSError) as error:
             raise StoreError(
-                "the registry's files cannot be listed", code="model.artifact",
+                "the registry's files cannot be listed",
+                code="model.artifact",
                 where=f"machine {found.machine} version {found.version} {folder}",
                 got=str(error)[:160],
-            ) from error  # fmt: skip
+            ) from error
         return sorted(item.path for item in listed if not item.is_dir)
 
     def metrics(self, found: RegisteredVersion) -> dict[str, float]:
@@ -308,9 +295,7 @@ class Registry:
         """Add files to the run behind a version, for the reviewer."""
         self.log_files(found.run_id, artifacts)
 
-    def _log_candidate(
-        self, run_id: str, parent: str, report: TrainingReport, candidate: Candidate
-    ) -> None:
+    def _log_candidate(self, run_id: str, parent: str, report: TrainingReport, candidate: Candidate) -> None:
         params = {
             "family": candidate.family,
             "promotable": candidate.promotable,
@@ -339,11 +324,7 @@ class Registry:
         self.log_files(run_id, files)
 
     def log(
-        self,
-        run_id: str,
-        params: Mapping[str, Any],
-        metrics: Mapping[str, float],
-        tags: Mapping[str, str],
+        self, run_id: str, params: Mapping[str, Any], metrics: Mapping[str, float], tags: Mapping[str, str]
     ) -> None:
         """Log parameters, metrics and tags of a run."""
         now = int(time.time() * 1000)

@@ -58,9 +58,7 @@ class ResidualFormula:
         return re.sub(r"\d+\.\d+(e-?\d+)?", lambda m: f"{float(m[0]):.4g}", self.text)
 
 
-def search_residual(
-    obs: Observations, residual_um: Floats, engine: Engine, seed: int
-) -> ResidualFormula:
+def search_residual(obs: Observations, residual_um: Floats, engine: Engine, seed: int) -> ResidualFormula:
     """Search a formula for what repeats agree on, each time without one condition, then with all.
 
     Parameters
@@ -122,9 +120,7 @@ def formula_effect(name: str, text: str) -> Effect:
     formula, constants = parse_formula(text, INPUTS)
 
     def columns(state: State, axis: str, shape: Shape) -> Floats:
-        values = formula.values(
-            _inputs(state.angle_rad, state.feed_mm_s, state.radius_mm, state.direction), constants
-        )
+        values = formula.values(_inputs(state.angle_rad, state.feed_mm_s, state.radius_mm, state.direction), constants)
         return np.broadcast_to(values, state.n).astype(float)[:, None]
 
     return Effect(
@@ -182,11 +178,7 @@ def _table(obs: Observations, residual_um: Floats) -> tuple[dict[str, Floats], F
 
 def _inputs(theta: Floats, feed_mm_s: float, radius_mm: float, sign: float) -> dict[str, Floats]:
     ones = np.ones_like(theta)
-    waves = {
-        f"{word}{h}": wave(h * theta)
-        for h in _HARMONICS
-        for word, wave in (("c", np.cos), ("s", np.sin))
-    }
+    waves = {f"{word}{h}": wave(h * theta) for h in _HARMONICS for word, wave in (("c", np.cos), ("s", np.sin))}
     return {
         **waves,
         "f": ones * (feed_mm_s / REFERENCE_FEED_MM_S),

@@ -51,10 +51,7 @@ class Rows:
 
     def condition(self) -> NDArray[np.int64]:
         """Return the number of each row's condition: plane, radius, feed, direction."""
-        keys = [
-            (r.meta.plane, r.meta.radius_mm, r.meta.feed_mm_min, r.meta.direction)
-            for r in self.runs
-        ]
+        keys = [(r.meta.plane, r.meta.radius_mm, r.meta.feed_mm_min, r.meta.direction) for r in self.runs]
         numbers = {key: i for i, key in enumerate(dict.fromkeys(keys))}
         return np.array([numbers[key] for key in keys])[self.of_run]
 
@@ -75,9 +72,7 @@ class Rows:
         for setup in range(len(setups)):
             inside = np.flatnonzero(of_row == setup)
             angle = self.angle_rad[inside]
-            basis = np.linalg.qr(
-                np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)])
-            )[0]
+            basis = np.linalg.qr(np.column_stack([np.ones_like(angle), np.cos(angle), np.sin(angle)]))[0]
             result[inside] -= basis @ (basis.T @ result[inside])
         return result
 
@@ -98,9 +93,7 @@ class Rows:
         """
         target = np.full(self.n, np.nan)
         target[inside] = self.only(inside).target_um
-        return replace(
-            self, measured_um=np.where(inside, self.measured_um, np.nan), target_um=target
-        )
+        return replace(self, measured_um=np.where(inside, self.measured_um, np.nan), target_um=target)
 
     def rms_um(self, values: Floats) -> float:
         """Return the RMS over the scored rows."""
@@ -156,9 +149,7 @@ def noise_floor_um(rows: Rows) -> tuple[float, int]:
         profiles = []
         for run in np.unique(rows.of_run[inside]):
             mine = inside & (rows.of_run == run)
-            main = mine & (
-                turn == np.bincount(turn[mine] - turn[mine].min()).argmax() + turn[mine].min()
-            )
+            main = mine & (turn == np.bincount(turn[mine] - turn[mine].min()).argmax() + turn[mine].min())
             count = np.bincount(place[main], minlength=bins)
             total = np.bincount(place[main], weights=rows.target_um[main], minlength=bins)
             with np.errstate(invalid="ignore", divide="ignore"):

@@ -67,9 +67,7 @@ def run_errors(runs: Sequence[Run]) -> list[RunError]:
     if not kinds:
         return []
     if len(kinds) > 1:
-        raise InputError(
-            "runs of several kinds are not compared", code="evidence.kind", got=", ".join(kinds)
-        )
+        raise InputError("runs of several kinds are not compared", code="evidence.kind", got=", ".join(kinds))
     return kind_named(kinds[0]).run_errors(runs)
 
 
@@ -94,9 +92,7 @@ def circle_errors(runs: Sequence[Run]) -> list[RunError]:
     parts = [_arc(run) for run in runs]
     mounted = defaultdict(list)
     for number, (run, (angle_deg, _)) in enumerate(zip(runs, parts, strict=True)):
-        mounted[run.meta.setup, run.meta.plane, run.meta.radius_mm, _swept(angle_deg)].append(
-            number
-        )
+        mounted[run.meta.setup, run.meta.plane, run.meta.radius_mm, _swept(angle_deg)].append(number)
     rest = dict[int, Floats]()
     for numbers in mounted.values():
         designs = {n: _mounting(parts[n][0]) for n in numbers}
@@ -108,24 +104,16 @@ def circle_errors(runs: Sequence[Run]) -> list[RunError]:
     conditions = [_circle(run) for run in runs]
     grids = _grids(runs, [angle for angle, _ in parts])
     return [
-        RunError(
-            n, conditions[n], str(run.meta.direction), rms(rest[n]),
-            _at(grids[n], parts[n][0], rest[n]),
-        )
+        RunError(n, conditions[n], str(run.meta.direction), rms(rest[n]), _at(grids[n], parts[n][0], rest[n]))
         for n, run in enumerate(runs)
-    ]  # fmt: skip
+    ]
 
 
 def _circle(run: Run) -> Condition:
     meta = run.meta
     if meta.radius_mm and meta.feed_mm_min:
-        return {
-            "plane": str(meta.plane), "radius_mm": meta.radius_mm, "feed_mm_min": meta.feed_mm_min
-        }  # fmt: skip
-    raise InputError(
-        "a circle does not state radius and feed", code="evidence.condition",
-        where=f"run {meta.run_id}",
-    )  # fmt: skip
+        return {"plane": str(meta.plane), "radius_mm": meta.radius_mm, "feed_mm_min": meta.feed_mm_min}
+    raise InputError("a circle does not state radius and feed", code="evidence.condition", where=f"run {meta.run_id}")
 
 
 def _arc(run: Run) -> tuple[Floats, Floats]:
@@ -177,9 +165,12 @@ def stroke_errors(runs: Sequence[Run]) -> list[RunError]:
             place, error = run.samples["position_mm"][chosen], run.samples["error_um"][chosen]
             rest = error[np.argsort(place)] - middle
             condition: Condition = {
-                "axis": axis, "approached": way, "targets": float(len(place)),
-                "from_mm": round(float(place.min()), 2), "to_mm": round(float(place.max()), 2),
-            }  # fmt: skip
+                "axis": axis,
+                "approached": way,
+                "targets": float(len(place)),
+                "from_mm": round(float(place.min()), 2),
+                "to_mm": round(float(place.max()), 2),
+            }
             found.append(RunError(number, condition, way, rms(rest), rest))
     return found
 
@@ -197,18 +188,17 @@ def tone_errors(runs: Sequence[Run]) -> list[RunError]:
         missing = [name for name in names if name not in run.samples]
         if missing:
             raise InputError(
-                "a run does not tell where the tool was", code="evidence.columns",
-                where=f"run {run.meta.run_id}", got=", ".join(run.samples),
+                "a run does not tell where the tool was",
+                code="evidence.columns",
+                where=f"run {run.meta.run_id}",
+                got=", ".join(run.samples),
                 allowed=", ".join(missing),
-            )  # fmt: skip
+            )
         command, tool = (
-            fit_tone(run.samples["t_s"], run.samples[name] * UM_PER_MM, frequency).phasor
-            for name in names
+            fit_tone(run.samples["t_s"], run.samples[name] * UM_PER_MM, frequency).phasor for name in names
         )
         error = tool - command
-        condition: Condition = {
-            "axis": axis, "frequency_hz": frequency, "amplitude_um": float(stated["amplitude_um"]),
-        }  # fmt: skip
+        condition: Condition = {"axis": axis, "frequency_hz": frequency, "amplitude_um": float(stated["amplitude_um"])}
         # In the command's own direction, whatever the instant at which the record began.
         turned = error * np.conj(command) / abs(command)
         rest = math.sqrt(2.0) * np.array([turned.real, turned.imag])

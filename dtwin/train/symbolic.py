@@ -66,9 +66,8 @@ class OperonEngine:
     name = "operon"
 
     def __init__(
-        self, generations: int = 25, population: int = 300, max_length: int = 40,
-        symbols: str = _OPERON_SYMBOLS,
-    ) -> None:  # fmt: skip
+        self, generations: int = 25, population: int = 300, max_length: int = 40, symbols: str = _OPERON_SYMBOLS
+    ) -> None:
         self.generations, self.population, self.max_length = generations, population, max_length
         self.symbols = symbols
 
@@ -185,10 +184,7 @@ def read_hall_of_fame(equations: Any) -> list[Found]:
     equations : DataFrame
         With the columns ``equation``, ``complexity`` and ``loss``.
     """
-    return [
-        Found(str(row["equation"]), int(row["complexity"]), float(row["loss"]))
-        for _, row in equations.iterrows()
-    ]
+    return [Found(str(row["equation"]), int(row["complexity"]), float(row["loss"])) for _, row in equations.iterrows()]
 
 
 @dataclass(frozen=True)
@@ -213,9 +209,7 @@ class FittedFormula:
     complexity: int
 
 
-def refit(
-    front: Sequence[Found], inputs: Mapping[str, Floats], target: Floats
-) -> list[FittedFormula]:
+def refit(front: Sequence[Found], inputs: Mapping[str, Floats], target: Floats) -> list[FittedFormula]:
     """Refit the constants of every formula on all rows; drop what is not finite.
 
     Parameters
@@ -240,9 +234,7 @@ def refit(
     return fitted
 
 
-def _refitted(
-    formula: Formula, start: Floats, inputs: Mapping[str, Floats], target: Floats
-) -> Floats:
+def _refitted(formula: Formula, start: Floats, inputs: Mapping[str, Floats], target: Floats) -> Floats:
     if not start.size:
         return start
 

@@ -17,11 +17,25 @@ from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder
 
 _PLAIN = {
-    np.add: "add", np.subtract: "sub", np.multiply: "mul", np.true_divide: "div",
-    np.negative: "neg", np.absolute: "abs", np.sqrt: "sqrt", np.square: "square", np.exp: "exp",
-    np.log: "log", np.sin: "sin", np.cos: "cos", np.tan: "tan", np.arctan2: "atan2",
-    np.tanh: "tanh", np.minimum: "min", np.maximum: "max", np.sign: "sign",
-}  # fmt: skip
+    np.add: "add",
+    np.subtract: "sub",
+    np.multiply: "mul",
+    np.true_divide: "div",
+    np.negative: "neg",
+    np.absolute: "abs",
+    np.sqrt: "sqrt",
+    np.square: "square",
+    np.exp: "exp",
+    np.log: "log",
+    np.sin: "sin",
+    np.cos: "cos",
+    np.tan: "tan",
+    np.arctan2: "atan2",
+    np.tanh: "tanh",
+    np.minimum: "min",
+    np.maximum: "max",
+    np.sign: "sign",
+}
 
 
 _Parts: TypeAlias = tuple[Expression, Expression]
@@ -215,9 +229,7 @@ def _apply(ufunc: Any, args: Sequence[Expression]) -> Expression:
 
 
 def _is_complex(item: Any) -> bool:
-    return not isinstance(item, Traced) and (
-        isinstance(item, TracedComplex) or np.iscomplexobj(item)
-    )
+    return not isinstance(item, Traced) and (isinstance(item, TracedComplex) or np.iscomplexobj(item))
 
 
 def _complex(ufunc: Any, inputs: Sequence[Any], builder: GraphBuilder) -> TracedComplex:
@@ -250,10 +262,7 @@ def _product(a: _Parts, b: _Parts) -> _Parts:
     def times(i: int, j: int) -> Expression:
         return _simple("mul", (a[i], b[j]))
 
-    return (
-        _simple("sub", (times(0, 0), times(1, 1))),
-        _simple("add", (times(0, 1), times(1, 0))),
-    )
+    return (_simple("sub", (times(0, 0), times(1, 1))), _simple("add", (times(0, 1), times(1, 0))))
 
 
 def _quotient(a: _Parts, b: _Parts) -> _Parts:
@@ -377,9 +386,7 @@ def _clip(builder: GraphBuilder, value: Any, low: Any, high: Any) -> Traced:
 
 
 def _like(number: float) -> Callable[..., Traced]:
-    return lambda builder, value, **_: Traced(
-        [builder.constant(number)] * len(value.columns), table=value.table
-    )
+    return lambda builder, value, **_: Traced([builder.constant(number)] * len(value.columns), table=value.table)
 
 
 _FUNCTIONS: dict[Any, Callable[..., Traced]] = {

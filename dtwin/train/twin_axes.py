@@ -47,9 +47,7 @@ class Motion:
         return cls(position_mm, np.asarray(velocity, dtype=float), np.zeros(position_mm.shape))
 
 
-def axis_errors_um(
-    twin: Twin, motion: Motion, columns: Mapping[str, float] | None = None
-) -> Floats:
+def axis_errors_um(twin: Twin, motion: Motion, columns: Mapping[str, float] | None = None) -> Floats:
     """Return the predicted error of every axis, actual minus commanded.
 
     A reversal of an axis counts as long past: lost motion has its full size on the side that the
@@ -154,9 +152,7 @@ def own_axis_only(
     return out
 
 
-def axis_table_um(
-    twin: Twin, axis: str, position_mm: Floats, speed_mm_s: float
-) -> tuple[Floats, Floats]:
+def axis_table_um(twin: Twin, axis: str, position_mm: Floats, speed_mm_s: float) -> tuple[Floats, Floats]:
     """Return the error of one axis over its own position, forwards and in reverse, shape (n,).
 
     Parameters
@@ -172,9 +168,7 @@ def axis_table_um(
     """
     number = AXES.index(axis)
     ways = (speed_mm_s, -speed_mm_s)
-    forward, reverse = (
-        axis_errors_um(twin, _line(number, position_mm, way))[:, number] for way in ways
-    )
+    forward, reverse = (axis_errors_um(twin, _line(number, position_mm, way))[:, number] for way in ways)
     return forward, reverse
 
 
@@ -199,9 +193,7 @@ def _looking_along(axis: str, plane: str, motion: Motion, columns: Mapping[str, 
         plane=plane,
         position_mm=at,
         velocity_mm_s=speed,
-        acceleration_mm_s2={
-            a: motion.acceleration_mm_s2[:, AXES.index(a)] for a in (first, second)
-        },
+        acceleration_mm_s2={a: motion.acceleration_mm_s2[:, AXES.index(a)] for a in (first, second)},
         sensitivity={a: np.full(n, 1.0 if a == axis else 0.0) for a in (first, second)},
         since_reversal_s={a: np.full(n, _FAR_MM) for a in (first, second)},
         last_end={a: -np.sign(speed[a]) for a in (first, second)},

@@ -12,12 +12,7 @@ _DOCUMENT, _OPENED_FOR = "dtwin.document", "dtwin.opened_for"
 
 
 def log_twin(
-    registry: Registry,
-    document: Mapping[str, Any],
-    digest: str,
-    *,
-    description: str,
-    parent: str | None,
+    registry: Registry, document: Mapping[str, Any], digest: str, *, description: str, parent: str | None
 ) -> dict[str, str]:
     """Log a version of a twin as a child run and register it; what a kill left of that is finished.
 
@@ -48,14 +43,8 @@ def log_twin(
             pass
     run_id = _finished(registry, _DOCUMENT, digest)
     if run_id is None:
-        tags = {
-            "mlflow.parentRunId": parent,
-            "mlflow.note.content": description,
-            _DOCUMENT: digest,
-        }
-        with registry.open_run(
-            f"{name} v{document['version']}: {document['action']}", tags
-        ) as run_id:
+        tags = {"mlflow.parentRunId": parent, "mlflow.note.content": description, _DOCUMENT: digest}
+        with registry.open_run(f"{name} v{document['version']}: {document['action']}", tags) as run_id:
             registry.log(run_id, _params(document), _figures(document), {})
             registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
     registry.ensure_model(name, f"Versions of the twin {document['twin']}, one for each rung.")
@@ -67,12 +56,7 @@ def log_twin(
         description=description,
         tags={"twin_version": str(document["version"]), "action": str(document["action"])},
     )
-    return {
-        "parent_run_id": parent,
-        "run_id": run_id,
-        "model": name,
-        "model_version": str(created.version),
-    }
+    return {"parent_run_id": parent, "run_id": run_id, "model": name, "model_version": str(created.version)}
 
 
 def _finished(registry: Registry, tag: str, digest: str) -> str | None:
@@ -101,9 +85,7 @@ def _params(document: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def note_diagnosis(
-    registry: Registry, model: str, model_version: str, diagnosis: Mapping[str, Any]
-) -> None:
+def note_diagnosis(registry: Registry, model: str, model_version: str, diagnosis: Mapping[str, Any]) -> None:
     """Set the verdict of a diagnosis as tags of a twin's version.
 
     Parameters

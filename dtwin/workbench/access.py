@@ -155,9 +155,7 @@ class Guarded:
             )
         # A redirect would still count as coming from where the link was pressed, and then a
         # strict cookie is withheld; a page that moves on by itself does not.
-        answer = HTMLResponse(
-            _MOVE_ON.format(to=html.escape(quote(f"/{scope['path'].lstrip('/')}")))
-        )
+        answer = HTMLResponse(_MOVE_ON.format(to=html.escape(quote(f"/{scope['path'].lstrip('/')}"))))
         answer.set_cookie(self.access.cookie, given, httponly=True, samesite="strict", path="/")
         return answer
 

@@ -117,11 +117,7 @@ class Bench:
         rows = self.run_rows()
 
         def hashed() -> str:
-            mine = [
-                f"{row['content_sha256']} {row['metadata_version']}"
-                for row in rows
-                if row["campaign"] == campaign
-            ]
+            mine = [f"{row['content_sha256']} {row['metadata_version']}" for row in rows if row["campaign"] == campaign]
             if not mine:
                 self.lake.campaign(campaign)
             return hashlib.sha256("".join(mine).encode()).hexdigest()

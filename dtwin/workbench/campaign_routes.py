@@ -64,10 +64,7 @@ def campaign_list(request: Request) -> Response:
     rows = bench.run_rows()
     version = bench.lake_version
     found = bench.cache.get(("overviews", version), lambda: campaigns.overviews(rows))
-    return rendered(
-        request, "campaigns.html", title="Campaigns", campaigns=found,
-        limit_mb=MAX_TRAY_BYTES // 1024**2,
-    )  # fmt: skip
+    return rendered(request, "campaigns.html", title="Campaigns", campaigns=found, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 
 @router.get("/campaigns/{name}")
@@ -77,20 +74,25 @@ def campaign_page(request: Request, name: str) -> Response:
     rows = _rows(bench, name)
     version = bench.lake_version
     overview = bench.cache.get(("overview", name, version), lambda: campaigns.overview(name, rows))
-    findings = bench.cache.get(
-        ("findings", name, version), lambda: campaigns.grouped_findings(rows)
-    )
+    findings = bench.cache.get(("findings", name, version), lambda: campaigns.grouped_findings(rows))
     rungs = {twin: bench.twins.history(twin) for twin in bench.twin_names()}
     fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
     kind = kind_named(overview.kind)
     paths = kind.offers("rows")
     return rendered(
-        request, "campaign.html", title=f"Campaign {name}", campaign=overview, runs=rows,
-        findings=findings, kind=kind, paths=paths,
+        request,
+        "campaign.html",
+        title=f"Campaign {name}",
+        campaign=overview,
+        runs=rows,
+        findings=findings,
+        kind=kind,
+        paths=paths,
         effects=campaigns.possible_effects(rows, bench.library) if paths else FAMILIES.values(),
         with_twins=[known.name for known in kinds() if known.always_fitted],
-        suggested=_free_name(list(rungs), overview.machine), fitted=fitted,
-    )  # fmt: skip
+        suggested=_free_name(list(rungs), overview.machine),
+        fitted=fitted,
+    )
 
 
 @router.get("/campaigns/{name}/runs/{run_id}")
@@ -100,10 +102,15 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
     row = _row(bench, name, run_id)
     kind = kind_named(row["kind"])
     return rendered(
-        request, "run.html", title=f"Run {run_id}", campaign=name, row=row, kind=kind,
+        request,
+        "run.html",
+        title=f"Run {run_id}",
+        campaign=name,
+        row=row,
+        kind=kind,
         findings=campaigns.findings_of(row),
         drawings=kind.drawings if kind.offers("drawings") else (),
-    )  # fmt: skip
+    )
 
 
 @router.get("/api/campaigns/{name}/runs/{run_id}/{figure}")
@@ -114,9 +121,12 @@ def run_figure(request: Request, name: str, run_id: str, figure: str) -> Respons
     drawings = {drawing.name: drawing for drawing in kind_named(row["kind"]).drawings}
     if figure not in drawings:
         raise InputError(
-            "there is no such figure of the run", code="page.unknown", where=run_id,
-            got=figure[:40], allowed=", ".join(drawings),
-        )  # fmt: skip
+            "there is no such figure of the run",
+            code="page.unknown",
+            where=run_id,
+            got=figure[:40],
+            allowed=", ".join(drawings),
+        )
     key = ("run", name, run_id, row["content_sha256"], row["metadata_version"])
     run = bench.cache.get(key, lambda: bench.lake.load(row, signals=False))
     return drawn(drawings[figure].draw(run, lambda: campaign_floor(bench, name).um))
@@ -209,9 +219,7 @@ def _row(bench: Bench, name: str, run_id: str) -> Any:
     for row in _rows(bench, name):
         if row["run_id"] == run_id:
             return row
-    raise InputError(
-        "no such run in the campaign", code="page.unknown", where=name, got=run_id[:100]
-    )
+    raise InputError("no such run in the campaign", code="page.unknown", where=name, got=run_id[:100])
 
 
 def _free_name(taken: list[str], machine: str) -> str:

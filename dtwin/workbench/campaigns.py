@@ -114,12 +114,7 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     Each has ``severity``, ``code``, ``message`` of the first run, and ``runs``.
     """
     by_code: dict[str, dict[str, Any]] = {
-        f"{f.code} {f.message}": {
-            "severity": f.severity,
-            "code": f.code,
-            "message": f.message,
-            "runs": [],
-        }
+        f"{f.code} {f.message}": {"severity": f.severity, "code": f.code, "message": f.message, "runs": []}
         for f in campaign_findings(rows)
     }
     for row in rows:
@@ -129,9 +124,7 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return sorted(by_code.values(), key=lambda f: (_SEVERITIES.index(f["severity"]), f["code"]))
 
 
-def possible_effects(
-    rows: Sequence[Mapping[str, Any]], library: Mapping[str, Effect]
-) -> list[Effect]:
+def possible_effects(rows: Sequence[Mapping[str, Any]], library: Mapping[str, Effect]) -> list[Effect]:
     """Return the effects that can act in a campaign, set-up terms left out, by name.
 
     Parameters

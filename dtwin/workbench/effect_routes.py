@@ -41,19 +41,23 @@ def effect_list(request: Request, edit: str = "") -> Response:
     library = [e for _, e in sorted(bench.library.items())]
     source = _source(bench, edit) if edit else ""
     return rendered(
-        request, "effects.html", title="Effects", effects=library, folder=bench.effects_path,
-        errors=bench.effect_errors, own=[f.stem for f in bench.own_files()], edit=edit,
+        request,
+        "effects.html",
+        title="Effects",
+        effects=library,
+        folder=bench.effects_path,
+        errors=bench.effect_errors,
+        own=[f.stem for f in bench.own_files()],
+        edit=edit,
         source=source,
-    )  # fmt: skip
+    )
 
 
 @router.get("/effects/{name}")
 def effect_page(request: Request, name: str) -> Response:
     """Show what an effect is."""
     effect = bench_of(request).library[name]
-    return rendered(
-        request, "effect.html", title=f"Effect {name}", effect=effect, text=effect_text(effect)
-    )
+    return rendered(request, "effect.html", title=f"Effect {name}", effect=effect, text=effect_text(effect))
 
 
 @router.get("/effect-template.py")
@@ -88,9 +92,8 @@ def _checked(bench: Bench, path: Path, source: str) -> Effect:
             _compute(effect)
         except InputError as error:
             raise InputError(
-                error.message, code=error.code, where=path.name, got=error.got,
-                allowed=error.allowed, hint=error.hint,
-            ) from error  # fmt: skip
+                error.message, code=error.code, where=path.name, got=error.got, allowed=error.allowed, hint=error.hint
+            ) from error
     return effect
 
 
@@ -114,9 +117,8 @@ def _own_path(bench: Bench, name: str) -> Path:
     plain = require_name(name, "the effect")
     if not plain.isidentifier():
         raise InputError(
-            "the name of an effect is a Python name", code="effect.name", got=plain,
-            allowed="letters, digits and _",
-        )  # fmt: skip
+            "the name of an effect is a Python name", code="effect.name", got=plain, allowed="letters, digits and _"
+        )
     return bench.effects_path / f"{plain}.py"
 
 

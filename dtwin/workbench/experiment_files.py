@@ -49,11 +49,14 @@ def grids_of(experiment: Mapping[str, Any] | None) -> list[Grid]:
     for (speeds_, ways_), here in places.items():
         grids += [
             {
-                "plane": planes, "radius_mm": radii, "feed_mm_min": list(speeds_),
-                "repeats": int(experiment["repeats"]), "directions": list(ways_),
+                "plane": planes,
+                "radius_mm": radii,
+                "feed_mm_min": list(speeds_),
+                "repeats": int(experiment["repeats"]),
+                "directions": list(ways_),
             }
             for planes, radii in _products(here)
-        ]  # fmt: skip
+        ]
     return grids
 
 

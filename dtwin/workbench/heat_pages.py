@@ -10,12 +10,7 @@ from starlette.responses import Response
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.kinds.volumetric.twin_report import day_figure, motion_figure, term_table
 from dtwin.kinds.volumetric.twins import HeatTwins
-from dtwin.report.every_twin import (
-    comparison_sections,
-    diagnosis_section,
-    history_section,
-    twin_section,
-)
+from dtwin.report.every_twin import comparison_sections, diagnosis_section, history_section, twin_section
 from dtwin.report.html import Section
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of
@@ -41,11 +36,19 @@ def heat_page(request: Request, name: str, on: str = "") -> Response:
     twin = twins.newest(name)
     campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == twin.machine})
     return rendered(
-        request, "heat.html", title=f"Twin {name}", name=name, twin=twin,
-        result=_compared(bench, name, on), on=on or twin.campaign, campaigns=campaigns,
-        diagnosis=reading.diagnosis_of(bench, name, twin.version), rungs=twins.history(name),
-        terms=term_table(twin), families=FAMILIES.values(),
-    )  # fmt: skip
+        request,
+        "heat.html",
+        title=f"Twin {name}",
+        name=name,
+        twin=twin,
+        result=_compared(bench, name, on),
+        on=on or twin.campaign,
+        campaigns=campaigns,
+        diagnosis=reading.diagnosis_of(bench, name, twin.version),
+        rungs=twins.history(name),
+        terms=term_table(twin),
+        families=FAMILIES.values(),
+    )
 
 
 def heat_sections(bench: Bench, name: str) -> list[Section]:

@@ -19,9 +19,11 @@ def progress(request: Request, job_id: str) -> dict[str, Any]:
     job = bench_of(request).jobs.get(job_id)
     if job is None:
         raise InputError(
-            "this work is not known here", code="page.unknown", got=job_id[:40],
+            "this work is not known here",
+            code="page.unknown",
+            got=job_id[:40],
             hint="reload the page: what was finished is there",
-        )  # fmt: skip
+        )
     return asdict(job)
 
 

@@ -58,9 +58,13 @@ def live_page(request: Request) -> Response:
     home = bench_of(request).home
     serving = servings(home)
     return rendered(
-        request, "live.html", title="Live", serving=serving, sessions=sessions(home),
+        request,
+        "live.html",
+        title="Live",
+        serving=serving,
+        sessions=sessions(home),
         events={s.machine: _newest_lines(events_path(home, s.machine))[::-1] for s in serving},
-    )  # fmt: skip
+    )
 
 
 @router.get("/api/live")
@@ -87,9 +91,7 @@ def now(request: Request, machine: str) -> dict[str, Any]:
         "rate_hz": rate_hz,
         "late_or_missed": (seen.late + seen.missed) / answered,
         "age_ms": [1e3 * float(v) for v in np.percentile(age, (50, 99))],
-        "jitter_us_p99": 1e6 * float(np.percentile(np.abs(interval - seen.period_s), 99))
-        if len(interval)
-        else None,
+        "jitter_us_p99": 1e6 * float(np.percentile(np.abs(interval - seen.period_s), 99)) if len(interval) else None,
         "correction_um": seen.rows[-1, _CORRECTION].tolist(),
         "clamp_um": seen.clamp_um,
         "reasons": {n: c for n, c in seen.reasons.items() if n not in ("ok", "disabled")},
@@ -112,9 +114,7 @@ def circle(request: Request, machine: str) -> Response:
     at = COLUMNS.index("actual_x_mm")
     position, centre, radius = np.split(seen.rows[:, at : at + 7], [3, 6], axis=1)
     figure = circle_figure(position, centre, radius[:, 0], seen.rows[:, _CORRECTION])
-    told = (
-        "no whole circle was seen yet" if radius.any() else "this machine goes round no circle now"
-    )
+    told = "no whole circle was seen yet" if radius.any() else "this machine goes round no circle now"
     return drawn(figure or waiting_figure(told))
 
 
@@ -122,9 +122,8 @@ def _board(request: Request, machine: str) -> Seen:
     seen = read_board(machine, bench_of(request).home)
     if seen is None or not seen.ticks:
         raise InputError(
-            "no loop of this machine shows its figures", code="live.none", got=machine[:80],
-            hint="reload the page",
-        )  # fmt: skip
+            "no loop of this machine shows its figures", code="live.none", got=machine[:80], hint="reload the page"
+        )
     return seen
 
 
@@ -145,10 +144,7 @@ def stop(request: Request, machine: str) -> JSONResponse:
         if found.machine == machine:
             os.kill(found.pid, signal.SIGINT)
             return JSONResponse({"stopped": found.pid})
-    raise InputError(
-        "nothing serves this machine now", code="live.none", got=machine[:80],
-        hint="reload the page",
-    )  # fmt: skip
+    raise InputError("nothing serves this machine now", code="live.none", got=machine[:80], hint="reload the page")
 
 
 def servings(home: Home) -> list[Serving]:

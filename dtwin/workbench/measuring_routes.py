@@ -37,8 +37,7 @@ def answered(request: Request, desk: str, question: str, answer: str) -> JSONRes
     found = desks(bench_of(request).home).get(desk)
     if found is None:
         raise InputError(
-            "no campaign is measured there now", code="campaign.answer", got=desk[:40],
-            hint="reload the page",
-        )  # fmt: skip
+            "no campaign is measured there now", code="campaign.answer", got=desk[:40], hint="reload the page"
+        )
     give_answer(found[0], question, answer)
     return JSONResponse({"answered": answer})

@@ -52,10 +52,14 @@ def model_page(request: Request, machine: str, version: str) -> Response:
     evidence = Table(*evidence_table(found.evidence)) if found.evidence else None
     number = found.version.version
     return rendered(
-        request, "model.html", title=f"{machine} version {number}", found=found,
-        machine=machine, evidence=evidence,
+        request,
+        "model.html",
+        title=f"{machine} version {number}",
+        found=found,
+        machine=machine,
+        evidence=evidence,
         mlflow=models.mlflow_page(bench.home, f"dtwin-{machine}", number),
-    )  # fmt: skip
+    )
 
 
 @router.get("/api/models/{machine}/{version}/{kind}")
@@ -91,9 +95,8 @@ def promote(request: Request, machine: str, version: str, why: Comment) -> JSONR
             return address
         tell("evidence from runs with and without correction")
         proven_or_measured(
-            bench.home, found, seed=0,
-            progress=lambda done, total, what: tell(f"{done} of {total}, {what}"),
-        )  # fmt: skip
+            bench.home, found, seed=0, progress=lambda done, total, what: tell(f"{done} of {total}, {what}")
+        )
         tell("gates")
         promote_proven(bench.home, found, why.comment)
         return address

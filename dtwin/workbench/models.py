@@ -78,9 +78,7 @@ def require_registry(home: Home) -> Registry:
     """
     found = registry_of(home)
     if found is None:
-        raise InputError(
-            "no model is registered yet", code="model.unknown", hint="dtwin train CAMPAIGN"
-        )
+        raise InputError("no model is registered yet", code="model.unknown", hint="dtwin train CAMPAIGN")
     return found
 
 

@@ -30,9 +30,7 @@ def decimal(text: str, what: str) -> float:
     InputError
         When it is not a finite number.
     """
-    plain = re.sub(r"[\s\u00a0\u202f'\u2019]", "", text[: _MOST_CHARACTERS + 1]).replace(
-        "\u2212", "-"
-    )
+    plain = re.sub(r"[\s\u00a0\u202f'\u2019]", "", text[: _MOST_CHARACTERS + 1]).replace("\u2212", "-")
     value = math.nan
     if len(plain) <= _MOST_CHARACTERS:
         if _PLAIN.fullmatch(plain):
@@ -43,8 +41,5 @@ def decimal(text: str, what: str) -> float:
     if math.isfinite(value):
         return value
     raise InputError(
-        f"{what} is not a number",
-        code="number.invalid",
-        got=text[:_MOST_CHARACTERS],
-        allowed="for example 0.5 or 0,5",
+        f"{what} is not a number", code="number.invalid", got=text[:_MOST_CHARACTERS], allowed="for example 0.5 or 0,5"
     )

@@ -55,9 +55,13 @@ _ENVIRONMENT = Environment(
     loader=PackageLoader("dtwin.workbench"), autoescape=True, trim_blocks=True, lstrip_blocks=True
 )
 _ENVIRONMENT.filters |= {
-    "when": when, "um": um, "plain": plain, "condition": condition_words, "place": place_words,
+    "when": when,
+    "um": um,
+    "plain": plain,
+    "condition": condition_words,
+    "place": place_words,
     "stated": stated,
-}  # fmt: skip
+}
 _ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
 
 

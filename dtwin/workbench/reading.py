@@ -198,9 +198,7 @@ def chosen_conditions(found: View, wanted: Sequence[int]) -> list[int]:
     return here or [int(np.argmax(np.nanmean(found.residual_um**2, axis=1)))]
 
 
-def overlay(
-    found: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]
-) -> dict[str, Floats]:
+def overlay(found: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]) -> dict[str, Floats]:
     """Return curves by name.
 
     Parameters
@@ -218,9 +216,7 @@ def overlay(
     for number in conditions:
         suffix = f" {found.labels[number]}" if len(conditions) > 1 else ""
         measured, left = found.measured_um[number], found.residual_um[number]
-        for kind, values in (
-            ("measured", measured), ("twin", measured - left), ("residual", left)
-        ):  # fmt: skip
+        for kind, values in (("measured", measured), ("twin", measured - left), ("residual", left)):
             if kind in show:
                 curves[kind + suffix] = values
     for row, meta in enumerate(found.obs.runs):

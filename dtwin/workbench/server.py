@@ -50,8 +50,17 @@ def application(bench: Bench) -> Guarded:
     """
     app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
     app.state.bench = bench
-    for part in (campaign_routes, twin_routes, heat_pages, twin_actions, effect_routes, model_routes, live_routes, measuring_routes,
-                 job_routes):  # fmt: skip
+    for part in (
+        campaign_routes,
+        twin_routes,
+        heat_pages,
+        twin_actions,
+        effect_routes,
+        model_routes,
+        live_routes,
+        measuring_routes,
+        job_routes,
+    ):
         app.include_router(part.router)
     app.add_api_route("/", lambda: RedirectResponse("/campaigns", 303), include_in_schema=False)
     app.add_api_route("/static/{name}", _static, include_in_schema=False)
@@ -92,9 +101,8 @@ def run(
     bench = Bench(home, access, effects_path)
     threading.Thread(target=_warm, args=(bench,), daemon=True).start()
     config = uvicorn.Config(
-        application(bench), log_level="warning", access_log=False, server_header=False,
-        timeout_graceful_shutdown=3,
-    )  # fmt: skip
+        application(bench), log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=3
+    )
     _Announcing(config, lambda: announce(access.address)).run(sockets=[listening])
 
 
@@ -152,9 +160,7 @@ def _invalid(request: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"])
-    said = InputError(
-        "the request is not complete", code="request.invalid", where=place, got=first["msg"]
-    )
+    said = InputError("the request is not complete", code="request.invalid", where=place, got=first["msg"])
     return refused(request, said)
 
 
@@ -162,8 +168,7 @@ def _unknown(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     if error.status_code == 404:
         said = InputError(
-            "there is no such page", code="page.unknown", got=request.url.path[:80],
-            hint="begin at /campaigns",
-        )  # fmt: skip
+            "there is no such page", code="page.unknown", got=request.url.path[:80], hint="begin at /campaigns"
+        )
         return refused(request, said)
     return Response(f"{error.detail}\n", error.status_code, media_type="text/plain")

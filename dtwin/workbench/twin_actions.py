@@ -56,10 +56,12 @@ def fit(request: Request, wanted: FitRequest) -> JSONResponse:
     bench.lake.campaign(wanted.campaign)
     twins, campaign = twins_for(bench.home, bench.library, wanted.campaign)
     return _start(
-        bench, f"Fit {wanted.name}", wanted.name,
+        bench,
+        f"Fit {wanted.name}",
+        wanted.name,
         lambda: twins.fit(campaign, wanted.effects, wanted.name, robust=wanted.robust),
         "/twins/{name}",
-    )  # fmt: skip
+    )
 
 
 @router.post("/api/twins/{name}/add")
@@ -69,9 +71,12 @@ def add(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
     twins = bench.twins_with(name)
     twins.newest(name)
     return _start(
-        bench, f"Add {wanted.effect} {wanted.axis}".strip(), name,
-        lambda: twins.add(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
-    )  # fmt: skip
+        bench,
+        f"Add {wanted.effect} {wanted.axis}".strip(),
+        name,
+        lambda: twins.add(name, wanted.effect, wanted.axis),
+        "/twins/{name}/versions",
+    )
 
 
 @router.post("/api/twins/{name}/remove")
@@ -81,9 +86,12 @@ def remove(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
     twins = bench.twins_with(name)
     twins.newest(name)
     return _start(
-        bench, f"Remove {wanted.effect} {wanted.axis}".strip(), name,
-        lambda: twins.remove(name, wanted.effect, wanted.axis), "/twins/{name}/versions",
-    )  # fmt: skip
+        bench,
+        f"Remove {wanted.effect} {wanted.axis}".strip(),
+        name,
+        lambda: twins.remove(name, wanted.effect, wanted.axis),
+        "/twins/{name}/versions",
+    )
 
 
 @router.post("/api/twins/{name}/learn")
@@ -91,10 +99,7 @@ def learn(request: Request, name: str) -> JSONResponse:
     """Add a law for structure that no effect explains."""
     bench = bench_of(request)
     bench.twins.newest(name)
-    return _start(
-        bench, f"Learn a law for {name}", name, lambda: bench.twins.learn(name)[0],
-        "/twins/{name}/versions",
-    )  # fmt: skip
+    return _start(bench, f"Learn a law for {name}", name, lambda: bench.twins.learn(name)[0], "/twins/{name}/versions")
 
 
 @router.post("/api/twins/{name}/rollback")
@@ -104,10 +109,7 @@ def roll_back(request: Request, name: str, wanted: VersionRequest) -> JSONRespon
     twins = bench.twins_with(name)
     twins.newest(name, wanted.version)
     title = f"Roll {name} back to version {wanted.version}"
-    return _start(
-        bench, title, name, lambda: twins.restore(name, wanted.version),
-        "/twins/{name}/versions",
-    )  # fmt: skip
+    return _start(bench, title, name, lambda: twins.restore(name, wanted.version), "/twins/{name}/versions")
 
 
 @router.post("/api/twins/{name}/diagnose")
@@ -157,9 +159,7 @@ def correct(request: Request, name: str, wanted: CorrectionRequest) -> JSONRespo
     return accepted(bench.jobs.start(f"Correct with {name}", work))
 
 
-def _start(
-    bench: Bench, title: str, name: str, change: Callable[[], Twin | HeatTwin], address: str
-) -> JSONResponse:
+def _start(bench: Bench, title: str, name: str, change: Callable[[], Twin | HeatTwin], address: str) -> JSONResponse:
     def work(tell: Tell) -> str:
         tell("read the runs, fit, and register the version")
         made = change()

@@ -50,9 +50,13 @@ def twin_list(request: Request) -> Response:
     bench = bench_of(request)
     found = [(name, bench.twins.history(name)) for name in bench.twin_names()]
     return rendered(
-        request, "twins.html", title="Twins", twins=[(n, rungs) for n, rungs in found if rungs],
-        any_campaign=bool(bench.run_rows()), left=waiting_text(waiting(bench.home)),
-    )  # fmt: skip
+        request,
+        "twins.html",
+        title="Twins",
+        twins=[(n, rungs) for n, rungs in found if rungs],
+        any_campaign=bool(bench.run_rows()),
+        left=waiting_text(waiting(bench.home)),
+    )
 
 
 @router.get("/twins/{name}")
@@ -66,13 +70,23 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
     campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == machine})
     worst = reading.chosen_conditions(found, ())
     return rendered(
-        request, "compare.html", title=f"Twin {name}: compare", name=name, tab="compare",
-        twin=found.twin, result=found.result, labels=found.labels, worst=worst,
-        conditions=found.obs.conditions, floor=reading.floor_of(bench, found),
-        parameters=parameter_table(found.twin), campaigns=campaigns,
-        on=found.obs.campaign.name, kind=found.obs.grid.kind,
+        request,
+        "compare.html",
+        title=f"Twin {name}: compare",
+        name=name,
+        tab="compare",
+        twin=found.twin,
+        result=found.result,
+        labels=found.labels,
+        worst=worst,
+        conditions=found.obs.conditions,
+        floor=reading.floor_of(bench, found),
+        parameters=parameter_table(found.twin),
+        campaigns=campaigns,
+        on=found.obs.campaign.name,
+        kind=found.obs.grid.kind,
         seen=encoder_section(split) if (split := found.result["encoder_split"]) else None,
-    )  # fmt: skip
+    )
 
 
 @router.get("/twins/{name}/diagnose")
@@ -86,17 +100,22 @@ def diagnose_page(request: Request, name: str) -> Response:
     experiment = diagnosis["next_experiment"] if diagnosis else None
     planned = bool(experiment and experiment["conditions"])
     return rendered(
-        request, "diagnose.html", title=f"Twin {name}: diagnose", name=name, tab="diagnose",
-        twin=twin, diagnosis=diagnosis, grids=grids_of(experiment) if planned else [],
-        library=bench.library, found=found_table(diagnosis or {}),
+        request,
+        "diagnose.html",
+        title=f"Twin {name}: diagnose",
+        name=name,
+        tab="diagnose",
+        twin=twin,
+        diagnosis=diagnosis,
+        grids=grids_of(experiment) if planned else [],
+        library=bench.library,
+        found=found_table(diagnosis or {}),
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
-    )  # fmt: skip
+    )
 
 
 @router.get("/twins/{name}/versions")
-def versions_page(
-    request: Request, name: str, first: int | None = None, second: int | None = None
-) -> Response:
+def versions_page(request: Request, name: str, first: int | None = None, second: int | None = None) -> Response:
     """Show every version, two of them side by side, and what can be added or removed."""
     bench = bench_of(request)
     if bench.is_of_heat(name):
@@ -109,15 +128,21 @@ def versions_page(
     rows = [row for row in bench.run_rows() if row["campaign"] == newest.campaign]
     possible = possible_effects(rows, bench.library) if rows else []
     return rendered(
-        request, "versions.html", title=f"Twin {name}: versions", name=name, tab="versions",
-        twin=newest, rungs=rungs, pair=(left, right), effects=possible,
+        request,
+        "versions.html",
+        title=f"Twin {name}: versions",
+        name=name,
+        tab="versions",
+        twin=newest,
+        rungs=rungs,
+        pair=(left, right),
+        effects=possible,
         tables=[parameter_table(v) for v in (left, right)],
         mlflow=[
-            mlflow_page(bench.home, r["mlflow"]["model"], r["mlflow"]["model_version"])
-            if r["mlflow"] else None
+            mlflow_page(bench.home, r["mlflow"]["model"], r["mlflow"]["model_version"]) if r["mlflow"] else None
             for r in rungs
         ],
-    )  # fmt: skip
+    )
 
 
 @router.get("/twins/{name}/report.html")
@@ -148,16 +173,20 @@ def experiment_programs(request: Request, name: str) -> Response:
     """Return the next experiment as plans and programs."""
     twin, experiment = _experiment(request, name)
     stem = f"{name}-next"
-    return download(
-        experiment_zip(stem, twin.machine, experiment), f"{stem}.zip", "application/zip"
-    )
+    return download(experiment_zip(stem, twin.machine, experiment), f"{stem}.zip", "application/zip")
 
 
 @router.get("/api/twins/{name}/overlay/{kind}")
 def overlay(
-    request: Request, name: str, kind: str, condition: Numbers = [], show: Words = [],  # noqa: B006
-    run: Words = [], magnification: str = "", on: str = "",  # noqa: B006
-) -> Response:  # fmt: skip
+    request: Request,
+    name: str,
+    kind: str,
+    condition: Numbers = [],  # noqa: B006
+    show: Words = [],  # noqa: B006
+    run: Words = [],  # noqa: B006
+    magnification: str = "",
+    on: str = "",
+) -> Response:
     """Return curves of conditions and runs: polar, over the angle, or their harmonics."""
     bench = bench_of(request)
     found = reading.view(bench, name, on=on)
@@ -176,17 +205,10 @@ def overlay(
         most = _HARMONICS if grid is CIRCLE else grid.n // 2
         return drawn(harmonics_figure(whole, floor, title=f"Harmonics, {title}{known}", most=most))
     if grid is not CIRCLE:
-        raise InputError(
-            "only circles are drawn as polar plots", code="page.unknown", where=name,
-            got=grid.kind,
-        )  # fmt: skip
+        raise InputError("only circles are drawn as polar plots", code="page.unknown", where=name, got=grid.kind)
     radius = found.obs.conditions[chosen[0]].radius_mm
     factor = decimal(magnification, "the magnification") if magnification else None
-    return drawn(
-        overlay_figure(
-            curves, radius, title=title, floor_um=floor_um, magnification=factor, slider=False
-        )
-    )
+    return drawn(overlay_figure(curves, radius, title=title, floor_um=floor_um, magnification=factor, slider=False))
 
 
 @router.get("/api/twins/{name}/runs")
@@ -194,11 +216,7 @@ def runs(request: Request, name: str, condition: Numbers = [], on: str = "") -> 
     """Return the runs of conditions."""
     found = reading.view(bench_of(request), name, on=on)
     chosen = reading.chosen_conditions(found, condition)
-    return {
-        "campaign": found.obs.campaign.name,
-        "conditions": chosen,
-        "runs": reading.runs_of(found, chosen),
-    }
+    return {"campaign": found.obs.campaign.name, "conditions": chosen, "runs": reading.runs_of(found, chosen)}
 
 
 @router.get("/api/twins/{name}/map")

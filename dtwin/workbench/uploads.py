@@ -53,10 +53,7 @@ class Trays:
         folder = self.root / name
         if not re.fullmatch(r"[0-9a-f]{16}", name) or not folder.is_dir():
             raise InputError(
-                "this upload is not known here",
-                code="upload.tray",
-                got=name[:40],
-                hint="drop the files again",
+                "this upload is not known here", code="upload.tray", got=name[:40], hint="drop the files again"
             )
         return folder
 
@@ -119,8 +116,7 @@ def safe_path(name: str) -> PurePosixPath:
             "a file has a name that is not taken",
             code="upload.name",
             got=repr(name[:120]),
-            allowed="letters, digits, space and . , _ + - ( ), at most three folders deep, "
-            "without '..' and not hidden",
+            allowed="letters, digits, space and . , _ + - ( ), at most three folders deep, without '..' and not hidden",
         )
     return PurePosixPath(*parts)
 
@@ -214,9 +210,10 @@ def _extract(opened: zipfile.ZipFile, member: zipfile.ZipInfo, target: Path, lef
             size += len(chunk)
             if size > min(left, ratio_limit):
                 raise _too_much(
-                    "bytes when unpacked", f"{member.filename[:60]}: more than {size}",
+                    "bytes when unpacked",
+                    f"{member.filename[:60]}: more than {size}",
                     f"{MAX_UNPACKED_BYTES} in all, {_MAX_RATIO} times its packed size",
-                )  # fmt: skip
+                )
             out.write(chunk)
     return size
 

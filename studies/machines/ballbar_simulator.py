@@ -17,10 +17,16 @@ from numpy.typing import NDArray
 from dtwin.schema import Floats
 
 _ABSENT: dict[str, Any] = {
-    "cyclic_x": [0.0, 0.0], "cyclic_y": [0.0, 0.0], "pitch_x": 10.0, "pitch_y": 10.0,
-    "lateral_play_x": [0.0, 0.0], "lateral_play_y": [0.0, 0.0], "servo_mismatch": 0.0,
-    "reversal_spike_x": [0.0, 0.0], "reversal_spike_y": [0.0, 0.0],
-}  # fmt: skip
+    "cyclic_x": [0.0, 0.0],
+    "cyclic_y": [0.0, 0.0],
+    "pitch_x": 10.0,
+    "pitch_y": 10.0,
+    "lateral_play_x": [0.0, 0.0],
+    "lateral_play_y": [0.0, 0.0],
+    "servo_mismatch": 0.0,
+    "reversal_spike_x": [0.0, 0.0],
+    "reversal_spike_y": [0.0, 0.0],
+}
 UM_PER_PPM_MM = 1e-3
 
 
@@ -116,9 +122,7 @@ def _between(ends: list[float], place: Floats) -> Floats:
     return ends[0] * (1 + place) / 2 + ends[1] * (1 - place) / 2
 
 
-def _cyclic(
-    height: list[float], pitch_mm: float, at_mm: Floats, forwards: NDArray[np.bool_], phase: float
-) -> Floats:
+def _cyclic(height: list[float], pitch_mm: float, at_mm: Floats, forwards: NDArray[np.bool_], phase: float) -> Floats:
     wave = np.sin(2 * np.pi * at_mm / pitch_mm + phase)
     return np.where(forwards, height[0], height[1]) / 2 * wave
 

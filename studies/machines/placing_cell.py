@@ -93,9 +93,7 @@ class PlacingCell:
         How much that is.
     """
 
-    def __init__(
-        self, cobot: VirtualCobot, seed: int, looseness: CellLooseness | None = None
-    ) -> None:
+    def __init__(self, cobot: VirtualCobot, seed: int, looseness: CellLooseness | None = None) -> None:
         self.cobot, self.loose = cobot, looseness or CellLooseness()
         self._rng = np.random.default_rng([cobot.seed, 11, seed])
         self._known: dict[tuple[str, float, bytes], tuple[Floats, float]] = {}

@@ -119,9 +119,7 @@ def sphere_controller(cobot: VirtualCobot, plan: MotionPlan, feed_mm_min: float)
     return CobotController(condition, plan, *cobot.at_rest(plan))
 
 
-def sphere_run(
-    cobot: VirtualCobot, feed_mm_min: float, ticks: RunTicks, *, setup: str, repeat: int
-) -> SphereRun:
+def sphere_run(cobot: VirtualCobot, feed_mm_min: float, ticks: RunTicks, *, setup: str, repeat: int) -> SphereRun:
     """Return what the ball bar makes of a finished run.
 
     Parameters
@@ -151,15 +149,17 @@ def sphere_run(
     n = int((last - first) / rate_hz * bar.rate_hz)
     noise_um = mounting.length_error_um + bar.noise_um * rng.standard_normal(n)
     centre = cobot.centre_mm(RADIUS_MM) + mounting.eccentricity_um / UM_PER_MM
-    deviation_mm = read_ballbar(
-        bar, tool_mm, rate_hz, centre, RADIUS_MM, (start_s, ppm, n), noise_um
-    )
+    deviation_mm = read_ballbar(bar, tool_mm, rate_hz, centre, RADIUS_MM, (start_s, ppm, n), noise_um)
     at = np.minimum(first + np.round(np.arange(n) * rate_hz / bar.rate_hz).astype(int), last)
     azimuth, elevation = directions(ticks.truths[:, :3] - cobot.centre_mm(RADIUS_MM))
     return SphereRun(
-        feed_mm_min, ticks.states[at, layout.SEGMENT_ID], ticks.states[at, layout.SEGMENT_TIME],
-        azimuth[at], elevation[at], UM_PER_MM * deviation_mm,
-    )  # fmt: skip
+        feed_mm_min,
+        ticks.states[at, layout.SEGMENT_ID],
+        ticks.states[at, layout.SEGMENT_TIME],
+        azimuth[at],
+        elevation[at],
+        UM_PER_MM * deviation_mm,
+    )
 
 
 def directions(spoke_mm: Floats) -> tuple[Floats, Floats]:
@@ -178,10 +178,7 @@ def _measured(states: Floats) -> tuple[int, int]:
 def _along_bar(cobot: VirtualCobot, azimuth: float, elevation: float, inward: float) -> Floats:
     """Return a straight move along the bar: the in-feed, or with ``inward`` -1 the out-feed."""
     motion = cobot.parameters.motion
-    unit = np.array(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-         np.sin(elevation)]
-    )  # fmt: skip
+    unit = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     row = line_segment(motion.infeed_mm, motion.infeed_speed_mm_s, motion)
     begins = RADIUS_MM + (motion.infeed_mm if inward > 0.0 else 0.0)
     row[KIND] = LINE

@@ -28,8 +28,7 @@ def _named(found: Mapping[str, Any]) -> str:
     ]
     lines += [f"  {d['verdict']}: {d['headline']}" for d in found["diagnoses"]]
     rows = [
-        (e["effect"], e["name"], f"{e['value']:.4g} ± {e['uncertainty']:.2g}", e["unit"])
-        for e in found["estimates"]
+        (e["effect"], e["name"], f"{e['value']:.4g} ± {e['uncertainty']:.2g}", e["unit"]) for e in found["estimates"]
     ]
     if found["objections"]:
         lines.append("  on trial only: " + "; ".join(found["objections"]))
@@ -46,14 +45,10 @@ def _corrected(found: Mapping[str, Any]) -> str:
         )
         for r in found["results"]
     ]
-    head = (
-        "feed, mm/min", "runs", "before, um", "live, um", "tables, um", "live / before",
-        "tables / before",
-    )  # fmt: skip
+    head = ("feed, mm/min", "runs", "before, um", "live, um", "tables, um", "live / before", "tables / before")
     served = found["served"]
     lines = [
-        f"2 of 3  circles of {found['radius_mm']:g} mm, a radius that the twin has not seen, bar "
-        "mounted anew",
+        f"2 of 3  circles of {found['radius_mm']:g} mm, a radius that the twin has not seen, bar mounted anew",
         "(RMS of the bar with one centre and radius for all circles of a way, 95 % interval of the "
         "mean, the run as unit; before and live in random order in one session; tables are read at LinuxCNC's start "
         "only: a session of their own)",

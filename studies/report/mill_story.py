@@ -8,10 +8,16 @@ from typing import Any
 from dtwin.report.text import table
 
 _LATER_HEAD = (
-    "feed, mm/min", "runs", "before, um", "after, um", "after / before", "oracle, um",
+    "feed, mm/min",
+    "runs",
+    "before, um",
+    "after, um",
+    "after / before",
+    "oracle, um",
     "repeats, um",
-    "raw before", "raw after",
-)  # fmt: skip
+    "raw before",
+    "raw after",
+)
 
 
 def mill_story_text(found: Mapping[str, Any]) -> str:
@@ -29,13 +35,7 @@ def mill_story_text(found: Mapping[str, Any]) -> str:
 def _learned(found: Mapping[str, Any]) -> str:
     learned, later = found["learned"], found["later"]
     rows = [
-        (
-            f"{r['feed_mm_min']:g}",
-            r["runs"],
-            f"{r['r2']:z.3f}",
-            _um(r["before_um"]),
-            _um(r["after_um"]),
-        )
+        (f"{r['feed_mm_min']:g}", r["runs"], f"{r['r2']:z.3f}", _um(r["before_um"]), _um(r["after_um"]))
         for r in learned["rows"]
     ]
     served = later["ways"]["map of one session"]
@@ -43,8 +43,7 @@ def _learned(found: Mapping[str, Any]) -> str:
     says = (
         f"the set-up-corrected error grows in {len(worse)} of {len(served)} feeds"
         if worse
-        else "the set-up-corrected error does not grow: the machine was too much like in the "
-        "session that was learned"
+        else "the set-up-corrected error does not grow: the machine was too much like in the session that was learned"
     )
     return "\n".join(
         [
@@ -66,8 +65,7 @@ def _promised(learned: Mapping[str, Any], served: Sequence[Mapping[str, Any]]) -
     promised = max(r["after_um"] for r in learned["rows"])
     got = [c["raw_after_um"] for c in served]
     return (
-        f"the R² promised a raw error of at most {_um(promised)} um, measured is {_um(min(got))} to "
-        f"{_um(max(got))} um"
+        f"the R² promised a raw error of at most {_um(promised)} um, measured is {_um(min(got))} to {_um(max(got))} um"
     )
 
 
@@ -91,25 +89,18 @@ def _refused(found: Mapping[str, Any]) -> str:
 def _blind(offline: Sequence[Mapping[str, Any]]) -> list[str]:
     if not all(v["passed"] for v in offline):
         return []
-    return [
-        "the offline gates do not see it: all that they hold out is of the session that was learned"
-    ]
+    return ["the offline gates do not see it: all that they hold out is of the session that was learned"]
 
 
 def _told_right(found: Mapping[str, Any]) -> str:
     twin, later = found["twin"], found["later"]
     rows = later["ways"]["told right"]
     values = [
-        (e["effect"], e["name"], f"{e['value']:z.1f} +- {e['uncertainty']:z.1f} {e['unit']}")
-        for e in twin["estimates"]
+        (e["effect"], e["name"], f"{e['value']:z.1f} +- {e['uncertainty']:z.1f} {e['unit']}") for e in twin["estimates"]
     ]
     terms = [(t["label"], "yes" if t["included"] else "no", t["how"]) for t in twin["terms"]]
     missed = [f"{c['feed_mm_min']:g}" for c in rows if not c["halved"]]
-    verdict = (
-        f"NOT halved at {', '.join(missed)} mm/min"
-        if missed
-        else "halved, or better, in every feed"
-    )
+    verdict = f"NOT halved at {', '.join(missed)} mm/min" if missed else "halved, or better, in every feed"
     gates = found["twin_gates"]
     outcome = "champion" if gates["champion"] else _first(gates["with_evidence"])
     return "\n".join(

@@ -10,9 +10,12 @@ import numpy as np
 from dtwin.report.text import table
 
 _HEADS = {
-    "follows": "follow", "does not": "do not", "easier here": "easier here",
-    "calibrated": "calibrated", "not judged": "not judged",
-}  # fmt: skip
+    "follows": "follow",
+    "does not": "do not",
+    "easier here": "easier here",
+    "calibrated": "calibrated",
+    "not judged": "not judged",
+}
 WHAT_IT_MEANS = (
     "easier here: better than the source by more than the tolerance, so not the same. calibrated: "
     "constants were set so that it comes out. not judged: not the same quantity, or too little computed."
@@ -30,10 +33,7 @@ def paper_table(lines: Sequence[Mapping[str, Any]], source: str = "the paper") -
         Head of the column of theirs.
     """
     numbered = any(line["target"] for line in lines)
-    rows = [
-        [line["target"]] * numbered + [line[key] for key in ("what", "paper", "ours", "answer")]
-        for line in lines
-    ]
+    rows = [[line["target"]] * numbered + [line[key] for key in ("what", "paper", "ours", "answer")] for line in lines]
     head = ([""] * numbered) + ["figure", source, "ours", "answer"]
     return "\n".join([table(head, rows), counted(lines)])
 
@@ -69,9 +69,7 @@ def summary_text(found: Mapping[str, Mapping[str, Any]]) -> str:
 
 def lathe_paper_text(found: Mapping[str, Any]) -> str:
     """Return the comparison with the thesis, and what tables of different steps leave."""
-    steps = [
-        [t["model"], *(f"{t[k]:z.1f}" for k in list(t) if k != "model")] for t in found["tables"]
-    ]
+    steps = [[t["model"], *(f"{t[k]:z.1f}" for k in list(t) if k != "model")] for t in found["tables"]]
     return "\n".join(
         [
             paper_table(found["lines"], "the thesis"),
@@ -114,9 +112,10 @@ def _machines(cases: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[
         by = {h: [c for c in mine if c["vibration_um"] == h] for h in (0.0, *heights)}
         rows.append(
             [
-                machine, how,
+                machine,
+                how,
                 *(max((c["off_um"] for c in by[h]), key=abs) for h in heights),
                 *(float(np.mean([c["dc3_um"] for c in by[h]])) for h in (0.0, *heights)),
             ]
-        )  # fmt: skip
+        )
     return head, [[round(v, 2) if isinstance(v, float) else v for v in row] for row in rows]

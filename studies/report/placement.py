@@ -45,8 +45,18 @@ def _sphere(sphere: Mapping[str, Any]) -> str:
         ]
         for r in sphere["feeds"]
     ]
-    head = ("feed, mm/min", "runs", "before, um", "after, um", "oracle, um", "change, um",
-            "reduction", "of oracle", "MAE before, um", "MAE after, um")  # fmt: skip
+    head = (
+        "feed, mm/min",
+        "runs",
+        "before, um",
+        "after, um",
+        "oracle, um",
+        "change, um",
+        "reduction",
+        "of oracle",
+        "MAE before, um",
+        "MAE after, um",
+    )
     return "\n".join(
         [
             "1 of 3  three circles at three heights, R 150 mm, clockwise, a stop every quarter, by a table "
@@ -63,22 +73,39 @@ def _sphere(sphere: Mapping[str, Any]) -> str:
 
 def _placements(found: Mapping[str, Any]) -> str:
     rows = [
-        [r["motion"], f"{r['feed_mm_min']:g}", r["counted"]["uncompensated"],
-         r["counted"]["compensated"], *_before_after(r)]
+        [
+            r["motion"],
+            f"{r['feed_mm_min']:g}",
+            r["counted"]["uncompensated"],
+            r["counted"]["compensated"],
+            *_before_after(r),
+        ]
         for r in found["conditions"]
-    ]  # fmt: skip
-    head = ("motion", "feed, mm/min", "n before", "n after", "before, um", "after, um",
-            "oracle, um", "change, um", "reduction", "of oracle")  # fmt: skip
+    ]
+    head = (
+        "motion",
+        "feed, mm/min",
+        "n before",
+        "n after",
+        "before, um",
+        "after, um",
+        "oracle, um",
+        "change, um",
+        "reduction",
+        "of oracle",
+    )
     flags = ", ".join(f"{name} {count}" for name, count in found["flags"].items())
     low, high = found["temperature_c"]
     audit = [
-        [a["bookkeeping"], *(f"{a[k]:z.1f}" for k in ("before_um", "after_um")),
-         f"{100 * a['reduction']:z.1f} %",
-         *(f"{a[k]:z.1f}" for k in ("before_sd_um", "after_sd_um"))]
+        [
+            a["bookkeeping"],
+            *(f"{a[k]:z.1f}" for k in ("before_um", "after_um")),
+            f"{100 * a['reduction']:z.1f} %",
+            *(f"{a[k]:z.1f}" for k in ("before_sd_um", "after_sd_um")),
+        ]
         for a in found["audit"]
-    ]  # fmt: skip
-    audit_head = ("bookkeeping", "before, um", "after, um", "reduction", "SD before, um",
-                  "SD after, um")  # fmt: skip
+    ]
+    audit_head = ("bookkeeping", "before, um", "after, um", "reduction", "SD before, um", "SD after, um")
     return "\n".join(
         [
             "2 of 3  placements by MoveL and MoveJ, by a constant for each, learned and tried at this one "
@@ -118,10 +145,7 @@ def _verdict(found: Mapping[str, Any]) -> str:
 
 
 def _published(published: Mapping[str, Any]) -> str:
-    lines = [
-        "3 of 3  the thesis's tables, computed again from what is printed (mm)",
-        _xyz(published),
-    ]
+    lines = ["3 of 3  the thesis's tables, computed again from what is printed (mm)", _xyz(published)]
     for motion in ("MoveL", "MoveJ"):
         lines += ["", f"{motion}:", *_motion(published[motion])]
     return "\n".join(lines)
@@ -130,13 +154,18 @@ def _published(published: Mapping[str, Any]) -> str:
 def _xyz(published: Mapping[str, Any]) -> str:
     xyz = published["xyz"]
     rows = [
-        [f"{r['feed_mm_min']:g}", f"{r['before_mm']:z.4f}", f"{r['after_mm']:z.4f}",
-         f"{r['reduction_pct']:z.2f}", f"{r['printed_pct']:z.2f}",
-         f"{r['change_mm']:+z.3f} ± {r['half_width_mm']:z.3f}", f"{r['mae_over_sd']:z.3f}"]
+        [
+            f"{r['feed_mm_min']:g}",
+            f"{r['before_mm']:z.4f}",
+            f"{r['after_mm']:z.4f}",
+            f"{r['reduction_pct']:z.2f}",
+            f"{r['printed_pct']:z.2f}",
+            f"{r['change_mm']:+z.3f} ± {r['half_width_mm']:z.3f}",
+            f"{r['mae_over_sd']:z.3f}",
+        ]
         for r in xyz["rows"]
-    ]  # fmt: skip
-    head = ("feed", "before", "after", "less, %", "printed, %", "change (95 %, 3 runs)",
-            "MAE/SD before")  # fmt: skip
+    ]
+    head = ("feed", "before", "after", "less, %", "printed, %", "change (95 %, 3 runs)", "MAE/SD before")
     return "\n".join(
         [
             table(head, rows),
@@ -148,19 +177,14 @@ def _xyz(published: Mapping[str, Any]) -> str:
 
 
 def _motion(m: Mapping[str, Any]) -> list[str]:
-    spread = [
-        [r["condition"], r["printed"], f"{r['spread']:z.3f}", f"{r['mean']:z.3f}"]
-        for r in m["mean_sd"]
-    ]
+    spread = [[r["condition"], r["printed"], f"{r['spread']:z.3f}", f"{r['mean']:z.3f}"] for r in m["mean_sd"]]
     zeros = [
-        [r["condition"], *(f"{r[k]:z.3f}" for k in ("with_all", "printed", "as_zeros", "removed"))]
-        for r in m["zeros"]
+        [r["condition"], *(f"{r[k]:z.3f}" for k in ("with_all", "printed", "as_zeros", "removed"))] for r in m["zeros"]
     ]
     radial = [
-        [f"{r['feed_mm_min']:g}",
-         *(f"{r[k]:z.1f}" for k in ("all_pct", "removed_pct", "stated_offset_pct"))]
+        [f"{r['feed_mm_min']:g}", *(f"{r[k]:z.1f}" for k in ("all_pct", "removed_pct", "stated_offset_pct"))]
         for r in m["radial"]["rows"]
-    ]  # fmt: skip
+    ]
     average = m["radial"]["average_pct"]
     radial.append(["average", *(f"{average[k]:z.1f}" for k in ("all", "removed", "stated_offset"))])
     offset, centred = m["offset"], m["centring"]

@@ -20,9 +20,7 @@ def position_map_text(found: Mapping[str, Any]) -> str:
         (name, f"{low:.3g} to {high:.3g}", f"{100 * found['influence'][name]:.2g} %")
         for name, (low, high) in found["ranges"].items()
     ]
-    points = ", ".join(
-        f"{p['error_um']:z.1f} at ({p['x_mm']:g}, {p['y_mm']:g})" for p in found["at"]
-    )
+    points = ", ".join(f"{p['error_um']:z.1f} at ({p['x_mm']:g}, {p['y_mm']:g})" for p in found["at"])
     sessions = [
         (
             s["session"],
@@ -44,10 +42,7 @@ def position_map_text(found: Mapping[str, Any]) -> str:
             "",
             "a map of the path angle, trained as the thesis does: runs 1 to 3 of each feed, run 4 "
             "left out, on the virtual mill (unit: the run; um RMS)",
-            table(
-                ("tried on", "runs", "before", "after", "R²", "mounting out, before", "after"),
-                sessions,
-            ),
+            table(("tried on", "runs", "before", "after", "R²", "mounting out, before", "after"), sessions),
             f"verdict: {found['verdict']}",
             "",
             *_robot_lines(found["robot"]),
@@ -58,8 +53,7 @@ def position_map_text(found: Mapping[str, Any]) -> str:
 def _robot_lines(found: Mapping[str, Any]) -> list[str]:
     quiet, ordinary, critical = zip(*found["at"].values(), strict=True)
     said, measured = (
-        f"{v[0]:z.0f} to {v[2]:z.0f}, median {v[1]:z.0f} um"
-        for v in (found["said_um"], found["measured_um"])
+        f"{v[0]:z.0f} to {v[2]:z.0f}, median {v[1]:z.0f} um" for v in (found["said_um"], found["measured_um"])
     )
     return [
         "equation 6-1, which corrected the robot, in its three forms: radial error in mm of a quiet "

@@ -23,10 +23,13 @@ def _published(found: Mapping[str, Any]) -> str:
     told = found["published"]
     feeds = [f["feed_mm_min"] for f in found["feeds"]]
     rows = [
-        (f"{feed:g}", *(f"{told[k][i]:g}" for k in ("ball_bar", "encoder", "accelerometer")),
-         f"{told['reduction_pct'][i]:g} %")
+        (
+            f"{feed:g}",
+            *(f"{told[k][i]:g}" for k in ("ball_bar", "encoder", "accelerometer")),
+            f"{told['reduction_pct'][i]:g} %",
+        )
         for i, feed in enumerate(feeds)
-    ]  # fmt: skip
+    ]
     head = ("feed, mm/min", "ball bar, um", "encoder, um", "with accelerometer, um", "reduction")
     return "\n".join(
         [
@@ -44,15 +47,12 @@ def _reproduced(found: Mapping[str, Any]) -> str:
         (
             f"{f['feed_mm_min']:g}",
             str(f["runs"]),
-            *(
-                f"{f[k + '_um']:z.1f} +- {f[k + '_floor_um']:z.1f}"
-                for k in ("ball_bar", "encoder", "accelerometer")
-            ),
+            *(f"{f[k + '_um']:z.1f} +- {f[k + '_floor_um']:z.1f}" for k in ("ball_bar", "encoder", "accelerometer")),
             f"{f['reduction_pct']:z.1f} %",
         )
         for f in found["feeds"]
     ]
-    head = ("feed, mm/min", "runs", "ball bar, um", "encoder, um", "with accelerometer, um", "reduction")  # fmt: skip
+    head = ("feed, mm/min", "runs", "ball bar, um", "encoder, um", "with accelerometer, um", "reduction")
     return "\n".join(
         [
             "the same chain on the virtual cobot (mean over the middle half +- what repeats of a "
@@ -71,12 +71,7 @@ def _does_not_follow(found: Mapping[str, Any]) -> str:
     circles = table(
         ("circle", "middle half, um", "full circle, um", "centre offset, um"),
         [
-            (
-                c["circle"],
-                f"{c['middle_half_um']:z.1f}",
-                f"{c['full_circle_um']:z.1f}",
-                f"{c['centre_offset_um']:z.1f}",
-            )
+            (c["circle"], f"{c['middle_half_um']:z.1f}", f"{c['full_circle_um']:z.1f}", f"{c['centre_offset_um']:z.1f}")
             for c in found["set_up"]
         ],
     )

@@ -38,9 +38,7 @@ def graphs(draw: st.DrawFn) -> Graph:
         else:
             op = draw(st.sampled_from(ordinary))
             known.append(g.apply(op, *(pick() for _ in range(OPERATORS[op].arity))))
-    return g.graph(
-        {"a": known[-1], "b": known[len(known) // 2]}, {"s": draw(st.sampled_from(known))}
-    )
+    return g.graph({"a": known[-1], "b": known[len(known) // 2]}, {"s": draw(st.sampled_from(known))})
 
 
 @settings(deadline=None, max_examples=300)

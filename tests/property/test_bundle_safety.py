@@ -43,9 +43,8 @@ def test_always_finite_within_clamp_and_slew(limit: SafetyLimits, script: list) 
     for want, x, age_s, elapsed_s, enabled, device_ok in script:
         before = guard.out_um.copy()
         out = guard.step(
-            np.array(want), np.array([x]), age_s=age_s, elapsed_s=elapsed_s,
-            enabled=enabled, device_ok=device_ok,
-        )  # fmt: skip
+            np.array(want), np.array([x]), age_s=age_s, elapsed_s=elapsed_s, enabled=enabled, device_ok=device_ok
+        )
         counted_s = min(elapsed_s, 0.02) if elapsed_s >= 0 else 0.0
         assert np.isfinite(out).all()
         assert np.linalg.norm(out) <= limit.clamp_um * (1 + 1e-12)
@@ -59,9 +58,8 @@ def test_release_reaches_exactly_zero_and_stays(limit: SafetyLimits, script: lis
     guard = Guard(limit, np.array([-1.0]), np.array([1.0]))
     for want, x, age_s, elapsed_s, enabled, device_ok in script:
         guard.step(
-            np.array(want), np.array([x]), age_s=age_s, elapsed_s=elapsed_s,
-            enabled=enabled, device_ok=device_ok,
-        )  # fmt: skip
+            np.array(want), np.array([x]), age_s=age_s, elapsed_s=elapsed_s, enabled=enabled, device_ok=device_ok
+        )
     patience = int(limit.clamp_um / (limit.slew_um_s * 0.002)) + 3
     for _ in range(min(patience, 200_000)):
         guard.step(np.full(3, 100.0), np.zeros(1), age_s=0.0, elapsed_s=0.002, enabled=False)

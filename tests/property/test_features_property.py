@@ -54,9 +54,7 @@ def test_scaling_by_a_power_of_two_scales_by_the_unit(seed: int, n: int, power: 
     plain, scaled = features(x), features(scale * x)
     for item in FEATURES:
         factor = {"channel": scale, "channel^2": scale**2}.get(item.unit, 1.0)
-        np.testing.assert_allclose(
-            scaled[:, INDEX[item.name]], factor * plain[:, INDEX[item.name]], rtol=1e-11
-        )
+        np.testing.assert_allclose(scaled[:, INDEX[item.name]], factor * plain[:, INDEX[item.name]], rtol=1e-11)
 
 
 @settings(deadline=None, max_examples=40)
@@ -74,9 +72,7 @@ def test_order_of_samples_matters_only_to_the_spectrum(seed: int, n: int) -> Non
     x = noise(seed, n)
     mixed = x[:, np.random.default_rng(seed).permutation(n)]
     time_domain = [INDEX[f.name] for f in FEATURES if not f.spectral]
-    np.testing.assert_allclose(
-        features(mixed)[:, time_domain], features(x)[:, time_domain], rtol=1e-8, atol=1e-8
-    )
+    np.testing.assert_allclose(features(mixed)[:, time_domain], features(x)[:, time_domain], rtol=1e-8, atol=1e-8)
 
 
 @settings(deadline=None, max_examples=40)
@@ -84,9 +80,7 @@ def test_order_of_samples_matters_only_to_the_spectrum(seed: int, n: int) -> Non
 def test_time_reversal_changes_nothing(seed: int, n: int) -> None:
     x = noise(seed, n)
     keep = [i for name, i in INDEX.items() if name != "dominant_frequency"]
-    np.testing.assert_allclose(
-        features(x[:, ::-1])[:, keep], features(x)[:, keep], rtol=1e-8, atol=1e-8
-    )
+    np.testing.assert_allclose(features(x[:, ::-1])[:, keep], features(x)[:, keep], rtol=1e-8, atol=1e-8)
 
 
 @settings(deadline=None, max_examples=200)

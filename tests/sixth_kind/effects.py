@@ -25,12 +25,19 @@ def _worm(state: State, axis: str, shape: Shape) -> Floats:
 
 def _effect(name: str, title: str, regressors: object, meaning: str) -> Effect:
     return Effect(
-        name=name, title=title, regressors=regressors, meaning=meaning,  # type: ignore[arg-type]
+        name=name,
+        title=title,
+        regressors=regressors,
+        meaning=meaning,  # type: ignore[arg-type]
         parameters=(Parameter("cosine", "um", 5.0), Parameter("sine", "um", 5.0)),
-        law=Law(0.0, None, "even"), kinds=("rotary",), formula="C cos(n t + f)",
-        looks_like="A wave.", separate_by="Count the waves of a turn.", remedy="Set it right.",
+        law=Law(0.0, None, "even"),
+        kinds=("rotary",),
+        formula="C cos(n t + f)",
+        looks_like="A wave.",
+        separate_by="Count the waves of a turn.",
+        remedy="Set it right.",
         reference="ISO 230-7",
-    )  # fmt: skip
+    )
 
 
 OFF_CENTRE = _effect("off_centre", "Table off centre", _off_centre, "The scale is off centre.")

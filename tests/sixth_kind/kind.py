@@ -37,9 +37,7 @@ class Rotary(Kind):
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         repeats = int(document["plan"].get("repeats", REPEATS))
-        few = (
-            [Finding("rotary.few", "warning", "one turn has no noise floor")] if repeats < 2 else []
-        )
+        few = [Finding("rotary.few", "warning", "one turn has no noise floor")] if repeats < 2 else []
         seconds = repeats * sum(360.0 / speed for speed in SPEEDS_DEG_S)
         return Planned("rotary", repeats, {"name": "table"}, seconds, few, (f"{repeats} turns",))
 

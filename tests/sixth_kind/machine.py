@@ -38,20 +38,17 @@ class Table(VirtualMachine):
         runs = self.turns(repeats, request.seed)
         request.out.mkdir(parents=True, exist_ok=True)
         entries = [_written(request.out, run, number) for number, run in enumerate(runs)]
-        head = {
-            "name": "table",
-            "machine": "table-1",
-            "kind": "rotary",
-            "started": runs[0].meta.started,
-        }
-        lines = ["[campaign]", *_toml(head), "[campaign.machine_geometry]",
-                 *_toml({"type": self.type, "virtual": True})]  # fmt: skip
+        head = {"name": "table", "machine": "table-1", "kind": "rotary", "started": runs[0].meta.started}
+        lines = [
+            "[campaign]",
+            *_toml(head),
+            "[campaign.machine_geometry]",
+            *_toml({"type": self.type, "virtual": True}),
+        ]
         (request.out / "campaign.toml").write_text("\n".join([*lines, *entries, ""]))
         return Simulated({"runs": len(runs)}, [f"{len(runs)} turns"])
 
-    def turns(
-        self, repeats: int, seed: int, correct: Any = None, correction: str = ""
-    ) -> list[Run]:
+    def turns(self, repeats: int, seed: int, correct: Any = None, correction: str = "") -> list[Run]:
         from dtwin.schema import Run, RunMeta
 
         rng, out = np.random.default_rng(seed), []
@@ -60,10 +57,14 @@ class Table(VirtualMachine):
                 angle = np.arange(0.0, 360.0, STEP_DEG)
                 error = error_um(angle, rng) - (correct(angle) if correct else 0.0)
                 meta = RunMeta(
-                    f"r{len(out) + 1:03d}", kind="rotary", repeat=repeat, correction=correction,
-                    condition={"axis": "C", "speed_deg_s": speed}, sample_rate_hz=speed / STEP_DEG,
+                    f"r{len(out) + 1:03d}",
+                    kind="rotary",
+                    repeat=repeat,
+                    correction=correction,
+                    condition={"axis": "C", "speed_deg_s": speed},
+                    sample_rate_hz=speed / STEP_DEG,
                     started=f"2026-05-04T08:{len(out):02d}:00+00:00",
-                )  # fmt: skip
+                )
                 out.append(Run(meta, {"t_s": angle / speed, "angle_deg": angle, "error_um": error}))
         return out
 
@@ -78,8 +79,7 @@ class Table(VirtualMachine):
             sha = request.bundle.model_sha256
             runs += self.turns(1, 101 + 2 * turn, lambda a: compiled.run(a[:, None])[:, 0], sha)
         later = [
-            replace(r, meta=replace(r.meta, started=f"2026-05-05T08:{n:02d}:00+00:00"))
-            for n, r in enumerate(runs)
+            replace(r, meta=replace(r.meta, started=f"2026-05-05T08:{n:02d}:00+00:00")) for n, r in enumerate(runs)
         ]
         return MeasuredWays(numbered(later), "machine clock")
 
@@ -94,6 +94,10 @@ def _written(folder: Path, run: Run, number: int) -> str:
     np.savetxt(folder / file, rows, "%.6f", ",", header=",".join(run.samples), comments="")
     speed = meta.condition["speed_deg_s"]
     return "\n".join(
-        ["[[run]]", *_toml({"id": meta.run_id, "file": file, "repeat": meta.repeat}),
-         f'condition = {{ axis = "C", speed_deg_s = {speed} }}', f'started = "{meta.started}"']
-    )  # fmt: skip
+        [
+            "[[run]]",
+            *_toml({"id": meta.run_id, "file": file, "repeat": meta.repeat}),
+            f'condition = {{ axis = "C", speed_deg_s = {speed} }}',
+            f'started = "{meta.started}"',
+        ]
+    )

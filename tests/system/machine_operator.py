@@ -74,18 +74,12 @@ def cobot(held: ExitStack) -> Move:
         for direction in motion.directions:
             if bundle:
                 served = load_bundle(Path(bundle), "virtual-cobot").bundle
-                condition = CircleCondition(
-                    motion.plane, motion.radius_mm, motion.feed_mm_min, direction
-                )
+                condition = CircleCondition(motion.plane, motion.radius_mm, motion.feed_mm_min, direction)
                 tcp = np.array([0.0, 0.0, bench.cobot.parameters.motion.tcp_z_mm])
-                found, _ = run_circle(
-                    bench.cobot, served, tcp, condition, "shop", 50 + number, "compensated"
-                )
+                found, _ = run_circle(bench.cobot, served, tcp, condition, "shop", 50 + number, "compensated")
                 runs.append(run_of(found, direction.lower(), motion.plane, datetime.now(UTC)))
             else:
-                test = PlannedTest(
-                    "t001", motion.plane, motion.radius_mm, motion.feed_mm_min, 50 + number, "shop"
-                )
+                test = PlannedTest("t001", motion.plane, motion.radius_mm, motion.feed_mm_min, 50 + number, "shop")
                 runs.append(bench.measure(test, direction))
         return runs
 
@@ -96,11 +90,15 @@ def mill(held: ExitStack) -> Move:
     def move(motion: Motion, number: int, bundle: str) -> list[Run]:
         tests = [
             CircularTest(
-                plane=motion.plane, direction=d, radius_mm=motion.radius_mm,
-                feed_mm_min=motion.feed_mm_min, repeat=number, setup="shop",
+                plane=motion.plane,
+                direction=d,
+                radius_mm=motion.radius_mm,
+                feed_mm_min=motion.feed_mm_min,
+                repeat=number,
+                setup="shop",
             )
             for d in motion.directions
-        ]  # fmt: skip
+        ]
         # Another warm-up and other noise each time: a machine does nothing twice alike.
         return virtual_mill("backlash", seed=number).measure(tests)
 
@@ -111,20 +109,14 @@ def linuxcnc(held: ExitStack) -> Move:
     session = held.enter_context(LinuxcncSession(seed=1))
 
     def move(motion: Motion, number: int, bundle: str) -> list[Run]:
-        circles = [
-            Circle(motion.plane, motion.radius_mm, motion.feed_mm_min, d) for d in motion.directions
-        ]
+        circles = [Circle(motion.plane, motion.radius_mm, motion.feed_mm_min, d) for d in motion.directions]
         traces = run_circles(session, circles)
         return [run_of_trace(trace, "r", number, "shop", "") for trace in traces]
 
     return move
 
 
-MACHINES: dict[str, Callable[[ExitStack], Move]] = {
-    "cobot": cobot,
-    "mill": mill,
-    "linuxcnc": linuxcnc,
-}
+MACHINES: dict[str, Callable[[ExitStack], Move]] = {"cobot": cobot, "mill": mill, "linuxcnc": linuxcnc}
 
 
 def save(path: Path, runs: list[Run], machine: str, *, spoilt: bool) -> None:
@@ -136,9 +128,7 @@ def save(path: Path, runs: list[Run], machine: str, *, spoilt: bool) -> None:
         samples = dict(run.samples)
         if spoilt:
             # The ball falls out of its cup half-way: the transducer stays at its stop.
-            samples["deviation_um"] = np.where(
-                np.arange(n) < n // 2, samples["deviation_um"], 1100.0
-            )
+            samples["deviation_um"] = np.where(np.arange(n) < n // 2, samples["deviation_um"], 1100.0)
         meta = replace(run.meta, started=run.meta.started or datetime.now(UTC).isoformat())
         whole.append(replace(run, meta=meta, samples=samples, window=window))
     made = path.with_name(f".{path.name}.made")
@@ -182,8 +172,19 @@ def main() -> int:
                 session = None
             if "start it now" in text and session is None:
                 host = host or held.enter_context(virtual_robot("--feed-mm-min=3000")).host
-                command = [sys.executable, "-m", "dtwin", "serve", "--machine", given.name,
-                           "--model", "trial", "--host", host, "--priority=0"]  # fmt: skip
+                command = [
+                    sys.executable,
+                    "-m",
+                    "dtwin",
+                    "serve",
+                    "--machine",
+                    given.name,
+                    "--model",
+                    "trial",
+                    "--host",
+                    host,
+                    "--priority=0",
+                ]
                 session = subprocess.Popen(command, stdout=subprocess.DEVNULL)
                 held.callback(session.kill)
             elif "end dtwin serve now" in text and session is not None:

@@ -85,9 +85,7 @@ class Up:
 
 @contextmanager
 def running_up(home: Home, *options: str) -> Iterator[Up]:
-    environment = {
-        name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")
-    }
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("PREFECT_")}
     process = subprocess.Popen(
         [sys.executable, "-m", "dtwin", "up", "--json", *options],
         env=environment | {"DTWIN_HOME": str(home.root), "OMP_NUM_THREADS": "1"},

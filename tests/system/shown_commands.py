@@ -66,12 +66,7 @@ def environment(folder: Path) -> dict[str, str]:
 def run(command: str, folder: Path, *, code: int = 0) -> str:
     """Run a command as a reader would and return what it prints."""
     done = subprocess.run(
-        ["bash", "-c", command],
-        cwd=folder,
-        env=environment(folder),
-        capture_output=True,
-        text=True,
-        check=False,
+        ["bash", "-c", command], cwd=folder, env=environment(folder), capture_output=True, text=True, check=False
     )
     assert done.returncode == code, f"{command}\n{done.stdout}\n{done.stderr}"
     return done.stdout
@@ -99,9 +94,7 @@ def here(command: str, folder: Path) -> str:
     return done.stdout
 
 
-def follow(
-    shown: Sequence[Block], folder: Path, runner: Callable[[str, Path], str] = run
-) -> list[tuple[str, str]]:
+def follow(shown: Sequence[Block], folder: Path, runner: Callable[[str, Path], str] = run) -> list[tuple[str, str]]:
     """Run the ``sh`` blocks; every line of a ``text`` block must have been printed by the one before.
 
     A shown line may leave its end out with an ellipsis. A block with a title becomes that file.
@@ -161,9 +154,7 @@ def alike(shown: str, line: str, *, begun: bool = False) -> bool:
     if not (said.startswith(words) if begun else said == words):
         return False
     pairs = zip(_NUMBER.finditer(shown), _NUMBER.finditer(line), strict=False)
-    return all(
-        abs(float(one[0]) - float(other[0])) <= 1.001 * _step(one, shown) for one, other in pairs
-    )
+    return all(abs(float(one[0]) - float(other[0])) <= 1.001 * _step(one, shown) for one, other in pairs)
 
 
 def _step(number: re.Match[str], text: str) -> float:

@@ -32,10 +32,12 @@ def forget() -> None:
 def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return a folder in which ``pip`` installs nothing outside of it, and asks no network."""
     for name, value in {
-        "PREFIX": str(tmp_path / "installed"), "NO_DEPS": "1", # Of this one option pip takes the value for whether to isolate.
+        "PREFIX": str(tmp_path / "installed"),
+        "NO_DEPS": "1",  # Of this one option pip takes the value for whether to isolate.
         "NO_BUILD_ISOLATION": "0",
-        "DISABLE_PIP_VERSION_CHECK": "1", "NO_INDEX": "1",
-    }.items():  # fmt: skip
+        "DISABLE_PIP_VERSION_CHECK": "1",
+        "NO_INDEX": "1",
+    }.items():
         monkeypatch.setenv(f"PIP_{name}", value)
     yield tmp_path
     forget()
@@ -70,15 +72,9 @@ def test_a_control_takes_a_correction_and_lets_it_go(tmp_path: Path) -> None:
     follow(blocks(page("docs/how-to/add-a-control.md")), tmp_path, here)
 
 
-def test_an_effect_in_a_file_is_fitted_and_found_absent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_effect_in_a_file_is_fitted_and_found_absent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dtwin.pipeline.twin_shelf.log_soon", lambda *args, **settings: None)
-    follow(
-        [b for b in blocks(page("docs/how-to/add-an-effect.md")) if "pytest" not in b.lines[0]],
-        tmp_path,
-        here,
-    )
+    follow([b for b in blocks(page("docs/how-to/add-an-effect.md")) if "pytest" not in b.lines[0]], tmp_path, here)
     shown = json.loads(here("dtwin twin show mine --effects-path belt_stretch.py --json", tmp_path))
     belt = [p for p in shown["parameters"] if p["effect"] == "belt_stretch"]
     assert len(belt) == 2

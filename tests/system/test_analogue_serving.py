@@ -63,9 +63,15 @@ def calibration(tmp_path: Path) -> Path:
 
 def serve(board_port: str, feed: ControlFeed, calibration: Path, *options: str) -> Server:
     return Server(
-        "--json", "--link=analogue", f"--port={board_port}", f"--states={feed.address}",
-        f"--states-hz={RATE_HZ:g}", f"--calibration={calibration}", "--watchdog-ms=1000", *options,
-    )  # fmt: skip
+        "--json",
+        "--link=analogue",
+        f"--port={board_port}",
+        f"--states={feed.address}",
+        f"--states-hz={RATE_HZ:g}",
+        f"--calibration={calibration}",
+        "--watchdog-ms=1000",
+        *options,
+    )
 
 
 def real(home: Home, **changes: Any) -> None:
@@ -218,17 +224,12 @@ def test_beyond_the_travel_and_outside_the_box(
         (("--link=analogue",), "serve.link", 1),
         (("--link=serial",), "serve.link", 1),
         (("--link=analogue", "--port=/dev/null", "--states=nowhere"), "serve.evidence", 3),
-        (("--link=analogue", "--port=/dev/null", "--states=nowhere", "--trial"),
-         "analogue.uncalibrated", 1),
-        (("--link=analogue", "--port=/dev/null", "--states=nowhere", "--shadow"),
-         "states.address", 1),
-        (("--link=analogue", "--port=/dev/null", "--states=127.0.0.1:1", "--dry-run"),
-         "states.absent", 4),
+        (("--link=analogue", "--port=/dev/null", "--states=nowhere", "--trial"), "analogue.uncalibrated", 1),
+        (("--link=analogue", "--port=/dev/null", "--states=nowhere", "--shadow"), "states.address", 1),
+        (("--link=analogue", "--port=/dev/null", "--states=127.0.0.1:1", "--dry-run"), "states.absent", 4),
     ],
-)  # fmt: skip
-def test_what_cannot_be_served_is_said(
-    options: tuple[str, ...], error: str, code: int, home: Home
-) -> None:
+)
+def test_what_cannot_be_served_is_said(options: tuple[str, ...], error: str, code: int, home: Home) -> None:
     promote(home)
     found, out, err = Server("--json", *options).end()
     assert (found, json.loads(out)["error"]["code"]) == (code, error), err

@@ -69,20 +69,20 @@ class Sledge:
 
 def bundle(evidence: str = "virtual", **inputs: float) -> Bundle:
     builder = GraphBuilder()
-    graph = builder.graph(
-        {"error_z_um": builder.input("z_mm") * PER_MM + (builder.input("bed_c") - 20.0) * PER_C}
-    )
+    graph = builder.graph({"error_z_um": builder.input("z_mm") * PER_MM + (builder.input("bed_c") - 20.0) * PER_C})
     rates = {"z_mm": (1.0 / PERIOD_S, "mm"), "bed_c": (0.1 / PERIOD_S, "degC")}
     return create_bundle(
-        name="sledge", machine="sledge", model_version=1,
+        name="sledge",
+        machine="sledge",
+        model_version=1,
         inputs=tuple(
-            Input(name, unit, "none", rate, "controller", -100.0, 100.0)
-            for name, (rate, unit) in rates.items()
+            Input(name, unit, "none", rate, "controller", -100.0, 100.0) for name, (rate, unit) in rates.items()
         ),
-        outputs=(Output("error_z_um", "base_z"),), tick_graph=graph,
+        outputs=(Output("error_z_um", "base_z"),),
+        tick_graph=graph,
         safety=SafetyLimits(clamp_um=50.0, slew_um_s=1e8, stale_s=0.5, trips_to_latch=5),
         provenance=Provenance(evidence=evidence),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture
@@ -240,17 +240,18 @@ def test_a_control_that_breaks_off_is_a_fault_and_said(home: Home) -> None:
     def breaks_off() -> None:
         connection, _ = listener.accept()
         asked = json.loads(connection.recv(65536))
-        state = {
-            "timestamp_s": 0.0,
-            "runtime_running": 1,
-            "safety_ok": 1,
-            "z_mm": 1.0,
-            "bed_c": 20.0,
-        }
+        state = {"timestamp_s": 0.0, "runtime_running": 1, "safety_ok": 1, "z_mm": 1.0, "bed_c": 20.0}
         greeting = {
-            "dtwin": 1, "control": "x", "period_s": 0.01, "clock": "machine", "watchdog_s": 0.1,
-            "axes": ["z"], "missing": [], "proof": "", "nonce": asked["nonce"],
-        }  # fmt: skip
+            "dtwin": 1,
+            "control": "x",
+            "period_s": 0.01,
+            "clock": "machine",
+            "watchdog_s": 0.1,
+            "axes": ["z"],
+            "missing": [],
+            "proof": "",
+            "nonce": asked["nonce"],
+        }
         connection.sendall(
             b"".join(json.dumps(part).encode() + b"\n" for part in (greeting, state))
             + b"garbage\n[1]\n"
@@ -311,9 +312,7 @@ def test_nobody_there_and_no_address_are_said() -> None:
 )
 def test_what_cannot_listen_is_refused(words: list[str], told: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=told):
-        CliRunner().invoke(
-            app, ["simulate", *words, "--out", str(tmp_path / "out")], catch_exceptions=False
-        )
+        CliRunner().invoke(app, ["simulate", *words, "--out", str(tmp_path / "out")], catch_exceptions=False)
     assert not (tmp_path / "out").exists()
 
 
@@ -348,17 +347,21 @@ def test_tones_are_not_corrected_over_a_network_in_real_time(home: Home, tmp_pat
     size, angle = (builder.input(name) for name in (COMMAND_AMPLITUDE, COMMAND_PHASE))
     wave = size * builder.apply("sin", angle) * builder.input("gain_1")
     tones = create_bundle(
-        name="tones", machine="sledge", model_version=2,
+        name="tones",
+        machine="sledge",
+        model_version=2,
         inputs=(
             Input(COMMAND_PHASE, "rad", "path", 100.0, "controller", -7.0, 7.0),
             Input(COMMAND_AMPLITUDE, "um", "path", 100.0, "controller", 0.0, 10.0),
             Input("tool_z_rms_g", "g", "sensor", 1.0, "feature", 0.0, 1.0),
         ),
         outputs=(Output("correction_z_um", "base_z", "correction"),),
-        window=contract, window_graph=window.graph({"gain_1": window.input("tool_z_rms_g") * 1.0}),
+        window=contract,
+        window_graph=window.graph({"gain_1": window.input("tool_z_rms_g") * 1.0}),
         tick_graph=builder.graph({"correction_z_um": wave}),
-        safety=SafetyLimits(), provenance=Provenance(evidence="virtual"),
-    )  # fmt: skip
+        safety=SafetyLimits(),
+        provenance=Provenance(evidence="virtual"),
+    )
     path = save_bundle(tones, machine_folder("sledge", home) / "v0002.json")
     write_pointer("sledge", home, path, 2, "champion")
 

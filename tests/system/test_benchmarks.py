@@ -20,8 +20,11 @@ pytestmark = [pytest.mark.system, pytest.mark.timeout(280)]
 def short(script: str, *options: str) -> Any:
     done = subprocess.run(
         [sys.executable, str(FOLDER / script), "--short", "--json", *options],
-        env={**os.environ, "OMP_NUM_THREADS": "1"}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
     return json.loads(done.stdout)
 
@@ -29,11 +32,21 @@ def short(script: str, *options: str) -> Any:
 def test_none_is_left_out() -> None:
     there = {p.name for p in FOLDER.glob("*.py")}
     assert there == {
-        "bench_analogue.py", "bench_decision.py", "bench_equation.py", "bench_features.py",
-        "bench_fit.py", "bench_flips.py", "bench_help.py", "bench_ingest.py", "bench_loop.py",
-        "bench_tone_tick.py", "bench_verbs.py", "bench_workbench.py", "cobot_family.py",
+        "bench_analogue.py",
+        "bench_decision.py",
+        "bench_equation.py",
+        "bench_features.py",
+        "bench_fit.py",
+        "bench_flips.py",
+        "bench_help.py",
+        "bench_ingest.py",
+        "bench_loop.py",
+        "bench_tone_tick.py",
+        "bench_verbs.py",
+        "bench_workbench.py",
+        "cobot_family.py",
         "mechanism_bias.py",
-    }  # fmt: skip
+    }
     # test_freezes and test_exam_short run these.
     assert {p.parent.name for p in FOLDER.glob("*/run.py")} == {"freezes", "hidden_effect"}
     listed = (FOLDER / "README.md").read_text(encoding="utf-8")
@@ -63,9 +76,13 @@ def test_flips() -> None:
     ("script", "ratios"),
     [
         ("bench_help.py", ["ratio"]),
-        ("bench_decision.py",
-         ["as any process.usual_script_over_features_and_equation",
-          "as the loop, by default.usual_script_over_features_and_equation"]),
+        (
+            "bench_decision.py",
+            [
+                "as any process.usual_script_over_features_and_equation",
+                "as the loop, by default.usual_script_over_features_and_equation",
+            ],
+        ),
         ("bench_equation.py", ["ratio_of_p50.pyfunc", "ratio_of_p50.forest"]),
         ("bench_features.py", ["ratio_to_usual_script", "ratio_to_tsfel"]),
         ("bench_fit.py", ["times_faster"]),
@@ -73,7 +90,7 @@ def test_flips() -> None:
         ("bench_tone_tick.py", ["calls"]),
         ("bench_workbench.py", ["runs"]),
     ],
-)  # fmt: skip
+)
 def test_what_is_timed(script: str, ratios: list[str]) -> None:
     if script == "bench_features.py":
         pytest.importorskip("tsfel")
@@ -90,7 +107,7 @@ def test_what_is_timed(script: str, ratios: list[str]) -> None:
 def test_analogue() -> None:
     if not (shutil.which("avr-gcc") and Path("/usr/include/simavr").exists()):
         pytest.skip("avr-gcc or simavr is not installed")
-    assert [one["output"] for one in short("bench_analogue.py")["measured"]] == ["dac"] * 2 + ["pwm"] * 2  # fmt: skip
+    assert [one["output"] for one in short("bench_analogue.py")["measured"]] == ["dac"] * 2 + ["pwm"] * 2
 
 
 def test_mechanism_bias() -> None:

@@ -34,9 +34,7 @@ def task_names(up: Up, flow_run: dict[str, Any]) -> list[str]:
     return sorted(task["name"] for task in up.ask("/task_runs/filter", wanted))
 
 
-def test_a_stopped_job_shows_on_the_page_and_resumes(
-    up: Up, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stopped_job_shows_on_the_page_and_resumes(up: Up, monkeypatch: pytest.MonkeyPatch) -> None:
     file, real = CellFile(home(), "tested"), _tasks.cell.do_step
 
     def and_ask(step: str, part: int, twin: str, seed: int) -> dict[str, object]:
@@ -56,10 +54,7 @@ def test_a_stopped_job_shows_on_the_page_and_resumes(
     assert "wants to look" in stopped["state"]["message"]
     steps = [f"part 1: {step}" for step, _ in STEPS]
     wait_for(
-        lambda: (
-            [task_names(up, each) for each in (stopped, resumed)]
-            == [sorted(steps[:4]), sorted(steps[4:])]
-        ),
+        lambda: [task_names(up, each) for each in (stopped, resumed)] == [sorted(steps[:4]), sorted(steps[4:])],
         seconds=30,
         message=f"the server has not recorded these tasks: {steps}",
     )
@@ -67,7 +62,10 @@ def test_a_stopped_job_shows_on_the_page_and_resumes(
     assert [row["state"] for row in table] == [DONE] * len(STEPS)
     seen = subprocess.run(
         [sys.executable, "-m", "dtwin", "cell", "status", "--cell", "tested", "--json"],
-        env=dict(os.environ), capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env=dict(os.environ),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     shown = json.loads(seen.stdout)
     assert (shown["condition"], shown["done_steps"], shown["live_twin"]) == ("done", 8, "none")

@@ -97,9 +97,7 @@ def test_an_axis_whose_wear_is_not_known_is_refused(axis: None) -> None:
 
 
 @pytest.mark.long
-def test_what_a_correction_left_makes_no_correction(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_a_correction_left_makes_no_correction(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     simulate_lathe(tmp_path / "after", plan=verification_plan(), truth="mechanism")
     told = tmp_path / "after" / "campaign.toml"

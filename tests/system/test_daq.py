@@ -99,18 +99,14 @@ def test_the_sensitivity_is_used(shared: VirtualDaq) -> None:
     assert np.abs(block[0] - 2 * truth).max() <= 2 * STEP_G
 
 
-def test_another_rate_than_the_modules_is_reported_and_kept(
-    shared: VirtualDaq, tmp_path: Path
-) -> None:
+def test_another_rate_than_the_modules_is_reported_and_kept(shared: VirtualDaq, tmp_path: Path) -> None:
     with task(shared, 25_000.0) as daq:
         (finding,) = daq.check()
         assert finding.code == "daq.rate_coerced"
         assert daq.rate_hz == 25_600.0
         described = daq.describe()
         stream = tmp_path / "r1.arrows"
-        with Recorder(
-            stream, described.group, described.rate_hz, described.columns, notes=described.notes
-        ) as recorder:
+        with Recorder(stream, described.group, described.rate_hz, described.columns, notes=described.notes) as recorder:
             daq.start()
             record(daq, recorder, lambda n: n < 5000)
     seal(stream, tmp_path / "r1.parquet")
@@ -191,8 +187,7 @@ def test_swapped_channels_are_refused(daq: VirtualDaq) -> None:
 
 
 @pytest.mark.parametrize(
-    ("physical", "code"),
-    [("cDAQ9Mod1/ai0", "daq.device_absent"), ("cDAQ1Mod1/ai7", "daq.channel_absent")],
+    ("physical", "code"), [("cDAQ9Mod1/ai0", "daq.device_absent"), ("cDAQ1Mod1/ai7", "daq.channel_absent")]
 )
 def test_absent_modules_and_inputs_are_named(shared: VirtualDaq, physical: str, code: str) -> None:
     wrong = task(shared, channels=(AccelerometerChannel("wrist_x_g", physical),))

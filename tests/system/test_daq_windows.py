@@ -19,9 +19,7 @@ from dtwin.machines.daq_sensors import Sensors
 
 pytestmark = pytest.mark.system
 
-CHANNELS = tuple(
-    AccelerometerChannel(f"wrist_{axis}_g", f"cDAQ1Mod1/ai{n}") for n, axis in enumerate("xyz")
-)
+CHANNELS = tuple(AccelerometerChannel(f"wrist_{axis}_g", f"cDAQ1Mod1/ai{n}") for n, axis in enumerate("xyz"))
 PHYSICAL = tuple(f"cDAQ1Mod{m}/ai{n}" for m in (1, 2) for n in range(4))
 CONTRACT = WindowContract(5120.0, 600, 64, tuple(c.name for c in CHANNELS), ("rms",))
 
@@ -125,13 +123,7 @@ def test_modules_that_come_back_in_another_order_are_not_served(daq: VirtualDaq)
         wait_for(source.fault)
         daq.do("swap")
         daq.do("restore")
-        fault = wait_for(
-            lambda: (
-                (found := source.fault()) is not None
-                and found.code == "daq.channel_order"
-                and found
-            )
-        )
+        fault = wait_for(lambda: (found := source.fault()) is not None and found.code == "daq.channel_order" and found)
         assert isinstance(fault, DeviceError)
         time.sleep(0.1)
         source.newest_window()

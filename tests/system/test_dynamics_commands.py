@@ -51,9 +51,7 @@ def codes(found: dict[str, Any]) -> set[str]:
     return {f["code"].removeprefix("dynamics.") for f in found["findings"]}
 
 
-def test_what_the_published_variances_eat_is_said_and_a_low_pass_eats_nothing(
-    runs: list[Run],
-) -> None:
+def test_what_the_published_variances_eat_is_said_and_a_low_pass_eats_nothing(runs: list[Run]) -> None:
     published = split_runs(CAMPAIGN, runs, DynamicsRequest(how="kalman")).result
     assert "eats_features" in codes(published)
     assert published["two_lobes"]["taken"] > 0.3
@@ -119,9 +117,7 @@ def test_what_cannot_be_compared_is_refused(runs: list[Run]) -> None:
 
 def test_a_campaign_of_another_kind_is_refused(tmp_path: Path) -> None:
     folder = tmp_path / "z"
-    made = CliRunner().invoke(
-        app, ["simulate", "--machine", "lathe", "--quick", "--out", str(folder), "--json"]
-    )
+    made = CliRunner().invoke(app, ["simulate", "--machine", "lathe", "--quick", "--out", str(folder), "--json"])
     assert json.loads(made.stdout)["readings"] > 0
     with pytest.raises(InputError, match="circular"):
         CliRunner().invoke(app, ["dynamics", "split", str(folder)], catch_exceptions=False)

@@ -26,6 +26,4 @@ def test_the_table_is_published(scheduled_up: Up, monkeypatch: pytest.MonkeyPatc
     assert seen["state"]["name"] == "Completed"
     table = json.loads(scheduled_up.artifacts_of(seen)["dynamics-paper"]["data"])
     assert [row["figure"] for row in table] == [line["what"] for line in found["lines"]]
-    assert {row["answer"] for row in table} == {
-        "follows", "does not", "calibrated", "not judged",
-    }  # fmt: skip
+    assert {row["answer"] for row in table} == {"follows", "does not", "calibrated", "not judged"}

@@ -37,9 +37,7 @@ def compare(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> An
         return wrong or done
 
     def fit(where: Path) -> None:
-        done = CliRunner().invoke(
-            app, ["twin", "fit", str(where), "--effects", "squareness", "--name", "m"]
-        )
+        done = CliRunner().invoke(app, ["twin", "fit", str(where), "--effects", "squareness", "--name", "m"])
         assert done.exit_code == 0, done.output
 
     run.fit = fit  # type: ignore[attr-defined]
@@ -53,9 +51,7 @@ def test_the_controller_sees_its_lag_and_the_rest_is_split_at_the_declared_frequ
     found = json.loads(compare("--json").stdout)["encoder_split"]
     assert found["cutoff"] == {"cycles_per_rev": 15.0}
     assert (found["runs"], found["runs_without_controller"]) == (36, [])
-    by_feed = {
-        (c["feed_mm_min"], c["direction"]): c for c in found["conditions"] if c["radius_mm"] == 50
-    }
+    by_feed = {(c["feed_mm_min"], c["direction"]): c for c in found["conditions"] if c["radius_mm"] == 50}
     # The error of a lag is in proportion to the feed.
     sizes = [by_feed[feed, "CW"]["controller"]["rms_um"] for feed in (1000.0, 2000.0, 4000.0)]
     np.testing.assert_allclose(np.array(sizes) / sizes[0], [1.0, 2.0, 4.0], rtol=0.02)
@@ -76,9 +72,7 @@ def test_the_controller_sees_its_lag_and_the_rest_is_split_at_the_declared_frequ
     assert "What the controller saw" in page.read_text(encoding="utf-8")
 
 
-def test_runs_without_all_of_the_columns_are_left_out_and_named(
-    compare: Any, folder: Path, tmp_path: Path
-) -> None:
+def test_runs_without_all_of_the_columns_are_left_out_and_named(compare: Any, folder: Path, tmp_path: Path) -> None:
     def copy(name: str, drop: str, runs: int) -> Path:
         made = tmp_path / name
         made.mkdir()
@@ -87,11 +81,7 @@ def test_runs_without_all_of_the_columns_are_left_out_and_named(
         (made / "campaign.toml").write_text("[[run]]".join(entries), encoding="utf-8")
         for number, path in enumerate(sorted(folder.glob("r*.csv"))[:KEPT]):
             lines = path.read_text("utf-8").splitlines()
-            keep = [
-                i
-                for i, column in enumerate(lines[0].split(","))
-                if number >= runs or not re.search(drop, column)
-            ]
+            keep = [i for i, column in enumerate(lines[0].split(",")) if number >= runs or not re.search(drop, column)]
             cells = (line.split(",") for line in lines)
             text = "\n".join(",".join(row[i] for i in keep) for row in cells)
             (made / path.name).write_text(text + "\n", encoding="utf-8")

@@ -7,16 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from closed_loop import (
-    BEGIN,
-    MACHINE,
-    circles,
-    in_lake,
-    registered,
-    served,
-    small_bundle,
-    turns,
-)
+from closed_loop import BEGIN, MACHINE, circles, in_lake, registered, served, small_bundle, turns
 from typer.testing import CliRunner
 
 from dtwin.cli import app
@@ -104,14 +95,27 @@ def test_a_virtual_machine_never_gives_real_evidence(home: Home) -> None:
 def test_a_typed_file_is_nothing(home: Home, tmp_path: Path) -> None:
     version = version_of(home)
     condition = {
-        "plane": "XY", "radius_mm": 50.0, "feed_mm_min": 1000.0, "n_runs": 1, "before_um": 12.0,
-        "after_um": 1.0, "before_ci_um": 0.1, "after_ci_um": 0.1, "floor_um": 0.1, "worse": False,
+        "plane": "XY",
+        "radius_mm": 50.0,
+        "feed_mm_min": 1000.0,
+        "n_runs": 1,
+        "before_um": 12.0,
+        "after_um": 1.0,
+        "before_ci_um": 0.1,
+        "after_ci_um": 0.1,
+        "floor_um": 0.1,
+        "worse": False,
         "better": True,
-    }  # fmt: skip
+    }
     typed = {
-        "kind": "real", "clock": "typed by hand", "machine": MACHINE, "bundle_sha256": BUNDLE.sha256,
-        "model_sha256": SHA, "conditions": [condition], "delays": {},
-    }  # fmt: skip
+        "kind": "real",
+        "clock": "typed by hand",
+        "machine": MACHINE,
+        "bundle_sha256": BUNDLE.sha256,
+        "model_sha256": SHA,
+        "conditions": [condition],
+        "delays": {},
+    }
     file = tmp_path / "typed.json"
     file.write_text(json.dumps(typed), encoding="utf-8")
     done = CliRunner().invoke(app, ["promote", "1", "--evidence", str(file)])
@@ -196,8 +200,9 @@ def test_runs_that_came_later_ask_for_evidence_anew(home: Home) -> None:
     version_of(home)
     measured(home)
     assert run("evidence", "1", "--without", "turns", "--with", "turns")[0] == 0
-    more = circles(turns(BUNDLE), seed=8, feed_mm_min=3000.0, begin=BEGIN.replace(hour=12),
-                   before_um=4.0, after_um=12.0)  # fmt: skip
+    more = circles(
+        turns(BUNDLE), seed=8, feed_mm_min=3000.0, begin=BEGIN.replace(hour=12), before_um=4.0, after_um=12.0
+    )
     in_lake(home, "turns", more)
     served(home, SHA, [r for r in more if r.meta.correction])
     code, found = run("promote", "1")

@@ -11,10 +11,7 @@ from pathlib import Path
 import pytest
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "hidden_effect" / "run.py"
-VERDICTS = {
-    "missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats",
-    "variance_effect",
-}  # fmt: skip
+VERDICTS = {"missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats", "variance_effect"}
 
 
 def _exam(out: Path, *options: str) -> str:

@@ -24,9 +24,12 @@ def test_a_flow_runs_on_the_servers_that_up_started(tmp_path: Path, real_recordi
             f"print(run(ingest_flow, sources=[Path({str(real_recording)!r})])['added'])"
         )
         done = subprocess.run(
-            [sys.executable, "-c", code], env=dict(os.environ, DTWIN_HOME=str(home.root)),
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            [sys.executable, "-c", code],
+            env=dict(os.environ, DTWIN_HOME=str(home.root)),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
         assert done.returncode == 0, done.stderr[-2000:]
         assert done.stdout.strip().endswith("2")
         (ended,) = up.runs_of("ingest")

@@ -26,8 +26,10 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "freezes" / "run.py"
 def test_no_freeze_makes_a_correction_jump(link: str) -> None:
     done = subprocess.run(
         [sys.executable, SCRIPT, "--link", link, "--short", "--seed", "4", "--json"],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.stdout, done.stderr
     found = json.loads(done.stdout)[link]
     if "skipped" in found:

@@ -25,10 +25,7 @@ from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
-EVERYTHING = (
-    "rigid_shift,rigid_turn,axis_expansion,uneven_expansion,squareness_drift,guideway_bending,"
-    "carriage_turning"
-)
+EVERYTHING = "rigid_shift,rigid_turn,axis_expansion,uneven_expansion,squareness_drift,guideway_bending,carriage_turning"
 NO_THERMOCOUPLE = ("foundation", "coolant_tank")
 # The same mill with a thermocouple in everything that deforms it: cores through pockets. With
 # sensors on the surface a twin without memory does not come down to the floor.
@@ -46,9 +43,7 @@ def measured(folder: Path, name: str, parameters: VolumetricParameters) -> None:
     plan.write_text(
         f'[plan]\nkind = "volumetric"\nname = "{name}"\nmachine = "{name}-mill"\nhours = 234\nevery_h = 9\n'
     )
-    simulate_volumetric(
-        folder / name, lambda *_: None, parameters=parameters, plan=planned_campaign(plan).plan
-    )
+    simulate_volumetric(folder / name, lambda *_: None, parameters=parameters, plan=planned_campaign(plan).plan)
     assert CliRunner().invoke(app, ["ingest", str(folder / name)]).exit_code == 0
 
 
@@ -106,10 +101,7 @@ def test_a_hidden_motion_is_named_and_the_error_falls_to_the_floor(said: Said) -
     assert last["lack_of_fit_p"] > 0.01
     assert abs(last["residual_rms_um"] / last["noise_floor_um"] - 1.0) < 0.05
     rungs = said("history", "h")["rungs"]
-    assert [(r["action"], r["verdict"]) for r in rungs] == [
-        ("fit", "missing_effect"),
-        ("add ECX1", "nothing_missing"),
-    ]
+    assert [(r["action"], r["verdict"]) for r in rungs] == [("fit", "missing_effect"), ("add ECX1", "nothing_missing")]
     assert rungs[0]["group"] == ["ECX1"]
     versions = Registry(home()).client.search_model_versions("name='twin-h'")
     assert {v.tags["verdict"] for v in versions} == {"missing_effect", "nothing_missing"}
@@ -120,13 +112,7 @@ def test_what_was_left_out_is_found_again_one_by_one(said: Said) -> None:
     said("fit", "hidden", "--effects", begun, "--name", "ladder")
     found = said("discover", "ladder")
     assert found["final"]["verdict"] == "nothing_missing"
-    assert {label.partition("@")[0] for label in found["added"]} >= {
-        "EXX1",
-        "EYY1",
-        "EZZ1",
-        "EA0",
-        "EB0",
-    }
+    assert {label.partition("@")[0] for label in found["added"]} >= {"EXX1", "EYY1", "EZZ1", "EA0", "EB0"}
     errors = [rung["rms_after_um"] for rung in found["history"]]
     assert errors == sorted(errors, reverse=True)
     assert errors[-1] < 1.1 * found["final"]["noise_floor_um"] < 0.2 * errors[0]
@@ -169,9 +155,7 @@ def test_a_twin_is_compared_shown_and_put_back(said: Said, tmp_path: Path) -> No
     assert [e["label"] for e in fewer["effects"]] == ["EXX1@bed"]
     assert fewer["figures"]["rms_after_um"] > shown["figures"]["rms_after_um"]
     wider = said("add", "c", "EXX1@back_air")
-    assert [e["sources"] for e in wider["effects"] if e["effect"] == "EXX1"] == [
-        ["back_air", "bed"]
-    ]
+    assert [e["sources"] for e in wider["effects"] if e["effect"] == "EXX1"] == [["back_air", "bed"]]
     back = said("restore", "c", "--version", "1")
     assert back["figures"] == shown["figures"]
     told = CliRunner().invoke(app, ["twin", "diagnose", "c"]).stdout

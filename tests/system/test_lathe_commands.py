@@ -89,11 +89,15 @@ def test_campaigns_that_cannot_show_the_screw_are_refused(tmp_path: Path) -> Non
     angle = Input("angle_rad", "rad", "path", 500.0, "path", -7.0, 7.0)
     other = save_bundle(
         create_bundle(
-            name="round", machine="cobot", model_version=1, inputs=[angle],
-            outputs=[Output("error_um", "path_radial")], tick_graph=graph,
+            name="round",
+            machine="cobot",
+            model_version=1,
+            inputs=[angle],
+            outputs=[Output("error_um", "path_radial")],
+            tick_graph=graph,
         ),
         tmp_path / "other.json",
-    )  # fmt: skip
+    )
     with pytest.raises(InputError, match="does not correct a position"):
         CliRunner().invoke(app, ["lathe", "compensate", str(other)], catch_exceptions=False)
 
@@ -119,9 +123,7 @@ def invoke(*words: str, code: int = 0) -> str:
     return done.stdout
 
 
-def test_positions_are_trained_promoted_and_tried_like_circles(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_positions_are_trained_promoted_and_tried_like_circles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     plan = replace(mapping_plan(), name="map", end=4.0, runs=3)
     simulate_lathe(tmp_path / "map", plan=plan)
@@ -150,10 +152,11 @@ def test_positions_are_trained_promoted_and_tried_like_circles(
     check.write_text(CHECK)
     options = ["--machine", "lathe", "--plan", str(check), "--seed", "7"]
     control = subprocess.Popen(
-        [sys.executable, "-m", "dtwin", "simulate", *options, "--listen", "0", "--out",
-         str(tmp_path / "served")],
-        stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "dtwin", "simulate", *options, "--listen", "0", "--out", str(tmp_path / "served")],
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     assert control.stderr is not None
     address = re.search(r"127\.0\.0\.1:\d+", control.stderr.readline())
     assert address is not None
@@ -173,15 +176,14 @@ def test_positions_are_trained_promoted_and_tried_like_circles(
     turn = scheduled_training(home())
     assert turn.reason == "3 new runs in again: version 2 is the candidate"
     assert scheduled_training(home()).campaigns == {
-        "again": "0 new runs", "served": "a correction was in force while it was measured",
+        "again": "0 new runs",
+        "served": "a correction was in force while it was measured",
         "map": "older than the newest campaign that was trained on",
         "evidence-virtual-lathe-v1": "a correction was in force while it was measured",
-    }  # fmt: skip
+    }
     newest = Registry(home()).version("virtual-lathe", "candidate")
     assert "cannot be judged on recorded runs" in newest.tags["against_champion"]
-    again = Bundle.from_dict(
-        Registry(home()).bundle(Registry(home()).version("virtual-lathe", "1"))
-    )
+    again = Bundle.from_dict(Registry(home()).bundle(Registry(home()).version("virtual-lathe", "1")))
     worse = registered_positioning_gates(again, {"screw_pitch_in": 0.25, "explained_share": 0.5})
     assert {v.gate for v in worse if not v.passed} >= {"held-out runs", "the screw is known"}
 
@@ -193,9 +195,7 @@ def largest_um(folder: Path) -> float:
     return float(np.max(np.abs(both - both.mean())))
 
 
-def test_a_position_cannot_be_learned_from_one_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_position_cannot_be_learned_from_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     simulate_lathe(tmp_path / "once", plan=replace(mapping_plan(), name="once", end=4.0, runs=1))
     invoke("ingest", str(tmp_path / "once"))

@@ -34,9 +34,15 @@ PATIENCE = 6
 # One fault only, so that what a correction must do is known without a fit.
 SCALE = 200e-6
 FAULTS = MillFaults(
-    feed_forward_x=1.0, feed_forward_y=1.0, play_x=0.0, scale_x=SCALE, lean_xy=0.0,
-    mounting_x=0.0, mounting_y=0.0, noise=0.05,
-)  # fmt: skip
+    feed_forward_x=1.0,
+    feed_forward_y=1.0,
+    play_x=0.0,
+    scale_x=SCALE,
+    lean_xy=0.0,
+    mounting_x=0.0,
+    mounting_y=0.0,
+    noise=0.05,
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -57,13 +63,7 @@ def circles() -> list[Circle]:
 def ovality_um(trace: Trace) -> float:
     """Return the amplitude of cos 2t: half of the difference of the two axes' diameters."""
     angle = np.radians(trace.angle_deg)
-    waves = [
-        np.ones_like(angle),
-        np.cos(angle),
-        np.sin(angle),
-        np.cos(2 * angle),
-        np.sin(2 * angle),
-    ]
+    waves = [np.ones_like(angle), np.cos(angle), np.sin(angle), np.cos(2 * angle), np.sin(2 * angle)]
     found = np.linalg.lstsq(np.column_stack(waves), trace.deviation_um, rcond=None)[0]
     return float(found[3])
 
@@ -78,10 +78,14 @@ def served(sign: float = 1.0) -> Bundle:
         Input("radius_mm", "mm", "none", 500.0, "controller", 1.0, 100.0),
     ]
     return create_bundle(
-        name="scale", machine="linuxcnc-mill", model_version=1, inputs=inputs,
+        name="scale",
+        machine="linuxcnc-mill",
+        model_version=1,
+        inputs=inputs,
         outputs=[Output("radial_um", "path_radial", "error")],
-        tick_graph=builder.graph({"radial_um": error}), safety=SafetyLimits(20.0, 4000.0),
-    )  # fmt: skip
+        tick_graph=builder.graph({"radial_um": error}),
+        safety=SafetyLimits(20.0, 4000.0),
+    )
 
 
 def listening(table: str) -> set[str]:
@@ -142,9 +146,7 @@ def test_it_is_no_root_inside_whoever_starts_it(session: LinuxcncSession) -> Non
         assert mapped == ["1000", str(os.getuid()), "1"]
 
 
-def test_a_circle_shows_the_machines_error_and_the_correction_takes_it_away(
-    session: LinuxcncSession,
-) -> None:
+def test_a_circle_shows_the_machines_error_and_the_correction_takes_it_away(session: LinuxcncSession) -> None:
     before = run_circles(session, circles())
     for trace in before:
         turn_s = 2.0 * np.pi * RADIUS / (5000.0 / 60.0)
@@ -231,9 +233,7 @@ def test_limits_hold_inside_the_controller(session: LinuxcncSession) -> None:
         wait_for(bridge, lambda s: max(map(abs, s["applied_mm"])) < 1e-6)
 
 
-def test_an_exported_compensation_file_acts_and_nothing_is_left_behind(
-    session: LinuxcncSession,
-) -> None:
+def test_an_exported_compensation_file_acts_and_nothing_is_left_behind(session: LinuxcncSession) -> None:
     play_mm = 0.010
     with Bridge(session.socket_path) as bridge:
         bridge.ask(do="set", pin="plant.play-x", value=play_mm)

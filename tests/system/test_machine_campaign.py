@@ -49,8 +49,7 @@ def inbox(tmp_path: Path) -> Path:
     return made
 
 
-def plan_file(folder: Path, machine: str, radius_mm: float, feed: float, repeats: int = 1,
-              plane: str = "XY") -> Path:  # fmt: skip
+def plan_file(folder: Path, machine: str, radius_mm: float, feed: float, repeats: int = 1, plane: str = "XY") -> Path:
     path = folder / f"{machine}.toml"
     path.write_text(
         f'[plan]\nname = "shop"\nmachine = "{machine}"\n'
@@ -63,9 +62,13 @@ def plan_file(folder: Path, machine: str, radius_mm: float, feed: float, repeats
 
 def started(*arguments: str | Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "dtwin", *map(str, arguments)], stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "dtwin", *map(str, arguments)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
 
 
 def ended(process: subprocess.Popen[str], code: int = 0) -> Any:
@@ -78,10 +81,10 @@ def ended(process: subprocess.Popen[str], code: int = 0) -> Any:
 @contextmanager
 def operator(folder: Path, inbox: Path, machine: str, name: str, *more: str) -> Iterator[None]:
     process = subprocess.Popen(
-        [sys.executable, str(OPERATOR), str(folder), str(inbox), f"--machine={machine}",
-         f"--name={name}", *more],
-        env=os.environ | {"PYTHONPATH": str(OPERATOR.parent)}, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, str(OPERATOR), str(folder), str(inbox), f"--machine={machine}", f"--name={name}", *more],
+        env=os.environ | {"PYTHONPATH": str(OPERATOR.parent)},
+        start_new_session=True,
+    )
     try:
         yield
     finally:
@@ -119,8 +122,7 @@ def recorded(stream: Path, n_bytes: int = 60_000) -> None:
 
 
 def ball_bar(path: Path, seed: int = 0, feed: float = 1000.0) -> Path:
-    runs = [r.__class__(r.meta, r.samples, window=(0, 360))
-            for r in circles([""], seed=seed, feed_mm_min=feed)]  # fmt: skip
+    runs = [r.__class__(r.meta, r.samples, window=(0, 360)) for r in circles([""], seed=seed, feed_mm_min=feed)]
     write_b5r(path, runs, name=path.stem, machine="mill-a")
     return path
 
@@ -135,9 +137,7 @@ def lenient(home: Home, machine: str) -> None:
     registry.attach(version, {"bundle/bundle.json": content})
 
 
-@pytest.mark.parametrize(
-    ("machine", "radius_mm", "feed"), [("cobot", 100.0, 6000.0), ("mill", 150.0, 4000.0)]
-)
+@pytest.mark.parametrize(("machine", "radius_mm", "feed"), [("cobot", 100.0, 6000.0), ("mill", 150.0, 4000.0)])
 def test_an_operator_measures_a_plan_and_repeats_a_spoilt_run(
     machine: str, radius_mm: float, feed: float, home: Home, inbox: Path, tmp_path: Path
 ) -> None:
@@ -149,14 +149,10 @@ def test_an_operator_measures_a_plan_and_repeats_a_spoilt_run(
         found = ended(started(*command))
     assert (found["measured"], found["kept"], found["set_aside"]) == (2, 0, 1)
     assert [p.name for p in (folder / "set-aside").iterdir()] == ["t001-1"]
-    assert {p.name for p in (folder / "programs").iterdir()} == {
-        "t001.nc", "t001.script", "t002.nc", "t002.script",
-    }  # fmt: skip
+    assert {p.name for p in (folder / "programs").iterdir()} == {"t001.nc", "t001.script", "t002.nc", "t002.script"}
     rows = Lake(home.lake).runs("shop")
     assert [row["run_id"] for row in rows] == ["t001-ccw", "t001-cw", "t002-ccw", "t002-cw"]
-    assert {(r["radius_mm"], r["feed_mm_min"], r["n_errors"]) for r in rows} == {
-        (radius_mm, feed, 0)
-    }
+    assert {(r["radius_mm"], r["feed_mm_min"], r["n_errors"]) for r in rows} == {(radius_mm, feed, 0)}
     assert {row["correction"] for row in rows} == {""}
     # What was handed out is a real machine's for all that dtwin knows.
     assert not Lake(home.lake).campaign("shop").machine_geometry.get("virtual", False)
@@ -176,17 +172,14 @@ def test_linuxcnc_runs_what_was_handed_out(home: Home, inbox: Path, tmp_path: Pa
 
 
 @pytest.mark.long
-def test_evidence_is_measured_by_turns_and_promoted(
-    home: Home, inbox: Path, tmp_path: Path
-) -> None:
+def test_evidence_is_measured_by_turns_and_promoted(home: Home, inbox: Path, tmp_path: Path) -> None:
     ended(started("simulate", "--quick", "--out", tmp_path / "training", "--json"))
     ended(started("ingest", tmp_path / "training", "--json"))
     ended(started("train", "training-quick", "--json"))
     lenient(home, "virtual-cobot")
     plan = plan_file(tmp_path, "virtual-cobot", 150.0, 5000.0, 2, "YZ")
     folder = tmp_path / "shop"
-    command = ("campaign", plan, "--inbox", inbox, "--out", folder, "--settle", "0.6",
-               "--with", "1", "--json")  # fmt: skip
+    command = ("campaign", plan, "--inbox", inbox, "--out", folder, "--settle", "0.6", "--with", "1", "--json")
     refused = ended(started(*command[:-1]), code=3)
     assert "neither on trial nor champion" in refused
     ended(started("promote", "1", "--trial", "--json"))
@@ -207,9 +200,7 @@ def test_evidence_is_measured_by_turns_and_promoted(
     assert resolve("latest", "virtual-cobot", home).version == 1
 
 
-def test_a_killed_campaign_goes_on_and_strange_files_are_not_taken(
-    home: Home, inbox: Path, tmp_path: Path
-) -> None:
+def test_a_killed_campaign_goes_on_and_strange_files_are_not_taken(home: Home, inbox: Path, tmp_path: Path) -> None:
     ball_bar(inbox / "old.b5r", seed=9)
     plan = plan_file(tmp_path, "mill-a", 50.0, 1000.0, 2)
     folder = tmp_path / "shop"
@@ -253,8 +244,19 @@ def test_the_controller_is_recorded_meanwhile_and_its_failure_spoils_only_the_ru
     plan = plan_file(tmp_path, "mill-a", 50.0, 1000.0)
     folder = tmp_path / "shop"
     with virtual_robot("--feed-mm-min=3000") as robot:
-        command = ("campaign", plan, "--inbox", inbox, "--out", folder, "--settle", "0.3",
-                   "--robot", robot.host, "--json")  # fmt: skip
+        command = (
+            "campaign",
+            plan,
+            "--inbox",
+            inbox,
+            "--out",
+            folder,
+            "--settle",
+            "0.3",
+            "--robot",
+            robot.host,
+            "--json",
+        )
         process = started(*command)
         first = asked(folder, "t001")
         recorded(folder / "t001.controller.arrows")
@@ -279,9 +281,7 @@ def test_the_controller_is_recorded_meanwhile_and_its_failure_spoils_only_the_ru
     assert lake.campaign("shop").machine_geometry["virtual"] is True
 
 
-def test_ctrl_c_keeps_what_is_there_and_names_the_command(
-    home: Home, inbox: Path, tmp_path: Path
-) -> None:
+def test_ctrl_c_keeps_what_is_there_and_names_the_command(home: Home, inbox: Path, tmp_path: Path) -> None:
     plan = plan_file(tmp_path, "mill-a", 50.0, 1000.0, 2)
     folder = tmp_path / "shop"
     command = ("campaign", plan, "--inbox", inbox, "--out", folder, "--settle", "0.2")
@@ -292,9 +292,7 @@ def test_ctrl_c_keeps_what_is_there_and_names_the_command(
     assert "0 of 2 tests are kept" in said
     assert "run the same command again" in said
     other = plan_file(tmp_path, "mill-b", 50.0, 1000.0, 2)
-    assert "another plan" in ended(
-        started("campaign", other, "--inbox", inbox, "--out", folder), code=1
-    )
+    assert "another plan" in ended(started("campaign", other, "--inbox", inbox, "--out", folder), code=1)
     inside = ("campaign", plan, "--inbox", folder / "programs", "--out", folder)
     assert "must not write into" in ended(started(*inside), code=1)
 

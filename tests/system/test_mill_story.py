@@ -106,9 +106,7 @@ def test_the_text_tells_all_of_it(told: Any) -> None:
     assert re.search(r"^100 +symbolic +1\.00, 0\.53 +-11\.6 % +-790\.8 %$", text, re.M)
 
 
-def test_its_evidence_is_in_the_lake_and_refuses_the_map_again(
-    told: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_its_evidence_is_in_the_lake_and_refuses_the_map_again(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     home, _ = told
     monkeypatch.setenv("DTWIN_HOME", str(home))
     version = story(told)["map_gates"]["version"]
@@ -116,6 +114,4 @@ def test_its_evidence_is_in_the_lake_and_refuses_the_map_again(
     assert done.exit_code == 3
     found = json.loads(done.stdout)
     assert "no condition worse: XY R50 F100" in found["reason"]
-    assert found["evidence"]["campaigns"] == {
-        way: [f"evidence-{MACHINE}-v{version}"] for way in ("without", "with")
-    }
+    assert found["evidence"]["campaigns"] == {way: [f"evidence-{MACHINE}-v{version}"] for way in ("without", "with")}

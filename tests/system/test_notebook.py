@@ -28,9 +28,7 @@ def _without_mlflow(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_notebook_shows_what_it_showed(tmp_path: Path) -> None:
-    for shown, kept in zip(
-        run_notebook.shown(NOTEBOOK["cells"], tmp_path), run_notebook.kept(NOTEBOOK), strict=True
-    ):
+    for shown, kept in zip(run_notebook.shown(NOTEBOOK["cells"], tmp_path), run_notebook.kept(NOTEBOOK), strict=True):
         lines, before = shown.splitlines(), kept.splitlines()
         assert len(lines) == len(before), shown
         assert all(map(alike, before, lines)), shown
@@ -46,9 +44,7 @@ def test_the_notebook_is_one_that_jupyter_opens() -> None:
     assert len(set(names)) == len(names)
 
 
-def test_the_examples_of_the_python_page_hold(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_examples_of_the_python_page_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     lines = [line for block in blocks(PAGE) for line in block.lines]
     assert {block.language for block in blocks(PAGE)} == {"python"}

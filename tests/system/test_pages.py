@@ -47,9 +47,7 @@ def flow_run(up: Up, flow: str) -> dict[str, Any]:
     return up.runs_of(flow)[-1]
 
 
-def test_prefect_shows_the_run_with_its_tables_and_plots(
-    up: Up, page: Page, artifacts: Path
-) -> None:
+def test_prefect_shows_the_run_with_its_tables_and_plots(up: Up, page: Page, artifacts: Path) -> None:
     run(diagnose_flow, campaign="quick")
     shown = flow_run(up, "diagnose")
     asked: set[str] = set()
@@ -94,9 +92,7 @@ def test_mlflow_shows_a_version_as_a_reviewer_needs_it(up: Up, page: Page, artif
     page.screenshot(path=artifacts / "mlflow-version.png")
 
     page.goto(f"{up.addresses['mlflow']}/#/models/dtwin-{MACHINE}")
-    expect(page.get_by_text("Versions are served only after").first).to_be_visible(
-        timeout=PATIENCE_MS
-    )
+    expect(page.get_by_text("Versions are served only after").first).to_be_visible(timeout=PATIENCE_MS)
     expect(page.get_by_text("@ candidate").first).to_be_visible()
     page.screenshot(path=artifacts / "mlflow-model.png")
 

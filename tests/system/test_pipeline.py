@@ -99,9 +99,7 @@ def test_all_five_steps_have_figures(demo: tuple[Home, dict[str, Any]]) -> None:
     assert "Compensated against uncompensated" in page
 
 
-def test_candidates_are_ranked_and_no_baseline_is_made_of_straw(
-    demo: tuple[Home, dict[str, Any]],
-) -> None:
+def test_candidates_are_ranked_and_no_baseline_is_made_of_straw(demo: tuple[Home, dict[str, Any]]) -> None:
     rms = {c["name"]: c["scores"]["feed_mm_min"]["rms_um"] for c in demo[1]["comparison"]}
     assert rms["physics-library"] == min(rms.values())
     assert rms["physics-library"] < 0.4 * rms["zero"]
@@ -111,9 +109,7 @@ def test_candidates_are_ranked_and_no_baseline_is_made_of_straw(
     version = registry.version(MACHINE, "1")
     logged = {c["name"]: c["metrics"] for c in training_candidates(registry, version)}
     assert set(logged) == set(rms)
-    harmful = [
-        n for n, m in logged.items() if m["train_rms_um"] > 1.001 * logged["zero"]["train_rms_um"]
-    ]
+    harmful = [n for n, m in logged.items() if m["train_rms_um"] > 1.001 * logged["zero"]["train_rms_um"]]
     assert harmful == []
 
 
@@ -176,9 +172,7 @@ def test_the_registry_entry_reads_well(demo: tuple[Home, dict[str, Any]]) -> Non
     } <= kept
 
 
-def test_a_second_training_on_the_same_tables_gives_the_same_equation(
-    demo: tuple[Home, dict[str, Any]],
-) -> None:
+def test_a_second_training_on_the_same_tables_gives_the_same_equation(demo: tuple[Home, dict[str, Any]]) -> None:
     home = demo[0]
     registry = Registry(home)
     first = registry.bundle(registry.version(MACHINE, "1"))
@@ -211,9 +205,7 @@ def test_without_evidence_nothing_becomes_champion(demo: tuple[Home, dict[str, A
     assert history(home, MACHINE)[-1]["action"] == "refused"
 
 
-def test_a_model_with_the_wrong_sign_makes_it_worse_and_is_refused(
-    demo: tuple[Home, dict[str, Any]],
-) -> None:
+def test_a_model_with_the_wrong_sign_makes_it_worse_and_is_refused(demo: tuple[Home, dict[str, Any]]) -> None:
     """Good on paper, harmful on the machine: only the closed loop can tell."""
     home = demo[0]
     registry = Registry(home)
@@ -274,9 +266,7 @@ def test_a_real_machine_needs_evidence_of_its_own(demo: tuple[Home, dict[str, An
         registry.attach(version, {"geometry.json": json.dumps(geometry)})
 
 
-def test_the_evidence_of_the_demo_is_computed_again_from_its_runs(
-    demo: tuple[Home, dict[str, Any]],
-) -> None:
+def test_the_evidence_of_the_demo_is_computed_again_from_its_runs(demo: tuple[Home, dict[str, Any]]) -> None:
     home, found = demo
     again = proven(home, Registry(home).version(MACHINE, "1"))
     assert again is not None

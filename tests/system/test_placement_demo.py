@@ -27,8 +27,10 @@ def test_the_demo_reaches_the_oracle_and_its_campaign_is_ingested(tmp_path: Path
     done = subprocess.run(
         [sys.executable, "-m", "dtwin", "demo", "placement", "--quick", "--json"],
         env=dict(os.environ, DTWIN_HOME=str(tmp_path)),
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     found = json.loads(done.stdout)
     # A table by place and time comes less near to the best correction at the highest feed, and it says so.
@@ -50,9 +52,7 @@ def test_the_demo_reaches_the_oracle_and_its_campaign_is_ingested(tmp_path: Path
 def test_a_correction_of_the_wrong_sign_is_worse_in_every_condition() -> None:
     cobot = VirtualCobot(seed=0)
     bundle, _ = placing.learn(cobot, TCP_MM, repeats=4)
-    wrong = replace(
-        bundle, outputs=tuple(Output(o.name, o.frame, "correction") for o in bundle.outputs)
-    )
+    wrong = replace(bundle, outputs=tuple(Output(o.name, o.frame, "correction") for o in bundle.outputs))
     rows = placing.measure(cobot, wrong, TCP_MM, repeats=4, seed=1)
     found = placing.conditions(rows)
     assert all(condition["worse"] for condition in found)

@@ -54,8 +54,7 @@ def test_the_tour_prints_what_it_shows_and_draws_the_picture(tmp_path: Path) -> 
     assert f"`{command}`" in README
     run(command, tmp_path)
     drawn, kept = (
-        (folder / "residual-falls.svg").read_text(encoding="utf-8")
-        for folder in (tmp_path, ROOT / "docs" / "pictures")
+        (folder / "residual-falls.svg").read_text(encoding="utf-8") for folder in (tmp_path, ROOT / "docs" / "pictures")
     )
     number = re.compile(r"-?\d+(?:\.\d+)?")
     assert number.sub("#", drawn) == number.sub("#", kept)
@@ -68,11 +67,7 @@ def test_the_tour_prints_what_it_shows_and_draws_the_picture(tmp_path: Path) -> 
 def the_workbench_shows(twin: str, folder: Path) -> None:
     (command,) = below("The same in the browser")[0].lines
     server = subprocess.Popen(
-        [*command.split(), "--no-browser"],
-        cwd=folder,
-        env=environment(folder),
-        stdout=subprocess.PIPE,
-        text=True,
+        [*command.split(), "--no-browser"], cwd=folder, env=environment(folder), stdout=subprocess.PIPE, text=True
     )
     try:
         assert server.stdout is not None

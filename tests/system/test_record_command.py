@@ -63,8 +63,11 @@ def channel_file(path: Path, daq: VirtualDaq) -> Path:
 def started(*arguments: str | Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "dtwin", *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
 
 
 def dtwin(*arguments: str | Path, code: int = 0) -> Any:
@@ -93,13 +96,27 @@ def test_a_recorded_run_goes_into_the_lake_with_the_ball_bar_s_file(
 ) -> None:
     folder = tmp_path / "campaign"
     found = dtwin(
-        "record", "--sensors", sensors, "--robot", robot.host, "--duration", "2", "--out", folder,
-        "--reference", real_recording, "--machine", "cobot-a", "--set", "setup=s7",
-    )  # fmt: skip
+        "record",
+        "--sensors",
+        sensors,
+        "--robot",
+        robot.host,
+        "--duration",
+        "2",
+        "--out",
+        folder,
+        "--reference",
+        real_recording,
+        "--machine",
+        "cobot-a",
+        "--set",
+        "setup=s7",
+    )
     assert (found["run"], found["reference_there"]) == ("r001", True)
     assert [Path(s["file"]).name for s in found["signals"]] == [
-        "r001.accelerometers.parquet", "r001.controller.parquet",
-    ]  # fmt: skip
+        "r001.accelerometers.parquet",
+        "r001.controller.parquet",
+    ]
     assert all(s["complete"] for s in found["signals"])
 
     added = dtwin("ingest", folder)["campaigns"][0]["added"]
@@ -138,9 +155,7 @@ def test_what_a_killed_recording_had_is_recovered_by_the_next_one(
 
     options = ["--duration", "0.5", "--out", folder]
     # The server keeps the dead client's task, and with it the module, until it is restarted.
-    assert "restart the NI gRPC device server" in dtwin(
-        "record", "--sensors", sensors, *options, code=4
-    )
+    assert "restart the NI gRPC device server" in dtwin("record", "--sensors", sensors, *options, code=4)
     assert not list(folder.glob("*.arrows"))
     with virtual_daq() as restarted:
         other = channel_file(tmp_path / "restarted.toml", restarted)
@@ -160,9 +175,7 @@ def test_what_a_killed_recording_had_is_recovered_by_the_next_one(
     assert broken == {"r001-ccw", "r001-cw"}
 
 
-def test_repair_recovers_a_folder_but_not_from_under_a_recording(
-    sensors: Path, tmp_path: Path
-) -> None:
+def test_repair_recovers_a_folder_but_not_from_under_a_recording(sensors: Path, tmp_path: Path) -> None:
     folder = tmp_path / "campaign"
     recording = started("record", "--sensors", sensors, "--duration", "600", "--out", folder)
     wait_for_samples(folder / "r001.accelerometers.arrows", 20_000)
@@ -205,9 +218,7 @@ def test_a_module_that_goes_ends_the_recording_and_keeps_what_came(
         (["--sensors", "missing.toml"], "sensors.unreadable"),
     ],
 )
-def test_mistakes_are_said_before_anything_is_connected(
-    tmp_path: Path, options: list[str], code: str
-) -> None:
+def test_mistakes_are_said_before_anything_is_connected(tmp_path: Path, options: list[str], code: str) -> None:
     assert code in dtwin("record", "--out", tmp_path / "campaign", *options, code=1)
     assert not (tmp_path / "campaign").exists()
 
@@ -233,9 +244,7 @@ def promote_level_model() -> None:
     write_machine("cobot-a", home, {"type": "ur10e", "tcp_mm": [0.0, 0.0, 158.3]})
 
 
-def test_a_model_on_accelerometers_is_served_from_a_channel_file(
-    sensors: Path, robot: VirtualRobot
-) -> None:
+def test_a_model_on_accelerometers_is_served_from_a_channel_file(sensors: Path, robot: VirtualRobot) -> None:
     promote_level_model()
     options = ["serve", "--host", robot.host, "--priority", "0", "--duration", "3"]
     assert "--sensors FILE" in dtwin(*options, code=1)

@@ -46,9 +46,7 @@ def assert_same(first: Loaded, second: Loaded) -> None:
     assert np.array_equal(first.controller_um, second.controller_um, equal_nan=True)
 
 
-def test_the_second_reading_is_the_first_without_the_samples(
-    home: Home, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_second_reading_is_the_first_without_the_samples(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     first = load(home, _name(home))
 
     def nobody_reads(*_: object, **__: object) -> None:

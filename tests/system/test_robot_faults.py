@@ -72,9 +72,7 @@ def by_feed(home: Home) -> None:
     g = GraphBuilder()
     promote(
         home,
-        inputs=[
-            Input("programmed_feed_mm_min", "mm/min", "path", 500.0, "path", 0.0, 1.2 * FEED_MM_MIN)
-        ],
+        inputs=[Input("programmed_feed_mm_min", "mm/min", "path", 500.0, "path", 0.0, 1.2 * FEED_MM_MIN)],
         tick_graph=g.graph({"radial_error_um": 8e-3 * g.input("programmed_feed_mm_min")}),
     )
 
@@ -189,9 +187,7 @@ def test_the_slider_pauses_and_stops_are_followed(own_robot: VirtualRobot, home:
     assert "latched" not in status["reasons"]
 
 
-def test_a_restarted_controller_is_found_again_and_corrected_from_zero(
-    home: Home, tmp_path: Path
-) -> None:
+def test_a_restarted_controller_is_found_again_and_corrected_from_zero(home: Home, tmp_path: Path) -> None:
     promote(home)
     with virtual_robot(f"--feed-mm-min={FEED_MM_MIN}") as robot:
         server = Server("--json", f"--host={robot.host}", "--patience=60")
@@ -239,9 +235,7 @@ def test_a_frozen_host_leaves_a_half_open_link_and_the_robot_lets_go(robot: Virt
         wait_until_released(robot)
 
 
-def test_a_loop_that_is_killed_at_any_moment_is_released_and_noted(
-    robot: VirtualRobot, home: Home
-) -> None:
+def test_a_loop_that_is_killed_at_any_moment_is_released_and_noted(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     rng = np.random.default_rng(5)
     for count, delay_s in enumerate(rng.uniform(0.0, 0.3, 3), start=1):
@@ -272,9 +266,7 @@ def test_a_full_disk_costs_lines_and_never_the_correction(robot: VirtualRobot, h
     wait_until_released(robot)
 
 
-def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(
-    robot: VirtualRobot, home: Home
-) -> None:
+def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     server = Server("--json", f"--host={robot.host}")
     wait_until_corrected(robot)
@@ -322,27 +314,19 @@ class SpoiledWindows:
         pass
 
 
-def test_a_stuck_a_saturated_and_a_silent_sensor_lead_to_zero_by_name(
-    robot: VirtualRobot, home: Home
-) -> None:
+def test_a_stuck_a_saturated_and_a_silent_sensor_lead_to_zero_by_name(robot: VirtualRobot, home: Home) -> None:
     g = GraphBuilder()
     promote(
         home,
         inputs=[Input("wrist_x_rms_g", "g", "sensor", 110.0, "feature", 0.0, 2.0)],
         window=WindowContract(1652.0, 150, 15, ("wrist_x_g",), ("rms",)),
         tick_graph=g.graph({"radial_error_um": 200.0 * g.input("wrist_x_rms_g")}),
-        safety=SafetyLimits(
-            clamp_um=40.0, slew_um_s=2000.0, stale_s=0.3, window_stale_s=0.1, trips_to_latch=99
-        ),
+        safety=SafetyLimits(clamp_um=40.0, slew_um_s=2000.0, stale_s=0.3, window_stale_s=0.1, trips_to_latch=99),
     )
     request = ServeRequest(host=robot.host, duration_s=2.8, priority=0)
     status = serve(request, home, lambda _: None, SpoiledWindows).status
     assert (status.ended, status.released) == ("duration", True)
     told = [(line["why"], line.get("sensors", "")) for line in noted(home, "guard")]
-    for one in (
-        ("not_finite", "wrist_x_g: stuck"),
-        ("not_finite", "wrist_x_g: saturated"),
-        ("stale_window", ""),
-    ):
+    for one in (("not_finite", "wrist_x_g: stuck"), ("not_finite", "wrist_x_g: saturated"), ("stale_window", "")):
         assert told[told.index(one) + 1][0] == "correcting", told
     wait_until_released(robot)

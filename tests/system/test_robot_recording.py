@@ -30,9 +30,7 @@ def recorder(path: Path, robot: RobotRecorder) -> Recorder:
     return Recorder(path, described.group, described.rate_hz, described.columns, durable=False)
 
 
-def test_the_recording_is_the_controllers_motion_by_its_clock(
-    robot: VirtualRobot, tmp_path: Path
-) -> None:
+def test_the_recording_is_the_controllers_motion_by_its_clock(robot: VirtualRobot, tmp_path: Path) -> None:
     stream = tmp_path / "r1.controller.arrows"
     with RobotRecorder(robot.host) as recording, recorder(stream, recording) as writing:
         recording.start()
@@ -45,9 +43,7 @@ def test_the_recording_is_the_controllers_motion_by_its_clock(
     # A busy host skips states; the gaps are in it as such.
     assert len(there) > 150
     # Every sample has its place on the clock, lost ones or not.
-    np.testing.assert_allclose(
-        stamps[there], stamps[there[0]] + (there - there[0]) / 125.0, atol=2.5e-3
-    )
+    np.testing.assert_allclose(stamps[there], stamps[there[0]] + (there - there[0]) / 125.0, atol=2.5e-3)
     path = np.array([group.columns[f"target_tcp_{axis}_mm"] for axis in "xyz"])
     speed = np.linalg.norm(np.diff(path, axis=1), axis=0) * 125.0
     assert 20.0 < np.nanmax(speed) < 80.0
@@ -64,14 +60,10 @@ def test_states_that_the_controller_skips_are_gaps(robot: VirtualRobot, tmp_path
     assert max(gap.n_lost for gap in found.gaps) >= 25
     stamps = found.group.columns["timestamp_s"]
     there = np.flatnonzero(~np.isnan(stamps))
-    np.testing.assert_allclose(
-        stamps[there], stamps[there[0]] + (there - there[0]) / 125.0, atol=2.5e-3
-    )
+    np.testing.assert_allclose(stamps[there], stamps[there[0]] + (there - there[0]) / 125.0, atol=2.5e-3)
 
 
-def test_a_lost_link_ends_the_reading_and_keeps_what_was_read(
-    robot: VirtualRobot, tmp_path: Path
-) -> None:
+def test_a_lost_link_ends_the_reading_and_keeps_what_was_read(robot: VirtualRobot, tmp_path: Path) -> None:
     stream = tmp_path / "r1.controller.arrows"
 
     def until_it_breaks() -> None:

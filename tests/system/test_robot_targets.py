@@ -44,9 +44,7 @@ def on_circle(cobot: VirtualCobot, angles_rad: np.ndarray) -> np.ndarray:
     return cobot.centre_mm(RADIUS_MM) + RADIUS_MM * circle
 
 
-def radial_and_tangential_um(
-    cobot: VirtualCobot, points: np.ndarray, nominal: np.ndarray
-) -> np.ndarray:
+def radial_and_tangential_um(cobot: VirtualCobot, points: np.ndarray, nominal: np.ndarray) -> np.ndarray:
     """Error of every stop in its own axes, shape (n, 2)."""
     outward = (nominal - cobot.centre_mm(RADIUS_MM)) / RADIUS_MM
     around = np.cross([0.0, 0.0, 1.0], outward)
@@ -55,21 +53,15 @@ def radial_and_tangential_um(
 
 
 def harmonics(angle: np.ndarray) -> np.ndarray:
-    return np.column_stack(
-        [np.ones_like(angle)] + [f(k * angle) for k in (1, 2, 3) for f in (np.cos, np.sin)]
-    )
+    return np.column_stack([np.ones_like(angle)] + [f(k * angle) for k in (1, 2, 3) for f in (np.cos, np.sin)])
 
 
 def learned(cobot: VirtualCobot) -> Bundle:
     """Two outputs, along and across the radius, fitted to stops of one session."""
     angles = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
     nominal = on_circle(cobot, angles)
-    reached = visit(
-        cobot, nominal, centre_mm=cobot.centre_mm(RADIUS_MM), feed_mm_min=FEED, repeat=1
-    )
-    found = np.linalg.lstsq(
-        harmonics(angles), radial_and_tangential_um(cobot, reached, nominal), rcond=None
-    )[0]
+    reached = visit(cobot, nominal, centre_mm=cobot.centre_mm(RADIUS_MM), feed_mm_min=FEED, repeat=1)
+    found = np.linalg.lstsq(harmonics(angles), radial_and_tangential_um(cobot, reached, nominal), rcond=None)[0]
     g = GraphBuilder()
     angle = g.input("path_angle_rad")
     terms = [1.0] + [g.apply(f, float(k) * angle) for k in (1, 2, 3) for f in ("cos", "sin")]
@@ -95,9 +87,7 @@ def test_rewritten_targets_are_nearer_in_a_session_the_model_never_saw(cobot: Vi
     sent = np.array([one.position_mm for one in made])
 
     def rms_um(targets: np.ndarray, repeat: int) -> float:
-        reached = visit(
-            cobot, targets, centre_mm=cobot.centre_mm(RADIUS_MM), feed_mm_min=1500.0, repeat=repeat
-        )
+        reached = visit(cobot, targets, centre_mm=cobot.centre_mm(RADIUS_MM), feed_mm_min=1500.0, repeat=repeat)
         return float(np.sqrt(np.mean(radial_and_tangential_um(cobot, reached, nominal) ** 2)))
 
     before, after = rms_um(nominal, 2), rms_um(sent, 3)
@@ -115,9 +105,7 @@ def test_the_correction_is_a_vector_in_the_right_frame(cobot: VirtualCobot) -> N
     np.testing.assert_allclose(plain.offset_um, inward, atol=1e-9)
     np.testing.assert_allclose(1e3 * (plain.position_mm - target), inward, atol=1e-6)
     turn, origin = np.radians(30.0), cobot.centre_mm(RADIUS_MM)
-    rotation = np.array(
-        [[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]]
-    )
+    rotation = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     in_feature = rotation.T @ (target - origin)
     own = frame(cobot, origin_mm=origin, rotation=rotation)
     featured = TargetCorrection(compiled, TCP_MM, own).correct(Target("a", in_feature, FEED))
@@ -170,13 +158,7 @@ def test_the_command_writes_what_is_to_be_sent(cobot: VirtualCobot, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "x\n1\n",
-        "name,x_mm,y_mm,z_mm,feed_mm_min\n",
-        "name,x_mm,y_mm,z_mm,feed_mm_min\na,1,2,nan,5\n",
-    ],
+    "text", ["", "x\n1\n", "name,x_mm,y_mm,z_mm,feed_mm_min\n", "name,x_mm,y_mm,z_mm,feed_mm_min\na,1,2,nan,5\n"]
 )
 def test_unusable_targets_are_refused_by_name(tmp_path: Path, text: str) -> None:
     given = tmp_path / "targets.csv"

@@ -55,9 +55,7 @@ def test_an_empty_lake_is_skipped_with_the_reason(tmp_path: Path) -> None:
 
 def test_what_was_trained_on_is_not_new(home: Home) -> None:
     done = scheduled_training(home)
-    assert (done.outcome, done.campaigns) == (
-        "skipped", {"quick": "0 new runs", f"evidence-{MACHINE}-v1": _CORRECTED}
-    )  # fmt: skip
+    assert (done.outcome, done.campaigns) == ("skipped", {"quick": "0 new runs", f"evidence-{MACHINE}-v1": _CORRECTED})
     assert done.reason.endswith("since version 1 of virtual-cobot (quick)")
 
 
@@ -75,9 +73,7 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
     before = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
     assert len(before) == 24
     # More runs of the same campaign come in later: they are new, and the champion's are not.
-    plan = training_plan(
-        radii_mm=(100.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="grown"
-    )
+    plan = training_plan(radii_mm=(100.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="grown")
     run_campaign(plan, VirtualCobotBench(0), home.campaigns / "grown")
     toml = home.campaigns / "grown" / "campaign.toml"
     text = toml.read_text(encoding="utf-8").replace('name = "grown"', 'name = "quick"')
@@ -87,9 +83,7 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
     ingest(home.campaigns / "grown", home)
     assert {row["content_sha256"] for row in trained_rows(registry, lake, champion)} == before
     # Beside them, the runs of its own evidence: nothing is trained on these.
-    assert {item.campaign: item.new_runs for item in news(home, registry)} == {
-        "quick": 4, f"evidence-{MACHINE}-v1": 8,
-    }  # fmt: skip
+    assert {item.campaign: item.new_runs for item in news(home, registry)} == {"quick": 4, f"evidence-{MACHINE}-v1": 8}
     check = check_drift(home, champion, "quick")
     assert check.error is not None
     assert check.error.n_runs == 4
@@ -139,13 +133,9 @@ def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home) -> None:
     assert "older than" in again.campaigns["sound"]
 
 
-def test_a_campaign_that_cannot_train_still_judges_the_champion(
-    home: Home, real_recording: Path
-) -> None:
+def test_a_campaign_that_cannot_train_still_judges_the_champion(home: Home, real_recording: Path) -> None:
     ingest(real_recording, home)
-    plan = training_plan(
-        radii_mm=(150.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="check"
-    )
+    plan = training_plan(radii_mm=(150.0,), feeds_mm_min=(5000.0,), planes=("YZ",), repeats=2, name="check")
     run_campaign(plan, VirtualCobotBench(0), home.campaigns / "check")
     ingest(home.campaigns / "check", home)
     done = scheduled_training(home)
@@ -178,9 +168,7 @@ def test_a_champion_that_still_helps_is_kept(home: Home) -> None:
     assert resolve("latest", MACHINE, home).state == "champion"
 
 
-def test_a_champion_that_harms_a_changed_machine_is_rolled_back(
-    home: Home,
-) -> None:
+def test_a_champion_that_harms_a_changed_machine_is_rolled_back(home: Home) -> None:
     # The version of the worn machine has its turn, so that there is one to go back to.
     registry = Registry(home)
     first = registry.version(MACHINE, "champion")

@@ -89,16 +89,23 @@ def test_text_for_people_names_what_matters(robot: VirtualRobot, home: Home) -> 
     promote(home)
     code, out, err = Server(f"--host={robot.host}", "--duration=1").end()
     assert code == 0, err
-    for words in ("virtual controller", "equation", "guard", "state to correction", "real-time",
-                  "jitter", "##", "priority not asked for", "garbage collection used"):  # fmt: skip
+    for words in (
+        "virtual controller",
+        "equation",
+        "guard",
+        "state to correction",
+        "real-time",
+        "jitter",
+        "##",
+        "priority not asked for",
+        "garbage collection used",
+    ):
         assert words in out
     assert "sensor window age" not in out
 
 
 @pytest.mark.parametrize(("options", "expected"), [((), 0), (("--duration=300",), 130)])
-def test_interrupt_releases(
-    robot: VirtualRobot, home: Home, options: tuple[str, ...], expected: int
-) -> None:
+def test_interrupt_releases(robot: VirtualRobot, home: Home, options: tuple[str, ...], expected: int) -> None:
     promote(home)
     server = Server("--json", f"--host={robot.host}", *options)
     wait_until_corrected(robot)
@@ -204,9 +211,7 @@ def test_tampered_bundle(robot: VirtualRobot, home: Home, how: str) -> None:
     if how == "pointer":
         write_pointer(MACHINE, home, path, 3, "champion")
     code, answer, _ = served(f"--host={robot.host}", "--duration=1")
-    assert (code, answer["error"]["code"]) == (
-        (3, "pointer.checksum") if how == "bundle" else (1, "bundle.checksum")
-    )
+    assert (code, answer["error"]["code"]) == ((3, "pointer.checksum") if how == "bundle" else (1, "bundle.checksum"))
 
 
 def test_a_champion_whose_evidence_has_expired(robot: VirtualRobot, home: Home) -> None:
@@ -253,9 +258,7 @@ def test_trial_has_a_tight_clamp(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     promote(home, "trial", model_version=4)
     for model, options, version in (("trial", (), 4), ("latest", ("--trial",), 3)):
-        code, status, err = served(
-            f"--model={model}", f"--host={robot.host}", "--duration=1", *options
-        )
+        code, status, err = served(f"--model={model}", f"--host={robot.host}", "--duration=1", *options)
         assert (code, status["model"]["version"], status["trial"]) == (0, version, True)
         assert status["clamp_um"] == 10.0
         assert status["largest_um"] == pytest.approx(10.0)
@@ -278,9 +281,7 @@ def test_two_servers_at_once(robot: VirtualRobot, home: Home) -> None:
     assert first.end()[0] == 0
 
 
-def test_log_that_cannot_be_written_does_not_stop_the_serving(
-    robot: VirtualRobot, home: Home
-) -> None:
+def test_log_that_cannot_be_written_does_not_stop_the_serving(robot: VirtualRobot, home: Home) -> None:
     promote(home)
     home.logs.write_text("a file where the folder should be")
     code, status, err = served(f"--host={robot.host}", "--duration=1")
@@ -347,8 +348,7 @@ class Impostor:
 
 
 @pytest.mark.parametrize(
-    "answer",
-    [b"\x00\x0d\x4f\x00NOT_FOUND", b"\x00\x04\x4f\x01", b"\x00\x01\x4f", b"\x00\x02", b""],
+    "answer", [b"\x00\x0d\x4f\x00NOT_FOUND", b"\x00\x04\x4f\x01", b"\x00\x01\x4f", b"\x00\x02", b""]
 )
 def test_whatever_does_not_prove_virtual_is_real(answer: bytes) -> None:
     impostor = Impostor(answer)

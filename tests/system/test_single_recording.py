@@ -43,9 +43,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(page: Path) -> dict[str, Any]:
-    words = shlex.split(
-        re.findall(r"^dtwin (twin recording .*)$", TUTORIAL.read_text("utf-8"), re.M)[0]
-    )
+    words = shlex.split(re.findall(r"^dtwin (twin recording .*)$", TUTORIAL.read_text("utf-8"), re.M)[0])
     told = [str(ROOT / w) if w.endswith(".b5r") else w for w in words]
     told = [str(page) if w.endswith(".html") else w for w in told]
     said = CliRunner().invoke(app, [*told, "--json"])
@@ -54,15 +52,11 @@ def result(page: Path) -> dict[str, Any]:
     return found
 
 
-def test_the_repeated_stretches_are_those_of_the_published_analysis(
-    result: dict[str, Any],
-) -> None:
+def test_the_repeated_stretches_are_those_of_the_published_analysis(result: dict[str, Any]) -> None:
     found = [(s["run_id"], s["first"], s["end"], s["lag_samples"]) for s in result["stretches"]]
     published = [("ccw", 200, 700, 1573), ("ccw", 900, 1600, 1554), ("cw", 600, 1330, 1591)]
     assert len(found) == len(published)
-    for (run, first, end, lag), (run_0, first_0, end_0, lag_0) in zip(
-        found, published, strict=True
-    ):
+    for (run, first, end, lag), (run_0, first_0, end_0, lag_0) in zip(found, published, strict=True):
         assert run == run_0
         assert abs(lag - lag_0) <= 2
         overlap = min(end, end_0) - max(first, first_0)
@@ -75,9 +69,7 @@ def test_the_floor_is_a_lower_bound_of_about_8_um(result: dict[str, Any]) -> Non
     assert result["look_up_um"] >= result["floor_um"] * np.sqrt(2.0)
 
 
-def test_the_clockwise_angles_of_the_file_are_off_and_counter_clockwise_ones_are_not(
-    result: dict[str, Any],
-) -> None:
+def test_the_clockwise_angles_of_the_file_are_off_and_counter_clockwise_ones_are_not(result: dict[str, Any]) -> None:
     off = {run["run_id"]: run["misregistered_deg"] for run in result["runs"]}
     assert off["cw"] > 20.0
     assert off["ccw"] < 5.0
@@ -91,9 +83,7 @@ def test_on_the_other_pass_it_beats_the_vendor_and_harmonics(result: dict[str, A
         assert result["held_out_um"] < harmonics["held_out_um"]
 
 
-def test_it_does_not_beat_the_look_up_and_says_that_much_is_unexplained(
-    result: dict[str, Any],
-) -> None:
+def test_it_does_not_beat_the_look_up_and_says_that_much_is_unexplained(result: dict[str, Any]) -> None:
     assert result["held_out_um"] > result["look_up_um"]
     assert result["unexplained_um"] > result["floor_um"]
     assert result["verdict"] == "unknown_effect"
@@ -104,9 +94,7 @@ def test_it_does_not_beat_the_look_up_and_says_that_much_is_unexplained(
     assert (f"do better: {waves:.1f} um" in said) == (waves < effects)
 
 
-def test_no_name_is_more_than_shape_consistent_and_the_plan_repeats_runs(
-    result: dict[str, Any],
-) -> None:
+def test_no_name_is_more_than_shape_consistent_and_the_plan_repeats_runs(result: dict[str, Any]) -> None:
     grades = {r["grade"] for rungs in result["ladders"].values() for r in rungs}
     assert grades <= {"shape-consistent", "description only"}
     assert all(step["repeats"] >= 3 for step in result["plan"])
@@ -119,9 +107,7 @@ def test_the_page_is_written(result: dict[str, Any], page: Path) -> None:
 
 def test_joint_effects_follow_where_the_circle_lies() -> None:
     runs = read_b5r(SAMPLE).runs[:1]
-    at = [
-        align(run, ur10e_geometry((-550.0, 0.0, 75.0), zero)) for run in runs for zero in (0, -90)
-    ]
+    at = [align(run, ur10e_geometry((-550.0, 0.0, 75.0), zero)) for run in runs for zero in (0, -90)]
     here, turned = (a.state.joints for a in at)
     # Turning the bar by 90 deg in the base turns joint 1 of the same place on the robot.
     span = [np.ptp(j.q_rad[800:2380, 0]) for j in (here, turned)]
@@ -153,9 +139,7 @@ def test_noise_alone_adds_no_effect() -> None:
 def test_a_recording_of_one_turn_is_refused_with_the_reason() -> None:
 
     run = read_b5r(SAMPLE).runs[0]
-    short = replace(
-        run, samples={k: v[:1500] for k, v in run.samples.items()}, window=(795, 1500)
-    )  # fmt: skip
+    short = replace(run, samples={k: v[:1500] for k, v in run.samples.items()}, window=(795, 1500))
     with pytest.raises(InputError) as refused:
         align(short, {})
     assert refused.value.code.startswith("single.")

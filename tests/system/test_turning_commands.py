@@ -109,11 +109,15 @@ def test_bad_input_is_refused(campaign: Path, tmp_path: Path) -> None:
     angle = Input("angle_rad", "rad", "path", 500.0, "path", -7.0, 7.0)
     other = save_bundle(
         create_bundle(
-            name="round", machine="cobot", model_version=1, inputs=[angle],
-            outputs=[Output("error_um", "path_radial")], tick_graph=graph,
+            name="round",
+            machine="cobot",
+            model_version=1,
+            inputs=[angle],
+            outputs=[Output("error_um", "path_radial")],
+            tick_graph=graph,
         ),
         tmp_path / "other.json",
-    )  # fmt: skip
+    )
     for words, told in (
         (["fit", str(campaign), "--model", "magic"], "no such equation"),
         (["fit", str(campaign), "--action", "hope"], "no such equation"),
@@ -130,9 +134,7 @@ def test_the_mechanism_is_compared_with_the_printed_figures() -> None:
     # 0.99 against 1.06 and 0.32 against 0.42 degrees are not what is printed.
     short = {line.what.removeprefix("mechanism: ") for line in lines if line.answer == "does not"}
     assert short == {"encoder lag at 30 Hz", "amplitude error at 5 Hz", "tool lag at 5 Hz"}
-    assert "1.97 um, but" in turning_paper_text(
-        {"lines": [asdict(line) for line in lines], "told": []}
-    )
+    assert "1.97 um, but" in turning_paper_text({"lines": [asdict(line) for line in lines], "told": []})
 
 
 def test_the_printed_phase_equation_cannot_reach_what_is_printed_beside_it() -> None:

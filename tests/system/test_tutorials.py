@@ -36,9 +36,13 @@ def test_the_hidden_effect_is_found_added_and_the_unknown_one_is_learned(tmp_pat
     said = [(command, run(command)) for command in commands("missing-effect.md")]
     verdicts = [text.split(":")[0] for command, text in said if " twin diagnose " in command]
     assert verdicts == [
-        "missing_effect", "nothing_missing", "unknown_effect", "nothing_missing",
-        "missing_effect", "nothing_missing",
-    ]  # fmt: skip
+        "missing_effect",
+        "nothing_missing",
+        "unknown_effect",
+        "nothing_missing",
+        "missing_effect",
+        "nothing_missing",
+    ]
     assert "backlash X is missing" in next(t for c, t in said if c == "dtwin twin diagnose mill-a")
     assert (tmp_path / "compare.html").stat().st_size > 100_000
     assert (tmp_path / "mill-a.html").stat().st_size > 100_000

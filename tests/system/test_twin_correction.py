@@ -80,9 +80,7 @@ def test_the_error_falls_by_what_was_predicted(told: Any) -> None:
     here = [p for p in found["predicted"] if (p["radius_mm"], p["feed_mm_min"]) == (150.0, 2000.0)]
     removed = np.mean([p["rms_before_um"] ** 2 - p["rms_predicted_um"] ** 2 for p in here])
     # Noise and mounting differ from session to session; what is removed does not.
-    assert measured["before_um"] ** 2 - measured["after_um"] ** 2 == pytest.approx(
-        removed, rel=0.15
-    )
+    assert measured["before_um"] ** 2 - measured["after_um"] ** 2 == pytest.approx(removed, rel=0.15)
     assert measured["after_um"] < 1.25 * measured["oracle_um"]
     assert measured["acted"] == {"ok": 1.0}
     assert all(v.passed for v in evidence_gate(evidence, bundle, real=False))
@@ -107,9 +105,7 @@ def test_a_lost_sign_makes_it_worse_and_the_gate_refuses(told: Any) -> None:
     assert not verdicts["error falls"].passed
 
 
-def test_what_is_not_confirmed_can_be_tried_but_never_be_champion(
-    told: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_not_confirmed_can_be_tried_but_never_be_champion(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     home, _ = told
     monkeypatch.setenv("DTWIN_HOME", str(home))
     fitted = ["twin", "fit", "mill-backlash", "--effects", "squareness,backlash:X"]
@@ -131,9 +127,7 @@ def test_what_is_not_confirmed_can_be_tried_but_never_be_champion(
     assert resolve("latest", "virtual-mill", Home(home)).version == 1
 
 
-def test_an_effect_that_is_not_needed_is_refused_with_what_to_do(
-    told: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_effect_that_is_not_needed_is_refused_with_what_to_do(told: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     home, _ = told
     monkeypatch.setenv("DTWIN_HOME", str(home))
     effects = "scale_mismatch,squareness,backlash:X,straightness:Y"
@@ -148,9 +142,7 @@ def test_an_effect_that_is_not_needed_is_refused_with_what_to_do(
 PROGRAM = "G21 G90 G17\nG0 X60 Y0\nG1 X50 Y0 F1500\nG3 X50 Y0 I-50 J0\nM30\n"
 
 
-def test_the_page_about_exports_does_what_it_says(
-    told: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     home, _ = told
     monkeypatch.setenv("DTWIN_HOME", str(home))
     monkeypatch.chdir(tmp_path)
@@ -178,10 +170,9 @@ def test_the_page_about_exports_does_what_it_says(
         (["export", "nobody", "--as", "c", "--out", "n"], "twin.unknown"),
         (["export", "1", "--as", "c", "--out", "n"], "export.machine"),
         (["export", "latest", "--as", "comp", "--out", "n"], "export.axis"),
-        (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "a", "--out", "n"],
-         "export.numbers"),
+        (["export", "latest", "--as", "comp", "--axis", "X", "--travel", "a", "--out", "n"], "export.numbers"),
         (["export", "latest", "--as", "gcode", "--out", "n"], "export.program"),
-    ):  # fmt: skip
+    ):
         ended, said = run(wrong)
         assert ended == 1
         assert code in said, said
@@ -197,9 +188,8 @@ def _served(model: str, home: Path) -> Bundle:
 def _evidence(bundle: Bundle, plan: EvidencePlan = PLAN) -> Evidence:
     geometry = geometry_of_mill("backlash")
     measured = measured_mill(
-        bundle, partial(virtual_mill, "backlash"), seed=3, plan=plan,
-        delay_s=geometry["correction_delay_s"],
-    )  # fmt: skip
+        bundle, partial(virtual_mill, "backlash"), seed=3, plan=plan, delay_s=geometry["correction_delay_s"]
+    )
     return measured.evidence(bundle.machine, bundle.model_sha256)
 
 

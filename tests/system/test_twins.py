@@ -30,9 +30,7 @@ NOISE_UM = 0.3
 KNOWN = ["centre_offset", "radius_offset", "scale_mismatch", "squareness"]
 
 
-def deviation_um(
-    theta: np.ndarray, radius_mm: float, feed_mm_min: float, sign: float, hidden: str
-) -> np.ndarray:
+def deviation_um(theta: np.ndarray, radius_mm: float, feed_mm_min: float, sign: float, hidden: str) -> np.ndarray:
     """Push points of a circle and measure the distance: no formula of the library."""
     x, y = radius_mm * np.cos(theta), radius_mm * np.sin(theta)
     ex = x * 30e-3 - y * 25e-3 + 8.0
@@ -77,14 +75,25 @@ def write_campaign(
                     t_s = np.radians(np.arange(721) / 2.0) * radius / (feed / 60.0)
                     table = np.column_stack([t_s, angle, noisy])
                     file = f"r{number:03d}.csv"
-                    np.savetxt(folder / file, table, delimiter=",", fmt="%.5f", comments="",
-                               header="t_s,angle_deg,deviation_um")  # fmt: skip
+                    np.savetxt(
+                        folder / file,
+                        table,
+                        delimiter=",",
+                        fmt="%.5f",
+                        comments="",
+                        header="t_s,angle_deg,deviation_um",
+                    )
                     lines += [
-                        "[[run]]", f'id = "r{number:03d}"', f'file = "{file}"', 'plane = "XY"',
-                        f"radius_mm = {radius}", f"feed_mm_min = {feed}",
-                        f'direction = "{direction}"', f"repeat = {repeat}",
+                        "[[run]]",
+                        f'id = "r{number:03d}"',
+                        f'file = "{file}"',
+                        'plane = "XY"',
+                        f"radius_mm = {radius}",
+                        f"feed_mm_min = {feed}",
+                        f'direction = "{direction}"',
+                        f"repeat = {repeat}",
                         f'setup = "s{radius:g}"',
-                    ]  # fmt: skip
+                    ]
     (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     return folder
 
@@ -155,9 +164,7 @@ def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None
     assert (first.tags["verdict"], first.tags["group"]) == ("missing_effect", "backlash X")
 
 
-def test_mlflow_follows_in_the_background_and_in_order(
-    twins: Twins, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mlflow_follows_in_the_background_and_in_order(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     from dtwin.pipeline import twin_registration
     from dtwin.train.registry import Registry
 
@@ -191,9 +198,7 @@ def test_discover_goes_down_to_the_floor_and_remove_goes_back(twins: Twins) -> N
         twins.add("mill-a", "squareness")
 
 
-def test_an_unknown_effect_is_said_to_be_unknown_until_a_law_or_a_file_explains_it(
-    home: Home, tmp_path: Path
-) -> None:
+def test_an_unknown_effect_is_said_to_be_unknown_until_a_law_or_a_file_explains_it(home: Home, tmp_path: Path) -> None:
     folder = write_campaign(tmp_path / "odd", "strange", name="odd-mill", machine="odd")
     twins = Twins(home)
     twins.fit(str(folder), KNOWN, "odd")
@@ -212,8 +217,7 @@ def test_an_unknown_effect_is_said_to_be_unknown_until_a_law_or_a_file_explains_
 
     own = tmp_path / "wobble.py"
     own.write_text(
-        (Path(__file__).parents[2] / "docs" / "tutorials" / "wobble.py").read_text("utf-8"),
-        encoding="utf-8",
+        (Path(__file__).parents[2] / "docs" / "tutorials" / "wobble.py").read_text("utf-8"), encoding="utf-8"
     )
     mine = Twins(home, Library([own]))
     mine.fit("odd-mill", KNOWN, "own")
@@ -236,9 +240,8 @@ def test_poor_data_get_an_honest_verdict(home: Home, tmp_path: Path) -> None:
     assert np.isnan(twins.newest("once").estimates[0].uncertainty)
 
     folder = write_campaign(
-        tmp_path / "one-way", "none", name="one-way", feeds=(2000.0,), radii=(100.0,),
-        directions=("CCW",),
-    )  # fmt: skip
+        tmp_path / "one-way", "none", name="one-way", feeds=(2000.0,), radii=(100.0,), directions=("CCW",)
+    )
     twins.fit(str(folder), ["scale_mismatch"], "one-way")
     _, group = twins.diagnose("one-way")
     assert group.verdict == "ambiguous"
@@ -253,21 +256,15 @@ def test_poor_data_get_an_honest_verdict(home: Home, tmp_path: Path) -> None:
 
 
 def test_copies_are_no_repeats(home: Home, tmp_path: Path) -> None:
-    folder = write_campaign(
-        tmp_path / "copied", "none", name="copied", feeds=(2000.0,), radii=(100.0,), repeats=2
-    )
+    folder = write_campaign(tmp_path / "copied", "none", name="copied", feeds=(2000.0,), radii=(100.0,), repeats=2)
     shutil.copy(folder / "r001.csv", folder / "r003.csv")
     twin = Twins(home).fit(str(folder), KNOWN, "copied")
     assert list(twin.data["left_out"]) == ["r003"]
     assert "samples are those of run r001" in twin.data["left_out"]["r003"]
 
 
-def test_what_was_left_out_or_stated_anew_is_told_by_twin_and_diagnosis(
-    home: Home, tmp_path: Path
-) -> None:
-    folder = write_campaign(
-        tmp_path / "told", "none", name="told", feeds=(2000.0,), radii=(100.0,), repeats=3
-    )
+def test_what_was_left_out_or_stated_anew_is_told_by_twin_and_diagnosis(home: Home, tmp_path: Path) -> None:
+    folder = write_campaign(tmp_path / "told", "none", name="told", feeds=(2000.0,), radii=(100.0,), repeats=3)
     twins = Twins(home)
     before = twins.fit(str(folder), KNOWN, "told")
     leave_out(Lake(home.lake), "told", ["r001"], "the magnet slipped")
@@ -281,9 +278,7 @@ def test_what_was_left_out_or_stated_anew_is_told_by_twin_and_diagnosis(
     assert "another master" in found.told[-1]
 
 
-def test_a_twin_stays_on_its_machine_and_says_where_it_is_outside(
-    twins: Twins, home: Home, tmp_path: Path
-) -> None:
+def test_a_twin_stays_on_its_machine_and_says_where_it_is_outside(twins: Twins, home: Home, tmp_path: Path) -> None:
     twins.fit("mill-march", KNOWN, "mill-a")
     other = write_campaign(tmp_path / "b", "none", name="other", machine="mill-b")
     with pytest.raises(InputError, match="another machine"):
@@ -330,11 +325,20 @@ def test_the_command_line_says_the_same(home: Home, twins: Twins, tmp_path: Path
     told = dtwin(home, "twin", "diagnose", "cli", "--json")
     result: dict[str, Any] = json.loads(told.stdout)
     assert {
-        "twin", "version", "campaign", "verdict", "residual_rms_um", "noise_floor_um",
-        "lack_of_fit_p", "candidates", "where", "next_experiment",
-    } <= set(result)  # fmt: skip
-    assert {"effect", "axis", "rms_after_um", "cv_gain", "p_value", "in_group", "grade",
-            "confounded_with"} <= set(result["candidates"][0])  # fmt: skip
+        "twin",
+        "version",
+        "campaign",
+        "verdict",
+        "residual_rms_um",
+        "noise_floor_um",
+        "lack_of_fit_p",
+        "candidates",
+        "where",
+        "next_experiment",
+    } <= set(result)
+    assert {"effect", "axis", "rms_after_um", "cv_gain", "p_value", "in_group", "grade", "confounded_with"} <= set(
+        result["candidates"][0]
+    )
     page = tmp_path / "twin.html"
     shown = dtwin(home, "twin", "show", "cli", "--html", str(page))
     assert shown.returncode == 0, shown.stderr
@@ -361,18 +365,13 @@ def test_runs_with_errors_are_left_out_and_said_so(home: Home, tmp_path: Path) -
     assert any("stuck sensor" in warning for warning in twins.compare("mill-b").warnings)
 
 
-def test_an_effect_that_went_when_it_was_mended_is_intervention_confirmed(
-    twins: Twins, tmp_path: Path
-) -> None:
+def test_an_effect_that_went_when_it_was_mended_is_intervention_confirmed(twins: Twins, tmp_path: Path) -> None:
     twins.fit("mill-march", [*KNOWN, "backlash:X"], "mill-a")
     mended = write_campaign(tmp_path / "mended", "none", name="mill-mended")
     found = confirm(twins, "mill-a", "backlash:X", str(mended), "ball nut preloaded")
     (play,) = [c for c in found.changes if c.name == "backlash"]
     assert found.confirmed
-    assert (abs(play.before), play.after) == (
-        pytest.approx(6.0, abs=0.3),
-        pytest.approx(0.0, abs=0.3),
-    )
+    assert (abs(play.before), play.after) == (pytest.approx(6.0, abs=0.3), pytest.approx(0.0, abs=0.3))
     # The scales were not touched.
     kept = confirm(twins, "mill-a", "scale_mismatch:XY", "mill-mended", "ball nut preloaded")
     assert not kept.confirmed
@@ -392,13 +391,8 @@ def test_an_older_version_can_be_restored_as_a_new_one(twins: Twins) -> None:
     assert floor == pytest.approx(third.figures["noise_floor_um"])
 
 
-def test_a_formula_is_learned_where_nothing_in_the_library_helps(
-    home: Home, tmp_path: Path
-) -> None:
-    load(
-        home,
-        str(write_campaign(tmp_path / "odd", "strange", name="strange-mill", machine="mill-c")),
-    )
+def test_a_formula_is_learned_where_nothing_in_the_library_helps(home: Home, tmp_path: Path) -> None:
+    load(home, str(write_campaign(tmp_path / "odd", "strange", name="strange-mill", machine="mill-c")))
     twins = Twins(home)
     first = twins.fit("strange-mill", KNOWN, "strange")
     second, learned = twins.learn_formula("strange", OperonEngine())

@@ -31,9 +31,7 @@ expect.set_options(timeout=PATIENCE_MS)
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("mill") / "mill"
     command = ["simulate", "--machine", "mill", "--hidden", "backlash", "--quick", "--out"]
-    subprocess.run(
-        [sys.executable, "-m", "dtwin", *command, str(out)], check=True, capture_output=True
-    )
+    subprocess.run([sys.executable, "-m", "dtwin", *command, str(out)], check=True, capture_output=True)
     return out
 
 
@@ -127,10 +125,7 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     page: Page, bench: Workbench, folder: Path, artifacts: Path
 ) -> None:
     expect(page.get_by_text("Nothing was measured yet.")).to_be_visible()
-    page.set_input_files(
-        "#pick-files",
-        {"name": "mill.zip", "mimeType": "application/zip", "buffer": _zipped(folder)},
-    )
+    page.set_input_files("#pick-files", {"name": "mill.zip", "mimeType": "application/zip", "buffer": _zipped(folder)})
     page.wait_for_url("**/campaigns/mill-backlash")
     expect(page.get_by_role("heading", name="mill-backlash")).to_be_visible()
     expect(page.get_by_text("36 runs in 2 set-ups")).to_be_visible()
@@ -206,9 +201,7 @@ def test_magnification_takes_german_and_english_numbers(page: Page, bench: Workb
     expect(page.get_by_text("not a magnification")).to_be_visible()
 
 
-def test_every_page_is_reached_by_keyboard_fits_a_phone_and_passes_axe(
-    browser: Browser, bench: Workbench
-) -> None:
+def test_every_page_is_reached_by_keyboard_fits_a_phone_and_passes_axe(browser: Browser, bench: Workbench) -> None:
     phone = browser.new_page(viewport={"width": 390, "height": 800})
     phone.set_default_timeout(PATIENCE_MS)
     phone.goto(bench.address)
@@ -216,8 +209,17 @@ def test_every_page_is_reached_by_keyboard_fits_a_phone_and_passes_axe(
     barriers: dict[str, str] = {}
     phone.keyboard.press("Tab")
     assert phone.evaluate("document.activeElement.textContent") == "Skip to the content"
-    for path in ("/campaigns", "/campaigns/mill-backlash", "/twins", "/twins/mill",
-                 "/twins/mill/diagnose", "/twins/mill/versions", "/effects", "/models", "/live"):  # fmt: skip
+    for path in (
+        "/campaigns",
+        "/campaigns/mill-backlash",
+        "/twins",
+        "/twins/mill",
+        "/twins/mill/diagnose",
+        "/twins/mill/versions",
+        "/effects",
+        "/models",
+        "/live",
+    ):
         phone.goto(bench.base + path)
         _settled(phone)
         assert phone.evaluate("document.documentElement.scrollWidth") <= 390, path
@@ -234,13 +236,10 @@ def test_every_page_is_reached_by_keyboard_fits_a_phone_and_passes_axe(
     assert not barriers, "\n".join(f"{path}: {report}" for path, report in barriers.items())
 
 
-def test_a_real_recording_is_dropped_on_the_page(
-    page: Page, bench: Workbench, real_recording: Path
-) -> None:
+def test_a_real_recording_is_dropped_on_the_page(page: Page, bench: Workbench, real_recording: Path) -> None:
     page.goto(f"{bench.base}/campaigns")
     transfer = page.evaluate_handle(
-        "text => { const d = new DataTransfer();"
-        "d.items.add(new File([text], 'ur10e.b5r')); return d; }",
+        "text => { const d = new DataTransfer();d.items.add(new File([text], 'ur10e.b5r')); return d; }",
         real_recording.read_text(encoding="latin-1"),
     )
     page.dispatch_event("#drop", "drop", {"dataTransfer": transfer})
@@ -251,16 +250,12 @@ def test_a_real_recording_is_dropped_on_the_page(
     expect(page.get_by_text("spectrum of one run")).to_be_visible()
 
 
-def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(
-    page: Page, bench: Workbench
-) -> None:
+def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(page: Page, bench: Workbench) -> None:
     page.goto(f"{bench.base}/campaigns")
     t_s = [i * 0.01 for i in range(800)]
     rows = [f"{t:.2f};{-45 * t:.2f};{3 * math.sin(t) + 0.7 * math.cos(9 * t):.3f}" for t in t_s]
     content = "t_s;angle_deg;deviation_um\n" + "\n".join(rows).replace(".", ",")
-    page.set_input_files(
-        "#pick-files", {"name": "alone.csv", "mimeType": "text/csv", "buffer": content.encode()}
-    )
+    page.set_input_files("#pick-files", {"name": "alone.csv", "mimeType": "text/csv", "buffer": content.encode()})
     page.get_by_label("Machine", exact=True).fill("mill-x")
     page.get_by_label("Plane").select_option("XY")
     page.get_by_label("Radius, mm").fill("1500")
@@ -286,17 +281,13 @@ def test_a_table_alone_is_asked_how_it_was_measured_then_amended_and_left_out(
     expect(page.get_by_text("radius_mm stated anew, because one nought too many")).to_be_visible()
 
 
-def test_what_cannot_be_ingested_is_said_in_the_words_of_the_command_line(
-    page: Page, bench: Workbench
-) -> None:
+def test_what_cannot_be_ingested_is_said_in_the_words_of_the_command_line(page: Page, bench: Workbench) -> None:
     page.goto(f"{bench.base}/campaigns")
     name = "<img src=x onerror=alert(1)>.b5r"
     page.set_input_files("#pick-files", {"name": name, "mimeType": "text/plain", "buffer": b"<a>"})
     expect(page.locator("#work-error")).to_contain_text("error[upload.name]")
     page.get_by_role("button", name="Close").click()
-    page.set_input_files(
-        "#pick-files", {"name": "x.b5r", "mimeType": "text/plain", "buffer": b"<a>"}
-    )
+    page.set_input_files("#pick-files", {"name": "x.b5r", "mimeType": "text/plain", "buffer": b"<a>"})
     expect(page.locator("#work-error")).to_contain_text("error[xml.malformed]")
 
 
@@ -315,9 +306,7 @@ def test_an_own_effect_is_checked_saved_and_used(page: Page, bench: Workbench) -
     expect(page.locator("input[value=four_lobes]")).to_have_count(1)
 
 
-def test_a_twin_is_held_against_other_measurements_of_its_machine(
-    page: Page, bench: Workbench, folder: Path
-) -> None:
+def test_a_twin_is_held_against_other_measurements_of_its_machine(page: Page, bench: Workbench, folder: Path) -> None:
     _ingested(bench, _zipped(folder, name="mill-again"))
     _ingested(bench, _zipped(folder, name="other", machine="other-mill"))
     page.goto(f"{bench.base}/twins/mill")
@@ -331,9 +320,7 @@ def test_a_twin_is_held_against_other_measurements_of_its_machine(
     assert (status, "error[twin.machine]" in text) == (400, True)
 
 
-def test_one_button_finds_and_adds_all_that_the_runs_can_tell(
-    page: Page, bench: Workbench, artifacts: Path
-) -> None:
+def test_one_button_finds_and_adds_all_that_the_runs_can_tell(page: Page, bench: Workbench, artifacts: Path) -> None:
     wanted = {"campaign": "mill-backlash", "effects": ["centre_offset"], "name": "bare"}
     job = json.loads(bench.act("/api/twins", json.dumps(wanted).encode())[1])["job"]
     assert _awaited(bench, job)["state"] == "done"
@@ -356,9 +343,7 @@ def test_two_browsers_that_press_at_once_do_not_undo_each_other(bench: Workbench
     assert "error[twin.has_effect]" in found[1]["error"]
 
 
-def test_the_report_is_one_file_that_needs_nothing_else(
-    browser: Browser, bench: Workbench, tmp_path: Path
-) -> None:
+def test_the_report_is_one_file_that_needs_nothing_else(browser: Browser, bench: Workbench, tmp_path: Path) -> None:
     status, text = bench.ask("/twins/mill/report.html")
     assert status == 200
     path = tmp_path / "report.html"
@@ -392,9 +377,13 @@ def test_without_the_token_the_page_only_reads(browser: Browser, bench: Workbenc
 def test_another_site_cannot_change_anything(bench: Workbench, origin: str) -> None:
     body = json.dumps({"effect": "backlash"}).encode()
     status, text = bench.ask(
-        "/api/twins/mill/add", method="POST", body=body, cookie=bench.cookie, origin=origin,
+        "/api/twins/mill/add",
+        method="POST",
+        body=body,
+        cookie=bench.cookie,
+        origin=origin,
         content_type="application/json",
-    )  # fmt: skip
+    )
     assert (status, "from another site" in text) == (403, True)
 
 
@@ -424,9 +413,7 @@ def test_a_taken_port_and_a_taken_home_are_said(bench: Workbench, tmp_path: Path
 
     def refused(home: Path, *options: str) -> str:
         command = [sys.executable, "-m", "dtwin", "ui", "--no-browser", *options]
-        done = subprocess.run(
-            command, env={"DTWIN_HOME": str(home), "PATH": ""}, capture_output=True, text=True
-        )
+        done = subprocess.run(command, env={"DTWIN_HOME": str(home), "PATH": ""}, capture_output=True, text=True)
         assert done.returncode == 1
         return done.stderr
 

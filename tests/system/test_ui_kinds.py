@@ -21,10 +21,22 @@ from dtwin.pipeline.twins import Twins
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 
 PLAN = {
-    "name": "z", "machine": "lathe", "axis": "Z", "unit": "in", "start": 1, "end": 4, "step": 0.025,
-    "runs": 3, "dwell_s": 6, "feed_min": 20, "overshoot": 0.1, "window": 0.01, "axis_low": 0,
-    "axis_high": 41, "pitch": 0.25,
-}  # fmt: skip
+    "name": "z",
+    "machine": "lathe",
+    "axis": "Z",
+    "unit": "in",
+    "start": 1,
+    "end": 4,
+    "step": 0.025,
+    "runs": 3,
+    "dwell_s": 6,
+    "feed_min": 20,
+    "overshoot": 0.1,
+    "window": 0.01,
+    "axis_low": 0,
+    "axis_high": 41,
+    "pitch": 0.25,
+}
 
 
 @pytest.fixture(scope="module")
@@ -58,10 +70,9 @@ def said(bench: Workbench, path: str) -> str:
     ("twin", "campaign", "run", "words"),
     [
         ("axis", "z", "z-1", ("Z forward", "Error over the position", "screw_pitch_mm 6.35")),
-        ("slide", "slow-tool-servo-linear", "g001",
-         ("Z 10 Hz 5 um", "Error over the phase", "frequency_hz 10")),
+        ("slide", "slow-tool-servo-linear", "g001", ("Z 10 Hz 5 um", "Error over the phase", "frequency_hz 10")),
     ],
-)  # fmt: skip
+)
 def test_every_page_of_another_kind_answers(
     bench: Workbench, twin: str, campaign: str, run: str, words: tuple[str, ...]
 ) -> None:
@@ -73,9 +84,7 @@ def test_every_page_of_another_kind_answers(
     assert said(bench, f"/twins/{twin}/report.html").count("<section") >= 4
 
 
-@pytest.mark.parametrize(
-    ("twin", "across"), [("axis", "position, mm"), ("slide", "phase of the command, deg")]
-)
+@pytest.mark.parametrize(("twin", "across"), [("axis", "position, mm"), ("slide", "phase of the command, deg")])
 def test_figures_run_along_the_path(bench: Workbench, twin: str, across: str) -> None:
     for figure in ("overlay/angle", "map"):
         drawn = json.loads(said(bench, f"/api/twins/{twin}/{figure}"))

@@ -45,9 +45,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
 
 def test_what_serves_is_shown_and_stopped(bench: Workbench) -> None:
     assert "Nothing is being served" in bench.ask("/live")[1]
-    serving = subprocess.Popen(
-        [sys.executable, "-c", SERVES, str(bench.home)], stdout=subprocess.PIPE, text=True
-    )
+    serving = subprocess.Popen([sys.executable, "-c", SERVES, str(bench.home)], stdout=subprocess.PIPE, text=True)
     try:
         assert serving.stdout is not None
         assert serving.stdout.readline() == "serving\n"
@@ -72,16 +70,32 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     log.parent.mkdir(exist_ok=True)
     percentiles = {"p50": 2.0, "p99": 2.5, "p99.9": 3.0, "max": 4.0}
     session = {
-        "started": "2026-03-02T08:00:00+00:00", "duration_s": 22.0, "machine": "mill-a",
-        "model": {"version": 3}, "host": "127.0.0.1", "device": "virtual", "trial": False,
-        "clamp_um": 93.0, "clock": "wall", "mode": "live", "ended": "duration", "released": True,
-        "reasons": {"ok": 990, "clamped": 7, "slew_limited": 3}, "largest_um": 93.0, "fault": None,
+        "started": "2026-03-02T08:00:00+00:00",
+        "duration_s": 22.0,
+        "machine": "mill-a",
+        "model": {"version": 3},
+        "host": "127.0.0.1",
+        "device": "virtual",
+        "trial": False,
+        "clamp_um": 93.0,
+        "clock": "wall",
+        "mode": "live",
+        "ended": "duration",
+        "released": True,
+        "reasons": {"ok": 990, "clamped": 7, "slew_limited": 3},
+        "largest_um": 93.0,
+        "fault": None,
         "timing": {
-            "ticks": 1000, "late_ticks": 3, "missed_states": 1, "timeouts": 0, "late_share": 0.004,
-            "period_ms": percentiles, "state_age_ms": percentiles,
+            "ticks": 1000,
+            "late_ticks": 3,
+            "missed_states": 1,
+            "timeouts": 0,
+            "late_share": 0.004,
+            "period_ms": percentiles,
+            "state_age_ms": percentiles,
             "jitter_us_histogram": {"<10": 900, ">=10": 100},
         },
-    }  # fmt: skip
+    }
     log.write_text("cut off}\n" + json.dumps(session) + "\n", encoding="utf-8")
     text = bench.ask("/live")[1]
     assert "clamped 7, slew limited 3" in text

@@ -52,9 +52,7 @@ def _promote(page: Page, bench: Workbench, version: int, why: str) -> None:
     page.get_by_role("button", name="Promote").click()
 
 
-def test_a_version_below_the_gates_is_refused_with_the_reasons(
-    page: Page, bench: Workbench, artifacts: Path
-) -> None:
+def test_a_version_below_the_gates_is_refused_with_the_reasons(page: Page, bench: Workbench, artifacts: Path) -> None:
     _promote(page, bench, 1, "let us see")
     expect(page.locator("#work-error")).to_contain_text("error[promote.refused]")
     expect(page.locator("#work-error")).to_contain_text("held-out conditions")
@@ -84,7 +82,5 @@ def test_promoted_with_a_comment_and_rolled_back(page: Page, bench: Workbench) -
 
 
 def test_nothing_is_promoted_without_the_token(bench: Workbench) -> None:
-    status, _ = bench.ask(
-        "/api/models/mill-a/1/promote", method="POST", body=b"{}", origin=bench.base
-    )
+    status, _ = bench.ask("/api/models/mill-a/1/promote", method="POST", body=b"{}", origin=bench.base)
     assert status == 403

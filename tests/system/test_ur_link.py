@@ -125,9 +125,7 @@ def test_states_are_complete_and_consistent(link: UrLink) -> None:
     assert state[layout.SPEED_SCALING] == 1.0
 
 
-def test_correction_is_applied_and_its_sequence_echoed(
-    robot: VirtualRobot, link: UrLink, tmp_path: Path
-) -> None:
+def test_correction_is_applied_and_its_sequence_echoed(robot: VirtualRobot, link: UrLink, tmp_path: Path) -> None:
     for first in range(1, 2001, 100):
         # On a busy host the watchdog may come in between; then push again.
         state = push(link, 100, first_sequence=first)
@@ -185,9 +183,7 @@ def test_end_of_the_robot_is_a_fault(own_robot: VirtualRobot) -> None:
         assert fault_of(link).code in {"ur.link_lost", "ur.driver_died", "ur.silent"}
 
 
-def test_short_stall_is_survived_and_the_watchdog_released(
-    robot: VirtualRobot, link: UrLink
-) -> None:
+def test_short_stall_is_survived_and_the_watchdog_released(robot: VirtualRobot, link: UrLink) -> None:
     state = push(link, 50)
     before_s = state[layout.TIMESTAMP]
     robot.do("stall", seconds=0.8)
@@ -205,9 +201,7 @@ def test_silence_is_a_fault_at_last(robot: VirtualRobot) -> None:
     time.sleep(1.0)
 
 
-def test_death_of_the_driver_is_a_fault_and_the_robot_lets_go(
-    robot: VirtualRobot, link: UrLink
-) -> None:
+def test_death_of_the_driver_is_a_fault_and_the_robot_lets_go(robot: VirtualRobot, link: UrLink) -> None:
     push(link, 50)
     os.kill(link.process_id, signal.SIGKILL)
     fault = fault_of(link)
@@ -241,9 +235,7 @@ for sequence in range(1, 100000):
         time.sleep(0.01)
 
 
-def test_slow_controller_speed_slider_and_protective_stop_are_seen(
-    own_robot: VirtualRobot,
-) -> None:
+def test_slow_controller_speed_slider_and_protective_stop_are_seen(own_robot: VirtualRobot) -> None:
     with UrLink(own_robot.host, realtime=False) as link:
         check_slow_scaled_and_stopped(own_robot, link)
 

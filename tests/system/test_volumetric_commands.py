@@ -26,12 +26,7 @@ from dtwin.kinds.volumetric.served import ServedMill
 from dtwin.kinds.volumetric.session import session, session_in
 from dtwin.kinds.volumetric.simulate import simulate_volumetric
 from dtwin.machines.thermal_network import TRAINING
-from dtwin.machines.volumetric import (
-    HELD_OUT_POSES,
-    STROKES_MM,
-    VolumetricMill,
-    VolumetricParameters,
-)
+from dtwin.machines.volumetric import HELD_OUT_POSES, STROKES_MM, VolumetricMill, VolumetricParameters
 from dtwin.schema import Run, RunMeta, SignalGroup
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
@@ -45,16 +40,12 @@ def test_the_page_is_followed(tmp_path: Path) -> None:
     said = follow(blocks(page("docs/how-to/volumetric-heat.md")), tmp_path, here)
     fitted, told = (text for command, text in said if "volumetric fit" in command)
     judged = fitted[fitted.index("volumetric-validation:") :]
-    noise, held_out = map(
-        float, re.findall(r"leaves ([\d.]+) um, ([\d.]+) um in held-out", judged)[0]
-    )
+    noise, held_out = map(float, re.findall(r"leaves ([\d.]+) um, ([\d.]+) um in held-out", judged)[0])
     assert 0.5 < noise < 1.5
     assert held_out < 1.5 * noise
     reduction = float(re.findall(r"distances between balls: RMS .*?\(-(\d+) %\)", judged)[0])
     assert reduction >= 55.0
-    assert (
-        "EXZ1 is not explained by the thermocouples; coolant_tank_c explains it in both" in judged
-    )
+    assert "EXZ1 is not explained by the thermocouples; coolant_tank_c explains it in both" in judged
     assert "EXZ1 is not explained" not in told[told.index("volumetric-validation:") :]
     assert "heat.json written" in fitted
     bundle = load_bundle(tmp_path / "heat.json").bundle
@@ -88,10 +79,12 @@ def test_a_motion_that_the_model_lacks_shows_in_the_held_out_poses() -> None:
 def run_of(balls_there: np.ndarray, signal: np.ndarray) -> Run:
     n = len(balls_there)
     samples = {
-        "t_s": np.arange(float(n)), "pose_1": np.zeros(n), "ball_1": balls_there.astype(float),
+        "t_s": np.arange(float(n)),
+        "pose_1": np.zeros(n),
+        "ball_1": balls_there.astype(float),
         **{f"{axis}_mm": np.zeros(n) for axis in "xyz"},
         **{f"error_{axis}_um": np.zeros(n) for axis in "xyz"},
-    }  # fmt: skip
+    }
     group = SignalGroup("thermocouples", 1 / 30, {"bed_01_c": signal})
     return Run(RunMeta("c000", kind="volumetric"), samples, signals=(group,))
 
@@ -104,10 +97,7 @@ def test_a_bad_cycle_is_named() -> None:
         "sensor.stuck": (run_of(np.arange(3), np.full(20, 22.0)), {}),
         "sensor.gap": (run_of(np.arange(3), np.where(np.arange(20) < 5, np.nan, steady)), {}),
         "sensor.implausible": (run_of(np.arange(3), np.full(20, 900.0) + steady), {}),
-        "cycle.drift": (
-            run_of(np.tile(np.arange(3), 2), steady),
-            {"error_x_um": [0, 0, 0, 9.0, 9, 9]},
-        ),
+        "cycle.drift": (run_of(np.tile(np.arange(3), 2), steady), {"error_x_um": [0, 0, 0, 9.0, 9, 9]}),
         "balls.out_of_range": (run_of(np.arange(3), steady), {"error_z_um": [0, 0, 5000.0]}),
     }
     for code, (run, changes) in cases.items():
@@ -142,8 +132,7 @@ def test_heat_is_trained_and_judged_by_another_campaign_like_circles(
     def measured(name: str, schedule: str, hours: int) -> None:
         file = tmp_path / f"{name}.toml"
         file.write_text(
-            f'[plan]\nkind = "volumetric"\nname = "{name}"\nmachine = "mill"\nhours = {hours}\n'
-            "every_h = 6\n"
+            f'[plan]\nkind = "volumetric"\nname = "{name}"\nmachine = "mill"\nhours = {hours}\nevery_h = 6\n'
         )
         words = ("--machine", "volumetric", "--plan", str(file), "--schedule", schedule)
         # With thermocouples on the surface an equation without memory is refused at this interval.
@@ -187,11 +176,8 @@ def served_heat(tmp_path: Path, invoke: Callable[..., str]) -> None:
     assert said["largest_um"] > 20.0
     mill.write(tmp_path / "served")
     planned = tmp_path / "alone.toml"
-    planned.write_text(
-        '[plan]\nkind = "volumetric"\nname = "alone"\nmachine = "mill"\nhours = 96\nevery_h = 24\n'
-    )
-    words = ("--machine", "volumetric", "--plan", str(planned), "--schedule", "validation",
-             "--truth", "pockets")  # fmt: skip
+    planned.write_text('[plan]\nkind = "volumetric"\nname = "alone"\nmachine = "mill"\nhours = 96\nevery_h = 24\n')
+    words = ("--machine", "volumetric", "--plan", str(planned), "--schedule", "validation", "--truth", "pockets")
     invoke("simulate", *words, "--out", str(tmp_path / "alone"))
     left, was = (moved_um(tmp_path / name) for name in ("served", "alone"))
     assert left < 0.5 * was

@@ -88,9 +88,22 @@ def reasons(home: Home) -> set[str]:
         pytest.param(Replay(1.0, on=False), "stale", marks=pytest.mark.long),
         (withheld, "stale"),
     ],
-    ids=["all nan", "all 1e200", "tcp inf", "tcp out of reach", "joints too fast", "one joint nan",
-         "stamp nan", "stamp huge", "stamp stands", "stamps wild", "replay", "replay of kept ones", "withheld"],
-)  # fmt: skip
+    ids=[
+        "all nan",
+        "all 1e200",
+        "tcp inf",
+        "tcp out of reach",
+        "joints too fast",
+        "one joint nan",
+        "stamp nan",
+        "stamp huge",
+        "stamp stands",
+        "stamps wild",
+        "replay",
+        "replay of kept ones",
+        "withheld",
+    ],
+)
 def test_what_is_no_state_of_now_leads_to_zero_and_costs_few_lines(
     robot: VirtualRobot, home: Home, tmp_path: Path, spoil: Spoil, why: str
 ) -> None:
@@ -119,9 +132,8 @@ def test_what_is_no_state_of_now_leads_to_zero_and_costs_few_lines(
 
 
 @pytest.mark.parametrize(
-    "spoil",
-    [pytest.param(twice, id="twice", marks=pytest.mark.long), pytest.param(wild_registers(), id="registers")],
-)  # fmt: skip
+    "spoil", [pytest.param(twice, id="twice", marks=pytest.mark.long), pytest.param(wild_registers(), id="registers")]
+)
 def test_what_may_be_a_state_never_leaves_the_clamp(
     robot: VirtualRobot, home: Home, tmp_path: Path, spoil: Spoil
 ) -> None:
@@ -140,8 +152,7 @@ def test_what_may_be_a_state_never_leaves_the_clamp(
 
 
 @pytest.mark.parametrize(
-    "raw",
-    [pytest.param(flipped(), id="bits"), pytest.param(cut, id="cut", marks=pytest.mark.long)],
+    "raw", [pytest.param(flipped(), id="bits"), pytest.param(cut, id="cut", marks=pytest.mark.long)]
 )
 def test_packets_that_are_mangled_end_in_zero_one_way_or_the_other(
     robot: VirtualRobot, home: Home, tmp_path: Path, raw: object

@@ -44,9 +44,7 @@ class VirtualRobot:
 
 
 @contextmanager
-def virtual_robot(
-    *options: str, watchdog_s: float | None = 0.05, host: str = ""
-) -> Iterator[VirtualRobot]:
+def virtual_robot(*options: str, watchdog_s: float | None = 0.05, host: str = "") -> Iterator[VirtualRobot]:
     """Run one; its watchdog is patient with a busy test computer, None leaves its own."""
     host = host or free_address()
     command = [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}"]

@@ -56,9 +56,7 @@ class Workbench:
             self.process.send_signal(signal.SIGINT)
         return self.process.wait(30)
 
-    def ask(
-        self, path: str, *, method: str = "GET", body: bytes | None = None, **headers: str
-    ) -> tuple[int, str]:
+    def ask(self, path: str, *, method: str = "GET", body: bytes | None = None, **headers: str) -> tuple[int, str]:
         """Status and text of an answer; header names with ``_`` for ``-``."""
         named = {name.replace("_", "-"): value for name, value in headers.items()}
         request = urllib.request.Request(self.base + path, body, named, method=method)
@@ -71,9 +69,8 @@ class Workbench:
     def act(self, path: str, body: bytes = b"{}", method: str = "POST") -> tuple[int, str]:
         """As the workbench's own page does."""
         return self.ask(
-            path, method=method, body=body, cookie=self.cookie, origin=self.base,
-            content_type="application/json",
-        )  # fmt: skip
+            path, method=method, body=body, cookie=self.cookie, origin=self.base, content_type="application/json"
+        )
 
 
 @contextmanager

@@ -43,9 +43,7 @@ def test_slope_sign_and_neutral_voltage_are_found() -> None:
         ([[0.1, 0, 0], [0, 25, 0], [0, 0, 25]], "no correction input"),
     ],
 )
-def test_what_would_make_the_error_larger_is_refused(
-    sensitivity: list[list[float]], message: str
-) -> None:
+def test_what_would_make_the_error_larger_is_refused(sensitivity: list[list[float]], message: str) -> None:
     with pytest.raises(GateRefusal, match=message):
         calibrate(measured(np.array(sensitivity, dtype=float), (5.0, 5.0, 5.0)))
 
@@ -72,9 +70,15 @@ def test_a_calibration_comes_back_from_its_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "axis,voltage_v\nx,1", f"{','.join(HEAD)}\nw,1,2,3,4", f"{','.join(HEAD)}\nx,nan,1,1,1",
-             f"{','.join(HEAD)}\nx,one,1,1,1"]
-)  # fmt: skip
+    "text",
+    [
+        "",
+        "axis,voltage_v\nx,1",
+        f"{','.join(HEAD)}\nw,1,2,3,4",
+        f"{','.join(HEAD)}\nx,nan,1,1,1",
+        f"{','.join(HEAD)}\nx,one,1,1,1",
+    ],
+)
 def test_a_points_file_with_a_mistake_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "points.csv"
     path.write_text(text)

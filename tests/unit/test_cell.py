@@ -77,9 +77,7 @@ def test_a_step_that_fails_is_done_again(cell: CellFile) -> None:
     assert all(s["result"] == {"by": s["step"]} for s in status(cell)["steps"])
 
 
-def test_a_killed_job_is_stopped_with_no_twin_live_and_its_step_is_done_again(
-    cell: CellFile, tmp_path: Path
-) -> None:
+def test_a_killed_job_is_stopped_with_no_twin_live_and_its_step_is_done_again(cell: CellFile, tmp_path: Path) -> None:
     cell.begin(1, 0)
     code = (
         "import sys, time; from pathlib import Path; from dtwin.config import Home;"
@@ -90,9 +88,7 @@ def test_a_killed_job_is_stopped_with_no_twin_live_and_its_step_is_done_again(
         "    return {}\n"
         "run_job(CellFile(Home(Path(sys.argv[1])), 'a'), do)"
     )
-    process = subprocess.Popen(
-        [sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "milling\n"
     while_running = status(cell)

@@ -19,23 +19,37 @@ def run(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
 def test_help_names_every_command_and_imports_nothing_heavy() -> None:
     shown = run("--help")
     assert shown.returncode == 0
-    for command in ("demo", "plan", "simulate", "ingest", "runs", "check", "features", "train",
-                    "models", "promote", "rollback", "serve", "report", "twin", "effects",
-                    "record", "up", "ui", "examples", "analogue", "linuxcnc", "cell",
-                    "lathe", "turning", "dynamics", "volumetric", "papers"):  # fmt: skip
+    for command in (
+        "demo",
+        "plan",
+        "simulate",
+        "ingest",
+        "runs",
+        "check",
+        "features",
+        "train",
+        "models",
+        "promote",
+        "rollback",
+        "serve",
+        "report",
+        "twin",
+        "effects",
+        "record",
+        "up",
+        "ui",
+        "examples",
+        "analogue",
+        "linuxcnc",
+        "cell",
+        "lathe",
+        "turning",
+        "dynamics",
+        "volumetric",
+        "papers",
+    ):
         assert f"\n  {command} " in shown.stdout
-    heavy = [
-        "numpy",
-        "pandas",
-        "scipy",
-        "pyarrow",
-        "mlflow",
-        "prefect",
-        "sklearn",
-        "numba",
-        "plotly",
-        "fastapi",
-    ]
+    heavy = ["numpy", "pandas", "scipy", "pyarrow", "mlflow", "prefect", "sklearn", "numba", "plotly", "fastapi"]
     code = f"import dtwin.cli, sys; print([m for m in {heavy!r} if m in sys.modules])"
     assert run(code=code).stdout.strip() == "[]"
 
@@ -76,9 +90,7 @@ def test_a_mistyped_command_is_answered_with_the_right_one() -> None:
 
 def test_completion_is_installed_and_completes_in_a_clean_home(tmp_path: Path) -> None:
     environment = dict(
-        os.environ,
-        HOME=str(tmp_path),
-        PATH=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        os.environ, HOME=str(tmp_path), PATH=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     )
     # A shell of its own, as completion is installed for the shell that asks.
     script = """
@@ -88,15 +100,11 @@ COMP_WORDS=(dtwin twin dia) COMP_CWORD=2
 _dtwin_completion dtwin
 echo "${COMPREPLY[*]}"
 """
-    done = subprocess.run(
-        ["bash", "-c", script], env=environment, capture_output=True, text=True, check=False
-    )
+    done = subprocess.run(["bash", "-c", script], env=environment, capture_output=True, text=True, check=False)
     assert done.stdout == "diagnose\n", done.stderr
 
 
-def test_the_first_mistakes_in_an_empty_folder_say_what_to_try(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_mistakes_in_an_empty_folder_say_what_to_try(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     for words, told in (

@@ -53,9 +53,7 @@ def test_jacobian_is_the_derivative_of_position() -> None:
         ahead, _ = kinematics.forward(SEED_RAD + shift, TCP_MM)
         behind, _ = kinematics.forward(SEED_RAD - shift, TCP_MM)
         numeric[:, j] = (ahead - behind) / (2 * step)
-    np.testing.assert_allclose(
-        kinematics.position_jacobian(SEED_RAD, TCP_MM), numeric, rtol=1e-6, atol=1e-4
-    )
+    np.testing.assert_allclose(kinematics.position_jacobian(SEED_RAD, TCP_MM), numeric, rtol=1e-6, atol=1e-4)
 
 
 @pytest.mark.parametrize("trial", range(5))
@@ -99,9 +97,7 @@ assert np.allclose(found, q) and left < 1e-6
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize(
-    ("plane", "first", "second"), [("XY", 0, 1), ("YZ", 1, 2), ("ZX", 2, 0), ("XZ", 0, 2)]
-)
+@pytest.mark.parametrize(("plane", "first", "second"), [("XY", 0, 1), ("YZ", 1, 2), ("ZX", 2, 0), ("XZ", 0, 2)])
 def test_plane_geometry(plane: str, first: int, second: int) -> None:
     a, b = kinematics.plane_axes(plane)
     assert (a[first], b[second]) == (1.0, 1.0)

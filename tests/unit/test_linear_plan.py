@@ -13,10 +13,20 @@ from dtwin.kinds.linear.plan import duration_s, linear_advice, linear_plan, read
 from dtwin.kinds.linear.program import laser_program
 
 EXAMPLE: dict[str, Any] = {
-    "name": "z", "machine": "lathe", "axis": "Z", "unit": "in", "start": 1.0, "end": 7.0,
-    "step": 1.0, "runs": 3, "dwell_s": 2.0, "feed_min": 50.0, "overshoot": 0.1, "axis_low": 0.0,
+    "name": "z",
+    "machine": "lathe",
+    "axis": "Z",
+    "unit": "in",
+    "start": 1.0,
+    "end": 7.0,
+    "step": 1.0,
+    "runs": 3,
+    "dwell_s": 2.0,
+    "feed_min": 50.0,
+    "overshoot": 0.1,
+    "axis_low": 0.0,
     "axis_high": 41.0,
-}  # fmt: skip
+}
 MAPPING = EXAMPLE | {"end": 40.0, "runs": 4, "dwell_s": 5.4, "feed_min": 20.0, "pitch": 0.25}
 GOLDEN = Path(__file__).parents[1] / "golden" / "lathe_z_1_7.nc"
 
@@ -67,9 +77,7 @@ def test_metric_plans_have_metric_limits() -> None:
     assert caught.value.allowed == "2.54 to 1270 mm/min"
 
 
-@pytest.mark.parametrize(
-    "text", ["", "[plan]\nkind = 3\n", "[plan]\nname = 1\n", "[plan]\nx = 1", "="]
-)
+@pytest.mark.parametrize("text", ["", "[plan]\nkind = 3\n", "[plan]\nname = 1\n", "[plan]\nx = 1", "="])
 def test_a_plan_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "plan.toml"
     path.write_text(text)

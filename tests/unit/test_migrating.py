@@ -28,9 +28,7 @@ def _quiet(done: int, total: int, what: str) -> None:
     pass
 
 
-def test_an_earlier_home_is_refused_until_it_is_migrated_and_then_all_of_it_opens(
-    home: Home,
-) -> None:
+def test_an_earlier_home_is_refused_until_it_is_migrated_and_then_all_of_it_opens(home: Home) -> None:
     with pytest.raises(StoreError, match="earlier version") as refused:
         Lake(home.lake).runs()
     assert "dtwin migrate" in str(refused.value.hint)

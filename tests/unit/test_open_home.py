@@ -23,13 +23,16 @@ def group(name: str) -> SignalGroup:
 
 def circle(run_id: str, *groups: SignalGroup) -> Run:
     meta = RunMeta(
-        run_id, plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=18850.0,
-        sample_rate_hz=100.0, covariates={"temperature_c": 21.5},
-    )  # fmt: skip
+        run_id,
+        plane="XY",
+        direction="CCW",
+        radius_mm=100.0,
+        feed_mm_min=18850.0,
+        sample_rate_hz=100.0,
+        covariates={"temperature_c": 21.5},
+    )
     angle = 180.0 * T_S
-    samples = {
-        "t_s": T_S, "angle_deg": angle, "deviation_um": len(run_id) * np.cos(np.radians(2 * angle)),
-    }  # fmt: skip
+    samples = {"t_s": T_S, "angle_deg": angle, "deviation_um": len(run_id) * np.cos(np.radians(2 * angle))}
     return Run(meta, samples, signals=groups)
 
 
@@ -51,9 +54,7 @@ def test_opening_makes_nothing_and_shows_what_is_there(tmp_path: Path, home: Ope
     assert repr(home) == f"home {home.home.root}, campaigns: parts, rounds"
 
 
-def test_a_home_that_is_not_named_is_that_of_the_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_home_that_is_not_named_is_that_of_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "set"))
     assert dtwin.open_home().home.root == tmp_path / "set"
 
@@ -93,14 +94,10 @@ def test_what_cannot_be_is_refused_with_what_can(home: OpenHome, tmp_path: Path)
         "campaign.unknown": (lambda: home.runs("squares"), "parts, rounds"),
         "run.unknown": (lambda: home.samples("rounds", "z"), "a, bb, ccc"),
         "notebook.signals": (lambda: home.signals("rounds", "ccc"), "wrist, base"),
-        "notebook.figure": (
-            lambda: home.plot("rounds", "a", "histogram"), "polar, angle, time, spectrum",
-        ),
-        "simulate.option": (
-            lambda: home.simulate("mill", tmp_path / "m", truth="published"), "--hidden",
-        ),
+        "notebook.figure": (lambda: home.plot("rounds", "a", "histogram"), "polar, angle, time, spectrum"),
+        "simulate.option": (lambda: home.simulate("mill", tmp_path / "m", truth="published"), "--hidden"),
         "twin.unknown": (lambda: home.compare("nobody"), "none yet"),
-    }  # fmt: skip
+    }
     for code, (verb, allowed) in refusals.items():
         with pytest.raises(dtwin.InputError) as refused:
             verb()

@@ -41,22 +41,25 @@ def test_feeds_are_crossed_and_shuffled_inside_each_setup() -> None:
 
 def test_a_plan_says_what_it_cannot_tell() -> None:
     poor = expand(document(repeats=1, directions=["CCW"], feed_mm_min=[2000.0]), "x")
-    assert {f.code for f in advice(poor)} == {
-        "plan.no_repeats",
-        "plan.one_direction",
-        "plan.one_feed",
-    }
+    assert {f.code for f in advice(poor)} == {"plan.no_repeats", "plan.one_direction", "plan.one_feed"}
     assert {f.code for f in advice(training_plan())} == {"plan.radius_law"}
 
 
 @pytest.mark.parametrize(
     "grid",
     [
-        {"radius_mm": [-1.0]}, {"radius_mm": [9999.0]}, {"feed_mm_min": ["fast"]},
-        {"feed_mm_min": [float("nan")]}, {"plane": ["QQ"]}, {"repeats": 0}, {"repeats": 2.5},
-        {"directions": ["UP"]}, {"radius_mm": []}, {"feed_mm_min": list(np.arange(1.0, 9999.0)), "repeats": 900},
+        {"radius_mm": [-1.0]},
+        {"radius_mm": [9999.0]},
+        {"feed_mm_min": ["fast"]},
+        {"feed_mm_min": [float("nan")]},
+        {"plane": ["QQ"]},
+        {"repeats": 0},
+        {"repeats": 2.5},
+        {"directions": ["UP"]},
+        {"radius_mm": []},
+        {"feed_mm_min": list(np.arange(1.0, 9999.0)), "repeats": 900},
     ],
-)  # fmt: skip
+)
 def test_impossible_plans_are_refused_before_anything_moves(grid: dict[str, object]) -> None:
     with pytest.raises(InputError):
         expand(document(**grid), "x")
@@ -73,10 +76,7 @@ def test_a_broken_plan_file_is_named(tmp_path: Path) -> None:
 
 def arc_points(program: str, letters: str) -> list[tuple[float, float]]:
     a, b = letters
-    return [
-        (float(m[1]), float(m[2]))
-        for m in re.finditer(rf"G[123] {a}(-?[\d.]+) {b}(-?[\d.]+)", program)
-    ]
+    return [(float(m[1]), float(m[2])) for m in re.finditer(rf"G[123] {a}(-?[\d.]+) {b}(-?[\d.]+)", program)]
 
 
 @pytest.mark.parametrize(("plane", "letters"), [("XY", "XY"), ("YZ", "YZ"), ("ZX", "ZX")])

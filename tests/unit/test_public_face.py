@@ -15,9 +15,7 @@ import dtwin
 from dtwin.errors import MissingPart
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = sorted(
-    ".".join(path.parent.relative_to(ROOT).parts) for path in ROOT.glob("dtwin/**/__init__.py")
-)
+PACKAGES = sorted(".".join(path.parent.relative_to(ROOT).parts) for path in ROOT.glob("dtwin/**/__init__.py"))
 DOCUMENTED = {
     module
     for path in (ROOT / "docs" / "reference").rglob("*.md")
@@ -27,9 +25,7 @@ DOCUMENTED = {
 
 def test_importing_dtwin_brings_nothing_heavy() -> None:
     told = "import sys, dtwin; print(*{m.partition('.')[0] for m in sys.modules})"
-    loaded = subprocess.run(
-        [sys.executable, "-c", told], capture_output=True, text=True, check=True
-    ).stdout.split()
+    loaded = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout.split()
     assert "dtwin" in loaded
     assert not {"numpy", "pandas", "pyarrow", "plotly", "scipy", "numba", "typer"} & set(loaded)
 
@@ -94,9 +90,7 @@ def test_what_contributing_names_is_there() -> None:
         assert (ROOT / (link or path)).exists(), link or path
 
 
-def test_the_picture_of_the_architecture_is_that_of_the_code(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_picture_of_the_architecture_is_that_of_the_code(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT / "docs" / "pictures")
     drawn = import_module("architecture").picture()
     kept = (ROOT / "docs" / "pictures" / "architecture.svg").read_text(encoding="utf-8")

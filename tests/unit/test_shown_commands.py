@@ -23,9 +23,7 @@ from shown_commands import alike
         ("backlash X", "backlash Y", False),
     ],
 )
-def test_numbers_are_compared_to_the_precision_that_is_shown(
-    shown: str, line: str, same: bool
-) -> None:
+def test_numbers_are_compared_to_the_precision_that_is_shown(shown: str, line: str, same: bool) -> None:
     assert alike(shown, line) is same
 
 

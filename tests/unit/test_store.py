@@ -21,21 +21,13 @@ from dtwin.parquet import read_parquet, table_of, write_parquet
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
 from dtwin.store import Lake, RejectedRows
 
-CAMPAIGN = Campaign(
-    "c", "mill-a", machine_geometry={"type": "ur10e"}, instrument={"nominal_mm": 100.0}
-)
+CAMPAIGN = Campaign("c", "mill-a", machine_geometry={"type": "ur10e"}, instrument={"nominal_mm": 100.0})
 
 
 def make_run(run_id: str, seed: int = 0, n: int = 400) -> Run:
     rng = np.random.default_rng(seed)
-    samples = {
-        "t_s": np.arange(n) / 200.0,
-        "angle_deg": np.linspace(0, 360, n),
-        "deviation_um": rng.normal(size=n),
-    }
-    signals = SignalGroup(
-        "accelerometers", 1651.6, {"wrist_x_g": rng.normal(size=3 * n).astype("f4")}, 0.2
-    )
+    samples = {"t_s": np.arange(n) / 200.0, "angle_deg": np.linspace(0, 360, n), "deviation_um": rng.normal(size=n)}
+    signals = SignalGroup("accelerometers", 1651.6, {"wrist_x_g": rng.normal(size=3 * n).astype("f4")}, 0.2)
     meta = RunMeta(
         run_id,
         plane="XY",
@@ -58,9 +50,7 @@ def test_a_run_comes_back_as_it_went_in(tmp_path: Path) -> None:
     assert back.window == run.window
     for name, values in run.samples.items():
         np.testing.assert_array_equal(back.samples[name], values)
-    np.testing.assert_array_equal(
-        back.signals[0].columns["wrist_x_g"], run.signals[0].columns["wrist_x_g"]
-    )
+    np.testing.assert_array_equal(back.signals[0].columns["wrist_x_g"], run.signals[0].columns["wrist_x_g"])
     assert back.signals[0].columns["wrist_x_g"].dtype == np.float32
     assert back.signals[0].start_s == 0.2
     assert lake.campaign("c").machine_geometry == {"type": "ur10e"}
@@ -85,9 +75,7 @@ def test_the_same_id_twice_in_one_commit_is_refused(tmp_path: Path) -> None:
     assert lake.runs() == []
 
 
-@pytest.mark.parametrize(
-    "name", ["../x", "a/b", "", ".hidden", "a\x00b", "x" * 300, "..", "%2e%2e", "a b"]
-)
+@pytest.mark.parametrize("name", ["../x", "a/b", "", ".hidden", "a\x00b", "x" * 300, "..", "%2e%2e", "a b"])
 def test_names_cannot_leave_the_lake(tmp_path: Path, name: str) -> None:
     lake = Lake(tmp_path / "lake")
     with pytest.raises(InputError):
@@ -105,9 +93,7 @@ def test_columns_may_grow_but_not_change_their_type(tmp_path: Path) -> None:
     lake.commit(CAMPAIGN, [warm])
     assert "spindle_c" in lake.load(lake.runs("c")[1]).samples
     other = make_run("r3", 2)
-    other = replace(
-        other, samples=dict(other.samples) | {"spindle_c": np.full(400, "warm", dtype=object)}
-    )
+    other = replace(other, samples=dict(other.samples) | {"spindle_c": np.full(400, "warm", dtype=object)})
     with pytest.raises(StoreError, match="changed its type"):
         lake.commit(CAMPAIGN, [other])
     assert len(lake.runs("c")) == 2
@@ -118,9 +104,7 @@ def test_rejected_rows_are_kept_with_the_reason(tmp_path: Path) -> None:
     rows = [{"row": 3, "reason": "not finite: deviation_um", "values": {"deviation_um": "nan"}}]
     lake.commit(CAMPAIGN, [make_run("r1")], [RejectedRows("r1", "a.csv", rows)])
     kept = lake.tables["rejects"].read().to_pylist()
-    assert [(r["run_id"], r["row"], r["reason"]) for r in kept] == [
-        ("r1", 3, "not finite: deviation_um")
-    ]
+    assert [(r["run_id"], r["row"], r["reason"]) for r in kept] == [("r1", 3, "not finite: deviation_um")]
 
 
 def test_every_flipped_bit_is_noticed(tmp_path: Path) -> None:
@@ -170,9 +154,7 @@ def test_a_full_disk_leaves_the_lake_as_it_was(tmp_path: Path) -> None:
         pytest.skip("mounting a small file system needs root")
     disk = tmp_path / "disk"
     disk.mkdir()
-    mounted = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", "size=2m", "none", str(disk)], check=False
-    )
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "none", str(disk)], check=False)
     if mounted.returncode:
         pytest.skip("this sandbox does not mount file systems")
     try:
@@ -183,8 +165,7 @@ def test_a_full_disk_leaves_the_lake_as_it_was(tmp_path: Path) -> None:
         assert [row["run_id"] for row in lake.runs()] == ["r1"]
         assert list((disk / "lake").rglob("*.partial")) == []
         np.testing.assert_array_equal(
-            lake.load(lake.runs()[0]).samples["deviation_um"],
-            make_run("r1").samples["deviation_um"],
+            lake.load(lake.runs()[0]).samples["deviation_um"], make_run("r1").samples["deviation_um"]
         )
     finally:
         subprocess.run(["umount", str(disk)], check=True)
@@ -209,13 +190,7 @@ def test_two_writers_at_once_lose_nothing_and_double_nothing(tmp_path: Path) -> 
         jobs = [pool.submit(write, n) for n in ([1, 2, 3], [3, 2, 1], [4, 5, 1])]
         for job in jobs:
             job.result()
-    assert sorted(row["run_id"] for row in Lake(tmp_path / "lake").runs()) == [
-        "r1",
-        "r2",
-        "r3",
-        "r4",
-        "r5",
-    ]
+    assert sorted(row["run_id"] for row in Lake(tmp_path / "lake").runs()) == ["r1", "r2", "r3", "r4", "r5"]
 
 
 _INGEST = """
@@ -248,8 +223,7 @@ def test_a_kill_at_any_moment_leaves_whole_runs_only(tmp_path: Path, delay_s: fl
     for row in lake.runs():
         number = int(row["run_id"][1:])
         np.testing.assert_array_equal(
-            lake.load(row).samples["deviation_um"],
-            make_run(row["run_id"], number, 4000).samples["deviation_um"],
+            lake.load(row).samples["deviation_um"], make_run(row["run_id"], number, 4000).samples["deviation_um"]
         )
     lake.repair()
     live = {row["samples_file"] for row in lake.runs()}
@@ -258,17 +232,13 @@ def test_a_kill_at_any_moment_leaves_whole_runs_only(tmp_path: Path, delay_s: fl
     assert len(lake.runs()) == 40
 
 
-def test_a_model_can_be_rebuilt_from_its_table_version(
-    tmp_path: Path, real_recording: Path
-) -> None:
+def test_a_model_can_be_rebuilt_from_its_table_version(tmp_path: Path, real_recording: Path) -> None:
     lake = Lake(tmp_path / "lake")
     versions = lake.commit(CAMPAIGN, read_b5r(real_recording).runs).versions
     before = lake.tables["samples"].files()
     lake.commit(replace(CAMPAIGN, name="later"), [make_run("r1")])
     assert lake.tables["samples"].files(versions["samples"]) == before
-    assert pa.types.is_float64(
-        lake.tables["samples"].read_file(before[0]).schema.field("deviation_um").type
-    )
+    assert pa.types.is_float64(lake.tables["samples"].read_file(before[0]).schema.field("deviation_um").type)
 
 
 def kept_file(lake: Lake) -> Path:
@@ -283,9 +253,7 @@ def test_a_signal_file_with_checksums_is_kept_as_it_is(tmp_path: Path) -> None:
     lake.commit(CAMPAIGN, [replace(run, signals=tuple(read_signals(source)))])
     assert kept_file(lake).read_bytes() == source.read_bytes()
     (back,) = lake.load(lake.runs("c")[0]).signals
-    np.testing.assert_array_equal(
-        back.columns["wrist_x_g"], run.signals[0].columns["wrist_x_g"], strict=True
-    )
+    np.testing.assert_array_equal(back.columns["wrist_x_g"], run.signals[0].columns["wrist_x_g"], strict=True)
 
 
 def test_changed_columns_are_never_kept_as_the_file_they_came_from(tmp_path: Path) -> None:
@@ -313,15 +281,7 @@ def test_a_file_without_page_checksums_gets_them_in_the_lake(tmp_path: Path) -> 
         lake.load(lake.runs("c")[0])
 
 
-ESCAPES = [
-    "x/../../../../PWNED",
-    "x/../../../samples/victim/r0",
-    "a/b",
-    "..",
-    "",
-    "a\x00b",
-    "x" * 200,
-]
+ESCAPES = ["x/../../../../PWNED", "x/../../../samples/victim/r0", "a/b", "..", "", "a\x00b", "x" * 200]
 
 
 @pytest.mark.parametrize("name", ESCAPES)
@@ -336,9 +296,7 @@ def test_the_name_of_a_signal_group_cannot_leave_the_lake(tmp_path: Path, name: 
     assert [p for p in tmp_path.rglob("*") if p.is_file()] == [source]
 
 
-@pytest.mark.parametrize(
-    "name", ["../x.0123456789abcdef01234567.parquet", "x.parquet", "..parquet"]
-)
+@pytest.mark.parametrize("name", ["../x.0123456789abcdef01234567.parquet", "x.parquet", "..parquet"])
 def test_a_name_that_a_row_gives_is_a_file_of_its_table(tmp_path: Path, name: str) -> None:
     lake = Lake(tmp_path / "lake")
     lake.commit(CAMPAIGN, [make_run("r1")])
@@ -381,9 +339,7 @@ def test_no_flip_in_any_file_of_a_lake_is_silent(tmp_path: Path) -> None:
     lake = Lake(tmp_path / "lake")
     for name in ("c", "d"):
         lake.commit(replace(CAMPAIGN, name=name), [make_run(f"r{i}", i, 60) for i in range(3)])
-    lake.amend(
-        "c", [{"run_id": "r1", "who": "a", "when": "b", "because": "c", "changes": {"setup": "s9"}}]
-    )
+    lake.amend("c", [{"run_id": "r1", "who": "a", "when": "b", "because": "c", "changes": {"setup": "s9"}}])
 
     def everything() -> str:
         rows = lake.runs(left_out=True)
@@ -412,15 +368,13 @@ def test_the_content_of_a_run_is_all_that_was_stated(tmp_path: Path) -> None:
     lake.commit(CAMPAIGN, [run])
     group = run.signals[0]
     stated = {
-        "instrument.nominal_mm: 100.0 -> 100.015": (
-            replace(CAMPAIGN, instrument={"nominal_mm": 100.015}), run),
+        "instrument.nominal_mm: 100.0 -> 100.015": (replace(CAMPAIGN, instrument={"nominal_mm": 100.015}), run),
         "machine: mill-a -> mill-b": (replace(CAMPAIGN, machine="mill-b"), run),
-        "geometry.chain: None -> XZY": (
-            replace(CAMPAIGN, machine_geometry={"type": "ur10e", "chain": "XZY"}), run),
+        "geometry.chain: None -> XZY": (replace(CAMPAIGN, machine_geometry={"type": "ur10e", "chain": "XZY"}), run),
         "window_start: 10 -> 20": (CAMPAIGN, replace(run, window=(20, 380))),
         "the signals": (CAMPAIGN, replace(run, signals=(replace(group, rate_hz=25600.0),))),
         "the samples": (CAMPAIGN, make_run("r1", seed=9)),
-    }  # fmt: skip
+    }
     for told, (campaign, other) in stated.items():
         with pytest.raises(InputError, match="other content") as caught:
             lake.commit(campaign, [other])
@@ -468,14 +422,10 @@ def test_a_cut_log_entry_is_an_error_that_repair_mends(tmp_path: Path) -> None:
     assert lake.commit(CAMPAIGN, [make_run("r2", 2)]).added == ("r2",)
 
 
-def test_what_was_added_is_synced_file_log_and_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_added_is_synced_file_log_and_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: set[Path] = set()
     real = os.fsync
-    monkeypatch.setattr(
-        os, "fsync", lambda fd: synced.add(Path(f"/proc/self/fd/{fd}").readlink()) or real(fd)
-    )
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.add(Path(f"/proc/self/fd/{fd}").readlink()) or real(fd))
     lake = Lake(tmp_path / "lake")
     lake.commit(CAMPAIGN, [make_run("r1")])
     files = {p for p in lake.root.rglob("*") if p.is_file() and not p.name.startswith(".")}
@@ -489,8 +439,11 @@ def test_what_was_added_is_synced_file_log_and_folder(
 
 def test_repair_sweeps_every_table(tmp_path: Path) -> None:
     lake = Lake(tmp_path / "lake")
-    lake.commit(CAMPAIGN, [make_run("r1")], [RejectedRows("r1", "a.csv", [
-        {"row": 3, "reason": "not finite", "values": {"deviation_um": "nan"}}])])  # fmt: skip
+    lake.commit(
+        CAMPAIGN,
+        [make_run("r1")],
+        [RejectedRows("r1", "a.csv", [{"row": 3, "reason": "not finite", "values": {"deviation_um": "nan"}}])],
+    )
     lake.write_table("features", "key", table_of({"a_mm": np.zeros(3)}))
     kept = sorted(p for p in lake.root.rglob("*.parquet"))
     for name in ("runs", "samples", "signals", "features", "rejects"):

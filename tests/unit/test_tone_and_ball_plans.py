@@ -13,22 +13,20 @@ from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import HORIZON_S, WINDOW_S
-from dtwin.kinds.sinusoidal.plan import (
-    FORETOLD_S,
-    LEARNED_S,
-    duration_s,
-    tone_advice,
-    tone_plan,
-)
+from dtwin.kinds.sinusoidal.plan import FORETOLD_S, LEARNED_S, duration_s, tone_advice, tone_plan
 from dtwin.kinds.sinusoidal.simulate import planned_runs, virtual_slide
 from dtwin.kinds.volumetric.plan import ball_advice, ball_plan
 from dtwin.machines.turning_drift import RoomDrift
 from dtwin.plan_file import planned_campaign
 
 TONES: dict[str, Any] = {
-    "name": "tones", "machine": "slide", "frequencies_hz": [10, 20, 40], "amplitudes_um": [2, 6, 11],
-    "repeats": 3, "bandwidth_hz": 50,
-}  # fmt: skip
+    "name": "tones",
+    "machine": "slide",
+    "frequencies_hz": [10, 20, 40],
+    "amplitudes_um": [2, 6, 11],
+    "repeats": 3,
+    "bandwidth_hz": 50,
+}
 BALLS: dict[str, Any] = {"name": "balls", "machine": "mill", "hours": 100, "drift_um_h": 6.0}
 
 
@@ -44,9 +42,7 @@ def test_every_repeat_is_a_pass_over_all_tones_in_an_order_of_its_own() -> None:
     plan = tone_plan(TONES, "test")
     groups = plan.groups
     assert len(groups) == plan.count == 27
-    passes = [
-        [(g.frequency_hz, g.amplitude_um) for g in groups if g.repeat == n] for n in (1, 2, 3)
-    ]
+    passes = [[(g.frequency_hz, g.amplitude_um) for g in groups if g.repeat == n] for n in (1, 2, 3)]
     assert groups[:9] == tuple(g for g in groups if g.repeat == 1)
     assert set(passes[0]) == set(passes[1]) == set(passes[2])
     assert passes[0] != passes[1]
@@ -96,7 +92,7 @@ def test_advice_on_balls_follows_the_heat_and_the_unknowns() -> None:
         (ball_plan, BALLS | {"every_h": 0.5}, "every_h"),
         (ball_plan, BALLS | {"hours": "long"}, "hours"),
     ],
-)  # fmt: skip
+)
 def test_plans_that_break_a_rule_are_refused(plan: Any, table: dict[str, Any], name: str) -> None:
     with pytest.raises(InputError) as refused:
         plan(table, "test")
@@ -106,10 +102,7 @@ def test_plans_that_break_a_rule_are_refused(plan: Any, table: dict[str, Any], n
 def test_the_command_reads_both_kinds_and_writes_no_program(tmp_path: Path) -> None:
     head = '[plan]\nname = "p"\nmachine = "m"\n'
     tones, balls, other = (tmp_path / f"{n}.toml" for n in ("tones", "balls", "other"))
-    tones.write_text(
-        head
-        + 'kind = "sinusoidal"\nfrequencies_hz = [10, 45]\namplitudes_um = [1]\nbandwidth_hz = 50\n'
-    )
+    tones.write_text(head + 'kind = "sinusoidal"\nfrequencies_hz = [10, 45]\namplitudes_um = [1]\nbandwidth_hz = 50\n')
     balls.write_text(head + 'kind = "volumetric"\nhours = 30\n')
     other.write_text(head + 'kind = "hope"\n')
     assert planned_campaign(tones).summary["groups"] == 2

@@ -26,16 +26,30 @@ from dtwin.train.registry import Registry
 FIGURES = {"rms_before_um": 2.0, "rms_after_um": 1.0, "noise_floor_um": math.nan}
 DATA = {"runs": 4, "left_out": {}}
 # Every call of MLflow that logging a version and its diagnosis makes, after which a kill may come.
-CALLS = ("create_experiment", "create_run", "log_batch", "log_artifacts", "set_terminated",
-         "create_registered_model", "create_model_version", "set_model_version_tag")  # fmt: skip
+CALLS = (
+    "create_experiment",
+    "create_run",
+    "log_batch",
+    "log_artifacts",
+    "set_terminated",
+    "create_registered_model",
+    "create_model_version",
+    "set_model_version_tag",
+)
 
 
 def version(name: str, number: int) -> dict[str, Any]:
     effect = {"effect": "backlash", "axis": "X"}
     return {
-        "twin": name, "version": number, "action": f"step {number}", "campaign": "c",
-        "machine": "m", "effects": [effect], "figures": FIGURES, "data": DATA,
-    }  # fmt: skip
+        "twin": name,
+        "version": number,
+        "action": f"step {number}",
+        "campaign": "c",
+        "machine": "m",
+        "effects": [effect],
+        "figures": FIGURES,
+        "data": DATA,
+    }
 
 
 def diagnosis(name: str, number: int, verdict: str) -> dict[str, Any]:
@@ -99,9 +113,7 @@ def test_versions_of_several_twins_arrive_in_order_and_once(shelf: TwinShelf) ->
     shelf.store_diagnosis(diagnosis("a", 2, "missing_effect"))
     assert labels(shelf.home) == ["a v001", "b v001", "a v002", "b v002", "a v003", "b v003"]
     assert log_waiting(shelf.home) == log_waiting(shelf.home) == []
-    assert in_mlflow(shelf.home, "a") == [
-        ("step 1", ""), ("step 2", "missing_effect"), ("step 3", ""),
-    ]  # fmt: skip
+    assert in_mlflow(shelf.home, "a") == [("step 1", ""), ("step 2", "missing_effect"), ("step 3", "")]
     assert len(runs(shelf.home, "b")) == 4
     parents = {r.data.tags.get("mlflow.parentRunId") for r in runs(shelf.home, "b")}
     assert parents == {None, shelf.history("b")[0]["mlflow"]["parent_run_id"]}
@@ -155,9 +167,7 @@ def die_before(owner: Any, name: str) -> None:
     setattr(owner, name, lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL))
 
 
-def test_what_fails_stays_with_its_reason_and_is_tried_again(
-    shelf: TwinShelf, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_fails_stays_with_its_reason_and_is_tried_again(shelf: TwinShelf, monkeypatch: pytest.MonkeyPatch) -> None:
     shelf.store(version("f", 1))
     monkeypatch.setenv("MLFLOW_TRACKING_URI", "sqlite:////proc/none/mlflow.db")
     (left,) = log_waiting(shelf.home)
@@ -180,18 +190,14 @@ def test_a_version_that_cannot_be_logged_holds_back_its_own_twin_only(shelf: Twi
     whole = file_of(shelf, "bad", 1).read_text()
     file_of(shelf, "bad", 1).write_text(whole.replace("step 1", "step 7"))
     left = log_waiting(shelf.home)
-    assert [(item.label, bool(item.failed)) for item in left] == [
-        ("bad v001", True), ("bad v002", False),
-    ]  # fmt: skip
+    assert [(item.label, bool(item.failed)) for item in left] == [("bad v001", True), ("bad v002", False)]
     assert len(in_mlflow(shelf.home, "good")) == 2
     file_of(shelf, "bad", 1).write_text(whole)
     assert log_waiting(shelf.home) == []
     assert [action for action, _ in in_mlflow(shelf.home, "bad")] == ["step 1", "step 2"]
 
 
-def test_a_twin_that_was_removed_meanwhile_waits_no_more(
-    shelf: TwinShelf, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_twin_that_was_removed_meanwhile_waits_no_more(shelf: TwinShelf, monkeypatch: pytest.MonkeyPatch) -> None:
     shelf.store(version("r", 1))
     logging = twin_registration._log
 

@@ -132,8 +132,10 @@ def test_a_campaign_folder_is_one_thing_and_may_grow(home: Home, inbox: Path) ->
         f"{t:.3f},{6.0 * t:.3f},{np.cos(t):.4f}\n" for t in np.linspace(0.0, 60.0, 400)
     )
     head = '[campaign]\nname = "march"\nmachine = "mill-a"\n'
-    run = ('[[run]]\nid = "r{0}"\nfile = "r{0}.csv"\nplane = "XY"\nradius_mm = 50.0\n'
-           'feed_mm_min = 314.0\ndirection = "CCW"\n')  # fmt: skip
+    run = (
+        '[[run]]\nid = "r{0}"\nfile = "r{0}.csv"\nplane = "XY"\nradius_mm = 50.0\n'
+        'feed_mm_min = 314.0\ndirection = "CCW"\n'
+    )
     (folder / "r1.csv").write_text(table)
     (folder / "r2.csv").write_text(table.replace("0.5403", "0.5404"))
     (folder / "campaign.toml").write_text(head + run.format(1))

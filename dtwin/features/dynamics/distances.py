@@ -93,10 +93,11 @@ def _both(first_um: Floats, second_um: Floats) -> tuple[float, float]:
     for curve in curves:
         if not 0 < curve.size <= MOST_READINGS or not np.isfinite(curve).all():
             raise InputError(
-                "a curve cannot be compared", code="dynamics.curve",
+                "a curve cannot be compared",
+                code="dynamics.curve",
                 got=f"{curve.size} readings, {int((~np.isfinite(curve)).sum())} of them not finite",
                 allowed=f"1 to {MOST_READINGS} finite readings; the cost grows with the square",
                 hint="resample it by angle first",
-            )  # fmt: skip
+            )
     total, bottleneck = warped_kernel(*curves)
     return float(np.sqrt(total)), float(np.sqrt(bottleneck))

@@ -60,9 +60,10 @@ def dynamic_components(before_um: Floats, after_um: Floats) -> DynamicComponents
     """
     if before_um.shape != after_um.shape or before_um.size == 0:
         raise InputError(
-            "before and after do not belong together", code="dynamics.shapes",
+            "before and after do not belong together",
+            code="dynamics.shapes",
             got=f"{before_um.shape} and {after_um.shape}",
-        )  # fmt: skip
+        )
     taken = before_um - after_um
     first, second = float(np.ptp(before_um)), float(np.ptp(after_um))
     return DynamicComponents(first, second, first - second, float(np.ptp(taken)), rms(taken))
@@ -83,9 +84,11 @@ def relative_difference(deviation_um: float, reference_um: float) -> float:
     """
     if not reference_um > 0.0:
         raise InputError(
-            "the reference has no circular deviation to compare with", code="dynamics.reference",
-            got=f"{reference_um:g} um", allowed="above 0",
-        )  # fmt: skip
+            "the reference has no circular deviation to compare with",
+            code="dynamics.reference",
+            got=f"{reference_um:g} um",
+            allowed="above 0",
+        )
     return abs(deviation_um - reference_um) / reference_um
 
 
@@ -108,9 +111,7 @@ def eq15(dtw_um: float, frechet_um: float, difference: float) -> float:
     length = math.hypot(dtw_um, frechet_um, difference)
     if length == 0.0:
         warnings.warn(
-            "the printed fitness is 0/0: the filtered curve is the reference itself",
-            RuntimeWarning,
-            stacklevel=2,
+            "the printed fitness is 0/0: the filtered curve is the reference itself", RuntimeWarning, stacklevel=2
         )
         return math.nan
     return (dtw_um + frechet_um + difference) / length

@@ -140,22 +140,21 @@ class UnscentedFilter:
         _require_variances(self.q_um2, self.r_um2, self.p_um2)
         if self.model not in MODELS:
             raise InputError(
-                "no such model of a filter", code="dynamics.model", got=self.model[:40],
-                allowed=", ".join(MODELS),
-            )  # fmt: skip
+                "no such model of a filter", code="dynamics.model", got=self.model[:40], allowed=", ".join(MODELS)
+            )
         if not _ALPHAS[0] <= self.alpha <= _ALPHAS[1] or not self.radius_mm > 0.0:
             raise InputError(
-                "the filter cannot be set so", code="dynamics.filter",
+                "the filter cannot be set so",
+                code="dynamics.filter",
                 got=f"alpha {self.alpha:g}, radius {self.radius_mm:g} mm",
                 allowed=f"alpha {_ALPHAS[0]:g} to {_ALPHAS[1]:g}, radius above 0",
-            )  # fmt: skip
+            )
 
     @property
     def name(self) -> str:
         """What the filter is."""
         return (
-            f"unscented Kalman filter, {self.model}, alpha {self.alpha:.3g}, "
-            f"Q {self.q_um2:.3g} R {self.r_um2:.3g} um2"
+            f"unscented Kalman filter, {self.model}, alpha {self.alpha:.3g}, Q {self.q_um2:.3g} R {self.r_um2:.3g} um2"
         )
 
     def static_um(self, deviation_um: Floats) -> Floats:
@@ -182,9 +181,7 @@ class LowPass:
 
     def __post_init__(self) -> None:
         if not self.cutoff_upr > 0.0:
-            raise InputError(
-                "the cutoff must be above zero", code="dynamics.cutoff", got=f"{self.cutoff_upr:g}"
-            )
+            raise InputError("the cutoff must be above zero", code="dynamics.cutoff", got=f"{self.cutoff_upr:g}")
 
     @property
     def name(self) -> str:
@@ -241,15 +238,14 @@ def response(chosen: Filter, readings: int, lobes: int = 2) -> Response:
 def _require_variances(q_um2: float, r_um2: float, p_um2: float) -> None:
     if not (q_um2 > 0.0 and r_um2 > 0.0 and p_um2 >= 0.0):
         raise InputError(
-            "a variance is not above zero", code="dynamics.variance",
+            "a variance is not above zero",
+            code="dynamics.variance",
             got=f"Q {q_um2:g}, R {r_um2:g}, first P {p_um2:g} um2",
-        )  # fmt: skip
+        )
 
 
 @compiled
-def kalman_kernel(
-    read: Floats, q: float, r: float, p: float
-) -> tuple[Floats, Floats, Floats, Floats]:
+def kalman_kernel(read: Floats, q: float, r: float, p: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Filter a scalar random walk; returns states and variances, after and before each reading."""
     n = read.shape[0]
     state, variance, expected, spread = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
@@ -308,9 +304,7 @@ def _drawn(x: Floats, p: Floats, scale: float) -> Floats:
 
 
 @compiled
-def unscented_kernel(
-    read: Floats, kind: int, radius_um: float, step_rad: float, settings: Floats
-) -> Floats:
+def unscented_kernel(read: Floats, kind: int, radius_um: float, step_rad: float, settings: Floats) -> Floats:
     """Filter readings with the unscented transform.
 
     Parameters

@@ -62,27 +62,30 @@ def one_turn(angle_deg: Floats, deviation_um: Floats, readings: int) -> Turn:
     deviation = np.asarray(deviation_um, dtype=float)
     if readings < 8 or len(angle) != len(deviation) or len(angle) < 8:
         raise InputError(
-            "a turn needs at least 8 readings with their angles", code="dynamics.readings",
+            "a turn needs at least 8 readings with their angles",
+            code="dynamics.readings",
             got=f"{len(angle)} angles, {len(deviation)} deviations, {readings} wanted",
-        )  # fmt: skip
+        )
     if not (np.isfinite(angle).all() and np.isfinite(deviation).all()):
         raise InputError("a reading is not a finite number", code="dynamics.not_finite")
     travelled = np.abs(angle - angle[0])
     step = np.diff(travelled)
     if (step <= 0.0).any():
         raise InputError(
-            "the angle stands still or turns back", code="dynamics.angle",
+            "the angle stands still or turns back",
+            code="dynamics.angle",
             where=f"sample {int(np.argmax(step <= 0.0)) + 1}",
             hint="dtwin check names what is wrong with the angles",
-        )  # fmt: skip
+        )
     # The last sample of a whole turn is up to two steps before the first one comes round again.
     covered = float(travelled[-1] + 2.0 * np.median(step))
     if covered < _TURN_DEG or step.max() > _LARGEST_GAP_DEG:
         raise InputError(
-            "the samples do not go once round without a gap", code="dynamics.arc",
+            "the samples do not go once round without a gap",
+            code="dynamics.arc",
             got=f"{covered:z.2f} deg, largest gap {step.max():z.2f} deg",
             allowed=f"360 deg and more, gaps up to {_LARGEST_GAP_DEG:g} deg",
-        )  # fmt: skip
+        )
     wanted = np.arange(readings) * (_TURN_DEG / readings)
     sign = 1.0 if angle[-1] > angle[0] else -1.0
     if travelled[-1] < _TURN_DEG:

@@ -33,9 +33,7 @@ def judge_circular_run(run: Run) -> list[Finding]:
 def judge_circular_campaign(runs: Sequence[Run]) -> list[Finding]:
     """Return what circles lack as a whole: directions, repeats."""
     findings = []
-    conditions = Counter(
-        (m.plane, m.radius_mm, m.feed_mm_min, m.direction) for m in (run.meta for run in runs)
-    )
+    conditions = Counter((m.plane, m.radius_mm, m.feed_mm_min, m.direction) for m in (run.meta for run in runs))
     pairs = Counter(key[:3] for key in conditions)
     lonely = sum(count == 1 for count in pairs.values())
     if lonely:
@@ -92,11 +90,7 @@ def _reading(run: Run) -> list[Finding]:
     length, value = _longest_constant(deviation)
     if length >= limit:
         extreme = bool(value in (deviation.max(), deviation.min())) and np.ptp(deviation) > 0
-        code, what = (
-            ("reading.clipped", "the travel limit")
-            if extreme
-            else ("reading.stuck", "a stuck sensor")
-        )
+        code, what = ("reading.clipped", "the travel limit") if extreme else ("reading.stuck", "a stuck sensor")
         findings.append(
             Finding(
                 code,
@@ -116,11 +110,7 @@ def _angles(run: Run) -> list[Finding]:
     findings = []
     if float(np.median(steps)) * sign < 0:
         findings.append(
-            Finding(
-                "angle.direction",
-                "error",
-                f"the angle runs against the stated direction {run.meta.direction}",
-            )
+            Finding("angle.direction", "error", f"the angle runs against the stated direction {run.meta.direction}")
         )
     typical = float(np.median(np.abs(steps)))
     jumps = np.flatnonzero(np.abs(steps) > max(20.0 * typical, 5.0))

@@ -70,9 +70,7 @@ def judge_circles(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home)
         bundle=bundle.to_dict(),
     )
     conditions = {(c.plane, c.radius_mm, c.feed_mm_min) for c in obs.conditions}
-    return Judged(
-        candidate, pure_rms_um(obs, left), rms(before[obs.mask]), tuple(sorted(conditions))
-    )
+    return Judged(candidate, pure_rms_um(obs, left), rms(before[obs.mask]), tuple(sorted(conditions)))
 
 
 def _held_out(frozen: TwinBundle, twin: Twin, obs: Observations, group: str) -> Scores | None:

@@ -46,10 +46,11 @@ def _spectrum(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     upper = amplitude[n // 4 :]
     noise = _NOISE_QUANTILE * float(np.median(upper)) / float(np.sqrt(np.log(4.0)))
     return spectrum_figure(
-        np.asarray(np.fft.rfftfreq(n, 1.0 / run.meta.sample_rate_hz), dtype=np.float64), amplitude,
-        noise, title=f"{run.meta.run_id}: spectrum of one run (its upper half gives the noise; one run has "
-        "no repeats)",
-    )  # fmt: skip
+        np.asarray(np.fft.rfftfreq(n, 1.0 / run.meta.sample_rate_hz), dtype=np.float64),
+        amplitude,
+        noise,
+        title=f"{run.meta.run_id}: spectrum of one run (its upper half gives the noise; one run has no repeats)",
+    )
 
 
 def _title(run: Run) -> str:
@@ -64,9 +65,12 @@ def _centred(run: Run) -> tuple[Floats, Floats]:
     window = _window(run)
     if not {"angle_deg", "deviation_um"} <= set(run.samples):
         raise InputError(
-            "the run has no deviation over an angle", code="run.columns", where=run.meta.run_id,
-            got=", ".join(run.samples), allowed="angle_deg, deviation_um",
-        )  # fmt: skip
+            "the run has no deviation over an angle",
+            code="run.columns",
+            where=run.meta.run_id,
+            got=", ".join(run.samples),
+            allowed="angle_deg, deviation_um",
+        )
     angle = np.asarray(run.samples["angle_deg"], float)[window]
     deviation = np.asarray(run.samples["deviation_um"], float)[window]
     radius = float(run.meta.radius_mm or 100.0)
@@ -75,7 +79,11 @@ def _centred(run: Run) -> tuple[Floats, Floats]:
 
 DRAWINGS = (
     Drawing(
-        "polar", "Polar plot of the run", 560, _polar, half=True,
+        "polar",
+        "Polar plot of the run",
+        560,
+        _polar,
+        half=True,
         note="A grey band, where conditions were repeated, is the noise floor of the campaign (unit of "
         "replication: the run). It is of values averaged over one degree; the curves are the samples "
         "themselves.",
@@ -83,4 +91,4 @@ DRAWINGS = (
     Drawing("angle", "Error over the path angle", 460, _over_angle, half=True),
     Drawing("time", "Error over time", 380, _over_time),
     Drawing("spectrum", "Amplitude spectrum of the run", 420, _spectrum),
-)  # fmt: skip
+)

@@ -10,16 +10,8 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.features.dynamics.figures import (
-    DynamicComponents,
-    dynamic_components,
-    relative_difference,
-)
-from dtwin.features.dynamics.filters import (
-    Filter,
-    UnscentedFilter,
-    response,
-)
+from dtwin.features.dynamics.figures import DynamicComponents, dynamic_components, relative_difference
+from dtwin.features.dynamics.filters import Filter, UnscentedFilter, response
 from dtwin.features.dynamics.turns import Turn, one_turn
 from dtwin.kinds.circular.dynamics_findings import findings_of
 from dtwin.kinds.circular.dynamics_ways import (
@@ -90,23 +82,27 @@ def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split
     known = lake.campaign(campaign)
     if known.kind != "circular":
         raise InputError(
-            "dynamic parts are those of circular tests", code="dynamics.kind", where=campaign,
-            got=known.kind, allowed="circular",
-        )  # fmt: skip
+            "dynamic parts are those of circular tests",
+            code="dynamics.kind",
+            where=campaign,
+            got=known.kind,
+            allowed="circular",
+        )
     runs = list(lake.iterate(campaign))
     usable = [run for run in runs if not any(f.severity == "error" for f in run.findings)]
     if not usable:
         raise InputError(
-            "the campaign has no usable run", code="dynamics.no_runs", where=campaign,
-            got=f"{len(runs)} runs, all with errors", hint=f"dtwin check {campaign}",
-        )  # fmt: skip
+            "the campaign has no usable run",
+            code="dynamics.no_runs",
+            where=campaign,
+            got=f"{len(runs)} runs, all with errors",
+            hint=f"dtwin check {campaign}",
+        )
     found = split_runs(known, usable, request)
     if found.tuning is not None:
         run_id = log_tuning(Registry(home), found.tuning, request.swarm, campaign)
         found.result["tuning"]["mlflow_run"] = run_id
-    found.result["left_out"] = sorted(
-        {r.meta.run_id for r in runs} - {r.meta.run_id for r in usable}
-    )
+    found.result["left_out"] = sorted({r.meta.run_id for r in runs} - {r.meta.run_id for r in usable})
     return found
 
 
@@ -156,18 +152,19 @@ def _turned(run: Run, readings: int) -> _Turned:
     meta = run.meta
     if not meta.radius_mm or not meta.feed_mm_min:
         raise InputError(
-            "a run does not say its radius or its feed", code="dynamics.condition",
-            where=meta.run_id, hint="add radius_mm and feed_mm_min to campaign.toml",
-        )  # fmt: skip
+            "a run does not say its radius or its feed",
+            code="dynamics.condition",
+            where=meta.run_id,
+            hint="add radius_mm and feed_mm_min to campaign.toml",
+        )
     part = slice(*run.window) if run.window is not None else slice(None)
     angle, deviation = run.samples["angle_deg"][part], run.samples["deviation_um"][part]
     try:
         turn = one_turn(angle, deviation, readings)
     except InputError as error:
         raise InputError(
-            error.message, code=error.code, where=meta.run_id, got=error.got,
-            allowed=error.allowed, hint=error.hint,
-        ) from error  # fmt: skip
+            error.message, code=error.code, where=meta.run_id, got=error.got, allowed=error.allowed, hint=error.hint
+        ) from error
     steps = np.abs(np.diff(angle))
     key = (meta.plane, meta.radius_mm, meta.direction, meta.setup)
     return _Turned(run, turn, round(360.0 / float(np.median(steps))), key)
@@ -180,10 +177,12 @@ def _require_different(turned: Sequence[_Turned]) -> None:
         other = seen.setdefault(one.turn.deviation_um.tobytes(), name)
         if other != name:
             raise InputError(
-                "two runs hold the same readings", code="dynamics.same_readings",
-                where=f"{other} and {name}", allowed="repeats that were measured",
+                "two runs hold the same readings",
+                code="dynamics.same_readings",
+                where=f"{other} and {name}",
+                allowed="repeats that were measured",
                 hint="drop the copy: a repeat that agrees to the last digit hides the noise",
-            )  # fmt: skip
+            )
 
 
 def _sorting(run: Run) -> tuple[float, str, int]:
@@ -195,16 +194,19 @@ def _reference_feed(turned: Sequence[_Turned], request: DynamicsRequest) -> floa
     wanted = request.reference_feed_mm_min
     if wanted is not None and wanted not in feeds:
         raise InputError(
-            "no run has the feed of the reference", code="dynamics.reference_feed",
-            got=f"{wanted:g} mm/min", allowed=", ".join(f"{f:g}" for f in feeds),
-        )  # fmt: skip
+            "no run has the feed of the reference",
+            code="dynamics.reference_feed",
+            got=f"{wanted:g} mm/min",
+            allowed=", ".join(f"{f:g}" for f in feeds),
+        )
     radii = {t.run.meta.radius_mm for t in turned}
     if len(radii) > 1:
         raise InputError(
-            "runs of several radii do not share a reference", code="dynamics.radii",
+            "runs of several radii do not share a reference",
+            code="dynamics.radii",
             got=", ".join(f"{r:g}" for r in sorted(r or 0.0 for r in radii)),
             hint="one campaign for each radius",
-        )  # fmt: skip
+        )
     return feeds[0] if wanted is None else wanted
 
 
@@ -215,9 +217,11 @@ def _references(turned: Sequence[_Turned], feed: float) -> dict[tuple[Any, ...],
         slow = [t.turn for t in turned if t.key == key and t.run.meta.feed_mm_min == feed]
         if not slow:
             raise InputError(
-                "a direction or set-up has no slow reference", code="dynamics.reference",
-                where=" ".join(str(part) for part in key), allowed=f"a run at {feed:g} mm/min",
-            )  # fmt: skip
+                "a direction or set-up has no slow reference",
+                code="dynamics.reference",
+                where=" ".join(str(part) for part in key),
+                allowed=f"a run at {feed:g} mm/min",
+            )
         angle = slow[0].angle_deg
         same = [_at_angles_of(slow[0], turn) for turn in slow]
         out[key] = Turn(angle, np.mean(same, axis=0))
@@ -232,15 +236,13 @@ def _tuned(
 ) -> tuple[Filter, Tuning]:
     if not isinstance(start, UnscentedFilter):
         raise InputError(
-            "only the unscented filters are tuned", code="dynamics.tune", got=request.how,
-            allowed="ukf, ukf-circle",
-        )  # fmt: skip
+            "only the unscented filters are tuned", code="dynamics.tune", got=request.how, allowed="ukf, ukf-circle"
+        )
     fast = max(turned, key=lambda t: _sorting(t.run))
     slow_um = _at_angles_of(fast.turn, references[fast.key])
     found = tune(
-        fast.turn.deviation_um, slow_um, start, tuned=request.tuned, fitness=request.fitness,
-        settings=request.swarm,
-    )  # fmt: skip
+        fast.turn.deviation_um, slow_um, start, tuned=request.tuned, fitness=request.fitness, settings=request.swarm
+    )
     return found.chosen, found
 
 
@@ -270,9 +272,7 @@ def _at_angles_of(turn: Turn, other: Turn) -> Floats:
     return np.interp(turn.angle_deg, other.angle_deg, other.deviation_um, period=360.0)
 
 
-def _twin_static(
-    campaign: Campaign, turned: Sequence[_Turned], request: DynamicsRequest
-) -> list[Floats]:
+def _twin_static(campaign: Campaign, turned: Sequence[_Turned], request: DynamicsRequest) -> list[Floats]:
     obs = observe(campaign, [t.run for t in turned])
     static = twin_static_um(obs, request.effects)
     first = {int(run): row for row, run in reversed(list(enumerate(obs.run_of)))}
@@ -285,9 +285,7 @@ def _bias(rows: Sequence[Mapping[str, Any]], feed: float) -> dict[str, float]:
     return {n: float(np.mean([r[n] for r in slow])) for n in ("dc1_um", "dc2_um", "dc3_um")}
 
 
-def _row(
-    one: _Turned, parts: DynamicComponents, reference: Turn, radius_mm: float
-) -> dict[str, Any]:
+def _row(one: _Turned, parts: DynamicComponents, reference: Turn, radius_mm: float) -> dict[str, Any]:
     meta = one.run.meta
     slow_um = float(np.ptp(radial_error_um(reference, radius_mm)))
     return {
@@ -304,8 +302,5 @@ def _row(
 def _shaking_g(groups: Sequence[SignalGroup]) -> dict[str, float]:
     """RMS of every accelerometer channel without its mean."""
     return {
-        name: float(np.std(values))
-        for group in groups
-        for name, values in group.columns.items()
-        if name.endswith("_g")
+        name: float(np.std(values)) for group in groups for name, values in group.columns.items() if name.endswith("_g")
     }

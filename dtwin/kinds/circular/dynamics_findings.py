@@ -43,9 +43,7 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
     taken = float(np.mean([r["dc3_um"] for r in rows if r["feed_mm_min"] == fastest]))
     one_feed = fastest == min(r["feed_mm_min"] for r in rows)
     if one_feed:
-        say(
-            "one_feed", "one feed only: nothing slower to compare with, the reference is these runs"
-        )
+        say("one_feed", "one feed only: nothing slower to compare with, the reference is these runs")
     elif result["bias"]["dc3_um"] > _MOST_BIAS * taken:
         say(
             "static_taken",

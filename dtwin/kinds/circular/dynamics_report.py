@@ -14,10 +14,7 @@ from dtwin.report.text import table
 from dtwin.schema import Floats
 
 Curves = Mapping[str, tuple[Floats, Floats, Floats]]
-_HEAD = (
-    "run", "feed", "way", "CD before", "CD after", "DC1", "DC2", "DC3", "to reference",
-    "accelerometer, mg",
-)  # fmt: skip
+_HEAD = ("run", "feed", "way", "CD before", "CD after", "DC1", "DC2", "DC3", "to reference", "accelerometer, mg")
 _WHAT_THEY_ARE = (
     "um. CD: circular deviation about the least-squares circle. DC1: CD before minus CD after. DC2, "
     "DC3: peak to peak and RMS of what was taken out. To reference: relative difference of CD after "
@@ -29,8 +26,7 @@ def dynamics_text(result: Mapping[str, Any]) -> str:
     """Return the dynamic parts of a campaign as text."""
     lines = [
         f"{result['campaign']}: {result['filter']}",
-        f"reference {result['reference_feed_mm_min']:g} mm/min, {result['readings']} readings per "
-        "revolution",
+        f"reference {result['reference_feed_mm_min']:g} mm/min, {result['readings']} readings per revolution",
         table(_HEAD, [*_rows(result), _bias_row(result)]),
         _WHAT_THEY_ARE,
         *(f"{f['severity']}: {f['message']}" for f in result["findings"]),
@@ -60,9 +56,7 @@ def dynamics_page(result: Mapping[str, Any], curves: Curves, radius_mm: float) -
         Section(
             "Fastest run before and after",
             figures=[
-                polar_figure(
-                    {"before": (angle, before), "after": (angle, after)}, radius_mm, title=way
-                )
+                polar_figure({"before": (angle, before), "after": (angle, after)}, radius_mm, title=way)
                 for way, (angle, before, after) in curves.items()
             ],
         ),
@@ -87,13 +81,15 @@ def dynamics_page(result: Mapping[str, Any], curves: Curves, radius_mm: float) -
 def _rows(result: Mapping[str, Any]) -> list[list[object]]:
     return [
         [
-            r["run"], r["feed_mm_min"], r["direction"],
+            r["run"],
+            r["feed_mm_min"],
+            r["direction"],
             *(f"{r[k]:z.2f}" for k in ("before_um", "after_um", "dc1_um", "dc2_um", "dc3_um")),
             f"{100 * r['difference']:z.1f} %",
             " ".join(f"{1e3 * v:z.2f}" for v in r["accelerometer_rms_g"].values()) or "-",
         ]
         for r in result["rows"]
-    ]  # fmt: skip
+    ]
 
 
 def _bias_row(result: Mapping[str, Any]) -> list[object]:
@@ -116,20 +112,17 @@ def _by_feed(result: Mapping[str, Any]) -> go.Figure:
     figure = go.Figure()
     feeds = sorted({r["feed_mm_min"] for r in result["rows"]})
     looks = (
-        ("CD before", "before_um", COLOURS["measured"]), ("CD after", "after_um", COLOURS["second"]),
-        ("DC2", "dc2_um", COLOURS["third"]), ("DC3", "dc3_um", COLOURS["fourth"]),
-    )  # fmt: skip
+        ("CD before", "before_um", COLOURS["measured"]),
+        ("CD after", "after_um", COLOURS["second"]),
+        ("DC2", "dc2_um", COLOURS["third"]),
+        ("DC3", "dc3_um", COLOURS["fourth"]),
+    )
     for name, key, colour in looks:
-        means = [
-            float(np.mean([r[key] for r in result["rows"] if r["feed_mm_min"] == f])) for f in feeds
-        ]
-        figure.add_trace(
-            go.Scatter(x=feeds, y=means, name=name, mode="lines+markers", line={"color": colour})
-        )
+        means = [float(np.mean([r[key] for r in result["rows"] if r["feed_mm_min"] == f])) for f in feeds]
+        figure.add_trace(go.Scatter(x=feeds, y=means, name=name, mode="lines+markers", line={"color": colour}))
     figure.update_layout(
-        title="Mean of the runs of each feed", xaxis_title="feed, mm/min",
-        yaxis={"title": "um", "rangemode": "tozero"},
-    )  # fmt: skip
+        title="Mean of the runs of each feed", xaxis_title="feed, mm/min", yaxis={"title": "um", "rangemode": "tozero"}
+    )
     return styled(figure)
 
 
@@ -144,20 +137,16 @@ def _taken_figure(curves: Curves) -> go.Figure:
 def _alpha_figure(found: Mapping[str, Any]) -> go.Figure:
     figure = go.Figure()
     for colour, (model, values) in zip(
-        (COLOURS["measured"], COLOURS["second"]),
-        ((k, v) for k, v in found.items() if k != "alpha"),
-        strict=True,
+        (COLOURS["measured"], COLOURS["second"]), ((k, v) for k, v in found.items() if k != "alpha"), strict=True
     ):
         figure.add_trace(
-            go.Scatter(
-                x=found["alpha"], y=values, name=model, mode="lines+markers",
-                line={"color": colour},
-            )
-        )  # fmt: skip
+            go.Scatter(x=found["alpha"], y=values, name=model, mode="lines+markers", line={"color": colour})
+        )
     figure.update_layout(
-        title="Sensitivity to alpha", xaxis={"title": "alpha", "type": "log", "dtick": 1, "exponentformat": "power"},
+        title="Sensitivity to alpha",
+        xaxis={"title": "alpha", "type": "log", "dtick": 1, "exponentformat": "power"},
         yaxis_title="circular deviation after, um",
-    )  # fmt: skip
+    )
     return styled(figure)
 
 

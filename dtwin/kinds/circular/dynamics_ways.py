@@ -8,14 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.features.dynamics.filters import (
-    MODELS,
-    Filter,
-    LowPass,
-    RandomWalkFilter,
-    Smoother,
-    UnscentedFilter,
-)
+from dtwin.features.dynamics.filters import MODELS, Filter, LowPass, RandomWalkFilter, Smoother, UnscentedFilter
 from dtwin.features.dynamics.turns import MOST_READINGS, Turn
 from dtwin.kinds.circular.filter_tuning import sensitivity
 from dtwin.kinds.circular.particle_swarm import SwarmSettings
@@ -29,9 +22,7 @@ from dtwin.schema import Floats
 
 FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
 """Ways to part static from dynamic: what a fitted twin says, the slow runs themselves, filters."""
-TWIN_EFFECTS = (
-    "scale_mismatch", "squareness", "straightness", "servo_mismatch", "backlash", "reversal_spike",
-)  # fmt: skip
+TWIN_EFFECTS = ("scale_mismatch", "squareness", "straightness", "servo_mismatch", "backlash", "reversal_spike")
 
 
 @dataclass(frozen=True)
@@ -101,9 +92,7 @@ def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
     if request.how in ("ukf", "ukf-circle"):
         model = "circle" if request.how == "ukf-circle" else "random-walk"
         return UnscentedFilter(model, request.alpha, radius_mm=radius_mm, **variances)
-    raise InputError(
-        "no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(FILTERS)
-    )
+    raise InputError("no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(FILTERS))
 
 
 def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
@@ -120,9 +109,7 @@ def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
     return residual_um(turn.angle_deg, turn.deviation_um, radius_mm, circle)
 
 
-def twin_static_um(
-    obs: Observations, effects: Sequence[str], library: Library | None = None
-) -> Floats:
+def twin_static_um(obs: Observations, effects: Sequence[str], library: Library | None = None) -> Floats:
     """Return what a fitted twin with its set-ups says of every row, shape (rows, 360).
 
     Parameters

@@ -12,12 +12,7 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.features.dynamics.distances import distances_um
-from dtwin.features.dynamics.figures import (
-    FITNESSES,
-    eq15,
-    relative_difference,
-    weighted_sum,
-)
+from dtwin.features.dynamics.figures import FITNESSES, eq15, relative_difference, weighted_sum
 from dtwin.features.dynamics.filters import Filter, UnscentedFilter
 from dtwin.kinds.circular.particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
@@ -151,9 +146,7 @@ def tune(
     """
     for got, allowed, what in ((tuned, _TUNED, "tuned"), (fitness, FITNESSES, "fitness")):
         if got not in allowed:
-            raise InputError(
-                "no such choice", code=f"dynamics.{what}", got=got[:40], allowed=", ".join(allowed)
-            )
+            raise InputError("no such choice", code=f"dynamics.{what}", got=got[:40], allowed=", ".join(allowed))
     bounds = _ALPHA if tuned == "alpha" else _LOG10_RATIO
 
     def set_as(place: Floats) -> UnscentedFilter:
@@ -169,13 +162,16 @@ def tune(
     chosen = set_as(found.place)
     ends = [value(np.array([end])) for end in bounds]
     return Tuning(
-        chosen=chosen, tuned=tuned, fitness=fitness,
+        chosen=chosen,
+        tuned=tuned,
+        fitness=fitness,
         judged=judge(chosen.static_um(turn_um), reference_um, fitness),
         unfiltered=judge(turn_um, reference_um, fitness),
-        history=found.history, evaluations=found.evaluations,
+        history=found.history,
+        evaluations=found.evaluations,
         seconds=time.perf_counter() - begun,
         inert=max(abs(end - found.value) for end in ends) <= 1e-6 * abs(found.value),
-    )  # fmt: skip
+    )
 
 
 def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:

@@ -74,8 +74,7 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
         tick_graph=graph,
         safety=_safety(reduced.twin, obs),
         provenance=Provenance(
-            code_version=__version__,
-            table_versions={k: v for k, v in twin.data.items() if isinstance(v, int)},
+            code_version=__version__, table_versions={k: v for k, v in twin.data.items() if isinstance(v, int)}
         ),
     )
     return TwinBundle(bundle, reduced.choices, reduced.twin)
@@ -128,9 +127,7 @@ def _mean(obs: Observations, name: str) -> float:
     return float((values * weights).sum() / weights.sum())
 
 
-def _traced(
-    term: Term, twin: Twin, builder: GraphBuilder, logged: _Logged, horizon_s: float
-) -> dict[str, Expression]:
+def _traced(term: Term, twin: Twin, builder: GraphBuilder, logged: _Logged, horizon_s: float) -> dict[str, Expression]:
     """Return the predicted radial error of a term in every plane in which it acts."""
     weights = twin.values(term)
     speed, radius = Traced([builder.input(SPEED)]), Traced([builder.input(RADIUS)])
@@ -147,9 +144,12 @@ def _traced(
         for direction in ("CCW", "CW"):
             meta: Any = RunMeta("traced", plane=plane, direction=direction, radius_mm=radius)  # type: ignore[arg-type]
             state = circular_state(
-                meta, Traced([angle]),  # type: ignore[arg-type]
-                feed_mm_s=speed, columns=logged, geometry={},  # type: ignore[arg-type]
-            )  # fmt: skip
+                meta,
+                Traced([angle]),  # type: ignore[arg-type]
+                feed_mm_s=speed,  # type: ignore[arg-type]
+                columns=logged,
+                geometry={},
+            )
             # What a robot's joints do is an input here, not computed from its geometry.
             state.__dict__["joints"] = joints
             ways.append(weighted(term, state, builder, weights))
@@ -162,9 +162,7 @@ def _traced(
     return out
 
 
-def _by_plane(
-    builder: GraphBuilder, errors: Mapping[str, Expression], measured: Sequence[str]
-) -> Expression:
+def _by_plane(builder: GraphBuilder, errors: Mapping[str, Expression], measured: Sequence[str]) -> Expression:
     """Return the error of the plane that the machine is in; zero where no effect acts."""
     if len(measured) == 1:
         return next(iter(errors.values()))
@@ -221,16 +219,19 @@ def _safety(twin: Twin, obs: Observations) -> SafetyLimits:
     per_rad = np.quantile(steps, 0.99, axis=1) / math.radians(1.0)
     radii = np.array([m.radius_mm or 1.0 for m in obs.runs])
     steepest = float((per_rad * obs.feed_mm_s / radii).max())
-    return SafetyLimits(
-        clamp_um=max(_CLAMP_SHARE * largest, 1.0),
-        slew_um_s=max(_LOWEST_SLEW_UM_S, 2.0 * steepest),
-    )
+    return SafetyLimits(clamp_um=max(_CLAMP_SHARE * largest, 1.0), slew_um_s=max(_LOWEST_SLEW_UM_S, 2.0 * steepest))
 
 
 def radial_error_um(
-    bundle: Bundle, angle_rad: Floats, *, plane: str, direction: str, radius_mm: float,
-    feed_mm_min: float, covariates: Mapping[str, float] | None = None,
-) -> Floats:  # fmt: skip
+    bundle: Bundle,
+    angle_rad: Floats,
+    *,
+    plane: str,
+    direction: str,
+    radius_mm: float,
+    feed_mm_min: float,
+    covariates: Mapping[str, float] | None = None,
+) -> Floats:
     """Evaluate a bundle's radial error over path angles, slowly, for tables and checks.
 
     Parameters

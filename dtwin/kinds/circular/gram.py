@@ -51,9 +51,7 @@ class Sums:
         """Return the sums for a subset of the columns."""
         index = np.asarray(chosen, dtype=int)
         square = np.ix_(index, index)
-        return Sums(
-            self.gram[square], self.moment[index], self.power, self.rows, self.penalty[square]
-        )
+        return Sums(self.gram[square], self.moment[index], self.power, self.rows, self.penalty[square])
 
     def residual(self, weights: Floats) -> float:
         """Return the sum of squared residuals under given weights."""

@@ -85,9 +85,7 @@ class Library:
         known delay between correction and motion. Zero in training.
     """
 
-    def __init__(
-        self, gears: Sequence[Gear], modes: Sequence[Mode], *, horizon_s: float = 0.0
-    ) -> None:
+    def __init__(self, gears: Sequence[Gear], modes: Sequence[Mode], *, horizon_s: float = 0.0) -> None:
         self.gears = tuple(dict.fromkeys(gears))
         self.modes, self.horizon_s = tuple(modes), horizon_s
         self.builder = GraphBuilder()
@@ -113,9 +111,7 @@ class Library:
         """Readable names of the terms, in order."""
         return [atom.name for atom in self.atoms]
 
-    def columns(
-        self, runs: Sequence[TickRun], only: Sequence[int] | None = None
-    ) -> list[NDArray[np.float32]]:
+    def columns(self, runs: Sequence[TickRun], only: Sequence[int] | None = None) -> list[NDArray[np.float32]]:
         """Return terms at the rows of each run, shape (rows, terms) each.
 
         The terms run through every tick of a run, because some remember.
@@ -262,9 +258,7 @@ class Library:
         self.atoms[Atom(name, unit, cause)] = factors
 
 
-def weighted_sum(
-    builder: GraphBuilder, terms: Sequence[tuple[float, tuple[Expression, ...]]]
-) -> Expression:
+def weighted_sum(builder: GraphBuilder, terms: Sequence[tuple[float, tuple[Expression, ...]]]) -> Expression:
     """Return the sum of weighted products, with what they share taken out of the brackets.
 
     Parameters

@@ -56,9 +56,7 @@ class _Mill(VirtualMachine):
         from dtwin.acquire.virtual_mill import simulate_mill
 
         out, hidden = request.out, request.options["hidden"]
-        runs = simulate_mill(
-            out, seed=request.seed, quick=request.quick, hidden=hidden, progress=progress
-        )
+        runs = simulate_mill(out, seed=request.seed, quick=request.quick, hidden=hidden, progress=progress)
         payload = {"folder": str(out), "runs": len(runs), "campaign": f"mill-{hidden}"}
         return Simulated(payload, [f"{len(runs)} runs in {out}", f"next: dtwin ingest {out}"])
 

@@ -112,9 +112,7 @@ def measured_mill(
         served = ServedCorrection(bundle, covariates)
         order = [WAYS[i] for _ in range(plan.repeats) for i in rng.permutation(len(WAYS))]
         tests = [_test(plane, radius, feed, d, way, setup) for way in order for d in _DIRECTIONS]
-        mill = make_mill(
-            seed=_SESSION + seed + done, corrections={"compensated": served, "oracle": oracle}
-        )
+        mill = make_mill(seed=_SESSION + seed + done, corrections={"compensated": served, "oracle": oracle})
         for test, run in zip(tests, mill.measure(tests), strict=True):
             correction = bundle.model_sha256 if test.correction == "compensated" else ""
             started = (datetime.fromisoformat(run.meta.started) + day).isoformat()
@@ -135,13 +133,15 @@ def measured_mill(
     )
 
 
-def _test(
-    plane: Plane, radius: float, feed: float, direction: Direction, way: str, setup: str
-) -> CircularTest:
+def _test(plane: Plane, radius: float, feed: float, direction: Direction, way: str, setup: str) -> CircularTest:
     return CircularTest(
-        plane=plane, direction=direction, radius_mm=radius, feed_mm_min=feed,
-        setup=setup, correction="" if way == "uncompensated" else way,
-    )  # fmt: skip
+        plane=plane,
+        direction=direction,
+        radius_mm=radius,
+        feed_mm_min=feed,
+        setup=setup,
+        correction="" if way == "uncompensated" else way,
+    )
 
 
 def _oracle(
@@ -158,9 +158,7 @@ def _oracle(
     return oracle_correction(bundle, known, delay_s)
 
 
-def oracle_correction(
-    bundle: Bundle, known: Mapping[str, tuple[Floats, Floats]], delay_s: float
-) -> Correction:
+def oracle_correction(bundle: Bundle, known: Mapping[str, tuple[Floats, Floats]], delay_s: float) -> Correction:
     """Return a correction from an error that is known, under the guard of a bundle.
 
     Parameters
@@ -188,9 +186,7 @@ def oracle_correction(
     return correct
 
 
-def _states(
-    test: CircularTest, command: Command, covariates: Mapping[str, float]
-) -> dict[str, Floats]:
+def _states(test: CircularTest, command: Command, covariates: Mapping[str, float]) -> dict[str, Floats]:
     """Return what the control tells of the commanded path at every tick."""
     phase = command.phase_rad[::_EVERY]
     first, second = command.velocity_mm_s[:, ::_EVERY]

@@ -66,9 +66,7 @@ def _after_start(rows: Rows) -> tuple[Floats, Floats]:
 
 def _run_after_start(run: TickRun) -> tuple[Floats, Floats]:
     since = run.inputs[:, input_column("segment_time_s")].astype(float)
-    start = np.maximum.accumulate(
-        np.where(np.diff(since, prepend=1.0) < 0, np.arange(since.size), 0)
-    )[run.arc]
+    start = np.maximum.accumulate(np.where(np.diff(since, prepend=1.0) < 0, np.arange(since.size), 0))[run.arc]
     q1 = run.inputs[:, input_column("q1_rad")].astype(float)
     radial, tangent = input_column("radial_x_1"), input_column("tangent_x_1")
     seen = _turned(run.inputs[run.arc, radial : radial + 3].astype(float), q1[run.arc])
@@ -84,9 +82,7 @@ def _turned(vector: Floats, q1: Floats) -> Floats:
     return np.column_stack([x * cos + y * sin, y * cos - x * sin, z])
 
 
-def _explained(
-    left: Floats, since_s: Floats, directions: Floats, mode: Mode
-) -> tuple[float, Floats]:
+def _explained(left: Floats, since_s: Floats, directions: Floats, mode: Mode) -> tuple[float, Floats]:
     """Return the sum of squares that a mode takes from a residual, and its prediction."""
     w = 2.0 * np.pi * mode.frequency_hz
     decay = np.exp(-mode.damping_ratio * w * since_s)

@@ -76,12 +76,8 @@ def _joint_state(rows: Rows) -> tuple[Floats, Floats, Floats]:
     """Return joint angles, levers and loaded flanks at the rows, shapes (n, 6)."""
     first_q, first_lever = input_column("q1_rad"), input_column("lever_1_mm_rad")
     q = np.concatenate([run.inputs[run.arc, first_q : first_q + 6] for run in rows.runs])
-    lever = np.concatenate(
-        [run.inputs[run.arc, first_lever : first_lever + 6] for run in rows.runs]
-    )
-    flank = np.concatenate(
-        [_flank(run.inputs[:, first_q : first_q + 6].astype(float))[run.arc] for run in rows.runs]
-    )
+    lever = np.concatenate([run.inputs[run.arc, first_lever : first_lever + 6] for run in rows.runs])
+    flank = np.concatenate([_flank(run.inputs[:, first_q : first_q + 6].astype(float))[run.arc] for run in rows.runs])
     return q.astype(float), lever.astype(float), flank
 
 

@@ -40,9 +40,10 @@ class SwarmSettings:
     def __post_init__(self) -> None:
         if self.particles < 2 or self.iterations < 1:
             raise InputError(
-                "a swarm needs two particles and one iteration", code="swarm.size",
+                "a swarm needs two particles and one iteration",
+                code="swarm.size",
                 got=f"{self.particles} particles, {self.iterations} iterations",
-            )  # fmt: skip
+            )
 
 
 @dataclass(frozen=True)
@@ -68,9 +69,7 @@ class SwarmResult:
 
 
 def minimise(
-    function: Callable[[Floats], float],
-    bounds: Sequence[tuple[float, float]],
-    settings: SwarmSettings,
+    function: Callable[[Floats], float], bounds: Sequence[tuple[float, float]], settings: SwarmSettings
 ) -> SwarmResult:
     """Return the best place that a swarm finds inside of bounds.
 

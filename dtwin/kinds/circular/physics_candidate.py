@@ -24,9 +24,14 @@ _BOX_MARGIN = 0.02
 
 
 def physics_candidate(
-    fit: PhysicsFit, scores: Mapping[str, Scores], fresh_run_um: float, machine: str, *, horizon_s: float,
+    fit: PhysicsFit,
+    scores: Mapping[str, Scores],
+    fresh_run_um: float,
+    machine: str,
+    *,
+    horizon_s: float,
     table_versions: dict[str, int],
-) -> Candidate:  # fmt: skip
+) -> Candidate:
     """Return the proposed equation of a physics fit.
 
     Parameters
@@ -64,9 +69,7 @@ def physics_candidate(
             "equation.txt": equation_text(fit.library, weights),
             "equation.tex": to_latex(graph),
             "equation.py": to_python(graph),
-            "equation.c": to_c(
-                graph, bundle.tick_inputs, tuple(bundle.initial_state), ("radial_um",)
-            ),
+            "equation.c": to_c(graph, bundle.tick_inputs, tuple(bundle.initial_state), ("radial_um",)),
         },
         bundle=bundle.to_dict(),
         findings=tuple(_findings(fit, design)),
@@ -80,9 +83,7 @@ def physics_candidate(
     )
 
 
-def _physics_bundle(
-    fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]
-) -> Bundle:
+def _physics_bundle(fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]) -> Bundle:
     """Freeze the chosen terms into a bundle.
 
     Parameters
@@ -159,8 +160,7 @@ def _findings(fit: PhysicsFit, design: Floats) -> list[str]:
     """Say which terms do nothing."""
     share = np.std(design * fit.weights, axis=0) / max(float(np.std(fit.rows.target_um)), 1e-12)
     return [
-        f"{fit.library.names[i]} contributes {100 * s:.2g} % of the error's spread: "
-        "nearly constant or never firing"
+        f"{fit.library.names[i]} contributes {100 * s:.2g} % of the error's spread: nearly constant or never firing"
         for i, s in zip(fit.chosen, share, strict=True)
         if s < DEAD_SHARE
     ]

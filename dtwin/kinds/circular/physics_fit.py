@@ -77,9 +77,7 @@ class PhysicsFit:
     lag_shift_s: float
 
 
-def fit_physics(
-    rows: Rows, columns: TermColumns | None = None, progress: Progress | None = None
-) -> PhysicsFit:
+def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progress | None = None) -> PhysicsFit:
     """Fit the library to a campaign.
 
     Parameters
@@ -105,14 +103,10 @@ def fit_physics(
     cells = _cell_sums(rows, design, absorbed)
     chosen, front = _front(library, cells)
     weights = solve(total(list(cells.values())).take(chosen), _RIDGE)
-    return PhysicsFit(
-        rows, library, design, absorbed, tuple(chosen), weights, tuple(front), shift_s
-    )
+    return PhysicsFit(rows, library, design, absorbed, tuple(chosen), weights, tuple(front), shift_s)
 
 
-def predicted_left_out(
-    rows: Rows, group: str, columns: TermColumns, progress: Progress | None = None
-) -> Floats:
+def predicted_left_out(rows: Rows, group: str, columns: TermColumns, progress: Progress | None = None) -> Floats:
     """Predict every row by an equation that saw nothing of the row's group.
 
     Orders, modes, alignment of the runs, number of terms and coefficients are all found again
@@ -176,9 +170,7 @@ def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> Cells:
     for first, second in sorted({*zip(*(label.tolist() for label in labels), strict=True)}):
         inside = (labels[0] == first) & (labels[1] == second) & rows.scored
         if inside.any():
-            cells[(float(first), float(second))] = sums_of(
-                design[inside], rows.target_um[inside], absorbed[inside]
-            )
+            cells[(float(first), float(second))] = sums_of(design[inside], rows.target_um[inside], absorbed[inside])
     return cells
 
 
@@ -223,9 +215,7 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
             apart = [np.mean((run.target_um(lags[i] + d) - wanted) ** 2) for d in steps]
             moved[i] = steps[int(np.argmin(apart))]
         lags += moved - moved.mean()
-        rows = gather(
-            [replace(run, lag_s=float(lag)) for run, lag in zip(rows.runs, lags, strict=True)]
-        )
+        rows = gather([replace(run, lag_s=float(lag)) for run, lag in zip(rows.runs, lags, strict=True)])
     return rows, float(np.sqrt(np.mean((lags - start) ** 2)))
 
 

@@ -41,9 +41,7 @@ def programs(plan: Plan) -> dict[str, str]:
     """Return G-code and URScript of every test, by file name."""
     makers = {".nc": gcode, ".script": urscript}
     return {
-        f"{test.test_id}{suffix}": make(test, plan.directions)
-        for test in plan.tests
-        for suffix, make in makers.items()
+        f"{test.test_id}{suffix}": make(test, plan.directions) for test in plan.tests for suffix, make in makers.items()
     }
 
 

@@ -61,19 +61,13 @@ def ur10e_geometry(centre_mm: Sequence[float], zero_deg: float) -> dict[str, Any
     branch[[0, 5]] += turn
     return {
         "type": "ur10e",
-        "centre_mm": [
-            float(x * np.cos(turn) - y * np.sin(turn)),
-            float(x * np.sin(turn) + y * np.cos(turn)),
-            float(z),
-        ],
+        "centre_mm": [float(x * np.cos(turn) - y * np.sin(turn)), float(x * np.sin(turn) + y * np.cos(turn)), float(z)],
         "tcp_mm": [0.0, 0.0, 158.3],
         "joint_branch": branch.tolist(),
     }
 
 
-def study_recording(
-    path: Path, library: Mapping[str, Effect], geometry: Mapping[str, Any] | None = None
-) -> Study:
+def study_recording(path: Path, library: Mapping[str, Effect], geometry: Mapping[str, Any] | None = None) -> Study:
     """Align a ball-bar file by its stops, fit on one pass and judge on the other.
 
     Parameters
@@ -119,16 +113,12 @@ def _ladders(
         tried["cartesian+joints"] = (True, False)
     tried["everything"] = (has_joints(geometry), True)
     return {
-        name: models.grow(
-            passes, base, list(models.candidate_terms(library, state, joints=joints, clock=clock))
-        )
+        name: models.grow(passes, base, list(models.candidate_terms(library, state, joints=joints, clock=clock)))
         for name, (joints, clock) in tried.items()
     }
 
 
-def _recording(
-    test: BallbarTest, passes: models.Passes, geometry: Mapping[str, Any]
-) -> dict[str, Any]:
+def _recording(test: BallbarTest, passes: models.Passes, geometry: Mapping[str, Any]) -> dict[str, Any]:
     stretches = [s for a in passes.aligned for s in a.stretches]
     return {
         "machine": test.machine,
@@ -211,9 +201,7 @@ def _chosen_harmonics(passes: models.Passes, most: int) -> dict[str, Any]:
     }
 
 
-def _unseen_by_rung(
-    passes: models.Passes, base: Sequence[Term], rungs: Sequence[models.Rung]
-) -> list[float]:
+def _unseen_by_rung(passes: models.Passes, base: Sequence[Term], rungs: Sequence[models.Rung]) -> list[float]:
     columns = models.stack([passes.columns(term) for term in base])
     found = []
     for rung in rungs:
@@ -240,9 +228,7 @@ def _rung(rung: models.Rung) -> dict[str, Any]:
     }
 
 
-def _alone(
-    passes: models.Passes, base: Sequence[Term], library: Mapping[str, Effect]
-) -> list[dict[str, Any]]:
+def _alone(passes: models.Passes, base: Sequence[Term], library: Mapping[str, Effect]) -> list[dict[str, Any]]:
     """Return what each family does alone, added to the set-up, at its best shape."""
     state = passes.aligned[0].state
     pool = list(models.candidate_terms(library, state, joints=True, clock=True))
@@ -259,14 +245,7 @@ def _alone(
         best = models.best_of(passes, base, terms)
         if best is not None:
             term, left = best
-            found.append(
-                {
-                    "family": name,
-                    "label": term.label,
-                    "shape": dict(term.shape),
-                    "held_out_um": left,
-                }
-            )
+            found.append({"family": name, "label": term.label, "shape": dict(term.shape), "held_out_um": left})
     return found
 
 
@@ -316,9 +295,7 @@ def _plan(rungs: Sequence[models.Rung], passes: models.Passes) -> list[dict[str,
             "tells": "what the stops excite moves along with them, what belongs to the place stays",
         },
     ]
-    if any(name.startswith("joint_") for name in names) or has_joints(
-        passes.aligned[0].state.geometry
-    ):
+    if any(name.startswith("joint_") for name in names) or has_joints(passes.aligned[0].state.geometry):
         plan.append(
             {
                 **now,

@@ -11,9 +11,7 @@ _HIGHEST = 90
 _PER_ORDER = 3
 
 
-def chosen_harmonics(
-    passes: Passes, most: int, *, by_direction: bool
-) -> tuple[int, tuple[Floats, Floats]]:
+def chosen_harmonics(passes: Passes, most: int, *, by_direction: bool) -> tuple[int, tuple[Floats, Floats]]:
     """Return harmonics added one after the other by what they leave on the other pass.
 
     An order counts as three parameters: two amplitudes and its number, as shapes of effects do.

@@ -50,10 +50,7 @@ class Passes:
             At the angles that the file states, not at the aligned ones.
         """
         effect, axis = term.instance.effect, term.instance.axis
-        whole = [
-            effect.columns(a.file_state if by_file else a.state, axis, term.shape)
-            for a in self.aligned
-        ]
+        whole = [effect.columns(a.file_state if by_file else a.state, axis, term.shape) for a in self.aligned]
         return self.both(whole)
 
     def both(self, whole: Sequence[Floats]) -> tuple[Floats, Floats]:
@@ -113,9 +110,7 @@ def setup_terms(library: Mapping[str, Effect], state: State) -> list[Term]:
     ]
 
 
-def candidate_terms(
-    library: Mapping[str, Effect], state: State, *, joints: bool, clock: bool
-) -> Iterator[Term]:
+def candidate_terms(library: Mapping[str, Effect], state: State, *, joints: bool, clock: bool) -> Iterator[Term]:
     """Return every effect at every shape that may be tried.
 
     Parameters
@@ -163,9 +158,7 @@ def judge(y: tuple[Floats, Floats], columns: tuple[Floats, Floats]) -> tuple[flo
     return float(np.sqrt(inside)), float(np.sqrt(outside))
 
 
-def left_by_the_other(
-    y: tuple[Floats, Floats], columns: tuple[Floats, Floats]
-) -> tuple[Floats, Floats]:
+def left_by_the_other(y: tuple[Floats, Floats], columns: tuple[Floats, Floats]) -> tuple[Floats, Floats]:
     """Return what is left of each pass by the model fitted to the other, each of shape (n,)."""
     by_second = np.linalg.lstsq(columns[1], y[1], rcond=_RANK)[0]
     by_first = np.linalg.lstsq(columns[0], y[0], rcond=_RANK)[0]
@@ -208,9 +201,7 @@ def grow(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) -> li
     return rungs
 
 
-def best_of(
-    passes: Passes, base: Sequence[Term], candidates: Sequence[Term]
-) -> tuple[Term, float] | None:
+def best_of(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) -> tuple[Term, float] | None:
     """Return the one effect that helps most on the other pass, and the RMS it leaves in um.
 
     Parameters
@@ -252,9 +243,7 @@ def unseen_path_um(passes: Passes, columns: tuple[Floats, Floats], block: int = 
     return float(np.sqrt(total / (2 * fold.size)))
 
 
-def harmonic_columns(
-    passes: Passes, parameters: int, *, by_direction: bool
-) -> tuple[Floats, Floats]:
+def harmonic_columns(passes: Passes, parameters: int, *, by_direction: bool) -> tuple[Floats, Floats]:
     """Return the lowest harmonics of the aligned angle, as many columns as asked for.
 
     Parameters
@@ -292,9 +281,7 @@ def stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
     return np.hstack([p[0] for p in parts]), np.hstack([p[1] for p in parts])
 
 
-def gains_um(
-    y: tuple[Floats, Floats], model: tuple[Floats, Floats], pool: Sequence[tuple[Floats, Floats]]
-) -> Floats:
+def gains_um(y: tuple[Floats, Floats], model: tuple[Floats, Floats], pool: Sequence[tuple[Floats, Floats]]) -> Floats:
     """Return the RMS on the other pass with each candidate added, in um, shape (candidates,).
 
     Parameters

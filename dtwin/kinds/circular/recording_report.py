@@ -37,9 +37,7 @@ def recording_text(result: Mapping[str, Any]) -> str:
     return "\n".join(parts)
 
 
-def recording_sections(
-    result: Mapping[str, Any], curves: Mapping[str, tuple[Floats, Floats]]
-) -> list[Section]:
+def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Floats, Floats]]) -> list[Section]:
     """Return the sections of a page.
 
     Parameters
@@ -83,9 +81,7 @@ def waterfall(result: Mapping[str, Any]) -> go.Figure:
     figure = go.Figure(go.Bar(x=names, y=heights, text=[f"{h:z.1f}" for h in heights]))
     lines = (("look-up of the other pass", "look_up_um"), ("within-run floor", "floor_um"))
     for name, key in lines:
-        figure.add_hline(
-            y=result[key], line={"dash": "dash"}, annotation_text=f"{name} {result[key]:z.1f} um"
-        )
+        figure.add_hline(y=result[key], line={"dash": "dash"}, annotation_text=f"{name} {result[key]:z.1f} um")
     figure.update_layout(title="Error on the pass that was not fitted", yaxis_title="RMS, um")
     return styled(figure)
 
@@ -128,11 +124,15 @@ def _vendor(result: Mapping[str, Any]) -> list[str]:
 def _rungs(rungs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     return [
         [
-            r["label"], _shape(r["shape"]), str(r["parameters"]), f"{r['fit_um']:z.1f}",
-            f"{r['held_out_um']:z.1f}", r["grade"],
+            r["label"],
+            _shape(r["shape"]),
+            str(r["parameters"]),
+            f"{r['fit_um']:z.1f}",
+            f"{r['held_out_um']:z.1f}",
+            r["grade"],
         ]
         for r in rungs
-    ]  # fmt: skip
+    ]
 
 
 def _shape(shape: Mapping[str, float]) -> str:
@@ -147,19 +147,13 @@ def _alone(one: Mapping[str, Any]) -> str:
 def _models(result: Mapping[str, Any]) -> list[list[str]]:
     rows = [
         ["centre and radius", "3", result["setup_only_um"], result["setup_only_unseen_path_um"]],
-        [
-            f"effects ({result['best']})", str(result["parameters"]), result["held_out_um"],
-            result["unseen_path_um"],
-        ],
-    ]  # fmt: skip
+        [f"effects ({result['best']})", str(result["parameters"]), result["held_out_um"], result["unseen_path_um"]],
+    ]
     for name, one in result["harmonics"].items():
         label = f"harmonics, {name.replace('_', ' ')}, best up to {one['at_most']}"
         rows.append([label, str(one["parameters"]), one["held_out_um"], one["unseen_path_um"]])
     shown = [[r[0], r[1], f"{r[2]:z.1f}", f"{r[3]:z.1f}"] for r in rows]
-    return [
-        *shown,
-        ["look-up of the other pass", "every sample", f"{result['look_up_um']:z.1f}", "-"],
-    ]
+    return [*shown, ["look-up of the other pass", "every sample", f"{result['look_up_um']:z.1f}", "-"]]
 
 
 def _conclusion(result: Mapping[str, Any]) -> list[str]:
@@ -190,16 +184,11 @@ def _waves_elsewhere(result: Mapping[str, Any], effects_um: float) -> str:
 
 def _against(result: Mapping[str, Any]) -> str:
     held_out = result["held_out_um"]
-    rivals = {
-        f"harmonics ({n.replace('_', ' ')})": h["held_out_um"]
-        for n, h in result["harmonics"].items()
-    }
+    rivals = {f"harmonics ({n.replace('_', ' ')})": h["held_out_um"] for n, h in result["harmonics"].items()}
     if result["vendor"]["stated_um"] is not None:
         rivals["what the vendor states"] = result["vendor"]["stated_um"]
     rivals["the look-up"] = result["look_up_um"]
-    said = [
-        f"{'below' if held_out < r else 'not below'} {n}, {r:z.1f} um" for n, r in rivals.items()
-    ]
+    said = [f"{'below' if held_out < r else 'not below'} {n}, {r:z.1f} um" for n, r in rivals.items()]
     return f"On the pass not fitted the effects leave {held_out:z.1f} um: {'; '.join(said)}."
 
 

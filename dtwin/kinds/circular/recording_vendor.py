@@ -17,9 +17,16 @@ from dtwin.schema import Floats
 from dtwin.statistics import rms
 
 _KINDS = (
-    "scale_mismatch", "squareness", "straightness", "backlash", "backlash_taper", "lateral_play",
-    "lateral_play_taper", "reversal_spike", "servo_mismatch",
-)  # fmt: skip
+    "scale_mismatch",
+    "squareness",
+    "straightness",
+    "backlash",
+    "backlash_taper",
+    "lateral_play",
+    "lateral_play_taper",
+    "reversal_spike",
+    "servo_mismatch",
+)
 _CYCLIC = "cyclic_error_by_direction"
 _PITCH = "AF_CYCLIC_PITCH_"
 _RANK = 1e-6
@@ -64,13 +71,7 @@ def _columns(state: State, terms: list[Term]) -> Floats:
     """Return the terms, the fourth harmonic, and a centre and radius that turn with direction."""
     theta, sign = state.angle_rad, state.direction
     extra = np.stack(
-        [
-            np.sin(4.0 * theta),
-            sign * np.ones_like(theta),
-            sign * np.cos(theta),
-            sign * np.sin(theta),
-        ],
-        axis=1,
+        [np.sin(4.0 * theta), sign * np.ones_like(theta), sign * np.cos(theta), sign * np.sin(theta)], axis=1
     )
     own = [t.instance.effect.columns(state, t.instance.axis, t.shape) for t in terms]
     return np.hstack([*own, extra])

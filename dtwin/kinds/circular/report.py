@@ -59,9 +59,7 @@ def _whole_turn(run: Run, motion: Motion) -> slice | None:
 def _spectrum(run: Run, window: slice) -> dict[str, Any]:
     assert run.meta.radius_mm is not None
     angle, deviation = run.samples["angle_deg"][window], run.samples["deviation_um"][window]
-    rest = residual_um(
-        angle, deviation, run.meta.radius_mm, fit_circle(angle, deviation, run.meta.radius_mm)
-    )
+    rest = residual_um(angle, deviation, run.meta.radius_mm, fit_circle(angle, deviation, run.meta.radius_mm))
     lines, bands = strongest_lines(rest, run.meta.sample_rate_hz)
     return {
         "lines": [{"frequency_hz": f, "amplitude_um": a} for f, a in lines],

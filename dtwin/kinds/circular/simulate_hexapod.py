@@ -77,16 +77,18 @@ class VirtualHexapodBench:
         rate_hz = self.machine.parameters.bar.rate_hz
         number = 2 * int(test.test_id[1:]) + (direction == "CW")
         meta = RunMeta(
-            f"{test.test_id}-{direction.lower()}", plane=test.plane, direction=direction,
-            radius_mm=test.radius_mm, feed_mm_min=test.feed_mm_min, repeat=test.repeat,
-            setup=test.setup, started=(_EPOCH + number * _BETWEEN).isoformat(),
-            sample_rate_hz=rate_hz, covariates={"temperature_c": 20.0},
-        )  # fmt: skip
-        samples = {
-            "t_s": found.t_s,
-            "angle_deg": found.angle_deg,
-            "deviation_um": found.deviation_um,
-        }
+            f"{test.test_id}-{direction.lower()}",
+            plane=test.plane,
+            direction=direction,
+            radius_mm=test.radius_mm,
+            feed_mm_min=test.feed_mm_min,
+            repeat=test.repeat,
+            setup=test.setup,
+            started=(_EPOCH + number * _BETWEEN).isoformat(),
+            sample_rate_hz=rate_hz,
+            covariates={"temperature_c": 20.0},
+        )
+        samples = {"t_s": found.t_s, "angle_deg": found.angle_deg, "deviation_um": found.deviation_um}
         return Run(meta, samples, found.window, (found.vibration,), "virtual hexapod")
 
     def close(self) -> None:

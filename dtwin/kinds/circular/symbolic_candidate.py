@@ -127,9 +127,7 @@ def _elbow(fitted: list[FittedFormula]) -> FittedFormula:
     return min((f for f in fitted if f.rms <= limit), key=lambda f: f.complexity)
 
 
-def _bundle(
-    rows: Rows, best: FittedFormula, engine: str, machine: str, table_versions: dict[str, int]
-) -> Bundle:
+def _bundle(rows: Rows, best: FittedFormula, engine: str, machine: str, table_versions: dict[str, int]) -> Bundle:
     builder = GraphBuilder()
     graph = builder.graph({"radial_um": best.formula.build(builder, best.constants.tolist())})
     columns = _columns(rows)

@@ -28,9 +28,8 @@ class TermColumns:
         self._kept: dict[tuple[str, Gear | Mode | None], NDArray[np.float32]] = {}
 
     def of(
-        self, library: Library, runs: Sequence[TickRun], only: Sequence[int] | None = None,
-        *, every: int = 1,
-    ) -> Floats:  # fmt: skip
+        self, library: Library, runs: Sequence[TickRun], only: Sequence[int] | None = None, *, every: int = 1
+    ) -> Floats:
         """Return terms at the rows of runs, one run after the other, shape (rows, terms).
 
         Parameters

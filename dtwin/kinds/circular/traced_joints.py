@@ -52,6 +52,4 @@ def traced_joints(builder: GraphBuilder, horizon_s: float) -> TracedJoints:
     if horizon_s:
         angle = [q + horizon_s * qd for q, qd in zip(angle, speed, strict=True)]
     lever = [builder.input(f"lever_{j}_mm_rad") for j in numbers]
-    return TracedJoints(
-        Traced(angle, table=True), Traced(speed, table=True), Traced(lever, table=True)
-    )
+    return TracedJoints(Traced(angle, table=True), Traced(speed, table=True), Traced(lever, table=True))

@@ -15,14 +15,7 @@ from dtwin.kinds.circular.symbolic_candidate import symbolic_candidate
 from dtwin.kinds.circular.term_columns import TermColumns
 from dtwin.progress import StageProgress
 from dtwin.store import Lake
-from dtwin.train.candidates import (
-    RECIPES,
-    Recipe,
-    baselines,
-    held_out_groups,
-    score,
-    train_recipe,
-)
+from dtwin.train.candidates import RECIPES, Recipe, baselines, held_out_groups, score, train_recipe
 from dtwin.train.dataset import load_ticks
 from dtwin.train.inputs import generic_inputs
 from dtwin.train.results import Candidate, Training, TrainingReport
@@ -91,10 +84,7 @@ def train_campaign(
     def again(done: int, of: int, what: str) -> None:
         tell("the same search without what is predicted", done, of, what)
 
-    scores = {
-        g: score(rows, predicted_left_out(rows, g, columns, again), g)
-        for g in held_out_groups(rows)
-    }
+    scores = {g: score(rows, predicted_left_out(rows, g, columns, again), g) for g in held_out_groups(rows)}
     found = [
         physics_candidate(
             fit,
@@ -108,9 +98,7 @@ def train_campaign(
     compared = thinned(rows, _COMPARED_EVERY)
     found += baselines(compared)
     found.append(
-        symbolic_candidate(
-            compared, engine or OperonEngine(), campaign.machine, seed=seed, table_versions=versions
-        )
+        symbolic_candidate(compared, engine or OperonEngine(), campaign.machine, seed=seed, table_versions=versions)
     )
     inputs = generic_inputs(compared)
     usable = [r for r in recipes if r.columns != "sensor" or inputs.sensor.any()]

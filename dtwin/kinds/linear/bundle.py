@@ -40,9 +40,7 @@ def printed_pair(network: LatheNetwork) -> DualNet:
     return DualNet(_as_net(network.full), _as_net(network.cyclic), PITCH_IN)
 
 
-def deployed_bundle(
-    pair: DualNet, name: str, machine: str, reach_in: tuple[float, float] = MAPPED_IN
-) -> Bundle:
+def deployed_bundle(pair: DualNet, name: str, machine: str, reach_in: tuple[float, float] = MAPPED_IN) -> Bundle:
     """Return the equation as the published program evaluates it, to the error instead of its negative.
 
     The remainder of the position by the pitch is taken by subtracting halved lengths, which is exact.
@@ -66,14 +64,18 @@ def deployed_bundle(
     graph = builder.graph({OUTPUT: (slow + fast) * UM_PER_IN})
     return create_bundle(
         corrects="linear",
-        name=name, machine=machine, model_version=1,
+        name=name,
+        machine=machine,
+        model_version=1,
         inputs=(
             Input(DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0),
             Input(POSITION, "in", "none", RATE_HZ, "controller", *reach_in),
         ),
-        outputs=(Output(OUTPUT, "base_z"),), tick_graph=graph, safety=SAFETY,
+        outputs=(Output(OUTPUT, "base_z"),),
+        tick_graph=graph,
+        safety=SAFETY,
         provenance=Provenance(code_version=__version__, evidence="none"),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
@@ -98,14 +100,10 @@ class Harmonics:
         waves: Floats = np.sin(angle) @ self.sine + np.cos(angle) @ self.cosine
         return waves + self.constant
 
-    def expression(
-        self, builder: GraphBuilder, waves: Sequence[tuple[Expression, Expression]]
-    ) -> Expression:
+    def expression(self, builder: GraphBuilder, waves: Sequence[tuple[Expression, Expression]]) -> Expression:
         """Return the cyclic error as a term of a graph, of (sine, cosine) by order."""
         terms: list[Expression | float] = [self.constant]
-        for (sine, cosine), a, b in zip(
-            waves, self.sine.tolist(), self.cosine.tolist(), strict=True
-        ):
+        for (sine, cosine), a, b in zip(waves, self.sine.tolist(), self.cosine.tolist(), strict=True):
             terms += [sine * a, cosine * b]
         return builder.total(terms)
 
@@ -191,9 +189,7 @@ def flanks_of(
     return Flanks(full, forward, reverse, pitch_in, reach_in)
 
 
-def flanks_bundle(
-    flanks: Flanks, name: str, machine: str, travel_in: tuple[float, float]
-) -> Bundle:
+def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_in: tuple[float, float]) -> Bundle:
     """Return the equation of two fitted flanks, with a memory for the play.
 
     Parameters
@@ -217,10 +213,14 @@ Limit = Callable[[Expression], Expression]
 
 
 def remembering_bundle(
-    builder: GraphBuilder, limits: Sequence[Limit], name: str, machine: str,
-    travel_in: tuple[float, float], safety: SafetyLimits = SAFETY,
+    builder: GraphBuilder,
+    limits: Sequence[Limit],
+    name: str,
+    machine: str,
+    travel_in: tuple[float, float],
+    safety: SafetyLimits = SAFETY,
     table_versions: Mapping[str, int] | None = None,
-) -> Bundle:  # fmt: skip
+) -> Bundle:
     """Return an equation with a memory for the play: no flag, no seam, ends held.
 
     The slide stays where it is until a flank reaches it, so the correction never changes by more than
@@ -252,14 +252,16 @@ def remembering_bundle(
     graph = builder.graph({OUTPUT: (slide - position) * UM_PER_IN}, {"slide_in": slide})
     return create_bundle(
         corrects="linear",
-        name=name, machine=machine, model_version=1,
+        name=name,
+        machine=machine,
+        model_version=1,
         inputs=(Input(POSITION, "in", "none", RATE_HZ, "controller", *travel_in),),
-        outputs=(Output(OUTPUT, "base_z"),), states=(State("slide_in", "in", travel_in[0] - _FAR_IN),),
-        tick_graph=graph, safety=safety,
-        provenance=Provenance(
-            code_version=__version__, evidence="none", table_versions=dict(table_versions or {})
-        ),
-    )  # fmt: skip
+        outputs=(Output(OUTPUT, "base_z"),),
+        states=(State("slide_in", "in", travel_in[0] - _FAR_IN),),
+        tick_graph=graph,
+        safety=safety,
+        provenance=Provenance(code_version=__version__, evidence="none", table_versions=dict(table_versions or {})),
+    )
 
 
 def held(builder: GraphBuilder, position: Expression, reach_in: tuple[float, float]) -> Expression:
@@ -268,9 +270,7 @@ def held(builder: GraphBuilder, position: Expression, reach_in: tuple[float, flo
     return builder.apply("min", builder.apply("max", position, low), high)
 
 
-def _flank(
-    builder: GraphBuilder, flanks: Flanks, way: float, cyclic: Harmonics, position: Expression
-) -> Expression:
+def _flank(builder: GraphBuilder, flanks: Flanks, way: float, cyclic: Harmonics, position: Expression) -> Expression:
     """Return one flank's limit at a position of the screw."""
     x = held(builder, position, flanks.reach_in)
     waves = []

@@ -53,21 +53,23 @@ def judge_linear_run(run: Run) -> list[Finding]:
     if largest > MAX_ERROR_UM:
         findings.append(
             Finding(
-                "reading.out_of_range", "error",
+                "reading.out_of_range",
+                "error",
                 f"an error of {largest:z.0f} um is beyond any slide: wrong unit, a lost beam, or the "
                 "laser was not zeroed at the first target",
                 {"largest_um": largest},
             )
-        )  # fmt: skip
+        )
     constant = _longest_constant(error)
     if constant >= _STUCK_READINGS:
         findings.append(
             Finding(
-                "reading.stuck", "error",
+                "reading.stuck",
+                "error",
                 f"{constant} equal errors in a row: the beam was broken or the laser not read",
                 {"readings_1": float(constant)},
             )
-        )  # fmt: skip
+        )
     pitch = run.meta.condition.get("screw_pitch_mm")
     if isinstance(pitch, float):
         findings += _aliased(_targets_of(position), pitch)
@@ -86,11 +88,12 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
     if len(runs) == 1:
         findings.append(
             Finding(
-                "campaign.no_repeat", "warning",
+                "campaign.no_repeat",
+                "warning",
                 "one run only: repeatability and noise floor are unknown",
                 {"conditions_1": 1.0},
             )
-        )  # fmt: skip
+        )
     return findings + _drift(runs)
 
 
@@ -101,10 +104,9 @@ def _missed(run: Run) -> list[Finding]:
     if len(ways) == 1:
         return [
             Finding(
-                "linear.one_direction", "warning",
-                f"the targets were approached {ways[0]} only: play cannot be seen",
+                "linear.one_direction", "warning", f"the targets were approached {ways[0]} only: play cannot be seen"
             )
-        ]  # fmt: skip
+        ]
     absent: list[float] = []
     twice = 0
     for way in ways:
@@ -116,20 +118,22 @@ def _missed(run: Run) -> list[Finding]:
     if absent:
         findings.append(
             Finding(
-                "linear.missed_targets", "error",
+                "linear.missed_targets",
+                "error",
                 f"{len(absent)} readings of {2 * len(wanted)} are missing, the first at "
                 f"{absent[0]:z.3f} mm: window too small, or the dwell too short",
                 {"missed_1": float(len(absent)), "first_mm": float(absent[0])},
             )
-        )  # fmt: skip
+        )
     if twice:
         findings.append(
             Finding(
-                "linear.read_twice", "warning",
+                "linear.read_twice",
+                "warning",
                 f"{twice} targets were read more than once in one sweep",
                 {"readings_1": float(twice)},
             )
-        )  # fmt: skip
+        )
     return findings
 
 
@@ -141,12 +145,13 @@ def _aliased(wanted: Floats, pitch_mm: float) -> list[Finding]:
     seen = "one angle" if phases == 1 else f"{phases} angles"
     return [
         Finding(
-            "linear.step_divides_pitch", "warning",
+            "linear.step_divides_pitch",
+            "warning",
             f"the step of {step:z.3f} mm meets the screw (pitch {pitch_mm:g} mm) at {seen} only: its "
             "cyclic error is folded into the slow error, and a table made of this does not see it",
             {"step_mm": step, "phases_1": float(phases)},
         )
-    ]  # fmt: skip
+    ]
 
 
 def _drift(runs: Sequence[Run]) -> list[Finding]:
@@ -172,13 +177,14 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
     drift_um, noise_um = math.sqrt(max(variance - noise, 0.0)), math.sqrt(noise)
     return [
         Finding(
-            "linear.drift", "warning",
+            "linear.drift",
+            "warning",
             f"the runs disagree by drift, not by noise: {drift_um:z.2f} um RMS wander from run to "
             f"run, {noise_um:z.2f} um RMS from one reading to the next; more runs do not average "
             "it away, log temperatures and shorten the test",
             {"drift_um": drift_um, "noise_um": noise_um},
         )
-    ]  # fmt: skip
+    ]
 
 
 def _run_deviations_um(runs: Sequence[Run]) -> Floats:

@@ -104,20 +104,25 @@ def test_of_runs(obs: Observations) -> LinearTest:
     ways = [obs.sense[rows].tolist() for rows in both]
     if len(both) < _FEWEST_RUNS or any(sorted(way) != [-1.0, 1.0] for way in ways):
         raise InputError(
-            "a correction of a position cannot be judged", code="correct.runs",
-            where=obs.campaign.name, got=f"{len(both)} runs, {ways.count([1.0, -1.0])} of them up and down",
+            "a correction of a position cannot be judged",
+            code="correct.runs",
+            where=obs.campaign.name,
+            got=f"{len(both)} runs, {ways.count([1.0, -1.0])} of them up and down",
             allowed=f"{_FEWEST_RUNS} runs or more, each up and down: one is left out in turn",
             hint="repeat the test: runs = 2 in the plan",
-        )  # fmt: skip
+        )
     everywhere = obs.mask.all(axis=0)
     errors = {
         sense: np.column_stack([obs.y_um[r[obs.sense[r] == sense][0]][everywhere] for r in both])
         for sense in (1.0, -1.0)
     }
     return LinearTest(
-        obs.grid.points[everywhere], errors[1.0], errors[-1.0],
-        int(np.count_nonzero(~everywhere)), pitch_in(obs) * MM_PER_IN,
-    )  # fmt: skip
+        obs.grid.points[everywhere],
+        errors[1.0],
+        errors[-1.0],
+        int(np.count_nonzero(~everywhere)),
+        pitch_in(obs) * MM_PER_IN,
+    )
 
 
 test_of_runs.__test__ = False  # type: ignore[attr-defined]

@@ -20,9 +20,12 @@ def _along(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     """Draw the sweeps over their positions."""
     if not {"position_mm", "direction", "error_um"} <= set(run.samples):
         raise InputError(
-            "the run has no error over a position", code="run.columns", where=run.meta.run_id,
-            got=", ".join(run.samples), allowed="position_mm, direction, error_um",
-        )  # fmt: skip
+            "the run has no error over a position",
+            code="run.columns",
+            where=run.meta.run_id,
+            got=", ".join(run.samples),
+            allowed="position_mm, direction, error_um",
+        )
     position, error = (np.asarray(run.samples[n], float) for n in ("position_mm", "error_um"))
     ways = np.asarray(run.samples["direction"])
     curves = {str(way): (position[ways == way], error[ways == way]) for way in np.unique(ways)}

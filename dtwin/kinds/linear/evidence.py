@@ -26,9 +26,8 @@ _TARGETS = 60
 
 
 def measured_days(
-    bundle: Bundle, logged: Mapping[str, float], truth: str, seed: int,
-    progress: Progress | None = None,
-) -> MeasuredWays:  # fmt: skip
+    bundle: Bundle, logged: Mapping[str, float], truth: str, seed: int, progress: Progress | None = None
+) -> MeasuredWays:
     """Measure the mapped travel on several days with a bundle, and on as many between without.
 
     Every day has its own drift and noise. The oracle is an exact map on the days without.
@@ -52,9 +51,7 @@ def measured_days(
         When the bundle does not correct a position.
     """
     if not is_positioning_bundle(bundle):
-        raise InputError(
-            "the bundle does not correct a position", code="lathe.bundle", got=bundle.name
-        )
+        raise InputError("the bundle does not correct a position", code="lathe.bundle", got=bundle.name)
     reach = logged["mapped_from_in"], logged["mapped_to_in"]
     plan = evidence_plan(reach, logged["screw_pitch_in"], bundle.machine)
     runs: list[Run] = []
@@ -64,9 +61,7 @@ def measured_days(
         first = 1000 * (seed + 1) + 10 * day
         lathe = virtual_lathe(truth, first)
         runs.append(_run_of_test(measured(lathe, plan), plan.axis, 2 * day))
-        oracle.append(
-            _run_of_test(measured(lathe, plan, exact_correction(lathe)), plan.axis, 2 * day)
-        )
+        oracle.append(_run_of_test(measured(lathe, plan, exact_correction(lathe)), plan.axis, 2 * day))
         served = looped(virtual_lathe(truth, first + 1), plan, bundle)
         runs.append(_run_of_test(served.test, plan.axis, 2 * day + 1, bundle.model_sha256))
         guards.append(served.guard)
@@ -74,9 +69,12 @@ def measured_days(
             progress(day + 1, _DAYS, "days")
     shares = guard_shares(guards)
     return MeasuredWays(
-        numbered(runs), CLOCK, {"one cycle of the loop": PERIOD_S}, tuple(oracle),
+        numbered(runs),
+        CLOCK,
+        {"one cycle of the loop": PERIOD_S},
+        tuple(oracle),
         {f"{plan.axis} {way}": shares for way in ("forward", "reverse")},
-    )  # fmt: skip
+    )
 
 
 def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") -> Run:
@@ -102,9 +100,13 @@ def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") ->
         "error_um": np.concatenate([test.forward_um[:, 0], test.reverse_um[::-1, 0]]),
     }
     meta = RunMeta(
-        "e", kind="linear", condition={"axis": axis}, correction=correction, sample_rate_hz=1.0,
+        "e",
+        kind="linear",
+        condition={"axis": axis},
+        correction=correction,
+        sample_rate_hz=1.0,
         started=(EPOCH + timedelta(days=day)).isoformat(),
-    )  # fmt: skip
+    )
     return Run(meta, samples, source="virtual lathe")
 
 
@@ -123,8 +125,16 @@ def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str) 
     low, high = (round(end, 4) for end in reach_in)
     span = round(high - low, 4)
     head = replace(
-        verification_plan(), name="evidence", machine=machine, start=low, end=high, runs=1,
-        step=span / _TARGETS, axis_low=low - 1.0, axis_high=high + 1.0, pitch=pitch_in,
-    )  # fmt: skip
+        verification_plan(),
+        name="evidence",
+        machine=machine,
+        start=low,
+        end=high,
+        runs=1,
+        step=span / _TARGETS,
+        axis_low=low - 1.0,
+        axis_high=high + 1.0,
+        pitch=pitch_in,
+    )
     step = better_step(head, span / 8.0) or head.step
     return replace(head, step=step, window=min(head.window, step / 4.0))

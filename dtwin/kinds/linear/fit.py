@@ -12,12 +12,7 @@ import numpy as np
 from dtwin.kinds.linear.bundle import deployed_bundle, printed_pair
 from dtwin.kinds.linear.gates import positioning_gates
 from dtwin.kinds.linear.loop import campaign_test
-from dtwin.kinds.linear.models import (
-    UM_PER_IN,
-    Averages,
-    PositionModel,
-    averages_of,
-)
+from dtwin.kinds.linear.models import UM_PER_IN, Averages, PositionModel, averages_of
 from dtwin.kinds.linear.training import fit_pair, flanks_from, screw_of, serving_bundle
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
 from dtwin.schema import Floats
@@ -86,9 +81,7 @@ def judged(made: Fitted) -> list[Verdict]:
     return positioning_gates(made.bundle, made.pitch_in, made.reach_in)
 
 
-def write_judged(
-    made: Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False
-) -> bool:
+def write_judged(made: Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False) -> bool:
     """Write a bundle with what the gates said in its provenance; return True.
 
     Parameters

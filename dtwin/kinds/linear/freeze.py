@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear.bundle import (
-    POSITION,
-    ROOM_IN,
-    SAFETY,
-    held,
-    remembering_bundle,
-)
+from dtwin.kinds.linear.bundle import POSITION, ROOM_IN, SAFETY, held, remembering_bundle
 from dtwin.kinds.linear.check import FEWEST_PHASES, phases_of
 from dtwin.kinds.linear.models import MM_PER_IN, UM_PER_IN
 from dtwin.physics.observations import Observations
@@ -62,10 +56,14 @@ def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
     _require_play(kept.twin, obs)
     low, high = reach_in(obs)
     bundle = remembering_bundle(
-        builder, [partial(flanks.limit_in, way=way) for way in WAYS],
-        f"twin-{twin.name}", twin.machine, (low - ROOM_IN, high + ROOM_IN),
-        _safety(kept.twin, obs), {k: v for k, v in twin.data.items() if isinstance(v, int)},
-    )  # fmt: skip
+        builder,
+        [partial(flanks.limit_in, way=way) for way in WAYS],
+        f"twin-{twin.name}",
+        twin.machine,
+        (low - ROOM_IN, high + ROOM_IN),
+        _safety(kept.twin, obs),
+        {k: v for k, v in twin.data.items() if isinstance(v, int)},
+    )
     return TwinBundle(replace(bundle, model_version=0), kept.choices, kept.twin)
 
 
@@ -109,11 +107,13 @@ def pitch_in(obs: Observations) -> float:
     phases = phases_of(obs.grid.points, pitch_mm) if pitch_mm > 0.0 else 0
     if phases < FEWEST_PHASES:
         raise InputError(
-            "the targets do not show the screw", code="lathe.targets", where=obs.campaign.name,
+            "the targets do not show the screw",
+            code="lathe.targets",
+            where=obs.campaign.name,
             got=f"{phases} angles of the screw" if phases else f"no {PITCH}",
             allowed=f"{PITCH} under [campaign.machine_geometry], and at least {FEWEST_PHASES} angles",
             hint="a step that does not divide the pitch: dtwin plan says what a step can show",
-        )  # fmt: skip
+        )
     return pitch_mm / MM_PER_IN
 
 
@@ -129,32 +129,24 @@ class _Flanks:
         """Refuse an effect that cannot be written down for a position and a direction alone."""
         if term.instance.effect.needs:
             needs = ", ".join(term.instance.effect.needs)
-            raise NotTraceable(
-                f"it needs {needs}, and the loop of an axis is told its position only"
-            )
+            raise NotTraceable(f"it needs {needs}, and the loop of an axis is told its position only")
         position = self.builder.input(POSITION)
         for way in WAYS:
             slow, fast = (self._effect_um(term, position, way, faster) for faster in (1.0, 2.0))
             if slow.index != fast.index:
-                raise NotTraceable(
-                    "it changes with the feed, and the loop of an axis is told its position only"
-                )
+                raise NotTraceable("it changes with the feed, and the loop of an axis is told its position only")
 
     def limit_in(self, position: Expression, way: str) -> Expression:
         """Return slide minus screw in inches with the screw at a position in inches."""
         terms = [self._effect_um(term, position, way) for term in self.twin.terms]
         return self.builder.total(terms) * (1.0 / UM_PER_IN)
 
-    def _effect_um(
-        self, term: Term, position: Expression, way: str, faster: float = 1.0
-    ) -> Expression:
+    def _effect_um(self, term: Term, position: Expression, way: str, faster: float = 1.0) -> Expression:
         state = _traced_state(self.builder, position, self.obs, way, faster)
         return weighted(term, state, self.builder, self.twin.values(term))
 
 
-def _traced_state(
-    builder: GraphBuilder, position_in: Expression, obs: Observations, way: str, faster: float
-) -> Any:
+def _traced_state(builder: GraphBuilder, position_in: Expression, obs: Observations, way: str, faster: float) -> Any:
     """Return the state of a sweep with a stand-in for the position."""
     number, condition = next((i, c) for i, c in enumerate(obs.conditions) if c.direction == way)
     row = int(np.flatnonzero(obs.condition_of == number)[0])
@@ -182,12 +174,13 @@ def _require_both_ways(twin: Twin, obs: Observations) -> None:
     ways = {c.direction for c in obs.conditions if isinstance(c, Stroke)}
     if obs.axes != ("Z",) or ways != set(WAYS):
         raise InputError(
-            "a correction of an axis cannot be made of these runs", code="correct.axis",
+            "a correction of an axis cannot be made of these runs",
+            code="correct.axis",
             where=f"twin {twin.name}, campaign {twin.campaign}",
             got=f"axis {', '.join(obs.axes)}, {' and '.join(sorted(ways))}",
             allowed="axis Z, the only one whose equation can be written so far, measured forward "
             "and reverse: the play must be known",
-        )  # fmt: skip
+        )
 
 
 def _require_play(twin: Twin, obs: Observations) -> None:
@@ -200,12 +193,13 @@ def _require_play(twin: Twin, obs: Observations) -> None:
         where = int(np.nanargmin(play))
         raise InputError(
             "the play that the twin foretells is negative somewhere: no memory can carry it",
-            code="correct.play", where=f"twin {twin.name}, {obs.grid.points[where]:z.1f} mm",
+            code="correct.play",
+            where=f"twin {twin.name}, {obs.grid.points[where]:z.1f} mm",
             got=f"the slide {-float(play[where]):z.2f} um further ahead going up than going down",
             allowed="reverse errors at or above forward errors along the whole travel",
             hint=f"dtwin twin diagnose {twin.name}: backlash may be missing; or the control takes "
             "away more play than there is",
-        )  # fmt: skip
+        )
 
 
 def _safety(twin: Twin, obs: Observations) -> SafetyLimits:

@@ -76,9 +76,7 @@ def along(bundle: Bundle, position_in: Floats) -> Floats:
     return PathAnswers(bundle).along(position_in)
 
 
-def positioning_gates(
-    bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]
-) -> list[Verdict]:
+def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> list[Verdict]:
     """Judge the equation of a positioning error by everything that needs no machine.
 
     Parameters
@@ -119,26 +117,37 @@ def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -
     )
     return [
         Verdict(
-            "held-out runs", share >= _LEAST_EXPLAINED,
+            "held-out runs",
+            share >= _LEAST_EXPLAINED,
             f"{100 * share:z.1f} % of what the runs have in common is explained in runs left out; at "
             f"least {100 * _LEAST_EXPLAINED:z.0f} %",
         ),
         Verdict(
-            "better than a table with backlash", rms < table,
+            "better than a table with backlash",
+            rms < table,
             f"{rms:z.2f} um RMS are left of runs left out, the table leaves {table:z.2f} um",
         ),
         Verdict(
-            "no slice worse than no correction", worst < 1.0,
+            "no slice worse than no correction",
+            worst < 1.0,
             f"the worst tenth of the travel keeps {100 * worst:z.0f} % of its error, scatter included",
         ),
-        *shape, bounded_output(bundle), vectors_proved(bundle), latency_gate(metrics),
-    ]  # fmt: skip
+        *shape,
+        bounded_output(bundle),
+        vectors_proved(bundle),
+        latency_gate(metrics),
+    ]
 
 
 _LOGGED = (
-    "screw_pitch_in", "mapped_from_in", "mapped_to_in", "explained_share", "leave_run_out.rms_um",
-    "table_rms_um", "leave_run_out.worst_slice_ratio",
-)  # fmt: skip
+    "screw_pitch_in",
+    "mapped_from_in",
+    "mapped_to_in",
+    "explained_share",
+    "leave_run_out.rms_um",
+    "table_rms_um",
+    "leave_run_out.worst_slice_ratio",
+)
 
 
 def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
@@ -154,9 +163,7 @@ def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -
         worst[name] = float(jumps[np.argmax(np.abs(jumps))]) * sign
     told = ", ".join(f"{name} {jump:+z.2f} um" for name, jump in worst.items())
     passed = max(abs(jump) for jump in worst.values()) <= _SEAM_UM
-    return Verdict(
-        "no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} um"
-    )
+    return Verdict("no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} um")
 
 
 def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
@@ -170,9 +177,10 @@ def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     worst = max(off, key=lambda place: off[place] if np.isfinite(off[place]) else np.inf)
     passed = all(value <= _OUTSIDE_UM for value in off.values())
     return Verdict(
-        "ends held outside of the mapped travel", passed,
+        "ends held outside of the mapped travel",
+        passed,
         f"{off[worst]:z.1f} um away from the end's value at {worst:g} in; at most {_OUTSIDE_UM:g} um",
-    )  # fmt: skip
+    )
 
 
 def _reversal(served: PathAnswers, places: Floats) -> Verdict:
@@ -183,10 +191,11 @@ def _reversal(served: PathAnswers, places: Floats) -> Verdict:
         if change > worst:
             worst, where = change, place
     return Verdict(
-        "no step at reversal", worst <= _STANDSTILL_UM,
+        "no step at reversal",
+        worst <= _STANDSTILL_UM,
         f"{worst:z.2f} um at {where:z.3f} in when the axis turns back by one count "
         f"({_COUNT_IN * _UM_PER_IN:z.2f} um); at most {_STANDSTILL_UM:g} um",
-    )  # fmt: skip
+    )
 
 
 def _standstill(served: PathAnswers, places: Floats) -> Verdict:
@@ -197,7 +206,8 @@ def _standstill(served: PathAnswers, places: Floats) -> Verdict:
         answers = np.concatenate([served.along(path, way)[1:] for way in (0.0, 1.0)])
         worst = max(worst, float(np.ptp(answers)))
     return Verdict(
-        "defined at standstill", worst <= _STANDSTILL_UM,
+        "defined at standstill",
+        worst <= _STANDSTILL_UM,
         f"{worst:z.2f} um between answers at one place, by one count of jitter and either direction "
         f"told; at most {_STANDSTILL_UM:g} um",
-    )  # fmt: skip
+    )

@@ -21,9 +21,7 @@ _PARTS = 10
 def without_run(test: LinearTest, run: int) -> LinearTest:
     """Return a test without one of its runs."""
     others = [k for k in range(test.forward_um.shape[1]) if k != run]
-    return replace(
-        test, forward_um=test.forward_um[:, others], reverse_um=test.reverse_um[:, others]
-    )
+    return replace(test, forward_um=test.forward_um[:, others], reverse_um=test.reverse_um[:, others])
 
 
 def runs_left_out(test: LinearTest, expected_um: Callable[[int], Floats]) -> Floats:
@@ -78,9 +76,7 @@ def scores_of(test: LinearTest, left: Floats) -> Scores:
     worst = max(ratios, key=lambda name: ratios[name])
     r2 = 1.0 - float(np.sum(left**2) / np.sum((error - error.mean()) ** 2))
     runs = error.shape[1]
-    return Scores(
-        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, runs, runs
-    )
+    return Scores(HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, runs, runs)
 
 
 def explained_share(error: Floats, left: Floats, floor: float) -> float:

@@ -205,6 +205,4 @@ def _numbers(words: list[str], width: int) -> list[float] | None:
 
 
 def _wrong(message: str, path: Path, got: str) -> InputError:
-    return InputError(
-        message, code="laser.file", where=str(path), got=got, allowed=" ".join(COLUMNS)
-    )
+    return InputError(message, code="laser.file", where=str(path), got=got, allowed=" ".join(COLUMNS))

@@ -16,12 +16,7 @@ from dtwin.kinds.linear.matrix import LinearTest, linear_test
 from dtwin.kinds.linear.models import PositionModel
 from dtwin.kinds.linear.plan import LinearPlan
 from dtwin.kinds.linear.report import before_after_figures
-from dtwin.kinds.linear.simulate import (
-    laser_setup,
-    motion_of_plan,
-    verification_plan,
-    virtual_lathe,
-)
+from dtwin.kinds.linear.simulate import laser_setup, motion_of_plan, verification_plan, virtual_lathe
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN, LatheRecording, VirtualLathe, Wander
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
@@ -73,22 +68,26 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
     runs = [run for part, _ in sources for run in part]
     if campaign.kind != "linear":
         raise InputError(
-            "not a positioning campaign", code="lathe.kind", where=str(folder), got=campaign.kind,
-            allowed="linear",
-        )  # fmt: skip
+            "not a positioning campaign", code="lathe.kind", where=str(folder), got=campaign.kind, allowed="linear"
+        )
     usable = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
     bad = [run.meta.run_id for run in usable if any(f.severity == "error" for f in run.findings)]
     if not usable or bad:
         raise InputError(
-            "the campaign cannot be used", code="lathe.campaign", where=str(folder),
-            got=", ".join(bad)[:80] or "no run in both directions", hint=f"dtwin check {folder}",
-        )  # fmt: skip
+            "the campaign cannot be used",
+            code="lathe.campaign",
+            where=str(folder),
+            got=", ".join(bad)[:80] or "no run in both directions",
+            hint=f"dtwin check {folder}",
+        )
     test = linear_test(usable)
     if test.pitch_mm is None or len(test.position_mm) < 2:
         raise InputError(
-            "the pitch of the screw is needed", code="lathe.pitch", where=str(folder),
+            "the pitch of the screw is needed",
+            code="lathe.pitch",
+            where=str(folder),
             hint="screw_pitch_mm under [campaign.machine_geometry]",
-        )  # fmt: skip
+        )
     return campaign.machine, test
 
 
@@ -109,18 +108,15 @@ def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
     """
     if len(recording.error_um) != plan.readings:
         raise InputError(
-            "the laser missed readings", code="lathe.missed",
-            got=f"{len(recording.error_um)} of {plan.readings}",
-        )  # fmt: skip
+            "the laser missed readings", code="lathe.missed", got=f"{len(recording.error_um)} of {plan.readings}"
+        )
     cube = recording.error_um.reshape(plan.runs, 2, plan.count)
     targets = np.array([plan.mm(t) for t in plan.targets])
     pitch = plan.mm(plan.pitch)
     return LinearTest(targets, cube[:, 0].T, cube[:, 1, ::-1].T, 0, pitch)
 
 
-def measured(
-    lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None = None
-) -> LinearTest:
+def measured(lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None = None) -> LinearTest:
     """Measure a plan, corrected at its halts by a model that takes a flag for the direction.
 
     Parameters
@@ -135,9 +131,7 @@ def measured(
     motion = motion_of_plan(plan)
     if model is None:
         return _test_of(lathe.measure(motion, laser_setup(plan)), plan)
-    screw = motion.position_mm - 25.4 * model.error_in(
-        _direction(motion.position_mm), motion.position_mm / MM_PER_IN
-    )
+    screw = motion.position_mm - 25.4 * model.error_in(_direction(motion.position_mm), motion.position_mm / MM_PER_IN)
     return _test_of(lathe.measure(motion, laser_setup(plan), motion.t_s, screw), plan)
 
 
@@ -159,26 +153,22 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
     wanted = np.zeros((len(ticks), 3))
     wanted[:, 2] = -along(bundle, commanded / MM_PER_IN)
     names = [i.name for i in bundle.inputs]
-    guard = Guard(
-        bundle.safety, np.array([i.low for i in bundle.inputs]),
-        np.array([i.high for i in bundle.inputs]),
-    )  # fmt: skip
-    box = np.column_stack(
-        [commanded / MM_PER_IN if n == "position_in" else np.zeros(len(ticks)) for n in names]
-    )
+    guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
+    box = np.column_stack([commanded / MM_PER_IN if n == "position_in" else np.zeros(len(ticks)) for n in names])
     sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, 2]
     applied = np.concatenate([[0.0], sent[:-1]])
     recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / 1000.0)
     test = _test_of(recording, plan)
     return LoopRun(
-        test=test, figures=before_after_figures(test), ticks=len(ticks),
-        guard=guard.counted(), largest_step_um=float(np.max(np.abs(np.diff(sent[1:])))),
-    )  # fmt: skip
+        test=test,
+        figures=before_after_figures(test),
+        ticks=len(ticks),
+        guard=guard.counted(),
+        largest_step_um=float(np.max(np.abs(np.diff(sent[1:])))),
+    )
 
 
-def before_and_after(
-    bundle: Bundle, truth: str, seed: int, plan: LinearPlan | None = None
-) -> dict[str, Any]:
+def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | None = None) -> dict[str, Any]:
     """Return figures of the virtual lathe without a bundle and with it in the loop.
 
     Parameters

@@ -24,9 +24,7 @@ class _Lathe(VirtualMachine):
         from dtwin.kinds.linear.simulate import simulate_lathe
 
         out, truth = request.out, request.options["truth"]
-        readings, alarms = simulate_lathe(
-            out, plan=request.plan, truth=truth, seed=request.seed, quick=request.quick
-        )
+        readings, alarms = simulate_lathe(out, plan=request.plan, truth=truth, seed=request.seed, quick=request.quick)
         payload = {
             "folder": str(out),
             "readings": readings,
@@ -43,8 +41,10 @@ class _Lathe(VirtualMachine):
         if request.quick:
             raise InputError(
                 "the lathe that is corrected measures one run of its short test already",
-                code="simulate.quick", got="--quick with --listen", hint="leave --quick away",
-            )  # fmt: skip
+                code="simulate.quick",
+                got="--quick with --listen",
+                hint="leave --quick away",
+            )
         return ServedLathe(request.plan, request.options["truth"], request.seed)
 
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:

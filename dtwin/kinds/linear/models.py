@@ -61,9 +61,7 @@ class Averages:
 def averages_of(test: LinearTest) -> Averages:
     """Return the mean errors of a test in inches."""
     return Averages(
-        test.position_mm / MM_PER_IN,
-        test.forward_um.mean(axis=1) / UM_PER_IN,
-        test.reverse_um.mean(axis=1) / UM_PER_IN,
+        test.position_mm / MM_PER_IN, test.forward_um.mean(axis=1) / UM_PER_IN, test.reverse_um.mean(axis=1) / UM_PER_IN
     )
 
 
@@ -201,9 +199,14 @@ def one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Float
 
 
 def fit_dual(
-    averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1000,
-    goals: Sequence[float] = (4e-8, 9e-9), hidden: Sequence[int] = (30, 8),
-) -> DualNet:  # fmt: skip
+    averages: Averages,
+    pitch_in: float,
+    seed: int,
+    *,
+    epochs: int = 1000,
+    goals: Sequence[float] = (4e-8, 9e-9),
+    hidden: Sequence[int] = (30, 8),
+) -> DualNet:
     """Train the published pair: the slow network on whole turns, the cyclic one on what is left.
 
     Parameters
@@ -224,21 +227,15 @@ def fit_dual(
     rng = np.random.default_rng(seed)
     inputs, target = whole_turns(averages, pitch_in)
     reach = (float(averages.position_in[0]), float(averages.position_in[-1]))
-    slow = train_net(
-        new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=goals[0]
-    )
+    slow = train_net(new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=goals[0])
     cells, rest = one_turn(averages, slow.net, pitch_in)
-    fast = train_net(
-        new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest,
-        epochs=epochs, goal=goals[1],
-    )  # fmt: skip
+    fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=goals[1])
     return DualNet(slow.net, fast.net, pitch_in, (slow, fast))
 
 
 def fit_single(
-    averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1500, goal: float = 0.0,
-    hidden: int = 40,
-) -> SingleNet:  # fmt: skip
+    averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1500, goal: float = 0.0, hidden: int = 40
+) -> SingleNet:
     """Train the published single network on all targets of both directions.
 
     Parameters

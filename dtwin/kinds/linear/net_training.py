@@ -41,9 +41,14 @@ class Trained:
 
 
 def train_net(
-    net: SmallNet, inputs: Floats, target: Floats, *, algorithm: str = "levenberg-marquardt",
-    epochs: int = 1000, goal: float = 0.0,
-) -> Trained:  # fmt: skip
+    net: SmallNet,
+    inputs: Floats,
+    target: Floats,
+    *,
+    algorithm: str = "levenberg-marquardt",
+    epochs: int = 1000,
+    goal: float = 0.0,
+) -> Trained:
     """Train a network on all data at once until the goal or the last epoch.
 
     Parameters
@@ -67,13 +72,13 @@ def train_net(
         When there is no such algorithm.
     """
     methods: dict[str, _Method] = {
-        "levenberg-marquardt": _levenberg_marquardt, "bfgs": _bfgs, "scg": _scg, "rprop": _rprop,
-    }  # fmt: skip
+        "levenberg-marquardt": _levenberg_marquardt,
+        "bfgs": _bfgs,
+        "scg": _scg,
+        "rprop": _rprop,
+    }
     if algorithm not in methods:
-        raise InputError(
-            "no such training", code="train.algorithm", got=algorithm[:40],
-            allowed=", ".join(ALGORITHMS),
-        )  # fmt: skip
+        raise InputError("no such training", code="train.algorithm", got=algorithm[:40], allowed=", ".join(ALGORITHMS))
     begun = time.perf_counter()
     best, steps = methods[algorithm](net, inputs, target, epochs, goal)
     sse = float(np.sum((best.evaluate(inputs) - target) ** 2))
@@ -124,9 +129,7 @@ def _solved(normal: Floats, mu: float, slope: Floats) -> Floats:
         return np.asarray(np.linalg.lstsq(damped, slope, rcond=None)[0], dtype=np.float64)
 
 
-def _bfgs(
-    net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: float
-) -> tuple[SmallNet, int]:
+def _bfgs(net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: float) -> tuple[SmallNet, int]:
     def objective(values: Floats) -> tuple[float, Floats]:
         return net.with_parameters(values).gradient(inputs, target)
 
@@ -135,15 +138,17 @@ def _bfgs(
             raise StopIteration
 
     found = optimize.minimize(
-        objective, net.parameters(), jac=True, method="BFGS", callback=reached,
+        objective,
+        net.parameters(),
+        jac=True,
+        method="BFGS",
+        callback=reached,
         options={"maxiter": epochs, "gtol": _SMALLEST_GRADIENT},
-    )  # fmt: skip
+    )
     return net.with_parameters(found.x), int(found.nit)
 
 
-def _scg(
-    net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: float
-) -> tuple[SmallNet, int]:
+def _scg(net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: float) -> tuple[SmallNet, int]:
     """Scaled conjugate gradients (Moller, Neural Networks 6, 1993): no line search."""
     values = net.parameters()
     sse, gradient = net.gradient(inputs, target)
@@ -165,9 +170,7 @@ def _scg(
             scale = extra
         along = float(direction @ residual)
         step = along / curvature
-        new_sse, new_gradient = net.with_parameters(values + step * direction).gradient(
-            inputs, target
-        )
+        new_sse, new_gradient = net.with_parameters(values + step * direction).gradient(inputs, target)
         gain = 2.0 * curvature * (sse - new_sse) / along**2 if along else -1.0
         success = gain >= 0.0
         if success:
@@ -187,9 +190,7 @@ def _scg(
     return net.with_parameters(values), epochs
 
 
-def _rprop(
-    net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: float
-) -> tuple[SmallNet, int]:
+def _rprop(net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: float) -> tuple[SmallNet, int]:
     """Resilient propagation (Riedmiller and Braun, ICNN 1993): signs of the gradient only."""
     values = net.parameters()
     best, best_sse = values, np.inf
@@ -202,9 +203,7 @@ def _rprop(
         if sse <= goal:
             return net.with_parameters(best), epoch
         agree = np.sign(gradient * before)
-        steps = np.clip(
-            steps * np.where(agree > 0, 1.2, np.where(agree < 0, 0.5, 1.0)), 1e-12, 50.0
-        )
+        steps = np.clip(steps * np.where(agree > 0, 1.2, np.where(agree < 0, 0.5, 1.0)), 1e-12, 50.0)
         gradient = np.where(agree < 0, 0.0, gradient)
         values, before = values - np.sign(gradient) * steps, gradient
     return net.with_parameters(best), epochs

@@ -156,30 +156,60 @@ def _check_linear(plan: LinearPlan, where: str) -> None:
     rules: tuple[tuple[str, bool, str, object, str], ...] = (
         ("axis", plan.axis in tuple(_AXES), "no axis of a machine", plan.axis, "X, Y, Z"),
         ("axis", plan.axis in plan.axes, "the machine has no such axis", plan.axis, plan.axes),
-        ("end", plan.start < plan.end, "the test must end above its start", plan.end,
-         f"above {plan.start:g} {unit}"),
-        ("start", low <= plan.start <= high, "the start lies outside of the travel", plan.start,
-         f"{low:g} to {high:g} {unit}"),
-        ("end", low <= plan.end <= high, "the end lies outside of the travel", plan.end,
-         f"{low:g} to {high:g} {unit}"),
-        ("step", plan.step >= smallest, "the step is too small", plan.step,
-         f"{smallest:g} {unit} or more"),
-        ("step", plan.step <= span, "the step is longer than the test", plan.step,
-         f"up to {span:g} {unit}"),
-        ("step", _divides(plan.step, span, smallest), "the step does not divide the range",
-         plan.step, f"a whole fraction of {span:g} {unit}"),
-        ("dwell_s", _DWELL_S[0] <= plan.dwell_s <= _DWELL_S[1], "the dwell is out of range",
-         plan.dwell_s, f"{_DWELL_S[0]:g} to {_DWELL_S[1]:g} s"),
-        ("runs", _RUNS[0] <= plan.runs <= _RUNS[1], "the count of runs is out of range", plan.runs,
-         f"{_RUNS[0]} to {_RUNS[1]}"),
-        ("feed_min", feeds[0] <= plan.feed_min <= feeds[1], "the feed is out of range",
-         plan.feed_min, f"{feeds[0]:g} to {feeds[1]:g} {unit}/min"),
-        ("overshoot", 0.0 < plan.overshoot <= over, "the overshoot is out of range",
-         plan.overshoot, f"above 0, up to {over:g} {unit}"),
-        ("overshoot", plan.start - plan.overshoot >= low and plan.end + plan.overshoot <= high,
-         "there is no room for the overshoot", plan.overshoot,
-         f"up to {max(0.0, min(plan.start - low, high - plan.end)):g} {unit}"),
-    )  # fmt: skip
+        ("end", plan.start < plan.end, "the test must end above its start", plan.end, f"above {plan.start:g} {unit}"),
+        (
+            "start",
+            low <= plan.start <= high,
+            "the start lies outside of the travel",
+            plan.start,
+            f"{low:g} to {high:g} {unit}",
+        ),
+        ("end", low <= plan.end <= high, "the end lies outside of the travel", plan.end, f"{low:g} to {high:g} {unit}"),
+        ("step", plan.step >= smallest, "the step is too small", plan.step, f"{smallest:g} {unit} or more"),
+        ("step", plan.step <= span, "the step is longer than the test", plan.step, f"up to {span:g} {unit}"),
+        (
+            "step",
+            _divides(plan.step, span, smallest),
+            "the step does not divide the range",
+            plan.step,
+            f"a whole fraction of {span:g} {unit}",
+        ),
+        (
+            "dwell_s",
+            _DWELL_S[0] <= plan.dwell_s <= _DWELL_S[1],
+            "the dwell is out of range",
+            plan.dwell_s,
+            f"{_DWELL_S[0]:g} to {_DWELL_S[1]:g} s",
+        ),
+        (
+            "runs",
+            _RUNS[0] <= plan.runs <= _RUNS[1],
+            "the count of runs is out of range",
+            plan.runs,
+            f"{_RUNS[0]} to {_RUNS[1]}",
+        ),
+        (
+            "feed_min",
+            feeds[0] <= plan.feed_min <= feeds[1],
+            "the feed is out of range",
+            plan.feed_min,
+            f"{feeds[0]:g} to {feeds[1]:g} {unit}/min",
+        ),
+        (
+            "overshoot",
+            0.0 < plan.overshoot <= over,
+            "the overshoot is out of range",
+            plan.overshoot,
+            f"above 0, up to {over:g} {unit}",
+        ),
+        (
+            "overshoot",
+            plan.start - plan.overshoot >= low and plan.end + plan.overshoot <= high,
+            "there is no room for the overshoot",
+            plan.overshoot,
+            f"up to {max(0.0, min(plan.start - low, high - plan.end)):g} {unit}",
+        ),
+    )
     for name, kept, what, got, allowed in rules:
         if not kept:
             raise broken_rule(name, what, where, got, allowed)
@@ -251,10 +281,11 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
     if plan.pitch <= 0.0:
         return [
             Finding(
-                "plan.pitch_unknown", "info",
+                "plan.pitch_unknown",
+                "info",
                 "the pitch of the screw is not stated: nothing can be said about its cyclic error",
             )
-        ]  # fmt: skip
+        ]
     span, unit, found = plan.end - plan.start, plan.unit, []
     count = phases(plan.step, span, plan.pitch, _GRAIN[unit])
     if count < _ENOUGH_PHASES:
@@ -267,19 +298,21 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
         )
         found.append(
             Finding(
-                "plan.step_and_pitch", "warning" if count < 5 else "info",
+                "plan.step_and_pitch",
+                "warning" if count < 5 else "info",
                 f"a step of {plan.step:g} {unit} {seen}{advised}",
                 {"phases_1": float(count)},
             )
-        )  # fmt: skip
+        )
     if plan.step > plan.pitch / 10.0 * (1 + 1e-9):
         found.append(
             Finding(
-                "plan.too_coarse_for_a_table", "info",
+                "plan.too_coarse_for_a_table",
+                "info",
                 f"fit to check an axis; a table that is to correct the cyclic error needs steps of "
                 f"{plan.pitch / 10:g} {unit} or less",
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -288,27 +321,30 @@ def _trigger_advice(plan: LinearPlan) -> list[Finding]:
     if plan.dwell_s <= plan.laser_dwell_s:
         found.append(
             Finding(
-                "plan.dwell_too_short", "warning",
+                "plan.dwell_too_short",
+                "warning",
                 f"the machine halts {plan.dwell_s:g} s, the laser wants {plan.laser_dwell_s:g} s "
                 "from when the axis enters its window: readings will be missed; halt half as long again",
             )
-        )  # fmt: skip
+        )
     if plan.window >= plan.step / 2.0:
         found.append(
             Finding(
-                "plan.window_too_wide", "warning",
+                "plan.window_too_wide",
+                "warning",
                 f"windows of {plan.window:g} {plan.unit} around targets {plan.step:g} apart overlap: "
                 "the laser may count one halt for two targets",
             )
-        )  # fmt: skip
+        )
     if plan.overshoot <= plan.window:
         found.append(
             Finding(
-                "plan.overshoot_in_window", "warning",
+                "plan.overshoot_in_window",
+                "warning",
                 f"the axis turns {plan.overshoot:g} {plan.unit} beyond the ends, within the laser's "
                 f"window of {plan.window:g}: the laser cannot tell that it has turned",
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -318,16 +354,15 @@ def _size_advice(plan: LinearPlan) -> list[Finding]:
     if hours > 2.0:
         found.append(
             Finding(
-                "plan.long", "warning",
+                "plan.long",
+                "warning",
                 f"{plan.readings} readings take about {hours:z.0f} h: the machine's temperature will "
                 "drift more than readings repeat; take fewer targets or fewer runs, or log temperatures",
                 {"duration_s": hours * 3600.0},
             )
-        )  # fmt: skip
-    if plan.runs < 2:
-        found.append(
-            Finding("plan.no_repeats", "warning", "one run: the noise floor cannot be known")
         )
+    if plan.runs < 2:
+        found.append(Finding("plan.no_repeats", "warning", "one run: the noise floor cannot be known"))
     return found
 
 

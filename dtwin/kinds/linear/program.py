@@ -31,9 +31,11 @@ def laser_program(plan: LinearPlan, control: str = "opencnc") -> str:
     """
     if control not in CONTROLS:
         raise InputError(
-            "no programs are written for this control", code="plan.control", got=control[:40],
+            "no programs are written for this control",
+            code="plan.control",
+            got=control[:40],
             allowed=", ".join(CONTROLS),
-        )  # fmt: skip
+        )
     words = _Words(plan, control)
     lines = words.head()
     for run in range(1, plan.runs + 1):

@@ -45,10 +45,13 @@ def read_laser_runs(
     unit = campaign.instrument.get("length_unit")
     if not isinstance(unit, str) or unit not in MM_PER:
         raise InputError(
-            "a laser file does not say its unit of length", code="laser.unit", where=str(path),
-            got=str(unit)[:40], allowed=", ".join(MM_PER),
+            "a laser file does not say its unit of length",
+            code="laser.unit",
+            where=str(path),
+            got=str(unit)[:40],
+            allowed=", ".join(MM_PER),
             hint='set length_unit = "in" under [campaign.instrument]',
-        )  # fmt: skip
+        )
     test = read_laser_file(path)
     findings = _findings(test, campaign)
     parts = sweeps(test.column("Position"))
@@ -59,9 +62,8 @@ def read_laser_runs(
         columns = _columns(test, pair, MM_PER[unit], _period_s(campaign))
         count = number // 2
         meta = RunMeta(
-            run_id=str(count + 1), kind="linear", repeat=first + count,
-            sample_rate_hz=1.0 / _period_s(campaign),
-        )  # fmt: skip
+            run_id=str(count + 1), kind="linear", repeat=first + count, sample_rate_hz=1.0 / _period_s(campaign)
+        )
         runs.append(Run(meta, columns, source=str(path), findings=findings))
     return runs, test.rejects
 
@@ -85,17 +87,18 @@ def with_pitch(run: Run, campaign: Campaign) -> Run:
     if unknown:
         raise InputError(
             "a reading does not say from which side its target was approached",
-            code="linear.direction", where=f"{run.source} direction", got=", ".join(unknown)[:80],
+            code="linear.direction",
+            where=f"{run.source} direction",
+            got=", ".join(unknown)[:80],
             allowed=f"{_FORWARD}, {_REVERSE}",
-        )  # fmt: skip
+        )
     pitch = campaign.machine_geometry.get("screw_pitch_mm")
     if pitch is None:
         return run
     if not isinstance(pitch, int | float) or not 0.0 < pitch < 1000.0:
         raise InputError(
-            "the screw's pitch is no length", code="linear.pitch", got=str(pitch)[:40],
-            allowed="mm per turn, above 0",
-        )  # fmt: skip
+            "the screw's pitch is no length", code="linear.pitch", got=str(pitch)[:40], allowed="mm per turn, above 0"
+        )
     condition = {"screw_pitch_mm": float(pitch)} | dict(run.meta.condition)
     return replace(run, meta=replace(run.meta, condition=condition))
 
@@ -104,15 +107,16 @@ def _period_s(campaign: Campaign) -> float:
     period = campaign.instrument.get("reading_period_s", _ASSUMED_PERIOD_S)
     if not isinstance(period, int | float) or not 0.0 < period < 1e6:
         raise InputError(
-            "the time between readings is no time", code="laser.period", got=str(period)[:40],
-            allowed="seconds, above 0", where="campaign.instrument.reading_period_s",
-        )  # fmt: skip
+            "the time between readings is no time",
+            code="laser.period",
+            got=str(period)[:40],
+            allowed="seconds, above 0",
+            where="campaign.instrument.reading_period_s",
+        )
     return float(period)
 
 
-def _columns(
-    test: LaserTest, pair: list[tuple[slice, int]], mm: float, period_s: float
-) -> dict[str, Any]:
+def _columns(test: LaserTest, pair: list[tuple[slice, int]], mm: float, period_s: float) -> dict[str, Any]:
     rows = slice(pair[0][0].start, pair[-1][0].stop)
     direction = np.concatenate(
         [np.full(part.stop - part.start, _FORWARD if sign > 0 else _REVERSE) for part, sign in pair]
@@ -158,17 +162,19 @@ def _findings(test: LaserTest, campaign: Campaign) -> tuple[Finding, ...]:
     if odd:
         found.append(
             Finding(
-                "laser.status", "warning",
+                "laser.status",
+                "warning",
                 f"{odd} of {len(test.raw)} readings carry a status other than 0",
                 {"readings_1": float(odd)},
             )
-        )  # fmt: skip
+        )
     if "reading_period_s" not in campaign.instrument:
         found.append(
             Finding(
-                "clock.assumed", "info",
+                "clock.assumed",
+                "info",
                 f"the file has no clock; a reading every {_ASSUMED_PERIOD_S:g} s is assumed, so "
                 "nothing per hour can be said: set reading_period_s under [campaign.instrument]",
             )
-        )  # fmt: skip
+        )
     return tuple(found)

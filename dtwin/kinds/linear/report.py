@@ -93,9 +93,7 @@ def positioning_result(runs: Sequence[Run]) -> dict[str, Any]:
         "from_mm": float(test.position_mm[0]),
         "to_mm": float(test.position_mm[-1]),
         "screw_pitch_mm": test.pitch_mm,
-        "screw_phases": None
-        if test.pitch_mm is None
-        else phases_of(test.position_mm, test.pitch_mm),
+        "screw_phases": None if test.pitch_mm is None else phases_of(test.position_mm, test.pitch_mm),
         "before_after": before_after_figures(test),
     }
     if len(usable) > 1:

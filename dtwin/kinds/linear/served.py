@@ -61,10 +61,7 @@ class ServedLathe:
 
     def state(self, tick: int) -> Mapping[str, float]:
         """Return the commanded position before a tick."""
-        return {
-            "position_in": float(self._commanded_mm[tick]) / MM_PER_IN,
-            "direction_1": float(self._reverse[tick]),
-        }
+        return {"position_in": float(self._commanded_mm[tick]) / MM_PER_IN, "direction_1": float(self._reverse[tick])}
 
     def advance(self, tick: int, offset_um: Floats) -> None:
         """Take what is in force from the next cycle on: the control reads its inputs once in each."""
@@ -76,9 +73,8 @@ class ServedLathe:
         screw_mm = self._commanded_mm + self._offset_um / UM_PER_MM
         seen = self._lathe.measure(self._motion, laser_setup(self._plan), self._t_s, screw_mm)
         write_lathe_campaign(
-            folder, replace(self._plan, name=folder.name), seen, self._told,
-            corrected=bool(self._offset_um.any()),
-        )  # fmt: skip
+            folder, replace(self._plan, name=folder.name), seen, self._told, corrected=bool(self._offset_um.any())
+        )
         return f"{len(seen.error_um)} readings of the laser"
 
 

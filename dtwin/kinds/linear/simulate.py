@@ -24,17 +24,25 @@ from dtwin.units import UM_PER_MM
 
 TRUTHS = ("published", "mechanism")
 _HEAD = {
-    "name": "lathe-z", "machine": "virtual-lathe", "axis": "Z", "unit": "in", "start": 1.0,
-    "end": 40.0, "runs": 4, "feed_min": 20.0, "overshoot": 0.1, "axis_low": 0.0,
-    "axis_high": 41.0, "axes": "XZ", "pitch": 0.25,
-}  # fmt: skip
+    "name": "lathe-z",
+    "machine": "virtual-lathe",
+    "axis": "Z",
+    "unit": "in",
+    "start": 1.0,
+    "end": 40.0,
+    "runs": 4,
+    "feed_min": 20.0,
+    "overshoot": 0.1,
+    "axis_low": 0.0,
+    "axis_high": 41.0,
+    "axes": "XZ",
+    "pitch": 0.25,
+}
 
 
 def mapping_plan() -> LinearPlan:
     """Return the published mapping: 1 to 40 in by 0.025 in, four runs, about 20 hours."""
-    return linear_plan(
-        _HEAD | {"step": 0.025, "dwell_s": 5.4, "window": 0.01, "laser_dwell_s": 4.0}, "mapping"
-    )
+    return linear_plan(_HEAD | {"step": 0.025, "dwell_s": 5.4, "window": 0.01, "laser_dwell_s": 4.0}, "mapping")
 
 
 def verification_plan() -> LinearPlan:
@@ -65,16 +73,12 @@ def virtual_lathe(truth: str, seed: int, wander: Wander | None = None) -> Virtua
     if truth == "mechanism":
         warm = wander or Wander(offset_um=2.0, scale_um_per_m=1.0, heating_c=1.2)
         return VirtualLathe(ThreadScrew(), warm, seed)
-    raise InputError(
-        "no such lathe", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS)
-    )
+    raise InputError("no such lathe", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))
 
 
 def laser_setup(plan: LinearPlan) -> LaserSetup:
     """Return the laser's own settings for a plan."""
-    return LaserSetup(
-        tuple(plan.mm(t) for t in plan.targets), plan.runs, plan.mm(plan.window), plan.laser_dwell_s
-    )
+    return LaserSetup(tuple(plan.mm(t) for t in plan.targets), plan.runs, plan.mm(plan.window), plan.laser_dwell_s)
 
 
 def motion_of_plan(plan: LinearPlan) -> Motion:
@@ -83,9 +87,8 @@ def motion_of_plan(plan: LinearPlan) -> Motion:
 
 
 def simulate_lathe(
-    folder: Path, *, plan: LinearPlan | None = None, truth: str = "published", seed: int = 0,
-    quick: bool = False,
-) -> tuple[int, tuple[Finding, ...]]:  # fmt: skip
+    folder: Path, *, plan: LinearPlan | None = None, truth: str = "published", seed: int = 0, quick: bool = False
+) -> tuple[int, tuple[Finding, ...]]:
     """Measure the virtual lathe and write a campaign folder.
 
     Parameters
@@ -113,9 +116,8 @@ def simulate_lathe(
     """
     if (folder / "campaign.toml").exists():
         raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder),
-            hint="give another --out",
-        )  # fmt: skip
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
+        )
     chosen = plan or (verification_plan() if quick else mapping_plan())
     lathe = virtual_lathe(truth, seed)
     if chosen.pitch <= 0.0:
@@ -129,9 +131,8 @@ def simulate_lathe(
 
 
 def write_lathe_campaign(
-    folder: Path, plan: LinearPlan, recording: LatheRecording, truth: dict[str, Any],
-    *, corrected: bool = False,
-) -> None:  # fmt: skip
+    folder: Path, plan: LinearPlan, recording: LatheRecording, truth: dict[str, Any], *, corrected: bool = False
+) -> None:
     """Write what the laser recorded as a campaign folder; the campaign file comes last.
 
     Parameters
@@ -165,9 +166,12 @@ def write_lathe_campaign(
     }
     run = {"id": plan.axis.lower(), "file": "laser.txt", "condition": {"axis": plan.axis}}
     head = {
-        "name": plan.name, "machine": plan.machine, "kind": "linear", "machine_geometry": geometry,
+        "name": plan.name,
+        "machine": plan.machine,
+        "kind": "linear",
+        "machine_geometry": geometry,
         "instrument": instrument,
-    }  # fmt: skip
+    }
     write_campaign_file(folder, head, [run])
 
 
@@ -187,9 +191,8 @@ def _laser_test(plan: LinearPlan, recording: LatheRecording) -> LaserTest:
     shown = np.round(-error - (position - plan.start), 6)
     error = np.round(linear_error(position, shown, plan.start, "decrease"), 6)
     raw = np.column_stack(
-        [position, shown, error, np.zeros(len(readings)), recording.air_f, recording.air_inhg,
-         recording.material_f]
-    )  # fmt: skip
+        [position, shown, error, np.zeros(len(readings)), recording.air_f, recording.air_inhg, recording.material_f]
+    )
     reverse = np.array([r.direction == "reverse" for r in readings])
     return LaserTest(raw, _averages(position, error, reverse), [])
 

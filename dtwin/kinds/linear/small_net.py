@@ -57,26 +57,19 @@ class SmallNet:
         active = self._active(inputs)
         error = active @ self.out_weights + self.out_bias - target
         slope = active * (1.0 - active) * self.out_weights * error[:, None]
-        parts = [
-            (slope.T @ inputs).ravel(), slope.sum(axis=0), active.T @ error, [float(error.sum())],
-        ]  # fmt: skip
+        parts = [(slope.T @ inputs).ravel(), slope.sum(axis=0), active.T @ error, [float(error.sum())]]
         return float(error @ error), 2.0 * np.concatenate(parts)
 
     def parameters(self) -> Floats:
         """Return all parameters in the order of the Jacobian's columns."""
-        return np.concatenate(
-            [self.weights.ravel(), self.biases, self.out_weights, [self.out_bias]]
-        )
+        return np.concatenate([self.weights.ravel(), self.biases, self.out_weights, [self.out_bias]])
 
     def with_parameters(self, values: Floats) -> SmallNet:
         """Return a net of the same shape with other parameters."""
         n = self.weights.size
         h = self.hidden
         return SmallNet(
-            values[:n].reshape(self.weights.shape),
-            values[n : n + h],
-            values[n + h : n + 2 * h],
-            float(values[-1]),
+            values[:n].reshape(self.weights.shape), values[n : n + h], values[n + h : n + 2 * h], float(values[-1])
         )
 
     def expression(self, builder: GraphBuilder, inputs: Sequence[Expression]) -> Expression:
@@ -90,9 +83,7 @@ class SmallNet:
             One for each input.
         """
         terms = []
-        for row, bias, out in zip(
-            self.weights.tolist(), self.biases.tolist(), self.out_weights.tolist(), strict=True
-        ):
+        for row, bias, out in zip(self.weights.tolist(), self.biases.tolist(), self.out_weights.tolist(), strict=True):
             weighted = [x * w for x, w in zip(inputs, row, strict=True)]
             neuron = builder.apply("logistic", builder.total([*weighted, bias]))
             terms.append(neuron * out)
@@ -104,9 +95,7 @@ class SmallNet:
         return active
 
 
-def new_net(
-    hidden: int, ranges: Sequence[tuple[float, float]], rng: np.random.Generator
-) -> SmallNet:
+def new_net(hidden: int, ranges: Sequence[tuple[float, float]], rng: np.random.Generator) -> SmallNet:
     """Return a net whose neurons share the input space evenly.
 
     Parameters

@@ -9,23 +9,10 @@ from typing import Literal
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear.bundle import (
-    ROOM_IN,
-    Flanks,
-    deployed_bundle,
-    flanks_bundle,
-    flanks_of,
-)
+from dtwin.kinds.linear.bundle import ROOM_IN, Flanks, deployed_bundle, flanks_bundle, flanks_of
 from dtwin.kinds.linear.check import phases_of
 from dtwin.kinds.linear.gates import positioning_gates
-from dtwin.kinds.linear.judging import (
-    HELD_OUT,
-    explained_share,
-    noise_floor_um,
-    scores_of,
-    stacked,
-    without_run,
-)
+from dtwin.kinds.linear.judging import HELD_OUT, explained_share, noise_floor_um, scores_of, stacked, without_run
 from dtwin.kinds.linear.matrix import LinearTest, linear_test
 from dtwin.kinds.linear.models import (
     MM_PER_IN,
@@ -95,20 +82,24 @@ def screw_of(test: LinearTest, where: str) -> Screw:
     """
     if test.pitch_mm is None or len(test.position_mm) < 2:
         raise InputError(
-            "the pitch of the screw is needed", code="lathe.pitch", where=where,
+            "the pitch of the screw is needed",
+            code="lathe.pitch",
+            where=where,
             hint="screw_pitch_mm under [campaign.machine_geometry]",
-        )  # fmt: skip
+        )
     pitch = test.pitch_mm / MM_PER_IN
     averages = averages_of(test)
     phases = phases_of(test.position_mm, test.pitch_mm)
     turns = len(averages.every(pitch).position_in)
     if phases < _FEWEST_PHASES or turns < _FEWEST_TURNS:
         raise InputError(
-            "the targets do not show the screw", code="lathe.targets", where=where,
+            "the targets do not show the screw",
+            code="lathe.targets",
+            where=where,
             got=f"{phases} angles of the screw, {turns} targets at whole turns",
             allowed=f"at least {_FEWEST_PHASES} angles and {_FEWEST_TURNS} whole turns",
             hint="a step of a tenth of the pitch: dtwin plan says what a step can show",
-        )  # fmt: skip
+        )
     ends = float(averages.position_in[0]), float(averages.position_in[-1])
     return Screw(pitch, ends, phases)
 
@@ -167,9 +158,8 @@ def serving_bundle(model: PositionModel, machine: str, screw: Screw) -> Bundle |
 
 
 def train_positioning(
-    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: StageProgress | None = None,
-) -> Training:  # fmt: skip
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+) -> Training:
     """Train every candidate on a positioning campaign.
 
     Every run, one sweep up and one down, is left out in turn: the unit of replication is the run.
@@ -201,17 +191,23 @@ def train_positioning(
     floor = noise_floor_um(test)
     models = _fitted(averages_of(test), screw, seed)
     found = [
-        _candidate(name_, model, test, left[name_], floor, campaign.machine, screw)
-        for name_, model in models.items()
+        _candidate(name_, model, test, left[name_], floor, campaign.machine, screw) for name_, model in models.items()
     ]
     found.sort(key=lambda c: c.held_out.rms_um)
     error = stacked(test)[2]
     report = TrainingReport(
-        machine=campaign.machine, campaign=name, table_versions=versions, noise_floor_um=floor,
-        rms_before_um=rms(error), n_runs=error.shape[1], n_rows=error.size,
-        candidates=tuple(_with_table_score(found)), proposed=_proposed(found), seed=seed,
+        machine=campaign.machine,
+        campaign=name,
+        table_versions=versions,
+        noise_floor_um=floor,
+        rms_before_um=rms(error),
+        n_runs=error.shape[1],
+        n_rows=error.size,
+        candidates=tuple(_with_table_score(found)),
+        proposed=_proposed(found),
+        seed=seed,
         told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(found)]),
-    )  # fmt: skip
+    )
     geometry = {"type": "lathe"} | dict(campaign.machine_geometry)
     return Training(report, geometry, (("Z", *screw.reach_in),))
 
@@ -223,12 +219,14 @@ def _usable_test(lake: Lake, name: str) -> LinearTest:
     axes = {str(run.meta.condition.get("axis", "Z")) for run in both}
     if len(both) < _FEWEST_RUNS or axes != {"Z"}:
         raise InputError(
-            "a model of the position cannot be judged", code="train.grid",
-            where=f"campaign {name}", got=f"{len(both)} usable runs of axis {', '.join(axes) or '-'}",
+            "a model of the position cannot be judged",
+            code="train.grid",
+            where=f"campaign {name}",
+            got=f"{len(both)} usable runs of axis {', '.join(axes) or '-'}",
             allowed=f"{_FEWEST_RUNS} runs or more, up and down, of one axis Z: its equation is the "
             "only one that can be written so far",
             hint="repeat the test: runs = 2 in the plan; dtwin check says what is wrong with a run",
-        )  # fmt: skip
+        )
     return linear_test(both)
 
 
@@ -258,35 +256,39 @@ def _held_out(test: LinearTest, screw: Screw, seed: int, tell: StageProgress) ->
 
 
 def _candidate(
-    name: str, model: PositionModel, test: LinearTest, left: Floats, floor: float, machine: str,
-    screw: Screw,
-) -> Candidate:  # fmt: skip
+    name: str, model: PositionModel, test: LinearTest, left: Floats, floor: float, machine: str, screw: Screw
+) -> Candidate:
     direction, position, error = stacked(test)
     rest = error - (model.error_in(direction, position) * UM_PER_IN)[:, None]
     bundle = serving_bundle(model, machine, screw)
     refused = () if bundle is None else _refusals(bundle, screw)
     size = len(bundle.tick_graph.nodes) if bundle is not None else _entries(model)
     return Candidate(
-        name=name, family=_FAMILIES.get(name, "baseline"), promotable=bundle is not None,
-        complexity=size, scores={HELD_OUT: scores_of(test, left)}, train_rms_um=rms(rest),
+        name=name,
+        family=_FAMILIES.get(name, "baseline"),
+        promotable=bundle is not None,
+        complexity=size,
+        scores={HELD_OUT: scores_of(test, left)},
+        train_rms_um=rms(rest),
         latency=None if bundle is None else bundle_latency(bundle),
         equation=_SAID.get(name, ""),
         exports={} if bundle is None else {"tick.txt": to_text(bundle.tick_graph)},
-        bundle=None if bundle is None else bundle.to_dict(), findings=refused,
+        bundle=None if bundle is None else bundle.to_dict(),
+        findings=refused,
         numbers={
-            "screw_pitch_in": screw.pitch_in, "mapped_from_in": screw.reach_in[0],
-            "mapped_to_in": screw.reach_in[1], "refused_gates": float(len(refused)),
+            "screw_pitch_in": screw.pitch_in,
+            "mapped_from_in": screw.reach_in[0],
+            "mapped_to_in": screw.reach_in[1],
+            "refused_gates": float(len(refused)),
             "explained_share": explained_share(error, left, floor),
         },
-    )  # fmt: skip
+    )
 
 
 def _with_table_score(found: Sequence[Candidate]) -> list[Candidate]:
     """Give every candidate the held-out error of the table that a control can do by itself."""
     table = next(c for c in found if c.name == TABLE).held_out.rms_um
-    return [
-        Candidate(**{**vars(c), "numbers": {**c.numbers, "table_rms_um": table}}) for c in found
-    ]
+    return [Candidate(**{**vars(c), "numbers": {**c.numbers, "table_rms_um": table}}) for c in found]
 
 
 def _proposed(found: Sequence[Candidate]) -> str:

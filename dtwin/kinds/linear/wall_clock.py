@@ -42,12 +42,7 @@ class Cycles:
 
 
 def paced(
-    bundle: Bundle,
-    plan: LinearPlan,
-    seconds: float,
-    *,
-    priority: int = 60,
-    send: Send | None = None,
+    bundle: Bundle, plan: LinearPlan, seconds: float, *, priority: int = 60, send: Send | None = None
 ) -> dict[str, Any]:
     """Correct the axis of a plan in real time, one correction in each cycle of 10 ms.
 
@@ -81,19 +76,18 @@ def paced(
     names = [i.name for i in bundle.inputs]
     if names != [POSITION]:
         raise InputError(
-            "only a correction that remembers the play runs in real time", code="lathe.wall_clock",
-            got=f"inputs {', '.join(names)}"[:120], allowed=POSITION,
+            "only a correction that remembers the play runs in real time",
+            code="lathe.wall_clock",
+            got=f"inputs {', '.join(names)}"[:120],
+            allowed=POSITION,
             hint="dtwin lathe fit --model flanks",
-        )  # fmt: skip
+        )
     n = max(1, round(seconds / PERIOD_S))
     motion = motion_of_plan(plan)
     length_s = float(motion.t_s[-1] - motion.t_s[0])
     position_in = motion.at(motion.t_s[0] + np.arange(n) * PERIOD_S % length_s) / MM_PER_IN
     compiled = CompiledBundle(bundle)
-    guard = Guard(
-        bundle.safety, np.array([i.low for i in bundle.inputs]),
-        np.array([i.high for i in bundle.inputs]),
-    )  # fmt: skip
+    guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
     # Compiled and called once before any time counts.
     _correct(compiled, guard, float(position_in[0]), PERIOD_S)
     compiled.reset()
@@ -104,9 +98,7 @@ def paced(
     return _summary(cycles, begun_s, allowed, guard)
 
 
-def _run(
-    cycles: Cycles, compiled: CompiledBundle, guard: Guard, position_in: Floats, send: Send | None
-) -> float:
+def _run(cycles: Cycles, compiled: CompiledBundle, guard: Guard, position_in: Floats, send: Send | None) -> float:
     begun_s = time.perf_counter() + _LEAD_S
     last, number = -1, 0
     while number < len(position_in):
@@ -140,9 +132,7 @@ def _correct(compiled: CompiledBundle, guard: Guard, position_in: float, elapsed
     return float(guard.step(wanted, inputs, age_s=0.0, elapsed_s=elapsed_s)[2])
 
 
-def _summary(
-    cycles: Cycles, begun_s: float, allowed: dict[str, str], guard: Guard
-) -> dict[str, Any]:
+def _summary(cycles: Cycles, begun_s: float, allowed: dict[str, str], guard: Guard) -> dict[str, Any]:
     n = len(cycles.begun_s)
     done = np.isfinite(cycles.ready_s)
     due_s = begun_s + np.arange(n) * PERIOD_S

@@ -36,9 +36,14 @@ def is_tone_bundle(bundle: Bundle) -> bool:
 
 
 def tone_bundle(
-    amplitude: Law, phase: Law, groups: ToneGroups, name: str, machine: str,
-    action: Action = "inverse", table_versions: dict[str, int] | None = None,
-) -> Bundle:  # fmt: skip
+    amplitude: Law,
+    phase: Law,
+    groups: ToneGroups,
+    name: str,
+    machine: str,
+    action: Action = "inverse",
+    table_versions: dict[str, int] | None = None,
+) -> Bundle:
     """Freeze two equations.
 
     ``inverse`` divides the command by the gain that window and sent command tell together, so that a
@@ -65,15 +70,20 @@ def tone_bundle(
     largest = float(groups.amplitude_um.max())
     reach = float(np.max(groups.amplitude_error_um + np.radians(groups.phase_error_deg) * largest))
     return two_rate_bundle(
-        _window_graph(amplitude, phase, boxes), inputs, groups, reach, name, machine, action,
-        table_versions,
-    )  # fmt: skip
+        _window_graph(amplitude, phase, boxes), inputs, groups, reach, name, machine, action, table_versions
+    )
 
 
 def two_rate_bundle(
-    window_graph: Graph, inputs: Sequence[Input], groups: ToneGroups, reach_um: float, name: str,
-    machine: str, action: Action = "inverse", table_versions: Mapping[str, int] | None = None,
-) -> Bundle:  # fmt: skip
+    window_graph: Graph,
+    inputs: Sequence[Input],
+    groups: ToneGroups,
+    reach_um: float,
+    name: str,
+    machine: str,
+    action: Action = "inverse",
+    table_versions: Mapping[str, int] | None = None,
+) -> Bundle:
     """Freeze a window that tells gain and lag with the tick that makes the sine of them.
 
     Parameters
@@ -92,18 +102,23 @@ def two_rate_bundle(
     clamp = max(1.0, ROOM * reach_um)
     return create_bundle(
         corrects="sinusoidal",
-        name=name, machine=machine, model_version=0, inputs=inputs,
+        name=name,
+        machine=machine,
+        model_version=0,
+        inputs=inputs,
         outputs=[Output(OUTPUT, "base_z", "correction")],
         states=[State("sent_re_1", "1", 1.0), State("sent_im_1", "1", 0.0)],
-        window=groups.contract, window_graph=window_graph, tick_graph=_tick_graph(action),
+        window=groups.contract,
+        window_graph=window_graph,
+        tick_graph=_tick_graph(action),
         safety=SafetyLimits(
-            clamp_um=clamp, slew_um_s=clamp * 2.0 * np.pi * 1.5 * float(groups.frequency_hz.max()),
-            stale_s=3.0 / SERVO_HZ, window_stale_s=1.5,
+            clamp_um=clamp,
+            slew_um_s=clamp * 2.0 * np.pi * 1.5 * float(groups.frequency_hz.max()),
+            stale_s=3.0 / SERVO_HZ,
+            window_stale_s=1.5,
         ),
-        provenance=Provenance(
-            code_version=__version__, table_versions=dict(table_versions or {})
-        ),
-    )  # fmt: skip
+        provenance=Provenance(code_version=__version__, table_versions=dict(table_versions or {})),
+    )
 
 
 def command_inputs(groups: ToneGroups) -> list[Input]:
@@ -137,9 +152,7 @@ def _inputs(amplitude: Law, phase: Law, groups: ToneGroups) -> list[Input]:
     for name in used:
         low, high = float(columns[name].min()), float(columns[name].max())
         room = (1.0 - 1.0 / ROOM) * abs(low)
-        found.append(
-            Input(name, unit_of(name) or "1", "sensor", rate, "feature", low - room, 1.02 * high)
-        )
+        found.append(Input(name, unit_of(name) or "1", "sensor", rate, "feature", low - room, 1.02 * high))
     return found
 
 

@@ -28,8 +28,10 @@ from dtwin.train.symbolic import Engine
 Predicted = tuple[Floats, Floats]
 Predict = Callable[[ToneGroups, ToneGroups], Predicted]
 FORMS: dict[str, Callable[[ToneGroups], tuple[Law, Law]]] = {
-    "two-modes": two_modes, "power-law": power_law, "printed-form": printed_form,
-}  # fmt: skip
+    "two-modes": two_modes,
+    "power-law": power_law,
+    "printed-form": printed_form,
+}
 
 
 @dataclass(frozen=True)
@@ -82,10 +84,15 @@ def _scores(groups: ToneGroups, amplitude: Floats, name: str) -> Scores:
     worst = int(np.argmax(ratio))
     where = f"{groups.frequency_hz[worst]:g} Hz {groups.amplitude_um[worst]:g} um"
     return Scores(
-        name, _r2(groups.amplitude_error_um, amplitude), rms(rest),
-        float(np.mean(np.abs(rest))), float(ratio[worst]), where, len(np.unique(groups.label(name))),
+        name,
+        _r2(groups.amplitude_error_um, amplitude),
+        rms(rest),
+        float(np.mean(np.abs(rest))),
+        float(ratio[worst]),
+        where,
+        len(np.unique(groups.label(name))),
         groups.n,
-    )  # fmt: skip
+    )
 
 
 def _r2(true: Floats, predicted: Floats) -> float:
@@ -93,9 +100,8 @@ def _r2(true: Floats, predicted: Floats) -> float:
 
 
 def law_candidates(
-    groups: ToneGroups, machine: str, engine: Engine | None, seed: int,
-    table_versions: dict[str, int],
-) -> list[Candidate]:  # fmt: skip
+    groups: ToneGroups, machine: str, engine: Engine | None, seed: int, table_versions: dict[str, int]
+) -> list[Candidate]:
     """Return the candidates that are equations, each with its bundle.
 
     Parameters
@@ -116,9 +122,8 @@ def law_candidates(
 
 
 def form_candidate(
-    groups: ToneGroups, machine: str, name: str, table_versions: dict[str, int],
-    action: Action = "inverse",
-) -> Candidate:  # fmt: skip
+    groups: ToneGroups, machine: str, name: str, table_versions: dict[str, int], action: Action = "inverse"
+) -> Candidate:
     """Return the candidate of one of ``FORMS``; parameters as for :func:`law_candidates`."""
     fit = FORMS[name]
 
@@ -130,9 +135,13 @@ def form_candidate(
 
 
 def searched_candidate(
-    groups: ToneGroups, machine: str, engine: Engine | None, seed: int,
-    table_versions: dict[str, int], action: Action = "inverse",
-) -> Candidate:  # fmt: skip
+    groups: ToneGroups,
+    machine: str,
+    engine: Engine | None,
+    seed: int,
+    table_versions: dict[str, int],
+    action: Action = "inverse",
+) -> Candidate:
     """Return the candidate of the free search; parameters as for :func:`law_candidates`.
 
     Its scores are those of searches without what is predicted: form, features and constants.
@@ -143,9 +152,7 @@ def searched_candidate(
         return _values(searched(train, engine, seed)[:2], test)
 
     name = f"symbolic-{engine.name if engine else 'operon'}"
-    made = _law_candidate(
-        groups, (amplitude, phase), name, judged(groups, again), machine, table_versions, action
-    )
+    made = _law_candidate(groups, (amplitude, phase), name, judged(groups, again), machine, table_versions, action)
     return replace(made, front=tuple({"nodes": p["nodes"], "rms_um": p["rms"]} for p in front))
 
 
@@ -154,9 +161,14 @@ def _values(laws: tuple[Law, Law], groups: ToneGroups) -> Predicted:
 
 
 def _law_candidate(
-    groups: ToneGroups, laws: tuple[Law, Law], name: str, found: Judged, machine: str,
-    table_versions: dict[str, int], action: Action,
-) -> Candidate:  # fmt: skip
+    groups: ToneGroups,
+    laws: tuple[Law, Law],
+    name: str,
+    found: Judged,
+    machine: str,
+    table_versions: dict[str, int],
+    action: Action,
+) -> Candidate:
     bundle = tone_bundle(*laws, groups, name, machine, action, table_versions)
     radius, where = correction_radius(bundle, groups)
     dead = dead_terms(bundle, groups)
@@ -168,12 +180,19 @@ def _law_candidate(
     if where:
         findings.append(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}")
     return Candidate(
-        name=name, family="symbolic", promotable=True, complexity=len(bundle.window_graph.nodes),
-        scores=found.scores, train_rms_um=rms(rest),
-        latency=bundle_latency(bundle), equation=equation,
+        name=name,
+        family="symbolic",
+        promotable=True,
+        complexity=len(bundle.window_graph.nodes),
+        scores=found.scores,
+        train_rms_um=rms(rest),
+        latency=bundle_latency(bundle),
+        equation=equation,
         exports={"equation.txt": equation, "tick.txt": to_text(bundle.tick_graph)},
-        bundle=bundle.to_dict(), findings=tuple(findings), numbers=numbers,
-    )  # fmt: skip
+        bundle=bundle.to_dict(),
+        findings=tuple(findings),
+        numbers=numbers,
+    )
 
 
 def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
@@ -213,10 +232,15 @@ def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Pr
     found = judged(groups, predict)
     rest = groups.amplitude_error_um - predict(groups, groups)[0]
     return Candidate(
-        name, family, False, size, found.scores, rms(rest),
+        name,
+        family,
+        False,
+        size,
+        found.scores,
+        rms(rest),
         findings=("not an expression: cannot be promoted",) if family != "baseline" else (),
         numbers=found.numbers,
-    )  # fmt: skip
+    )
 
 
 def _regressor(recipe: Recipe, seed: int) -> Predict:
@@ -234,9 +258,7 @@ def _regressor(recipe: Recipe, seed: int) -> Predict:
 
 def _narx(train: ToneGroups, test: ToneGroups) -> Predicted:
     model = Narx.fitted(train)
-    found = [
-        model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)
-    ]
+    found = [model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)]
     values: NDArray[np.float64] = np.array(found)
     return values[:, 0], values[:, 1]
 
@@ -252,8 +274,5 @@ def proposed(candidates: Sequence[Candidate], most_radius: float) -> str:
         Spectral radius beyond which an equation is proposed only when there is no other.
     """
     laws = [c for c in candidates if c.promotable]
-    sound = [
-        c for c in laws
-        if c.numbers["dead_terms"] == 0.0 and c.numbers["spectral_radius"] <= most_radius
-    ]  # fmt: skip
+    sound = [c for c in laws if c.numbers["dead_terms"] == 0.0 and c.numbers["spectral_radius"] <= most_radius]
     return min(sound or laws, key=lambda c: c.held_out.rms_um).name

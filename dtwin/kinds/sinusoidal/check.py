@@ -41,10 +41,12 @@ def commanded(run: Run) -> Commanded:
     numbers = [float(v) for v in values if isinstance(v, int | float) and v > 0.0]
     if len(numbers) < 2:
         raise InputError(
-            "a sinusoidal run must state frequency and amplitude", code="sinusoidal.condition",
-            where=f"run {run.meta.run_id}", got=f"frequency_hz, amplitude_um = {values}",
+            "a sinusoidal run must state frequency and amplitude",
+            code="sinusoidal.condition",
+            where=f"run {run.meta.run_id}",
+            got=f"frequency_hz, amplitude_um = {values}",
             allowed="positive numbers under [run.condition]",
-        )  # fmt: skip
+        )
     return Commanded(*numbers)
 
 
@@ -69,10 +71,12 @@ def with_bandwidth(run: Run, campaign: Campaign) -> Run:
         return run
     if not isinstance(bandwidth, int | float) or not 0.0 < bandwidth < 1e6:
         raise InputError(
-            "the bandwidth is no frequency", code="sinusoidal.bandwidth",
-            where="campaign.machine_geometry z_bandwidth_hz", got=repr(bandwidth)[:40],
+            "the bandwidth is no frequency",
+            code="sinusoidal.bandwidth",
+            where="campaign.machine_geometry z_bandwidth_hz",
+            got=repr(bandwidth)[:40],
             allowed="a positive number",
-        )  # fmt: skip
+        )
     condition = dict(run.meta.condition) | {"z_bandwidth_hz": float(bandwidth)}
     return replace(run, meta=replace(run.meta, condition=condition))
 
@@ -92,9 +96,7 @@ def followed(run: Run, last_s: float | None = None) -> ToneErrors | None:
         return None
     t = samples["t_s"]
     part = t > t[-1] - last_s if last_s is not None else np.ones(len(t), dtype=bool)
-    command, encoder, tool = (
-        samples[name][part] * UM_PER_MM for name in ("cmd_z_mm", "act_z_mm", "tool_z_mm")
-    )
+    command, encoder, tool = (samples[name][part] * UM_PER_MM for name in ("cmd_z_mm", "act_z_mm", "tool_z_mm"))
     return tone_errors(t[part], command, encoder, tool, commanded(run).frequency_hz)
 
 
@@ -121,12 +123,13 @@ def judge_sinusoidal_run(run: Run) -> list[Finding]:
     if isinstance(bandwidth, float) and told.frequency_hz > SAFE_SHARE * bandwidth + 1e-9:
         findings.append(
             Finding(
-                "sinusoidal.beyond_safe", "error",
+                "sinusoidal.beyond_safe",
+                "error",
                 f"{told.frequency_hz:g} Hz is beyond the safe limit of {SAFE_SHARE * bandwidth:g} Hz "
                 f"({SAFE_SHARE:g} of the axis's bandwidth of {bandwidth:g} Hz)",
                 {"frequency_hz": told.frequency_hz, "limit_hz": SAFE_SHARE * bandwidth},
             )
-        )  # fmt: skip
+        )
     for name in ("act_z_mm", "tool_z_mm"):
         if name in run.samples:
             findings += _clipped(run.samples[name], name, "reading.clipped")
@@ -150,20 +153,22 @@ def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
     if single:
         findings.append(
             Finding(
-                "campaign.no_repeat", "warning",
+                "campaign.no_repeat",
+                "warning",
                 f"{single} of {len(count)} groups have no repeat: their noise floor is unknown",
                 {"conditions_1": float(single)},
             )
-        )  # fmt: skip
+        )
     grid = len({c.frequency_hz for c in told}) * len({c.amplitude_um for c in told})
     if grid > len(count):
         findings.append(
             Finding(
-                "sinusoidal.grid", "warning",
+                "sinusoidal.grid",
+                "warning",
                 f"{grid - len(count)} of {grid} combinations of frequency and amplitude are missing",
                 {"missing_1": float(grid - len(count))},
             )
-        )  # fmt: skip
+        )
     return findings
 
 
@@ -173,12 +178,13 @@ def _sampling(run: Run, told: Commanded) -> list[Finding]:
     if len(t) and t[-1] - t[0] < LEARNED_S - 0.01:
         found.append(
             Finding(
-                "sinusoidal.short", "warning",
+                "sinusoidal.short",
+                "warning",
                 f"{t[-1] - t[0]:z.2f} s are recorded; {LEARNED_S - FORETOLD_S:g} s for the features and "
                 f"{FORETOLD_S:g} s for what they foretell are needed",
                 {"duration_s": float(t[-1] - t[0])},
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -194,11 +200,12 @@ def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Findin
     )
     return [
         Finding(
-            "sinusoidal.aliasing", "error" if folded else "warning",
+            "sinusoidal.aliasing",
+            "error" if folded else "warning",
             f"{what} come at {rate_hz:g} Hz: {why}",
             {"rate_hz": rate_hz, "frequency_hz": frequency_hz},
         )
-    ]  # fmt: skip
+    ]
 
 
 def _tone(run: Run, told: Commanded) -> list[Finding]:
@@ -207,20 +214,22 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
     if tone.share < _SAME_TONE or abs(tone.amplitude - told.amplitude_um) > 0.1 * told.amplitude_um:
         found.append(
             Finding(
-                "sinusoidal.not_the_tone", "error",
+                "sinusoidal.not_the_tone",
+                "error",
                 f"the command is not the stated tone of {told.amplitude_um:g} um at "
                 f"{told.frequency_hz:g} Hz: that explains {100 * tone.share:z.0f} % of its power with "
                 f"{tone.amplitude:z.2f} um",
                 {"share_1": tone.share, "amplitude_um": tone.amplitude},
             )
-        )  # fmt: skip
+        )
     if "tool_z_mm" not in run.samples:
         found.append(
             Finding(
-                "sinusoidal.no_reference", "warning",
+                "sinusoidal.no_reference",
+                "warning",
                 "no column tool_z_mm: what the tool does beyond the encoder is not known",
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -234,12 +243,13 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
     if tone is not None and tone.share < HEARD:
         found.append(
             Finding(
-                "sensor.below_noise", "warning",
+                "sensor.below_noise",
+                "warning",
                 f"the accelerometer does not hear {told.amplitude_um:g} um at {told.frequency_hz:g} Hz: "
                 f"{100 * tone.share:z.0f} % of its power is the tone, its features are noise",
                 {"share_1": tone.share},
             )
-        )  # fmt: skip
+        )
     return found
 
 

@@ -51,11 +51,12 @@ def freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     counts = [len(np.unique(groups.label(name))) for name in HELD_OUT]
     if counts[0] < _FEWEST_FREQUENCIES or counts[1] < _FEWEST_AMPLITUDES:
         raise InputError(
-            "too few tones to judge a correction by what was left out", code="correct.tones",
+            "too few tones to judge a correction by what was left out",
+            code="correct.tones",
             where=f"twin {twin.name}, campaign {twin.campaign}",
             got=f"{counts[0]} frequencies, {counts[1]} amplitudes",
             allowed=f"{_FEWEST_FREQUENCIES} frequencies and {_FEWEST_AMPLITUDES} amplitudes at least",
-        )  # fmt: skip
+        )
     return tone_twin_bundle(twin, obs, groups)
 
 
@@ -98,16 +99,11 @@ def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -
         scores=found.scores,
         train_rms_um=rms(left[obs.mask]),
         latency=bundle_latency(bundle),
-        equation="\n".join(
-            [equation, *(f"  {t.label}: {t.instance.effect.formula}" for t in frozen.twin.terms)]
-        ),
+        equation="\n".join([equation, *(f"  {t.label}: {t.instance.effect.formula}" for t in frozen.twin.terms)]),
         exports={"window.txt": to_text(graph), "tick.txt": to_text(bundle.tick_graph)},
         bundle=bundle.to_dict(),
-        findings=(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}",)
-        if where
-        else (),
-        numbers=found.numbers
-        | {"spectral_radius": radius, "dead_terms": float(len(dead_terms(bundle, groups)))},
+        findings=(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}",) if where else (),
+        numbers=found.numbers | {"spectral_radius": radius, "dead_terms": float(len(dead_terms(bundle, groups)))},
     )
     tones = sorted(_tone(obs, row) for row in range(obs.n_rows))
     conditions = tuple((f"{f:g} Hz", f, a) for f, a in dict.fromkeys(tones))

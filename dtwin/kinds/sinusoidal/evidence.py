@@ -25,9 +25,7 @@ _RECORDED_S = 4.0
 _AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
 
 
-def measured_tones(
-    bundle: Bundle, truth: str, *, seed: int, progress: Progress | None = None
-) -> MeasuredWays:
+def measured_tones(bundle: Bundle, truth: str, *, seed: int, progress: Progress | None = None) -> MeasuredWays:
     """Swing the tool at each frequency several times with and without a bundle, by turns.
 
     Parameters
@@ -57,9 +55,11 @@ def measured_tones(
         if progress is not None:
             progress(repeat + 1, REPEATS, "tones")
     return MeasuredWays(
-        numbered(runs), CLOCK, {"analogue path": AnaloguePath().delay_s},
+        numbered(runs),
+        CLOCK,
+        {"analogue path": AnaloguePath().delay_s},
         acted={name: guard_shares(found) for name, found in counts.items()},
-    )  # fmt: skip
+    )
 
 
 def _swelling(t_s: Floats) -> Floats:
@@ -76,8 +76,11 @@ def _run(record: LoopRecord, frequency: float, seed: int, number: int, correctio
         "tool_z_mm": (record.tool_um[kept] + seen) * MM_PER_UM,
     }
     meta = RunMeta(
-        "e", kind="sinusoidal", sample_rate_hz=SAMPLE_HZ, correction=correction,
+        "e",
+        kind="sinusoidal",
+        sample_rate_hz=SAMPLE_HZ,
+        correction=correction,
         condition={"axis": "Z", "frequency_hz": frequency, "amplitude_um": _AMPLITUDE_UM},
         started=(EPOCH + timedelta(minutes=number)).isoformat(),
-    )  # fmt: skip
+    )
     return Run(meta, samples, source="virtual slide")

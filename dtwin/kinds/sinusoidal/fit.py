@@ -69,9 +69,8 @@ def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, 
     campaign, sources, total = open_source(folder)
     if campaign.kind != "sinusoidal":
         raise InputError(
-            "not a campaign of tones", code="turning.kind", where=str(folder), got=campaign.kind,
-            allowed="sinusoidal",
-        )  # fmt: skip
+            "not a campaign of tones", code="turning.kind", where=str(folder), got=campaign.kind, allowed="sinusoidal"
+        )
     usable = []
     for done, (runs, _) in enumerate(sources, start=1):
         usable += [r for r in runs if not any(f.severity == "error" for f in judge_run(r))]
@@ -80,9 +79,7 @@ def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, 
     return campaign.machine, groups_of(usable, str(folder))
 
 
-def fitted_tones(
-    machine: str, everything: ToneGroups, model: str, action: Action, seed: int
-) -> FittedTones:
+def fitted_tones(machine: str, everything: ToneGroups, model: str, action: Action, seed: int) -> FittedTones:
     """Fit one form of equation and judge it.
 
     Parameters
@@ -106,9 +103,7 @@ def fitted_tones(
     bundle = Bundle.from_dict(candidate.bundle)
     verdicts = tone_gates(bundle, candidate_metrics(candidate))
     provenance = replace(bundle.provenance, gates={v.gate: v.passed for v in verdicts})
-    return FittedTones(
-        candidate, replace(bundle, provenance=provenance), verdicts, what_was_seen(everything)
-    )
+    return FittedTones(candidate, replace(bundle, provenance=provenance), verdicts, what_was_seen(everything))
 
 
 def write_tones(made: FittedTones, out: Path, *, force: bool = False) -> None:

@@ -20,9 +20,16 @@ _BANDWIDTH_HZ = 50.0
 
 
 def write_tone_campaign(
-    folder: Path, runs: Iterable[Run], told: Mapping[str, Any], truth: str, name: str, machine: str,
-    shown: tuple[Progress | None, int] = (None, 0), *, corrected: bool = False,
-) -> None:  # fmt: skip
+    folder: Path,
+    runs: Iterable[Run],
+    told: Mapping[str, Any],
+    truth: str,
+    name: str,
+    machine: str,
+    shown: tuple[Progress | None, int] = (None, 0),
+    *,
+    corrected: bool = False,
+) -> None:
     """Write tones as a campaign folder; the campaign file comes last.
 
     Parameters
@@ -53,13 +60,20 @@ def write_tone_campaign(
             progress(number, count, stem)
     write_toml(folder / "truth.toml", told, "the truth")
     geometry = {
-        "type": "turning", "virtual": True, "corrected": corrected, "truth": truth, "z_bandwidth_hz": _BANDWIDTH_HZ,
+        "type": "turning",
+        "virtual": True,
+        "corrected": corrected,
+        "truth": truth,
+        "z_bandwidth_hz": _BANDWIDTH_HZ,
         "correction_delay_s": AnaloguePath().delay_s,
-    }  # fmt: skip
+    }
     head = {
-        "name": name, "machine": machine, "kind": "sinusoidal", "machine_geometry": geometry,
+        "name": name,
+        "machine": machine,
+        "kind": "sinusoidal",
+        "machine_geometry": geometry,
         "instrument": {"model": "virtual capacitance probe", "sample_rate_hz": float(SAMPLE_HZ)},
-    }  # fmt: skip
+    }
     write_campaign_file(folder, head, [_entry(meta) for meta in measured])
 
 

@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.sinusoidal.bundle import (
-    AMPLITUDE,
-    MOST_CREST,
-    ROOM,
-    command_inputs,
-    two_rate_bundle,
-)
+from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, MOST_CREST, ROOM, command_inputs, two_rate_bundle
 from dtwin.kinds.sinusoidal.gates import MOST_ERROR_UM
 from dtwin.kinds.sinusoidal.groups import SENT_CREST, SENT_FREQUENCY, SENT_RMS, ToneGroups
 from dtwin.physics.observations import Observations
@@ -60,10 +54,12 @@ def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinB
     """
     if obs.axes != ("Z",):
         raise InputError(
-            "a correction of tones cannot be made of these runs", code="correct.axis",
-            where=f"twin {twin.name}", got=f"axis {', '.join(obs.axes)}",
+            "a correction of tones cannot be made of these runs",
+            code="correct.axis",
+            where=f"twin {twin.name}",
+            got=f"axis {', '.join(obs.axes)}",
             allowed="axis Z, the only one whose equation can be written so far",
-        )  # fmt: skip
+        )
     builder, inputs = GraphBuilder(), _inputs(groups)
     frequency, rms = (_held(builder, inputs, name) for name in (SENT_FREQUENCY, SENT_RMS))
     tone = _Tone(builder, twin, obs, frequency, rms * float(np.sqrt(2.0)))
@@ -72,10 +68,7 @@ def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinB
     _require_smooth(graph, twin.name, groups)
     reach = float(np.abs(predict_um(kept.twin, obs)).max())
     versions = {k: v for k, v in twin.data.items() if isinstance(v, int)}
-    bundle = two_rate_bundle(
-        graph, inputs, groups, reach, f"twin-{twin.name}", twin.machine,
-        table_versions=versions,
-    )  # fmt: skip
+    bundle = two_rate_bundle(graph, inputs, groups, reach, f"twin-{twin.name}", twin.machine, table_versions=versions)
     return TwinBundle(bundle, kept.choices, kept.twin)
 
 
@@ -108,8 +101,7 @@ class _Tone:
         """Return what an effect does in step with the sine, and with the cosine, in um."""
         if (share := _beside_the_sine(term, self.twin, self.obs)) > _NOT_A_SINE:
             raise NotTraceable(
-                f"{100 * share:.2g} % of its power is not in the tone itself: a sine cannot carry its "
-                "corners"
+                f"{100 * share:.2g} % of its power is not in the tone itself: a sine cannot carry its corners"
             )
         weights = self.twin.values(term)
         found = [
@@ -122,9 +114,8 @@ class _Tone:
         """Return the state where the command's phase has that sine and cosine."""
         condition = self.obs.conditions[0]
         real: State = self.obs.grid.state(
-            self.obs.runs[0], condition, condition.feed_mm_min / 60.0,
-            self.obs.campaign.machine_geometry,
-        )  # fmt: skip
+            self.obs.runs[0], condition, condition.feed_mm_min / 60.0, self.obs.campaign.machine_geometry
+        )
         (axis,) = real.axes
         size_mm: Any = Traced([self.amplitude * (1.0 / UM_PER_MM)])
         rate_rad_s: Any = Traced([self.frequency * (2.0 * np.pi)])
@@ -203,11 +194,10 @@ def _inputs(groups: ToneGroups) -> list[Input]:
     highest = {AMPLITUDE: largest * (1.0 + _MARGIN), SENT_RMS: ROOM * largest / float(np.sqrt(2.0))}
     return [
         *(replace(i, high=highest.get(i.name, i.high)) for i in command_inputs(groups)),
-        Input(SENT_FREQUENCY, "hz", "path", rate, "feature", max(low - half_line, 0.5 * low),
-              high + half_line),
+        Input(SENT_FREQUENCY, "hz", "path", rate, "feature", max(low - half_line, 0.5 * low), high + half_line),
         # In no equation: it tells a tone from anything else that may be commanded.
         Input(SENT_CREST, "1", "path", rate, "feature", 1.0, MOST_CREST),
-    ]  # fmt: skip
+    ]
 
 
 def _require_smooth(graph: Graph, name: str, groups: ToneGroups) -> None:
@@ -223,8 +213,9 @@ def _require_smooth(graph: Graph, name: str, groups: ToneGroups) -> None:
                 if out > MOST_ERROR_UM:
                     raise InputError(
                         "the twin's response swings between tones that were measured",
-                        code="correct.between", where=f"twin {name}, {low:g} to {high:g} Hz",
+                        code="correct.between",
+                        where=f"twin {name}, {low:g} to {high:g} Hz",
                         got=f"{out:z.2f} um at {amplitude:g} um beyond what both tones show",
                         allowed=f"{MOST_ERROR_UM:g} um: what lies between tones must be seen by them",
                         hint="measure tones closer together there",
-                    )  # fmt: skip
+                    )

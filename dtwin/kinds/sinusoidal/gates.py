@@ -8,14 +8,7 @@ import numpy as np
 
 from dtwin.features.tone_window import TONE_FEATURES, tone_columns
 from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, PHASE, SERVO_HZ
-from dtwin.kinds.sinusoidal.groups import (
-    HELD_OUT,
-    SENT_CREST,
-    SENT_FREQUENCY,
-    SENT_RMS,
-    ToneGroups,
-    dead_features,
-)
+from dtwin.kinds.sinusoidal.groups import HELD_OUT, SENT_CREST, SENT_FREQUENCY, SENT_RMS, ToneGroups, dead_features
 from dtwin.kinds.sinusoidal.laws import MOST_FEATURES
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
@@ -155,21 +148,20 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     return [
         *_held_out(metrics),
         Verdict(
-            "at most three features", max(len(u) for u in used.values()) <= MOST_FEATURES,
+            "at most three features",
+            max(len(u) for u in used.values()) <= MOST_FEATURES,
             "; ".join(f"{name}: {', '.join(columns) or 'none'}" for name, columns in used.items()),
         ),
+        Verdict("no dead term", dead == 0.0, f"{dead:g} features in the equations are constants on clean sines"),
         Verdict(
-            "no dead term", dead == 0.0,
-            f"{dead:g} features in the equations are constants on clean sines",
-        ),
-        Verdict(
-            "stable on its own correction", radius <= MOST_RADIUS,
+            "stable on its own correction",
+            radius <= MOST_RADIUS,
             f"spectral radius from window to window {radius:z.3f}; at most {MOST_RADIUS:g}",
         ),
         _bounded(bundle),
         vectors_proved(bundle),
         Verdict("latency", p99 <= _TICK_BUDGET_US, f"p99 {p99:z.2f} us of {_TICK_BUDGET_US:g}"),
-    ]  # fmt: skip
+    ]
 
 
 def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
@@ -179,15 +171,17 @@ def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
         told = ", ".join(f"{group} out: {value:z.4f}" for group, value in values.items())
         what = "amplitude" if name == "r2" else "phase"
         found.append(
-            Verdict(f"held-out {what}", all(v >= least for v in values.values()),
-                    f"R2 {told}; at least {least}")
-        )  # fmt: skip
+            Verdict(f"held-out {what}", all(v >= least for v in values.values()), f"R2 {told}; at least {least}")
+        )
     errors = [metrics.get(f"leave_{g}_out.mae_um", float("nan")) for g in HELD_OUT]
     told = ", ".join(f"{1000 * error:z.1f} nm" for error in errors)
     found.append(
-        Verdict("held-out mean error", all(e <= MOST_ERROR_UM for e in errors),
-                f"{told}; at most {1000 * MOST_ERROR_UM:g} nm")
-    )  # fmt: skip
+        Verdict(
+            "held-out mean error",
+            all(e <= MOST_ERROR_UM for e in errors),
+            f"{told}; at most {1000 * MOST_ERROR_UM:g} nm",
+        )
+    )
     return found
 
 
@@ -230,7 +224,8 @@ def _bounded(bundle: Bundle) -> Verdict:
             largest = max(largest, float(np.max(np.abs(sent))))
             raw = max(raw, float(np.max(np.abs(wanted)))) if scale == 1.0 else raw
     return Verdict(
-        "bounded output", largest <= bundle.safety.clamp_um * (1.0 + 1e-9),
+        "bounded output",
+        largest <= bundle.safety.clamp_um * (1.0 + 1e-9),
         f"up to {raw:z.1f} um inside the box, {largest:z.1f} um after a clamp of "
         f"{bundle.safety.clamp_um:z.1f} um whatever comes in",
-    )  # fmt: skip
+    )

@@ -13,14 +13,7 @@ from scipy.optimize import least_squares
 from dtwin.errors import InputError
 from dtwin.features.catalogue import feature_column
 from dtwin.features.sine import fit_tone
-from dtwin.features.tone_window import (
-    HORIZON_S,
-    SENT,
-    TONE_FEATURES,
-    tone_columns,
-    tone_contract,
-    tone_features,
-)
+from dtwin.features.tone_window import HORIZON_S, SENT, TONE_FEATURES, tone_columns, tone_contract, tone_features
 from dtwin.features.windows import WindowContract
 from dtwin.kinds.sinusoidal.check import HEARD, commanded, followed, heard
 from dtwin.schema import Floats, Run
@@ -97,11 +90,7 @@ class ToneGroups:
 
     def only(self, chosen: NDArray[np.bool_]) -> ToneGroups:
         """Return some of the groups."""
-        arrays = {
-            name: value[chosen]
-            for name, value in vars(self).items()
-            if name not in ("contract", "traces")
-        }
+        arrays = {name: value[chosen] for name, value in vars(self).items() if name not in ("contract", "traces")}
         traces = tuple(t for t, keep in zip(self.traces, chosen, strict=True) if keep)
         return ToneGroups(contract=self.contract, traces=traces, **arrays)
 
@@ -143,14 +132,16 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
     found = [group for run in runs if (group := _group(run)) is not None]
     if not found:
         raise InputError(
-            "no run can be learned from", code="train.tones", where=where, got=f"{len(runs)} runs",
-            allowed="tool_z_mm, an accelerometers signal, six seconds", hint="dtwin check says more",
-        )  # fmt: skip
+            "no run can be learned from",
+            code="train.tones",
+            where=where,
+            got=f"{len(runs)} runs",
+            allowed="tool_z_mm, an accelerometers signal, six seconds",
+            hint="dtwin check says more",
+        )
     contracts = {g["contract"] for g in found}
     if len(contracts) > 1:
-        raise InputError(
-            "groups have different rates or channels", code="features.contract", where=where
-        )
+        raise InputError("groups have different rates or channels", code="features.contract", where=where)
     names = [n for n in found[0] if n not in ("contract", "trace")]
     arrays = {name: np.array([g[name] for g in found]) for name in names}
     return ToneGroups(contract=contracts.pop(), traces=tuple(g["trace"] for g in found), **arrays)
@@ -173,10 +164,12 @@ def heard_groups(everything: ToneGroups) -> ToneGroups:
     counts = [len(np.unique(groups.label(name))) for name in HELD_OUT]
     if min(counts) < _FEWEST:
         raise InputError(
-            "too few tones to judge a model by what was left out", code="train.grid",
+            "too few tones to judge a model by what was left out",
+            code="train.grid",
             got=f"{counts[0]} frequencies and {counts[1]} amplitudes that the accelerometer hears",
-            allowed=f"{_FEWEST} of each at least", hint="dtwin check says how much of a tone is heard",
-        )  # fmt: skip
+            allowed=f"{_FEWEST} of each at least",
+            hint="dtwin check says how much of a tone is heard",
+        )
     return groups
 
 
@@ -278,8 +271,4 @@ def dead_features(groups: ToneGroups) -> set[str]:
     """Return the columns of the features that are constants on clean tones."""
     dead = {text.split(" ")[0] for text in feature_findings(groups) if "dead constant" in text}
     channel = groups.contract.channels[1]
-    return {
-        column
-        for column, name in zip(tone_columns(channel), TONE_FEATURES, strict=True)
-        if name in dead
-    }
+    return {column for column, name in zip(tone_columns(channel), TONE_FEATURES, strict=True) if name in dead}

@@ -52,9 +52,7 @@ class Law:
 
     def refitted(self, columns: Mapping[str, Floats], target: Floats) -> Law:
         """Return the same equation with its constants fitted to other rows."""
-        again = refit(
-            [Found(self.text(), self.formula.size, 0.0)], _scaled(columns, self.scales), target
-        )
+        again = refit([Found(self.text(), self.formula.size, 0.0)], _scaled(columns, self.scales), target)
         return Law(again[0].formula, again[0].constants, self.scales) if again else self
 
     def build(self, builder: GraphBuilder, features: Mapping[str, Expression]) -> Expression:
@@ -74,9 +72,7 @@ class Law:
 _Fitter = Callable[[ToneGroups], tuple[Law, Law]]
 
 
-def _given_form(
-    groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[str]
-) -> tuple[Law, Law]:
+def _given_form(groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[str]) -> tuple[Law, Law]:
     """Fit equations whose form is given; the best of several starts is kept.
 
     Parameters
@@ -89,13 +85,8 @@ def _given_form(
     names = {n: c for n, c in zip(groups.contract.features, groups.names, strict=True)}
     scales = _scales_of(groups)
     found = []
-    for starts, target in (
-        (amplitude, groups.amplitude_error_um), (phase, groups.phase_error_deg)
-    ):  # fmt: skip
-        fitted = refit(
-            [Found(s.format(**names), 0, 0.0) for s in starts], _scaled(groups.columns, scales),
-            target,
-        )  # fmt: skip
+    for starts, target in ((amplitude, groups.amplitude_error_um), (phase, groups.phase_error_deg)):
+        fitted = refit([Found(s.format(**names), 0, 0.0) for s in starts], _scaled(groups.columns, scales), target)
         if not fitted:
             raise InputError("the equation cannot be fitted", code="train.form", got=starts[0])
         best = min(fitted, key=lambda f: f.rms)
@@ -105,9 +96,7 @@ def _given_form(
 
 def power_law(groups: ToneGroups) -> tuple[Law, Law]:
     """Fit amplitude error = c acceleration^p and phase error = c frequency^p."""
-    return _given_form(
-        groups, ["3.0 * exp(1.0 * log({rms}))"], ["3.0 * exp(1.5 * log({dominant_frequency}))"]
-    )
+    return _given_form(groups, ["3.0 * exp(1.0 * log({rms}))"], ["3.0 * exp(1.5 * log({dominant_frequency}))"])
 
 
 def printed_form(groups: ToneGroups) -> tuple[Law, Law]:
@@ -116,9 +105,7 @@ def printed_form(groups: ToneGroups) -> tuple[Law, Law]:
         f"2.0 + 2.0 * tanh({a} * {{dominant_frequency}} + 0.1 * {{shape_factor}} + {b})"
         for a, b in ((1.0, -1.0), (0.5, -2.0), (2.0, -3.0))
     ]
-    return _given_form(
-        groups, ["3.0 * {crest_factor} * exp(0.8 * log({variance} / {rms}))"], starts
-    )
+    return _given_form(groups, ["3.0 * {crest_factor} * exp(0.8 * log({variance} / {rms}))"], starts)
 
 
 def two_modes(groups: ToneGroups) -> tuple[Law, Law]:
@@ -131,14 +118,11 @@ def two_modes(groups: ToneGroups) -> tuple[Law, Law]:
     return _given_form(
         groups,
         [f"{{rms}} * (3.0 - 0.5 * square({frequency}))"],
-        [f"{frequency} * (1.0 + 1.0 * square({frequency}) / (1.0 - {c} * square({frequency})))"
-         for c in (0.05, 0.2)],
-    )  # fmt: skip
+        [f"{frequency} * (1.0 + 1.0 * square({frequency}) / (1.0 - {c} * square({frequency})))" for c in (0.05, 0.2)],
+    )
 
 
-def searched(
-    groups: ToneGroups, engine: Engine | None, seed: int
-) -> tuple[Law, Law, list[dict[str, float]]]:
+def searched(groups: ToneGroups, engine: Engine | None, seed: int) -> tuple[Law, Law, list[dict[str, float]]]:
     """Search formulas of at most three features freely; return them and the front of amplitudes.
 
     Features that are constants on clean tones are not offered to the search.
@@ -159,9 +143,10 @@ def searched(
     found, front = [], []
     for target in (groups.amplitude_error_um, groups.phase_error_deg):
         fitted = [
-            f for f in refit(search.search(columns, target, seed), columns, target)
+            f
+            for f in refit(search.search(columns, target, seed), columns, target)
             if len(_inputs(f.formula)) <= MOST_FEATURES
-        ]  # fmt: skip
+        ]
         if not fitted:
             raise InputError("no formula of three features was found", code="train.search")
         enough = max(1.02 * min(f.rms for f in fitted), _ENOUGH * float(np.std(target)))
@@ -173,9 +158,7 @@ def searched(
 
 def _scales_of(groups: ToneGroups) -> dict[str, float]:
     """Return the median size of each feature."""
-    return {
-        name: float(np.median(np.abs(values))) or 1.0 for name, values in groups.columns.items()
-    }
+    return {name: float(np.median(np.abs(values))) or 1.0 for name, values in groups.columns.items()}
 
 
 def _scaled(columns: Mapping[str, Floats], scales: Mapping[str, float]) -> dict[str, Floats]:
@@ -200,9 +183,12 @@ def _written(formula: Formula, constants: Floats) -> str:
 
 
 def _built(
-    formula: Formula, builder: GraphBuilder, constants: Floats,
-    features: Mapping[str, Expression], scales: Mapping[str, float],
-) -> Expression:  # fmt: skip
+    formula: Formula,
+    builder: GraphBuilder,
+    constants: Floats,
+    features: Mapping[str, Expression],
+    scales: Mapping[str, float],
+) -> Expression:
     if formula.op == "constant":
         return builder.constant(float(constants[formula.place]))
     if formula.op == "input":

@@ -12,14 +12,7 @@ from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
 from dtwin.features.windows import StreamingWindow
 from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, PHASE, is_tone_bundle
-from dtwin.machines.turning import (
-    SERVO_HZ,
-    AccelerationChannel,
-    AnaloguePath,
-    Instruments,
-    Slide,
-    TurningSlide,
-)
+from dtwin.machines.turning import SERVO_HZ, AccelerationChannel, AnaloguePath, Instruments, Slide, TurningSlide
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.divergence import DivergenceWatch
@@ -82,9 +75,14 @@ class LoopRecord:
 
 
 def run_loop(
-    slide: Slide, command: ToneCommand, bundle: Bundle | None, *, seed: int,
-    instruments: Instruments | None = None, path: AnaloguePath | None = None,
-) -> LoopRecord:  # fmt: skip
+    slide: Slide,
+    command: ToneCommand,
+    bundle: Bundle | None,
+    *,
+    seed: int,
+    instruments: Instruments | None = None,
+    path: AnaloguePath | None = None,
+) -> LoopRecord:
     """Run the slide, corrected by a bundle through guard and analogue path, or as it is.
 
     Each second the features of the last five seconds are taken, by the code that trained; each tick the
@@ -113,18 +111,25 @@ def run_loop(
     """
     if bundle is not None and (not is_tone_bundle(bundle) or bundle.window is None):
         raise InputError(
-            "the bundle does not correct tones", code="turning.bundle",
-            got=", ".join(bundle.tick_inputs)[:120], allowed=f"{PHASE}, {AMPLITUDE}",
+            "the bundle does not correct tones",
+            code="turning.bundle",
+            got=", ".join(bundle.tick_inputs)[:120],
+            allowed=f"{PHASE}, {AMPLITUDE}",
             hint="dtwin train CAMPAIGN, of a sinusoidal campaign",
-        )  # fmt: skip
+        )
     return _Loop(slide, command, bundle, seed, instruments or Instruments(), path).run()
 
 
 class _Loop:
     def __init__(
-        self, slide: Slide, command: ToneCommand, bundle: Bundle | None, seed: int,
-        instruments: Instruments, path: AnaloguePath | None,
-    ) -> None:  # fmt: skip
+        self,
+        slide: Slide,
+        command: ToneCommand,
+        bundle: Bundle | None,
+        seed: int,
+        instruments: Instruments,
+        path: AnaloguePath | None,
+    ) -> None:
         self.machine, self.command, self.bundle = TurningSlide(slide), command, bundle
         rng = np.random.default_rng(seed)
         self.channel = AccelerationChannel(instruments.accelerometer, rng)
@@ -143,10 +148,17 @@ class _Loop:
         t, command, tool, arrived = (np.concatenate(column) for column in zip(*parts, strict=True))
         told = np.array(self.told).reshape(-1, 3)
         return LoopRecord(
-            t, command, tool, arrived, told[:, 0], told[:, 1], told[:, 2],
-            guard=self.brain.guard.counted() if self.brain else {}, saturated=self.saturated,
+            t,
+            command,
+            tool,
+            arrived,
+            told[:, 0],
+            told[:, 1],
+            told[:, 2],
+            guard=self.brain.guard.counted() if self.brain else {},
+            saturated=self.saturated,
             alarm=self.watch.alarm,
-        )  # fmt: skip
+        )
 
     def _commanded(self, t: Floats) -> Floats:
         angle = 2.0 * np.pi * self.command.frequency_hz * t
@@ -157,9 +169,7 @@ class _Loop:
         if self.brain is not None and self.brain.ready:
             ahead = t + self.path.delay_s
             angle = np.mod(2.0 * np.pi * self.command.frequency_hz * ahead, 2.0 * np.pi)
-            wanted = self.brain.corrections(
-                angle, self.command.amplitude_um(ahead), released=bool(self.watch.alarm)
-            )
+            wanted = self.brain.corrections(angle, self.command.amplitude_um(ahead), released=bool(self.watch.alarm))
         arrived, self.held, clipped = self.path.arrived_um(wanted, self.held)
         self.saturated += clipped
         command = self._commanded(t)
@@ -215,8 +225,7 @@ class _Brain:
         self.gain, self.lag_rad = told["gain_1"], told["phase_error_rad"]
         boxed = [(i.low, i.high) for i in self._bundle.inputs if i.source == "feature"]
         self.inside = all(
-            low <= value <= high
-            for value, (low, high) in zip(self._features.tolist(), boxed, strict=True)
+            low <= value <= high for value, (low, high) in zip(self._features.tolist(), boxed, strict=True)
         )
         self.ready = True
         return True
@@ -229,7 +238,5 @@ class _Brain:
         if not released:
             wanted[:, 2] = self._compiled.run(rows)[:, 0]
         named = given | dict(zip(self._bundle.feature_inputs, self._features, strict=True))
-        box = np.column_stack(
-            [np.broadcast_to(named[i.name], len(angle)) for i in self._bundle.inputs]
-        )
+        box = np.column_stack([np.broadcast_to(named[i.name], len(angle)) for i in self._bundle.inputs])
         return self.guard.run(wanted, box, elapsed_s=1.0 / SERVO_HZ)[:, 2]

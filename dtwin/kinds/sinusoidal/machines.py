@@ -24,9 +24,8 @@ class _Turning(VirtualMachine):
 
         out, truth = request.out, request.options["truth"]
         groups = simulate_turning(
-            out, truth=truth, seed=request.seed, quick=request.quick, plan=request.plan,
-            progress=progress,
-        )  # fmt: skip
+            out, truth=truth, seed=request.seed, quick=request.quick, plan=request.plan, progress=progress
+        )
         payload = {"folder": str(out), "groups": groups, "truth": truth}
         return Simulated(payload, [f"{groups} groups in {out}", f"next: dtwin check {out}"])
 

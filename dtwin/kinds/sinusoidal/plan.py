@@ -107,19 +107,26 @@ def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:
     require_name(plan.name, "plan.name")
     require_name(plan.machine, "plan.machine")
     rules: tuple[tuple[str, bool, object, str], ...] = (
-        ("frequencies_hz", _distinct(plan.frequencies_hz, 1e4), plan.frequencies_hz,
-         "different frequencies above 0, up to 10000 Hz"),
-        ("amplitudes_um", _distinct(plan.amplitudes_um, 1e5), plan.amplitudes_um,
-         "different amplitudes above 0, up to 100000 um"),
+        (
+            "frequencies_hz",
+            _distinct(plan.frequencies_hz, 1e4),
+            plan.frequencies_hz,
+            "different frequencies above 0, up to 10000 Hz",
+        ),
+        (
+            "amplitudes_um",
+            _distinct(plan.amplitudes_um, 1e5),
+            plan.amplitudes_um,
+            "different amplitudes above 0, up to 100000 um",
+        ),
         ("repeats", 1 <= plan.repeats <= 99, plan.repeats, "1 to 99"),
         ("repeats", plan.count <= _MOST_GROUPS, f"{plan.count} groups", f"{_MOST_GROUPS} in all"),
         ("seconds", 1.0 <= plan.seconds <= 600.0, plan.seconds, "1 to 600 s"),
         ("axis", plan.axis in ("X", "Y", "Z"), plan.axis, "X, Y, Z"),
-        ("bandwidth_hz", 0.0 <= plan.bandwidth_hz <= 1e5, plan.bandwidth_hz,
-         "above 0, or 0 when unknown"),
+        ("bandwidth_hz", 0.0 <= plan.bandwidth_hz <= 1e5, plan.bandwidth_hz, "above 0, or 0 when unknown"),
         ("sample_hz", 1.0 <= plan.sample_hz <= 1e6, plan.sample_hz, "1 to 1000000 Hz"),
         ("seed", plan.seed >= 0, plan.seed, "0 or more"),
-    )  # fmt: skip
+    )
     for name, kept, got, allowed in rules:
         if not kept:
             raise broken_rule(name, f"{name} cannot be", where, got, allowed)
@@ -146,23 +153,24 @@ def _drive_advice(plan: TonePlan) -> list[Finding]:
     if plan.bandwidth_hz == 0.0:
         return [
             Finding(
-                "plan.bandwidth_unknown", "info",
-                "the control bandwidth of the axis is not stated: nothing can be said about how fast "
-                "it may be driven",
+                "plan.bandwidth_unknown",
+                "info",
+                "the control bandwidth of the axis is not stated: nothing can be said about how fast it may be driven",
             )
-        ]  # fmt: skip
+        ]
     limit = SAFE_SHARE * plan.bandwidth_hz
     beyond = [f for f in plan.frequencies_hz if f > limit + 1e-9]
     if not beyond:
         return []
     return [
         Finding(
-            "plan.beyond_safe", "warning",
+            "plan.beyond_safe",
+            "warning",
             f"{_list(beyond)} Hz lie beyond the safe limit of {limit:g} Hz ({SAFE_SHARE:g} of the "
             f"axis's bandwidth of {plan.bandwidth_hz:g} Hz): such groups are refused at ingest",
             {"limit_hz": limit},
         )
-    ]  # fmt: skip
+    ]
 
 
 def _sampling_advice(plan: TonePlan) -> list[Finding]:
@@ -171,65 +179,68 @@ def _sampling_advice(plan: TonePlan) -> list[Finding]:
     if few:
         found.append(
             Finding(
-                "plan.too_few_samples", "warning",
+                "plan.too_few_samples",
+                "warning",
                 f"{_list(few)} Hz at {plan.sample_hz:g} samples a second have "
                 f"{plan.sample_hz / max(few):z.1f} samples to a period: peaks are missed, and below 2 "
                 f"the tone is another one; {FEWEST_PER_PERIOD * max(few):g} Hz would do",
             )
-        )  # fmt: skip
+        )
     slow = [f for f in plan.frequencies_hz if f * FORETOLD_S < 1.0]
     if slow:
         found.append(
             Finding(
-                "plan.too_slow", "warning",
-                f"{_list(slow)} Hz make less than a period in the last second, where amplitude and "
-                "lag are taken",
+                "plan.too_slow",
+                "warning",
+                f"{_list(slow)} Hz make less than a period in the last second, where amplitude and lag are taken",
             )
-        )  # fmt: skip
+        )
     if plan.seconds < LEARNED_S:
         found.append(
             Finding(
-                "plan.too_short", "warning",
+                "plan.too_short",
+                "warning",
                 f"{plan.seconds:g} s of a group: features need {LEARNED_S - FORETOLD_S:g} s, what they "
                 f"foretell {FORETOLD_S:g} s more",
             )
-        )  # fmt: skip
+        )
     weakest = min(plan.frequencies_hz) ** 2 * min(plan.amplitudes_um) * _G_PER_UM_HZ2
     if weakest < _WEAK_G:
         found.append(
             Finding(
-                "plan.weak", "info",
+                "plan.weak",
+                "info",
                 f"the weakest tone accelerates by {weakest:.1g} g: an accelerometer may hear only its "
                 "own noise, and such groups are left out of the training",
                 {"weakest_g": weakest},
             )
-        )  # fmt: skip
+        )
     return found
 
 
 def _size_advice(plan: TonePlan) -> list[Finding]:
     found = []
     if plan.repeats < 2:
-        found.append(
-            Finding("plan.no_repeats", "warning", "no repeats: the noise floor cannot be known")
-        )
+        found.append(Finding("plan.no_repeats", "warning", "no repeats: the noise floor cannot be known"))
     if min(len(plan.frequencies_hz), len(plan.amplitudes_um)) < _FEWEST_TONES:
         found.append(
             Finding(
-                "plan.too_few_tones", "warning",
+                "plan.too_few_tones",
+                "warning",
                 f"{len(plan.frequencies_hz)} frequencies and {len(plan.amplitudes_um)} amplitudes: a "
                 f"model is judged by leaving one out, which needs {_FEWEST_TONES} of each",
             )
-        )  # fmt: skip
+        )
     hours = duration_s(plan) / 3600.0
     if hours > _LONG_H:
         found.append(
             Finding(
-                "plan.long", "warning",
+                "plan.long",
+                "warning",
                 f"{plan.count} groups take about {hours:z.1f} h: the slide will not stay as it was",
                 {"duration_s": hours * 3600.0},
             )
-        )  # fmt: skip
+        )
     return found
 
 

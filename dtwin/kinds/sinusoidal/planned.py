@@ -71,7 +71,12 @@ def _empty_run(plan: TonePlan, number: int, group: ToneGroup) -> Run:
     }
     begun = timedelta(seconds=(number - 1) * duration_s(plan) / plan.count)
     meta = RunMeta(
-        str(number), kind="sinusoidal", repeat=group.repeat, setup="s1", condition=condition,
-        started=(_EPOCH + begun).isoformat(), sample_rate_hz=rate_hz,
-    )  # fmt: skip
+        str(number),
+        kind="sinusoidal",
+        repeat=group.repeat,
+        setup="s1",
+        condition=condition,
+        started=(_EPOCH + begun).isoformat(),
+        sample_rate_hz=rate_hz,
+    )
     return Run(meta, {"t_s": t_s, f"cmd_{axis}_mm": told_mm, f"tool_{axis}_mm": told_mm})

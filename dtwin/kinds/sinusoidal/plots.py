@@ -43,21 +43,19 @@ def trial_figures(rows: Sequence[Mapping[str, Any]]) -> list[go.Figure]:
     """
     frequency = [row["frequency_hz"] for row in rows]
     figures = []
-    for key, title in (
-        ("form_um", "Form error at the rim, um"),
-        ("phase_deg", "Phase error at the rim, deg"),
-    ):
+    for key, title in (("form_um", "Form error at the rim, um"), ("phase_deg", "Phase error at the rim, deg")):
         figure = go.Figure()
-        for when, name, colour in (
-            ("before", "without", COLOURS["measured"]),
-            ("after", "with", COLOURS["second"]),
-        ):
+        for when, name, colour in (("before", "without", COLOURS["measured"]), ("after", "with", COLOURS["second"])):
             figure.add_trace(
                 go.Scatter(
-                    x=frequency, y=[row[when][key] for row in rows], name=name,
-                    mode="lines+markers", marker={"size": 9}, line={"color": colour},
+                    x=frequency,
+                    y=[row[when][key] for row in rows],
+                    name=name,
+                    mode="lines+markers",
+                    marker={"size": 9},
+                    line={"color": colour},
                 )
-            )  # fmt: skip
+            )
         figure.update_layout(
             title=title,
             xaxis={"title": "frequency of the tool, Hz"},
@@ -86,14 +84,20 @@ def surface_figures_of(frequency_hz: float, cut: tuple[Surface, Surface]) -> lis
         error = (surface.cut_um - surface.wanted_um)[some]
         figure = go.Figure(
             go.Scatter(
-                x=np.round(x * np.cos(angle), 4), y=np.round(x * np.sin(angle), 4), mode="markers",
+                x=np.round(x * np.cos(angle), 4),
+                y=np.round(x * np.sin(angle), 4),
+                mode="markers",
                 marker={
-                    "color": np.round(error, 4), "size": 5, "cmin": -largest, "cmax": largest,
-                    "colorscale": "RdBu", "colorbar": {"title": "um"},
+                    "color": np.round(error, 4),
+                    "size": 5,
+                    "cmin": -largest,
+                    "cmax": largest,
+                    "colorscale": "RdBu",
+                    "colorbar": {"title": "um"},
                 },
                 hovertemplate="x %{x} mm, y %{y} mm: %{marker.color} um<extra></extra>",
             )
-        )  # fmt: skip
+        )
         figure.update_layout(
             title=f"Height error at {frequency_hz:g} Hz, {title} correction",
             xaxis={"title": "mm"},

@@ -120,9 +120,7 @@ class _Sinusoidal(Kind):
         from dtwin.kinds.sinusoidal.correction import freeze_tones, judge_tones
         from dtwin.pipeline.twin_correction import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
-        return TwinWay(
-            freeze_tones, judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"}
-        )
+        return TwinWay(freeze_tones, judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"})
 
 
 KIND = _Sinusoidal()

@@ -85,13 +85,10 @@ def _trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     rows = []
     for row in found["rows"]:
         cells = [
-            f"{row['before'][key]:{form}}, {row['after'][key]:{form}} "
-            f"({-100.0 * row['reduction'][key]:+z.1f} %)"
+            f"{row['before'][key]:{form}}, {row['after'][key]:{form}} ({-100.0 * row['reduction'][key]:+z.1f} %)"
             for _, key, form in _FIGURES
         ]
-        rows.append(
-            [f"{row['frequency_hz']:g}", f"{row['spindle_rpm']:g}", *cells, row["alarm"] or "-"]
-        )
+        rows.append([f"{row['frequency_hz']:g}", f"{row['spindle_rpm']:g}", *cells, row["alarm"] or "-"])
     return head, rows
 
 
@@ -112,9 +109,7 @@ def trial_text(found: Mapping[str, Any]) -> str:
     )
 
 
-def trial_section(
-    found: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]
-) -> Section:
+def trial_section(found: Mapping[str, Any], surfaces: Mapping[float, tuple[Surface, Surface]]) -> Section:
     """Return the section about surfaces without and with a correction.
 
     Parameters
@@ -132,13 +127,9 @@ def trial_section(
         [
             f"Bicuspid surface {found['surface']}. Form and phase error are those of the rim; vector is "
             f"the length of the difference of both sines. {found['clock']}; virtual slide: "
-            f"{found['truth']}.",
+            f"{found['truth']}."
         ],
-        [
-            ("warning", f"{r['frequency_hz']:g} Hz: {r['alarm']}")
-            for r in found["rows"]
-            if r["alarm"]
-        ],
+        [("warning", f"{r['frequency_hz']:g} Hz: {r['alarm']}") for r in found["rows"] if r["alarm"]],
         [Table(*_trial_table(found))],
         figures,
     )

@@ -11,21 +11,8 @@ import numpy as np
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, COMMANDED, SENT
 from dtwin.kinds.sinusoidal.folder import SAMPLE_HZ, write_tone_campaign
 from dtwin.kinds.sinusoidal.plan import TonePlan
-from dtwin.kinds.sinusoidal.simulate import (
-    EVERY,
-    Room,
-    require_own_axis,
-    tone_run,
-    virtual_slide,
-)
-from dtwin.machines.turning import (
-    MM_PER_UM,
-    SERVO_HZ,
-    AccelerationChannel,
-    AnaloguePath,
-    Instruments,
-    TurningSlide,
-)
+from dtwin.kinds.sinusoidal.simulate import EVERY, Room, require_own_axis, tone_run, virtual_slide
+from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, AnaloguePath, Instruments, TurningSlide
 from dtwin.schema import Floats, Run, SignalGroup
 
 _ACCELERATION = "tool_z_g"
@@ -112,9 +99,8 @@ class ServedSlide:
         """Write the recorded tones as a campaign folder; return what was written."""
         told = {"truth": self._truth, "seed": self._seed}
         write_tone_campaign(
-            folder, self._runs, told, self._truth, folder.name, self._plan.machine,
-            corrected=self._corrected,
-        )  # fmt: skip
+            folder, self._runs, told, self._truth, folder.name, self._plan.machine, corrected=self._corrected
+        )
         return f"{len(self._runs)} tones"
 
     def _tone(self, number: int, within: int) -> tuple[float, float]:
@@ -131,15 +117,9 @@ class ServedSlide:
         arrived, self._arriving, _ = self._path.arrived_um(self._asked, self._arriving)
         motion = self._machine.run(wave + arrived)
         felt = float(self._channel.sampled_g(motion, EVERY)[0])
-        self._sample = {
-            COMMANDED: float(wave[0]),
-            SENT: float(wave[0] + arrived[0]),
-            _ACCELERATION: felt,
-        }
+        self._sample = {COMMANDED: float(wave[0]), SENT: float(wave[0] + arrived[0]), _ACCELERATION: felt}
         if t_s[0] >= AIR_S:
-            self._kept.append(
-                (t_s[0] - AIR_S, wave[0], motion.encoder_um[0], motion.tool_um[0], felt)
-            )
+            self._kept.append((t_s[0] - AIR_S, wave[0], motion.encoder_um[0], motion.tool_um[0], felt))
 
     def _close_group(self, number: int) -> None:
         t_s, wave, encoder, tool, felt = np.array(self._kept).T

@@ -11,14 +11,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal.folder import SAMPLE_HZ, write_tone_campaign
 from dtwin.kinds.sinusoidal.plan import BETWEEN_S, TonePlan
-from dtwin.machines.turning import (
-    MM_PER_UM,
-    SERVO_HZ,
-    AccelerationChannel,
-    Instruments,
-    Slide,
-    TurningSlide,
-)
+from dtwin.machines.turning import MM_PER_UM, SERVO_HZ, AccelerationChannel, Instruments, Slide, TurningSlide
 from dtwin.machines.turning_drift import RoomDrift
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run, RunMeta, SignalGroup
@@ -71,18 +64,20 @@ def virtual_slide(truth: str) -> Slide:
         When there is no such mechanism.
     """
     if truth not in TRUTHS:
-        raise InputError(
-            "no such slide", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS)
-        )
+        raise InputError("no such slide", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))
     if truth == "hardening":
         return Slide(hardening=1.35, hardening_um=1.6)
     return Slide(friction_um=0.2) if truth == "friction" else Slide()
 
 
 def record_group(
-    slide: Slide, instruments: Instruments, frequency_hz: float, amplitude_um: float, seed: int,
+    slide: Slide,
+    instruments: Instruments,
+    frequency_hz: float,
+    amplitude_um: float,
+    seed: int,
     seconds: float = _GROUP_S,
-) -> tuple[dict[str, Floats], SignalGroup]:  # fmt: skip
+) -> tuple[dict[str, Floats], SignalGroup]:
     """Command one tone, six seconds without other word, and return what the instruments record.
 
     Parameters
@@ -123,9 +118,7 @@ def record_group(
     return samples, SignalGroup("accelerometers", SAMPLE_HZ, {"tool_z_g": signal})
 
 
-def virtual_runs(
-    grid: Grid, slide: Slide, seed: int, instruments: Instruments | None = None
-) -> Iterator[Run]:
+def virtual_runs(grid: Grid, slide: Slide, seed: int, instruments: Instruments | None = None) -> Iterator[Run]:
     """Return the groups of a campaign as runs, without writing anything.
 
     Parameters
@@ -146,9 +139,8 @@ def virtual_runs(
 
 
 def planned_runs(
-    plan: TonePlan, slide: Slide, seed: int, instruments: Instruments | None = None,
-    drift: RoomDrift | None = None,
-) -> Iterator[Run]:  # fmt: skip
+    plan: TonePlan, slide: Slide, seed: int, instruments: Instruments | None = None, drift: RoomDrift | None = None
+) -> Iterator[Run]:
     """Return the groups of a plan as runs: the slide follows the room, so that repeats differ.
 
     Parameters
@@ -173,13 +165,16 @@ def planned_runs(
     room, seen_by = Room(plan, slide, seed, drift), instruments or Instruments()
     for number, group in enumerate(plan.groups):
         recorded = record_group(
-            room.slide(number), seen_by, group.frequency_hz, group.amplitude_um,
-            seed * 10_007 + number + 1, plan.seconds,
-        )  # fmt: skip
+            room.slide(number),
+            seen_by,
+            group.frequency_hz,
+            group.amplitude_um,
+            seed * 10_007 + number + 1,
+            plan.seconds,
+        )
         yield tone_run(
-            number + 1, group.frequency_hz, group.amplitude_um, recorded, group.repeat,
-            room.covariates(number),
-        )  # fmt: skip
+            number + 1, group.frequency_hz, group.amplitude_um, recorded, group.repeat, room.covariates(number)
+        )
 
 
 def require_own_axis(plan: TonePlan) -> None:
@@ -192,10 +187,11 @@ def require_own_axis(plan: TonePlan) -> None:
     """
     if plan.axis != "Z" or plan.sample_hz != SAMPLE_HZ:
         raise InputError(
-            "the virtual slide cannot do this", code="simulate.plan",
+            "the virtual slide cannot do this",
+            code="simulate.plan",
             got=f"axis {plan.axis}, sample_hz {plan.sample_hz:g}",
             allowed=f"axis Z, sample_hz {SAMPLE_HZ:g}",
-        )  # fmt: skip
+        )
 
 
 class Room:
@@ -213,17 +209,12 @@ class Room:
         Another room than the usual.
     """
 
-    def __init__(
-        self, plan: TonePlan, slide: Slide, seed: int, drift: RoomDrift | None = None
-    ) -> None:
+    def __init__(self, plan: TonePlan, slide: Slide, seed: int, drift: RoomDrift | None = None) -> None:
         self._slide, self._drift = slide, drift or RoomDrift()
         started_s = np.arange(plan.count, dtype=np.float64) * (plan.seconds + BETWEEN_S)
         self._rises = self._drift.rises_c(started_s, seed).tolist()
         noise = np.random.default_rng([seed, 37]).normal(size=plan.count)
-        self._read_c = [
-            _ROOM_C + rise + _THERMOMETER_C * float(n)
-            for rise, n in zip(self._rises, noise, strict=True)
-        ]
+        self._read_c = [_ROOM_C + rise + _THERMOMETER_C * float(n) for rise, n in zip(self._rises, noise, strict=True)]
 
     def slide(self, number: int) -> Slide:
         """Return the mechanism at a group, counted from 0."""
@@ -235,10 +226,13 @@ class Room:
 
 
 def tone_run(
-    number: int, frequency_hz: float, amplitude_um: float,
-    recorded: tuple[dict[str, Floats], SignalGroup], repeat: int = 1,
+    number: int,
+    frequency_hz: float,
+    amplitude_um: float,
+    recorded: tuple[dict[str, Floats], SignalGroup],
+    repeat: int = 1,
     covariates: Mapping[str, float] | None = None,
-) -> Run:  # fmt: skip
+) -> Run:
     """Return a recorded tone as a run.
 
     Parameters
@@ -254,23 +248,29 @@ def tone_run(
     covariates : mapping, optional
         What was logged beside it.
     """
-    condition: dict[str, float | str] = {
-        "axis": "Z",
-        "frequency_hz": frequency_hz,
-        "amplitude_um": amplitude_um,
-    }
+    condition: dict[str, float | str] = {"axis": "Z", "frequency_hz": frequency_hz, "amplitude_um": amplitude_um}
     meta = RunMeta(
-        f"g{number:03d}", kind="sinusoidal", condition=condition, sample_rate_hz=SAMPLE_HZ,
-        repeat=repeat, covariates=covariates or {},
-    )  # fmt: skip
+        f"g{number:03d}",
+        kind="sinusoidal",
+        condition=condition,
+        sample_rate_hz=SAMPLE_HZ,
+        repeat=repeat,
+        covariates=covariates or {},
+    )
     return Run(meta, recorded[0], signals=(recorded[1],))
 
 
 def simulate_turning(
-    folder: Path, *, truth: str = "linear", seed: int = 0, quick: bool = False,
-    grid: Grid | None = None, plan: TonePlan | None = None,
-    instruments: Instruments | None = None, progress: Progress | None = None,
-) -> int:  # fmt: skip
+    folder: Path,
+    *,
+    truth: str = "linear",
+    seed: int = 0,
+    quick: bool = False,
+    grid: Grid | None = None,
+    plan: TonePlan | None = None,
+    instruments: Instruments | None = None,
+    progress: Progress | None = None,
+) -> int:
     """Measure a campaign of tones; return the number of groups.
 
     Parameters
@@ -299,9 +299,8 @@ def simulate_turning(
     """
     if (folder / "campaign.toml").exists():
         raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder),
-            hint="give another --out",
-        )  # fmt: skip
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
+        )
     slide, seen_by = virtual_slide(truth), instruments or Instruments()
     told = {"truth": truth, "seed": seed} | asdict(slide) | asdict(seen_by.accelerometer)
     if plan is None:

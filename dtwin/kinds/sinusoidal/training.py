@@ -24,9 +24,8 @@ from dtwin.train.symbolic import Engine
 
 
 def train_tones(
-    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: StageProgress | None = None,
-) -> Training:  # fmt: skip
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+) -> Training:
     """Train every candidate on a campaign of tones.
 
     Groups with a data-quality error, and groups that the accelerometer does not hear, are left out.
@@ -61,11 +60,19 @@ def train_tones(
             "they disagree by"
         )
     report = TrainingReport(
-        machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=floor, noise_floor_dof=freedom, rms_before_um=rms(groups.amplitude_error_um),
-        n_runs=groups.n, n_rows=groups.n, candidates=tuple(found),
-        proposed=proposed(found, MOST_RADIUS), seed=seed, told=tuple(told),
-    )  # fmt: skip
+        machine=campaign.machine,
+        campaign=name,
+        table_versions=versions,
+        noise_floor_um=floor,
+        noise_floor_dof=freedom,
+        rms_before_um=rms(groups.amplitude_error_um),
+        n_runs=groups.n,
+        n_rows=groups.n,
+        candidates=tuple(found),
+        proposed=proposed(found, MOST_RADIUS),
+        seed=seed,
+        told=tuple(told),
+    )
     conditions = [(f"{f:g} Hz", float(f), float(a)) for f, a in _grid(groups)]
     return Training(report, campaign.machine_geometry, tuple(conditions))
 

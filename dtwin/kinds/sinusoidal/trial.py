@@ -45,9 +45,7 @@ def bicuspid(frequency_hz: float) -> ToneCommand:
         x: Floats = np.clip(RIM_MM - per_s * (t - AIR_S), 0.0, RIM_MM)
         return SLOPE_UM_PER_MM * x * np.minimum(t / _SWELL_S, 1.0)
 
-    return ToneCommand(
-        frequency_hz, amplitude, lambda t: -amplitude(t), AIR_S + float(np.ceil(cut_s))
-    )
+    return ToneCommand(frequency_hz, amplitude, lambda t: -amplitude(t), AIR_S + float(np.ceil(cut_s)))
 
 
 def _surface_of(record: LoopRecord, frequency_hz: float) -> Surface:
@@ -95,10 +93,14 @@ def _surface_figures(surface: Surface, frequency_hz: float) -> dict[str, float]:
 
 
 def trial(
-    bundle: Bundle, *, truth: str = "linear", seed: int = 1,
-    frequencies_hz: Sequence[float] = TRIAL_HZ, slide: Slide | None = None,
+    bundle: Bundle,
+    *,
+    truth: str = "linear",
+    seed: int = 1,
+    frequencies_hz: Sequence[float] = TRIAL_HZ,
+    slide: Slide | None = None,
     progress: Progress | None = None,
-) -> tuple[dict[str, Any], dict[float, tuple[Surface, Surface]]]:  # fmt: skip
+) -> tuple[dict[str, Any], dict[float, tuple[Surface, Surface]]]:
     """Cut the surface at several frequencies without and with a bundle.
 
     Parameters
@@ -125,9 +127,7 @@ def trial(
     rows, surfaces = [], {}
     for done, frequency in enumerate(frequencies_hz, start=1):
         command = bicuspid(frequency)
-        records = [
-            run_loop(mechanism, command, given, seed=seed + done) for given in (None, bundle)
-        ]
+        records = [run_loop(mechanism, command, given, seed=seed + done) for given in (None, bundle)]
         cut = _surface_of(records[0], frequency), _surface_of(records[1], frequency)
         surfaces[float(frequency)] = cut
         rows.append(_row(frequency, cut, records[1]))
@@ -139,11 +139,7 @@ def trial(
         "surface": f"z = {SLOPE_UM_PER_MM / 1000:g} x sin 2C - {SLOPE_UM_PER_MM / 1000:g} x, "
         f"x to {RIM_MM:g} mm, {_FEED_UM_PER_REV:g} um a turn",
         "rows": rows,
-        "worse": [
-            r["frequency_hz"]
-            for r in rows
-            if min(r["reduction"]["vector_um"], r["reduction"]["rms_um"]) < 0.0
-        ],
+        "worse": [r["frequency_hz"] for r in rows if min(r["reduction"]["vector_um"], r["reduction"]["rms_um"]) < 0.0],
     }, surfaces
 
 

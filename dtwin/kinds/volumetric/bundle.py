@@ -18,18 +18,20 @@ from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 _POSITION_HZ, _TEMPERATURE_HZ = 100.0, 1.0 / 30.0
 # Heat moves slowly, axes at rapid traverse do not: 100 um over a second's way. Dropped at the edge of the
 # box, the correction of a whole season would jump; it fades instead.
-SAFETY = SafetyLimits(
-    clamp_um=250.0, slew_um_s=100.0, stale_s=0.1, outside="shrink", shrink_span=0.25
-)  # fmt: skip
+SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=100.0, stale_s=0.1, outside="shrink", shrink_span=0.25)
 BEYOND_C = 2.0
 _LINEAR = {"X": ("y", "z"), "Z": ("y",), "0": ("x", "y", "z"), "Y": ()}
 
 
 def volumetric_bundle(
-    models: Sequence[ThermalModel], strokes_mm: Mapping[str, tuple[float, float]],
-    begun_c: Mapping[str, float], seen_c: Mapping[str, tuple[float, float]], name: str, machine: str,
+    models: Sequence[ThermalModel],
+    strokes_mm: Mapping[str, tuple[float, float]],
+    begun_c: Mapping[str, float],
+    seen_c: Mapping[str, tuple[float, float]],
+    name: str,
+    machine: str,
     switched_off: Collection[str] = (),
-) -> Bundle:  # fmt: skip
+) -> Bundle:
     """Return the error of the tool point from what thermocouples and scales read.
 
     Parameters
@@ -56,42 +58,40 @@ def volumetric_bundle(
     kept = [model for model in models if model.name not in switched_off]
     if remembering or not kept:
         raise InputError(
-            "these models cannot be served", code="volumetric.bundle",
+            "these models cannot be served",
+            code="volumetric.bundle",
             got=", ".join(remembering)[:120] or "all are switched off",
             allowed="models without memory, at least one of them better than none",
-        )  # fmt: skip
+        )
     builder = GraphBuilder()
     position = {axis: builder.input(f"{axis}_mm") for axis in "xyz"}
     sensors = sorted({sensor for model in kept for sensor in model.sensors})
     rise = {sensor: builder.input(sensor) - begun_c[sensor] for sensor in sensors}
     motions = {
-        model.name: builder.total(
-            [rise[s] * float(k) for s, k in zip(model.sensors, model.per_k, strict=True)]
-        )
+        model.name: builder.total([rise[s] * float(k) for s, k in zip(model.sensors, model.per_k, strict=True)])
         for model in kept
     }
     parts: dict[str, list[Expression | float]] = {axis: [] for axis in "xyz"}
     for motion, value in motions.items():
         for axis, factor in _acts(builder, motion, position, strokes_mm).items():
             parts[axis].append(value * factor)
-    graph = builder.graph(
-        {f"error_{axis}_um": builder.total(parts[axis] or [0.0]) for axis in "xyz"}
-    )
-    inputs = [
-        Input(f"{axis}_mm", "mm", "base", _POSITION_HZ, "controller", *strokes_mm[axis])
-        for axis in "xyz"
-    ]
+    graph = builder.graph({f"error_{axis}_um": builder.total(parts[axis] or [0.0]) for axis in "xyz"})
+    inputs = [Input(f"{axis}_mm", "mm", "base", _POSITION_HZ, "controller", *strokes_mm[axis]) for axis in "xyz"]
     inputs += [
         Input(s, "degC", "none", _TEMPERATURE_HZ, "covariate", seen_c[s][0] - BEYOND_C, seen_c[s][1] + BEYOND_C)
         for s in sensors
-    ]  # fmt: skip
+    ]
     return create_bundle(
         corrects="volumetric",
-        name=name, machine=machine, model_version=1, inputs=tuple(inputs),
+        name=name,
+        machine=machine,
+        model_version=1,
+        inputs=tuple(inputs),
         outputs=tuple(Output(f"error_{axis}_um", f"base_{axis}") for axis in "xyz"),
-        tick_graph=graph, safety=SAFETY,
+        tick_graph=graph,
+        safety=SAFETY,
         provenance=Provenance(code_version=__version__, evidence="none"),
-    )  # fmt: skip
+    )
 
 
 def is_volumetric_bundle(bundle: Bundle) -> bool:
@@ -100,9 +100,8 @@ def is_volumetric_bundle(bundle: Bundle) -> bool:
 
 
 def _acts(
-    builder: GraphBuilder, name: str, position: Mapping[str, Expression],
-    strokes_mm: Mapping[str, tuple[float, float]],
-) -> dict[str, Expression]:  # fmt: skip
+    builder: GraphBuilder, name: str, position: Mapping[str, Expression], strokes_mm: Mapping[str, tuple[float, float]]
+) -> dict[str, Expression]:
     """Return the factor of an error motion in each coordinate that it changes."""
     what = coefficient(name)
     profile = _profile(builder, what.axis, what.order, position, strokes_mm)
@@ -121,9 +120,12 @@ def _acts(
 
 
 def _profile(
-    builder: GraphBuilder, axis: str, order: int, position: Mapping[str, Expression],
+    builder: GraphBuilder,
+    axis: str,
+    order: int,
+    position: Mapping[str, Expression],
     strokes_mm: Mapping[str, tuple[float, float]],
-) -> Expression:  # fmt: skip
+) -> Expression:
     if order == 0:
         return builder.constant(1.0)
     low, high = strokes_mm[axis.lower()]

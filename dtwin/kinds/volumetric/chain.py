@@ -16,18 +16,40 @@ from dtwin.errors import InputError
 from dtwin.schema import Floats
 
 COEFFICIENTS = (
-    "EX0", "EZ0", "EY0", "EA0", "EC0", "EB0",
-    "EXX1", "EXX2", "EZX2", "EAX2", "EBX1",
-    "EZZ1", "EZZ2", "EXZ1", "EXZ2", "EYZ2", "ECZ1", "EAZ1",
-    "EYY1", "EYY2", "EZY1", "EZY2", "EXY1", "EXY2",
-)  # fmt: skip
+    "EX0",
+    "EZ0",
+    "EY0",
+    "EA0",
+    "EC0",
+    "EB0",
+    "EXX1",
+    "EXX2",
+    "EZX2",
+    "EAX2",
+    "EBX1",
+    "EZZ1",
+    "EZZ2",
+    "EXZ1",
+    "EXZ2",
+    "EYZ2",
+    "ECZ1",
+    "EAZ1",
+    "EYY1",
+    "EYY2",
+    "EZY1",
+    "EZY2",
+    "EXY1",
+    "EXY2",
+)
 _MOVES, _TURNS, _AXES = "XYZ", "ABC", "XYZ"
 _MOST_ORDER = 4
 # What an axis' turn swings: everything that it carries, less the axis itself.
 _CARRIED: Mapping[str, tuple[bool, bool, bool]] = {
-    "X": (False, True, True), "Z": (False, True, False), "Y": (False, False, False),
+    "X": (False, True, True),
+    "Z": (False, True, False),
+    "Y": (False, False, False),
     "0": (True, True, True),
-}  # fmt: skip
+}
 _SEEN = 1e-9
 
 
@@ -74,14 +96,16 @@ def coefficient(name: str) -> Coefficient:
         if rigid or 1 <= order <= _MOST_ORDER:
             return Coefficient(name, letters, "0" if rigid else name[2], order)
     raise InputError(
-        "no such error motion", code="volumetric.coefficient", got=name[:20],
+        "no such error motion",
+        code="volumetric.coefficient",
+        got=name[:20],
         allowed=f"E, a letter of XYZABC, and 0 or an axis with an order from 1 to {_MOST_ORDER}: EX0, EAZ2",
-    )  # fmt: skip
+    )
 
 
 def design(
     position_mm: Floats, strokes_mm: Mapping[str, tuple[float, float]], names: Sequence[str] = COEFFICIENTS
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Return what a unit of each coefficient does to the tool point.
 
     Parameters
@@ -118,9 +142,7 @@ def design(
     return out
 
 
-def _profile(
-    position: Floats, strokes_mm: Mapping[str, tuple[float, float]], what: Coefficient
-) -> Floats:
+def _profile(position: Floats, strokes_mm: Mapping[str, tuple[float, float]], what: Coefficient) -> Floats:
     if what.axis == "0":
         return np.ones(len(position))
     low, high = strokes_mm[what.axis.lower()]

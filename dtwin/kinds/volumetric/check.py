@@ -24,10 +24,11 @@ def judge_volumetric_run(run: Run) -> list[Finding]:
     if "pose_1" not in run.samples or "ball_1" not in run.samples:
         return [
             Finding(
-                "balls.unnamed", "error",
+                "balls.unnamed",
+                "error",
                 "the readings do not say which ball in which pose was touched: add pose_1 and ball_1",
             )
-        ]  # fmt: skip
+        ]
     error = np.stack([run.samples[f"error_{axis}_um"] for axis in "xyz"], axis=1)
     return [
         *_range(error),
@@ -49,10 +50,7 @@ def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
     there = pose == FIXED_POSE
     balls = np.unique(ball[there])
     if len(balls) < FEWEST_TABLE_BALLS:
-        text = (
-            f"{len(balls)} balls on the table were measured: shifts and turns of the whole machine "
-            "need three"
-        )
+        text = f"{len(balls)} balls on the table were measured: shifts and turns of the whole machine need three"
         return [Finding("balls.fixed_missing", "error", text, {"balls_1": float(len(balls))})]
     moved = 0.0
     for number in balls:
@@ -61,10 +59,7 @@ def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
             moved = max(moved, float(np.abs(rows[-1] - rows[0]).max()))
     if moved <= MOST_DRIFT_UM:
         return []
-    text = (
-        f"a ball on the table moved by {moved:z.1f} um within the cycle: it takes longer than the heat "
-        "allows"
-    )
+    text = f"a ball on the table moved by {moved:z.1f} um within the cycle: it takes longer than the heat allows"
     return [Finding("cycle.drift", "warning", text, {"moved_um": moved})]
 
 

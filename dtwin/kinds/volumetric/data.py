@@ -71,13 +71,14 @@ class HeatLoaded:
         worst = sorted(size, key=lambda key: -size[key])[:_PLACES]
         return tuple(
             {
-                "pose": pose, "what": "balls on the table" if pose == FIXED_POSE else "array",
+                "pose": pose,
+                "what": "balls on the table" if pose == FIXED_POSE else "array",
                 "axis": "XYZ"[axis],
                 "hours": [float(hours[0]) + _DAY_H * day, float(hours[0]) + _DAY_H * (day + 1)],
                 "residual_rms_um": size[pose, axis, day],
             }
             for pose, axis, day in worst
-        )  # fmt: skip
+        )
 
 
 def load_heat(home: Home, campaign: str, wanted: Sequence[str] = ()) -> HeatLoaded:
@@ -111,16 +112,20 @@ def load_heat(home: Home, campaign: str, wanted: Sequence[str] = ()) -> HeatLoad
     thermocouples = dict(zip(measured.sensors, measured.rise_c.T, strict=True))
     offered = {channel: measured.offered_rise(channel) for channel in measured.offered_c}
     begun = dict(zip(measured.sensors, measured.begun_c.tolist(), strict=True))
-    begun |= {
-        channel: float(read[:REFERENCE_CYCLES].mean())
-        for channel, read in measured.offered_c.items()
-    }
+    begun |= {channel: float(read[:REFERENCE_CYCLES].mean()) for channel, read in measured.offered_c.items()}
     series = HeatSeries(
-        name, lake.campaign(name).machine, measured.hour, names,
+        name,
+        lake.campaign(name).machine,
+        measured.hour,
+        names,
         np.array([found.values for found in settled]),
-        np.array([found.covariance for found in settled]), np.array(grams), np.array(left_ms),
-        {**thermocouples, **offered}, begun, measured.sensors,
-    )  # fmt: skip
+        np.array([found.covariance for found in settled]),
+        np.array(grams),
+        np.array(left_ms),
+        {**thermocouples, **offered},
+        begun,
+        measured.sensors,
+    )
     balls = tuple(where for where, _ in measured.moved)
     return HeatLoaded(series, balls, units, _data(lake, name, len(settled)))
 
@@ -154,9 +159,7 @@ def _identified(measured: Session, wanted: Sequence[str]) -> tuple[tuple[str, ..
 def _tellable(measured: Session, names: tuple[str, ...]) -> list[str]:
     """Return further error motions that the balls of the first cycle can tell from these."""
     out = []
-    for name in (
-        f"E{letter}{axis}{order}" for letter in "XYZABC" for axis in "XZY" for order in _ORDERS
-    ):
+    for name in (f"E{letter}{axis}{order}" for letter in "XYZABC" for axis in "XZY" for order in _ORDERS):
         if name not in names:
             report = _artefact(measured, (*names, name)).report(measured.moved[0][0])
             if report.rank == report.wanted:

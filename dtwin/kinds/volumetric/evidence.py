@@ -28,9 +28,7 @@ FEWEST_CYCLES = 8
 CLOCK = "measured without it, the prediction taken off afterwards"
 
 
-def volumetric_evidence(
-    home: Home, version: RegisteredVersion, *, progress: Progress | None = None
-) -> Evidence:
+def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Progress | None = None) -> Evidence:
     """Judge a registered version by every other ball-array campaign of its machine in the lake.
 
     Campaigns during which a correction was in force judge nothing: they have been corrected already.
@@ -59,29 +57,41 @@ def volumetric_evidence(
     others = [name for name in lake.campaigns() if name != trained and _judges(lake, name, version)]
     if not others:
         raise GateRefusal(
-            "no other campaign of the machine can judge the equation", code="promote.campaign",
-            where=f"machine {version.machine}", got=f"{trained} only, which it was fitted to",
+            "no other campaign of the machine can judge the equation",
+            code="promote.campaign",
+            where=f"machine {version.machine}",
+            got=f"{trained} only, which it was fitted to",
             hint="measure under another schedule and ingest it: dtwin simulate --machine volumetric "
             "--schedule validation --out summer",
-        )  # fmt: skip
+        )
     tell = progress or (lambda *_: None)
     conditions = [c for name in others for c in judged_hours(bundle, session_in(lake, name, tell))]
     runs = [
-        {"way": WITHOUT, "campaign": name, "run_id": row["run_id"], "started": row["started"],
-         "content_sha256": row["content_sha256"]}
+        {
+            "way": WITHOUT,
+            "campaign": name,
+            "run_id": row["run_id"],
+            "started": row["started"],
+            "content_sha256": row["content_sha256"],
+        }
         for name in others
         for row in lake.runs(name)
-    ]  # fmt: skip
+    ]
     return Evidence(
-        "virtual", version.machine, bundle.model_sha256, {WITHOUT: tuple(others), WITH: ()},
-        tuple(conditions), tuple(runs), 0,
+        "virtual",
+        version.machine,
+        bundle.model_sha256,
+        {WITHOUT: tuple(others), WITH: ()},
+        tuple(conditions),
+        tuple(runs),
+        0,
         (
             "Changes of the distances between balls. Better and worse are said of the share that "
             "each cycle keeps of its error, by a 95 % interval that counts as many cycles as their "
             "correlation leaves.",
         ),
         {"clock": CLOCK},
-    )  # fmt: skip
+    )
 
 
 def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
@@ -98,9 +108,7 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
     """
     correction, trusted = _corrections(bundle, measured)
     was, left, noise = [], [], []
-    for (where, moved), values, off in zip(
-        measured.moved, measured.values, correction, strict=True
-    ):
+    for (where, moved), values, off in zip(measured.moved, measured.values, correction, strict=True):
         was.append(rms(distance_changes_um(where, moved)))
         left.append(rms(distance_changes_um(where, moved - off)))
         seen = measured.artefact.predicted_um(where, values)
@@ -111,12 +119,7 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
     # The first cycles are the reference: there is nothing to take away.
     day[:REFERENCE_CYCLES] = -1
     return [
-        _condition(
-            measured,
-            span_h * d,
-            span_h,
-            *(np.array(v)[day == d] for v in (was, left, noise, trusted)),
-        )
+        _condition(measured, span_h * d, span_h, *(np.array(v)[day == d] for v in (was, left, noise, trusted)))
         for d in np.unique(day[day >= 0])
         if np.count_nonzero(day == d) > 1
     ]
@@ -158,13 +161,7 @@ def _corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[
 
 
 def _condition(
-    measured: Session,
-    since_h: float,
-    span_h: float,
-    was: Floats,
-    left: Floats,
-    noise: Floats,
-    trusted: Floats,
+    measured: Session, since_h: float, span_h: float, was: Floats, left: Floats, noise: Floats, trusted: Floats
 ) -> dict[str, Any]:
     ci = [_half_width(values) for values in (was, left)]
     # With and without are of the same cycles, whose heat differs more than the correction does: what
@@ -173,14 +170,22 @@ def _condition(
     change, half = float(kept.mean()), _half_width(kept)
     begin = float(measured.hour[0]) + since_h
     return {
-        "campaign": measured.campaign, "from_h": begin, "to_h": begin + span_h, "trained": False,
-        "before_um": float(was.mean()), "after_um": float(left.mean()),
-        "before_ci_um": ci[0], "after_ci_um": ci[1],
-        "floor_um": float(noise.mean()), "n_without": len(was), "n_with": len(was),
+        "campaign": measured.campaign,
+        "from_h": begin,
+        "to_h": begin + span_h,
+        "trained": False,
+        "before_um": float(was.mean()),
+        "after_um": float(left.mean()),
+        "before_ci_um": ci[0],
+        "after_ci_um": ci[1],
+        "floor_um": float(noise.mean()),
+        "n_without": len(was),
+        "n_with": len(was),
         "reduction": 1.0 - float(left.mean() / was.mean()),
-        "better": change < -half, "worse": change > half,
+        "better": change < -half,
+        "worse": change > half,
         "acted": {"outside_box": float(np.mean(trusted < 1.0))},
-    }  # fmt: skip
+    }
 
 
 def _half_width(values: Floats) -> float:

@@ -25,8 +25,11 @@ def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdi
     return [
         Verdict("held-out hours", r2 >= LEAST_R2, f"R2 {r2:z.3f}; at least {LEAST_R2}"),
         Verdict(
-            "no slice worse than no correction", worst < 1.0,
+            "no slice worse than no correction",
+            worst < 1.0,
             f"the worst span of hours keeps {100 * worst:z.0f} % of its error",
         ),
-        bounded_output(bundle), vectors_proved(bundle), latency_gate(metrics),
-    ]  # fmt: skip
+        bounded_output(bundle),
+        vectors_proved(bundle),
+        latency_gate(metrics),
+    ]

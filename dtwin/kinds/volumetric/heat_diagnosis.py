@@ -142,39 +142,54 @@ class HeatDiagnosis:
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
         return {
-            "kind": KIND, "verdict": self.verdict, "headline": self.headline,
+            "kind": KIND,
+            "verdict": self.verdict,
+            "headline": self.headline,
             "residual_rms_um": self.figures["rms_after_um"],
             "systematic_rms_um": self.figures["systematic_rms_um"],
-            "noise_floor_um": self.figures["noise_floor_um"], "floor_kind": "identified motions",
-            "replication": "cycle", "lack_of_fit_p": self.lack_of_fit_p,
+            "noise_floor_um": self.figures["noise_floor_um"],
+            "floor_kind": "identified motions",
+            "replication": "cycle",
+            "lack_of_fit_p": self.lack_of_fit_p,
             "candidates": [self._candidate(mover) for mover in self.movers],
             "where": [dict(place) for place in self.where],
             "channels": sorted({m.channel for m in self.group if m.channel and m.told}),
-            "laws": [], "closest": None, "invisible": [], "untestable": {}, "outlier_runs": [],
-            "variance": {}, "quiet": list(self.quiet),
+            "laws": [],
+            "closest": None,
+            "invisible": [],
+            "untestable": {},
+            "outlier_runs": [],
+            "variance": {},
+            "quiet": list(self.quiet),
             "next_experiment": self.next_experiment,
-        }  # fmt: skip
+        }
 
     def _candidate(self, mover: Mover) -> dict[str, Any]:
         family = family_of(mover.motion)
         term = HeatTerm(mover.motion)
         alike = mover.bodies if len(mover.bodies) > 1 else ()
         return {
-            "effect": mover.motion, "axis": term.axis, "label": mover.label,
+            "effect": mover.motion,
+            "axis": term.axis,
+            "label": mover.label,
             "family": family.name,
-            "title": motion_words(mover.motion), "rms_after_um": mover.rms_after_um,
-            "seen_um": mover.seen_um, "cv_gain": mover.gain, "p_value": mover.p_value,
-            "in_group": mover in self.group, "grade": _grade(mover),
+            "title": motion_words(mover.motion),
+            "rms_after_um": mover.rms_after_um,
+            "seen_um": mover.seen_um,
+            "cv_gain": mover.gain,
+            "p_value": mover.p_value,
+            "in_group": mover in self.group,
+            "grade": _grade(mover),
             "confounded_with": [HeatTerm(mover.motion, (body,)).label for body in alike],
-            "temperatures": list(mover.sensors), "explained_by": mover.channel if mover.told else None,
-            "largest_inflation": mover.largest_inflation, "add": mover.addition or None,
+            "temperatures": list(mover.sensors),
+            "explained_by": mover.channel if mover.told else None,
+            "largest_inflation": mover.largest_inflation,
+            "add": mover.addition or None,
             "remedy": family.remedy,
-        }  # fmt: skip
+        }
 
 
-def diagnose_heat(
-    series: HeatSeries, fitted: HeatFit, where: Sequence[dict[str, Any]]
-) -> HeatDiagnosis:
+def diagnose_heat(series: HeatSeries, fitted: HeatFit, where: Sequence[dict[str, Any]]) -> HeatDiagnosis:
     """Find out what a twin lacks.
 
     Parameters
@@ -191,19 +206,23 @@ def diagnose_heat(
     moving = [i for i in range(len(series.names)) if still[i] < _ALPHA]
     counts = [i for i in moving if _seen_um(series, left[:, i], i) >= MATERIAL * series.floor_um]
     models = {model.name: model.sensors for model in fitted.models}
-    movers = [
-        _mover(series, left, i, float(still[i]), models.get(series.names[i], ())) for i in counts
-    ]
+    movers = [_mover(series, left, i, float(still[i]), models.get(series.names[i], ())) for i in counts]
     explained_p = holm([m.p_value for m in movers])
     movers = [replace(m, p_value=float(p)) for m, p in zip(movers, explained_p, strict=True)]
     movers.sort(key=lambda m: m.rms_after_um)
     verdict, group = _verdict(movers)
     figures = heat_figures(series, left)
     return HeatDiagnosis(
-        verdict, _headline(verdict, group, movers, figures), figures, _fit_p(series, left),
-        tuple(movers), group, tuple(series.names[i] for i in moving if i not in counts),
-        tuple(where), _experiment(verdict, group),
-    )  # fmt: skip
+        verdict,
+        _headline(verdict, group, movers, figures),
+        figures,
+        _fit_p(series, left),
+        tuple(movers),
+        group,
+        tuple(series.names[i] for i in moving if i not in counts),
+        tuple(where),
+        _experiment(verdict, group),
+    )
 
 
 def _verdict(movers: Sequence[Mover]) -> tuple[Verdict, tuple[Mover, ...]]:
@@ -221,9 +240,7 @@ def _verdict(movers: Sequence[Mover]) -> tuple[Verdict, tuple[Mover, ...]]:
     return "nothing_missing", ()
 
 
-def _mover(
-    series: HeatSeries, left: Floats, column: int, seen_p: float, own: tuple[str, ...]
-) -> Mover:
+def _mover(series: HeatSeries, left: Floats, column: int, seen_p: float, own: tuple[str, ...]) -> Mover:
     """Return what temperatures tell of a motion."""
     name, motion = series.names[column], left[:, column]
     model, expected = series.driven(name, motion, series.thermocouples)
@@ -237,16 +254,21 @@ def _mover(
     gain = _gain(series, motion, rest, column)
     thermocouples_do = channel is None and gain >= EXPLAINED
     return Mover(
-        name, _seen_um(series, motion, column), seen_p, series.rms_um(after), gain,
-        _tells_p(motion, motion - rest), sensors, channel,
+        name,
+        _seen_um(series, motion, column),
+        seen_p,
+        series.rms_um(after),
+        gain,
+        _tells_p(motion, motion - rest),
+        sensors,
+        channel,
         _bodies(series, motion, column) if thermocouples_do else (),
-        float(inflation(series.rises(sensors)).max()) if len(sensors) > 1 else 1.0, bool(own),
-    )  # fmt: skip
+        float(inflation(series.rises(sensors)).max()) if len(sensors) > 1 else 1.0,
+        bool(own),
+    )
 
 
-def _clearer_channel(
-    series: HeatSeries, motion: Floats, rest: Floats, column: int, own: tuple[str, ...]
-) -> str | None:
+def _clearer_channel(series: HeatSeries, motion: Floats, rest: Floats, column: int, own: tuple[str, ...]) -> str | None:
     """Return the temperature logged beside the thermocouples that tells a motion far better."""
     found: list[tuple[float, str]] = []
     for channel in series.offered:
@@ -357,9 +379,7 @@ def _experiment(verdict: Verdict, group: Sequence[Mover]) -> dict[str, Any] | No
     return {"text": text, "heat_alone": [], "watch": unknown}
 
 
-def _headline(
-    verdict: Verdict, group: Sequence[Mover], movers: Sequence[Mover], figures: dict[str, float]
-) -> str:
+def _headline(verdict: Verdict, group: Sequence[Mover], movers: Sequence[Mover], figures: dict[str, float]) -> str:
     floor = figures["noise_floor_um"]
     if verdict == "nothing_missing":
         return f"no error motion moves by more than {MATERIAL * floor:.2g} um at the balls beyond the twin"
@@ -372,9 +392,7 @@ def _headline(
         also = f"; not explained by thermocouples: {', '.join(unknown)}" if unknown else ""
         return f"{what} {lacks}, {100 * best.gain:z.0f} % of it is told on hours left out{others}{also}"
     if verdict == "ambiguous":
-        return (
-            f"{what} {lacks}, but {_listed(best.bodies)} each tell it alone, equally well{others}"
-        )
+        return f"{what} {lacks}, but {_listed(best.bodies)} each tell it alone, equally well{others}"
     if best.addition:
         return f"{what} moves, and no thermocouple tells it; {best.channel} does{others}"
     return f"{what} moves, and nothing that was logged tells it{others}"

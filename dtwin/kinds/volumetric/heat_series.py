@@ -45,9 +45,12 @@ def require_temperatures(
     absent = [name for name in wanted if name not in measured]
     if absent:
         raise InputError(
-            "the campaign lacks temperatures, or has gaps in them", code="volumetric.sensors",
-            where=campaign, got=", ".join(absent)[:160], allowed=", ".join(offered)[:300],
-        )  # fmt: skip
+            "the campaign lacks temperatures, or has gaps in them",
+            code="volumetric.sensors",
+            where=campaign,
+            got=", ".join(absent)[:160],
+            allowed=", ".join(offered)[:300],
+        )
 
 
 @dataclass(frozen=True)
@@ -159,9 +162,7 @@ class HeatSeries:
         self.rises(names)
         return tuple(dict.fromkeys(names))
 
-    def driven(
-        self, name: str, motion: Floats, sensors: Sequence[str]
-    ) -> tuple[ThermalModel, Floats]:
+    def driven(self, name: str, motion: Floats, sensors: Sequence[str]) -> tuple[ThermalModel, Floats]:
         """Fit a motion to temperatures; return the model and what it says of hours that were left out.
 
         Parameters

@@ -111,30 +111,42 @@ class HeatTwin:
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping, from which :func:`heat_twin_from` makes it again."""
         return {
-            "format": FORMAT, "kind": KIND, "twin": self.name, "version": self.version,
-            "machine": self.machine, "campaign": self.campaign, "action": self.action,
+            "format": FORMAT,
+            "kind": KIND,
+            "twin": self.name,
+            "version": self.version,
+            "machine": self.machine,
+            "campaign": self.campaign,
+            "action": self.action,
             "effects": [
                 {
-                    "effect": term.motion, "axis": term.axis, "label": term.label,
+                    "effect": term.motion,
+                    "axis": term.axis,
+                    "label": term.label,
                     "title": motion_words(term.motion),
-                    "sources": list(term.sources), "temperatures": list(model.sensors),
+                    "sources": list(term.sources),
+                    "temperatures": list(model.sensors),
                 }
                 for term, model in zip(self.terms, self.models, strict=True)
             ],
             "parameters": [
                 {
-                    "effect": term.motion, "axis": term.axis, "name": sensor, "value": float(value),
-                    "uncertainty": spread, "unit": f"{coefficient(term.motion).unit}/K",
+                    "effect": term.motion,
+                    "axis": term.axis,
+                    "name": sensor,
+                    "value": float(value),
+                    "uncertainty": spread,
+                    "unit": f"{coefficient(term.motion).unit}/K",
                 }
-                for term, model, spreads in zip(
-                    self.terms, self.models, self.uncertainties, strict=True
-                )
+                for term, model, spreads in zip(self.terms, self.models, self.uncertainties, strict=True)
                 for sensor, value, spread in zip(model.sensors, model.per_k, spreads, strict=True)
             ],
             "seen_c": {name: list(reach) for name, reach in self.seen_c.items()},
-            "figures": dict(self.figures), "by_condition": [dict(c) for c in self.by_condition],
-            "data": dict(self.data), "replication": "cycle",
-        }  # fmt: skip
+            "figures": dict(self.figures),
+            "by_condition": [dict(c) for c in self.by_condition],
+            "data": dict(self.data),
+            "replication": "cycle",
+        }
 
 
 def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
@@ -151,18 +163,28 @@ def heat_twin_from(document: Mapping[str, Any]) -> HeatTwin:
         rows[row["effect"]].append(row)
     models = tuple(
         ThermalModel(
-            term.motion, tuple(row["name"] for row in rows[term.motion]),
-            np.array([row["value"] for row in rows[term.motion]], dtype=float), 0.0, 0.0,
+            term.motion,
+            tuple(row["name"] for row in rows[term.motion]),
+            np.array([row["value"] for row in rows[term.motion]], dtype=float),
+            0.0,
+            0.0,
         )
         for term in terms
-    )  # fmt: skip
+    )
     return HeatTwin(
-        document["twin"], int(document["version"]), document["machine"], document["campaign"],
-        document["action"], terms, models,
+        document["twin"],
+        int(document["version"]),
+        document["machine"],
+        document["campaign"],
+        document["action"],
+        terms,
+        models,
         tuple(tuple(row["uncertainty"] for row in rows[term.motion]) for term in terms),
         {name: (float(low), float(high)) for name, (low, high) in document["seen_c"].items()},
-        document["figures"], tuple(document["by_condition"]), document["data"],
-    )  # fmt: skip
+        document["figures"],
+        tuple(document["by_condition"]),
+        document["data"],
+    )
 
 
 def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
@@ -175,26 +197,33 @@ def fit_heat(series: HeatSeries, terms: Sequence[HeatTerm]) -> HeatFit:
     """
     if len(series.hour) < FEWEST_CYCLES:
         raise InputError(
-            "too few cycles to leave hours out of the fit", code="volumetric.cycles",
-            where=series.campaign, got=str(len(series.hour)), allowed=f"at least {FEWEST_CYCLES}",
+            "too few cycles to leave hours out of the fit",
+            code="volumetric.cycles",
+            where=series.campaign,
+            got=str(len(series.hour)),
+            allowed=f"at least {FEWEST_CYCLES}",
             hint="measure on: a cycle an hour, some days, with sources of heat going on and off",
-        )  # fmt: skip
+        )
     models = []
     left_out = np.zeros_like(series.values)
     for term in terms:
         column = series.names.index(term.motion)
         motion = series.values[:, column]
-        model, left_out[:, column] = series.driven(
-            term.motion, motion, series.allowed(term.sources)
-        )
+        model, left_out[:, column] = series.driven(term.motion, motion, series.allowed(term.sources))
         models.append(model)
     return HeatFit(tuple(models), _expected(series, models), left_out)
 
 
 def heat_twin_of(
-    fitted: HeatFit, series: HeatSeries, terms: Sequence[HeatTerm], *, name: str, version: int,
-    action: str, data: Mapping[str, Any],
-) -> HeatTwin:  # fmt: skip
+    fitted: HeatFit,
+    series: HeatSeries,
+    terms: Sequence[HeatTerm],
+    *,
+    name: str,
+    version: int,
+    action: str,
+    data: Mapping[str, Any],
+) -> HeatTwin:
     """Return the twin that a fit makes.
 
     Parameters
@@ -212,12 +241,19 @@ def heat_twin_of(
     used = sorted({sensor for model in fitted.models for sensor in model.sensors})
     readings = {sensor: series.rise_c[sensor] + series.begun_c[sensor] for sensor in used}
     return HeatTwin(
-        name, version, series.machine, series.campaign, action, tuple(terms), fitted.models,
+        name,
+        version,
+        series.machine,
+        series.campaign,
+        action,
+        tuple(terms),
+        fitted.models,
         tuple(_uncertainty(series, model) for model in fitted.models),
         {sensor: (float(read.min()), float(read.max())) for sensor, read in readings.items()},
         heat_figures(series, left) | {"held_out_rms_um": series.rms_um(series.values - fitted.left_out)},
-        by_day(series, left), data,
-    )  # fmt: skip
+        by_day(series, left),
+        data,
+    )
 
 
 def heat_figures(series: HeatSeries, left: Floats) -> dict[str, float]:
@@ -247,11 +283,14 @@ def by_day(series: HeatSeries, left: Floats) -> tuple[dict[str, Any], ...]:
     for number in sorted(set(day.tolist())):
         cycles = np.flatnonzero(day == number).tolist()
         begin = float(series.hour[0]) + _DAY_H * number
-        out.append({
-            "hours": [begin, begin + _DAY_H], "cycles": len(cycles),
-            "rms_before_um": series.rms_um(series.values, cycles),
-            "rms_after_um": series.rms_um(left, cycles),
-        })  # fmt: skip
+        out.append(
+            {
+                "hours": [begin, begin + _DAY_H],
+                "cycles": len(cycles),
+                "rms_before_um": series.rms_um(series.values, cycles),
+                "rms_after_um": series.rms_um(left, cycles),
+            }
+        )
     return tuple(out)
 
 

@@ -124,9 +124,7 @@ class Artefact:
         kept = [(i, place[key]) for i, key in enumerate(_keys(cycle)) if key in place]
         mine, theirs = (np.array([pair[k] for pair in kept], dtype=int) for k in (0, 1))
         moved = -(cycle.error_um[mine] - reference.error_um[theirs])
-        shown = Balls(
-            cycle.position_mm[mine], cycle.error_um[mine], cycle.pose[mine], cycle.ball[mine]
-        )
+        shown = Balls(cycle.position_mm[mine], cycle.error_um[mine], cycle.pose[mine], cycle.ball[mine])
         return shown, moved
 
     def identify(self, balls: Balls, moved_um: Floats) -> Identified:
@@ -149,9 +147,8 @@ class Artefact:
         spread = np.sqrt(np.diag(ready.inverse) * noise_um**2)
         values: Floats = np.asarray(found[-len(self.names) :], dtype=np.float64)
         return Identified(
-            values, spread, noise_um, self._held_out_um(balls, moved_um, values),
-            3 * int(ready.use.sum()),
-        )  # fmt: skip
+            values, spread, noise_um, self._held_out_um(balls, moved_um, values), 3 * int(ready.use.sum())
+        )
 
     def settle(self, balls: Balls, moved_um: Floats) -> Settled:
         """Return error motions from all poses, held out or not, and the movement less the places.
@@ -230,9 +227,7 @@ class Artefact:
             rows = balls.pose == pose
             if rows.sum() < 4:
                 continue
-            one = Balls(
-                balls.position_mm[rows], balls.error_um[rows], balls.pose[rows], balls.ball[rows]
-            )
+            one = Balls(balls.position_mm[rows], balls.error_um[rows], balls.pose[rows], balls.ball[rows])
             rest = (moved_um[rows] - self.predicted_um(one, values)).ravel()
             place = _placed(one.position_mm, np.ones(int(rows.sum()), bool)).reshape(len(rest), 6)
             left = rest - place @ np.linalg.lstsq(place, rest, rcond=None)[0]
@@ -246,10 +241,11 @@ class Artefact:
             bad = (*found.unseen, *found.entangled)
             raise InputError(
                 "these balls cannot tell the error motions from one another",
-                code="volumetric.rank", got=f"rank {found.rank} of {found.wanted}: {', '.join(bad)[:160]}",
+                code="volumetric.rank",
+                got=f"rank {found.rank} of {found.wanted}: {', '.join(bad)[:160]}",
                 hint="measure the fixed balls for the rigid motions, more poses for the others, or "
                 "leave coefficients out",
-            )  # fmt: skip
+            )
 
 
 def averaged_balls(cycles: Sequence[Balls]) -> Balls:

@@ -53,9 +53,11 @@ def interval_curve(series: Floats, steps: Sequence[int]) -> IntervalCurve:
     bad = [s for s in steps if not 1 <= s <= len(values) - 1]
     if bad:
         raise InputError(
-            "a window is longer than the series", code="volumetric.window", got=str(bad[0]),
+            "a window is longer than the series",
+            code="volumetric.window",
+            got=str(bad[0]),
             allowed=f"1 to {len(values) - 1} steps",
-        )  # fmt: skip
+        )
     rows = []
     for step in steps:
         windows = sliding_window_view(values, step + 1, axis=0)

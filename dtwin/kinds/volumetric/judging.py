@@ -9,12 +9,7 @@ import numpy as np
 
 from dtwin.kinds.volumetric.chain import coefficient, design
 from dtwin.kinds.volumetric.identify import Balls
-from dtwin.kinds.volumetric.intervals import (
-    IntervalCurve,
-    interval_curve,
-    reduction_pct,
-    worse_steps,
-)
+from dtwin.kinds.volumetric.intervals import IntervalCurve, interval_curve, reduction_pct, worse_steps
 from dtwin.kinds.volumetric.session import Session, Strokes, with_offered
 from dtwin.kinds.volumetric.slots import SLOTS, slot_places_mm, slot_ranges_um
 from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
@@ -55,9 +50,7 @@ def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
     return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
 
 
-def judged(
-    models: Sequence[ThermalModel], measured: Session, training: Session | None = None
-) -> dict[str, Any]:
+def judged(models: Sequence[ThermalModel], measured: Session, training: Session | None = None) -> dict[str, Any]:
     """Compare the models with a campaign.
 
     Parameters
@@ -91,17 +84,15 @@ def judged(
         "slots": _slots(measured, left),
         "unexplained": [
             _unexplained(models[i], i, training, measured, row["rms_left_um"])
-            for i, row in enumerate(rows) if _is_unexplained(row)
+            for i, row in enumerate(rows)
+            if _is_unexplained(row)
         ],
         "worse": [row["name"] for row in rows if row["rms_reduction_pct"] < 0.0],
-    }  # fmt: skip
+    }
 
 
 def _is_unexplained(row: Mapping[str, Any]) -> bool:
-    return bool(
-        row["rms_reduction_pct"] < _UNEXPLAINED_PCT
-        and row["rms_um"] > _SEEN * row["uncertainty_um"]
-    )
+    return bool(row["rms_reduction_pct"] < _UNEXPLAINED_PCT and row["rms_um"] > _SEEN * row["uncertainty_um"])
 
 
 def _unexplained(
@@ -187,9 +178,7 @@ def _distances(measured: Session, expected: Floats) -> dict[str, float]:
 def _lines(measured: Session, left: Floats) -> list[dict[str, Any]]:
     """Return how much the error along a line of each axis changes within jobs of every length."""
     step_h = float(np.median(np.diff(measured.hour)))
-    steps = sorted(
-        {s for s in (1, 2, 3, 5, 8, 12, 16, 20, 30, 40, 60, 100, len(left) - 1) if s < len(left)}
-    )
+    steps = sorted({s for s in (1, 2, 3, 5, 8, 12, 16, 20, 30, 40, 60, 100, len(left) - 1) if s < len(left)})
     out = []
     for axis in "xzy":
         place = _line_mm(dict(measured.artefact.strokes_mm), axis)
@@ -198,11 +187,16 @@ def _lines(measured: Session, left: Floats) -> list[dict[str, Any]]:
             series = [v @ unit[:, number].T for v in (measured.values, left)]
             before, after = (interval_curve(s, steps) for s in series)
             worse = [step_h * s for s in worse_steps(before, after)]
-            out.append({
-                "line": axis.upper(), "direction": direction.upper(),
-                "hours": [step_h * s for s in steps],
-                "p95_um": _spread(before), "p95_left_um": _spread(after), "worse_h": worse,
-            })  # fmt: skip
+            out.append(
+                {
+                    "line": axis.upper(),
+                    "direction": direction.upper(),
+                    "hours": [step_h * s for s in steps],
+                    "p95_um": _spread(before),
+                    "p95_left_um": _spread(after),
+                    "worse_h": worse,
+                }
+            )
     return out
 
 
@@ -221,11 +215,13 @@ def _slots(measured: Session, left: Floats) -> dict[str, float] | None:
     unit = design(places, measured.artefact.strokes_mm, measured.artefact.names)[:, 2]
     before, after = (slot_ranges_um(v @ unit.T) for v in (measured.values, left))
     return {
-        "mean_range_um": float(before.mean()), "mean_range_left_um": float(after.mean()),
+        "mean_range_um": float(before.mean()),
+        "mean_range_left_um": float(after.mean()),
         "mean_reduction_pct": reduction_pct(float(before.mean()), float(after.mean())),
-        "max_range_um": float(before.max()), "max_range_left_um": float(after.max()),
+        "max_range_um": float(before.max()),
+        "max_range_left_um": float(after.max()),
         "max_reduction_pct": reduction_pct(float(before.max()), float(after.max())),
-    }  # fmt: skip
+    }
 
 
 def _spread(curve: IntervalCurve) -> list[float]:

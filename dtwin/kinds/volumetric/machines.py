@@ -18,11 +18,7 @@ class _WarmMill(VirtualMachine):
     name = "volumetric"
     type = "volumetric"
     kind = "volumetric"
-    options: ClassVar[Options] = {
-        PLAN: (),
-        "truth": ("surface", "pockets"),
-        "schedule": ("training", "validation"),
-    }
+    options: ClassVar[Options] = {PLAN: (), "truth": ("surface", "pockets"), "schedule": ("training", "validation")}
     clocks = ("machine",)
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
@@ -30,9 +26,14 @@ class _WarmMill(VirtualMachine):
 
         out, truth, schedule = request.out, request.options["truth"], request.options["schedule"]
         cycles = simulate_volumetric(
-            out, progress, schedule=schedule, seed=request.seed, quick=request.quick,
-            plan=request.plan, parameters=parameters_of(truth),
-        )  # fmt: skip
+            out,
+            progress,
+            schedule=schedule,
+            seed=request.seed,
+            quick=request.quick,
+            plan=request.plan,
+            parameters=parameters_of(truth),
+        )
         payload = {"folder": str(out), "truth": truth, "schedule": schedule, "cycles": cycles}
         return Simulated(payload, [f"{cycles} cycles in {out}", f"next: dtwin ingest {out}"])
 
@@ -42,9 +43,7 @@ class _WarmMill(VirtualMachine):
         truth, schedule = request.options["truth"], request.options["schedule"]
         return ServedMill(request.plan, truth, schedule, request.seed, quick=request.quick)
 
-    def prediction(
-        self, home: Home, version: RegisteredVersion, progress: Progress | None
-    ) -> Evidence:
+    def prediction(self, home: Home, version: RegisteredVersion, progress: Progress | None) -> Evidence:
         from dtwin.kinds.volumetric.evidence import volumetric_evidence
 
         return volumetric_evidence(home, version, progress=progress)

@@ -63,52 +63,63 @@ FAMILIES = {
     family.name: family
     for family in (
         Family(
-            "rigid_shift", "the tool shifts against the table",
+            "rigid_shift",
+            "the tool shifts against the table",
             "Structure between table and spindle grows and carries the tool point away, alike everywhere.",
-            "all balls move alike; distances between balls stay", _ALONE,
+            "all balls move alike; distances between balls stay",
+            _ALONE,
             "touch a ball on the table more often, or predict it from the bodies between table and tool",
         ),
         Family(
-            "rigid_turn", "the axes turn against the table",
+            "rigid_turn",
+            "the axes turn against the table",
             "The structure tilts as a whole: one side of a casting is warmer than the other.",
-            "balls move in proportion to their place; distances between balls stay", _ALONE,
+            "balls move in proportion to their place; distances between balls stay",
+            _ALONE,
             "shield the casting from draught and sun, or predict it from the difference of its two sides",
         ),
         Family(
-            "axis_expansion", "a scale or screw grows",
+            "axis_expansion",
+            "a scale or screw grows",
             "What measures the axis grows with its temperature, so that every path is too short or too long.",
             "an error in proportion to the travel, in its own direction",
             "heat the axis' own bed alone, or measure its scale's temperature",
-            "an expansion factor in the control with the scale's own temperature; a linear scale instead of "
-            "the screw",
+            "an expansion factor in the control with the scale's own temperature; a linear scale instead of the screw",
         ),
         Family(
-            "uneven_expansion", "a scale or screw grows more at one end",
+            "uneven_expansion",
+            "a scale or screw grows more at one end",
             "The temperature of what measures the axis differs along its length.",
             "an error along the travel that is not in proportion to it",
             "thermocouples at both ends and in the middle of the axis",
             "a table of positioning errors at the working temperature",
         ),
         Family(
-            "squareness_drift", "two axes leave their right angle",
+            "squareness_drift",
+            "two axes leave their right angle",
             "A guideway turns against another: a column leans when one side is warmer.",
-            "an error across the travel, in proportion to it", _ALONE,
+            "an error across the travel, in proportion to it",
+            _ALONE,
             "squareness compensation that follows the temperature; stop the heat on one side",
         ),
         Family(
-            "guideway_bending", "a guideway bends",
+            "guideway_bending",
+            "a guideway bends",
             "One side of a bed or column is warmer than the other, so that it bends as a bimetal does.",
-            "an error across the travel, a bow", _ALONE,
+            "an error across the travel, a bow",
+            _ALONE,
             "straightness compensation that follows the difference of temperature across the casting",
         ),
         Family(
-            "carriage_turning", "a carriage rolls, pitches or yaws along its way",
+            "carriage_turning",
+            "a carriage rolls, pitches or yaws along its way",
             "The guideway is twisted or bent by heat, so that what it carries turns as it moves.",
-            "errors that grow with the lever arm of the axes that are carried", _ALONE,
+            "errors that grow with the lever arm of the axes that are carried",
+            _ALONE,
             "a volumetric compensation: offsets of one axis cannot take it away",
         ),
     )
-}  # fmt: skip
+}
 
 
 def family_of(motion: str) -> Family:
@@ -162,9 +173,10 @@ def heat_terms(wanted: Sequence[str], axis: str = "") -> tuple[HeatTerm, ...]:
             if found.setdefault(term.motion, term) != term:
                 raise InputError(
                     "one error motion is named twice, with other temperatures",
-                    code="twin.effect_twice", got=f"{found[term.motion].label}, {term.label}",
+                    code="twin.effect_twice",
+                    got=f"{found[term.motion].label}, {term.label}",
                     hint="EXX1@bed+table takes both",
-                )  # fmt: skip
+                )
     return tuple(found.values())
 
 
@@ -179,9 +191,11 @@ def _named(name: str, axis: str) -> list[HeatTerm]:
     kept = [term for term in terms if where in ("", term.axis)]
     if not kept:
         raise InputError(
-            "no such error motion of that axis", code="twin.effect_axis", got=f"{plain} of {where[:20]}",
+            "no such error motion of that axis",
+            code="twin.effect_axis",
+            got=f"{plain} of {where[:20]}",
             allowed=", ".join(sorted({term.axis for term in terms} - {""})) or "no axis: it is rigid",
-        )  # fmt: skip
+        )
     return kept
 
 
@@ -190,7 +204,9 @@ def _motion(name: str) -> str:
         return coefficient(name).name
     except InputError as error:
         raise InputError(
-            "no such effect of heat on a volume", code="twin.effect", got=name[:40],
+            "no such effect of heat on a volume",
+            code="twin.effect",
+            got=name[:40],
             allowed=f"{', '.join(FAMILIES)}; or an error motion as in ISO 230-1: EXX1, EAZ2, EX0",
             hint="dtwin effects list",
-        ) from error  # fmt: skip
+        ) from error

@@ -24,10 +24,16 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
     told = [("note", line) for line in finding_lines(found)] or [("note", "nothing to warn of")]
     head = ("motion", "unit", "RMS", "left", "less, %", "temperatures")
     rows = [
-        [r["name"], r["unit"], f"{r['rms_um']:z.2f}", f"{r['rms_left_um']:z.2f}",
-         str(round(r["rms_reduction_pct"])), str(len(r["sensors"]))]
+        [
+            r["name"],
+            r["unit"],
+            f"{r['rms_um']:z.2f}",
+            f"{r['rms_left_um']:z.2f}",
+            str(round(r["rms_reduction_pct"])),
+            str(len(r["sensors"])),
+        ]
         for r in found["coefficients"]
-    ]  # fmt: skip
+    ]
     sections = [
         Section("What to know first", (), told),
         Section("Error motions", (), figures=[_motions(found)]),
@@ -37,7 +43,7 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
             figures=[_spread(found, direction) for direction in "XYZ"],
         ),
         Section("Every motion", (), tables=[Table(head, rows)]),
-    ]  # fmt: skip
+    ]
     subtitle = (
         f"{found['cycles']} cycles; distances between balls: RMS {d['rms_um']:z.2f} to "
         f"{d['rms_left_um']:z.2f} um (-{d['rms_reduction_pct']:z.0f} %)"
@@ -48,9 +54,7 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
 def _motions(found: Mapping[str, Any]) -> go.Figure:
     figure = go.Figure()
     names = [row["name"] for row in found["coefficients"]]
-    for label, key, colour in (
-        ("measured", "rms_um", "measured"), ("left by the model", "rms_left_um", "second"),
-    ):  # fmt: skip
+    for label, key, colour in (("measured", "rms_um", "measured"), ("left by the model", "rms_left_um", "second")):
         values = [row[key] for row in found["coefficients"]]
         figure.add_trace(go.Bar(x=names, y=values, name=label, marker_color=COLOURS[colour]))
     figure.update_layout(title="RMS of every error motion", yaxis_title="um, um/m", barmode="group")
@@ -61,17 +65,18 @@ def _spread(found: Mapping[str, Any], direction: str) -> go.Figure:
     figure = go.Figure()
     lines = [line for line in found["lines"] if line["direction"] == direction]
     for line, dash in zip(lines, ("solid", "dash", "dot"), strict=True):
-        for label, key, colour in (
-            ("", "p95_um", "measured"), (", left", "p95_left_um", "second"),
-        ):  # fmt: skip
+        for label, key, colour in (("", "p95_um", "measured"), (", left", "p95_left_um", "second")):
             figure.add_trace(
                 go.Scatter(
-                    x=line["hours"], y=line[key], name=f"{line['line']} line{label}",
+                    x=line["hours"],
+                    y=line[key],
+                    name=f"{line['line']} line{label}",
                     line={"color": COLOURS[colour], "dash": dash},
                 )
-            )  # fmt: skip
+            )
     figure.update_layout(
-        title=f"Error in {direction}", xaxis={"title": "length of the job, h", "type": "log"},
+        title=f"Error in {direction}",
+        xaxis={"title": "length of the job, h", "type": "log"},
         yaxis={"title": "um", "rangemode": "tozero"},
-    )  # fmt: skip
+    )
     return styled(figure)

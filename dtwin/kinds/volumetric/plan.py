@@ -93,9 +93,13 @@ def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
         ("table_balls", 0 <= plan.table_balls <= 100, plan.table_balls, "0 to 100"),
         ("ball_s", 1.0 <= plan.ball_s <= 3600.0, plan.ball_s, "1 to 3600 s"),
         ("drift_um_h", 0.0 <= plan.drift_um_h <= 1e4, plan.drift_um_h, "above 0, or 0 when unknown"),
-        ("every_h", plan.cycle_h <= plan.every_h + 1e-9, plan.every_h,
-         f"{plan.cycle_h:z.2f} h or more: {plan.touches} balls at {plan.ball_s:g} s"),
-    )  # fmt: skip
+        (
+            "every_h",
+            plan.cycle_h <= plan.every_h + 1e-9,
+            plan.every_h,
+            f"{plan.cycle_h:z.2f} h or more: {plan.touches} balls at {plan.ball_s:g} s",
+        ),
+    )
     for name, kept, got, allowed in rules:
         if not kept:
             raise broken_rule(name, f"{name} cannot be", where, got, allowed)
@@ -117,11 +121,12 @@ def _drift_advice(plan: BallPlan) -> list[Finding]:
     if plan.drift_um_h == 0.0:
         return [
             Finding(
-                "plan.drift_unknown", "info",
+                "plan.drift_unknown",
+                "info",
                 f"a cycle takes {60.0 * plan.cycle_h:z.0f} min; how fast the machine drifts is not stated "
                 "(drift_um_h): nothing can be said about whether that is short enough",
             )
-        ]  # fmt: skip
+        ]
     moved = plan.drift_um_h * plan.cycle_h
     if moved <= MOST_DRIFT_UM:
         return []
@@ -130,12 +135,13 @@ def _drift_advice(plan: BallPlan) -> list[Finding]:
     advised = f": {fitting} poses, or less time for a ball" if fitting >= _FEWEST_POSES else ""
     return [
         Finding(
-            "plan.cycle_too_long", "warning",
+            "plan.cycle_too_long",
+            "warning",
             f"in a cycle of {60.0 * plan.cycle_h:z.0f} min the machine moves by up to {moved:z.1f} um, which "
             f"looks like an error of place; at most {60.0 * longest:z.0f} min{advised}",
             {"moved_um": moved, "longest_h": longest},
         )
-    ]  # fmt: skip
+    ]
 
 
 def _ball_advice(plan: BallPlan) -> list[Finding]:
@@ -143,43 +149,47 @@ def _ball_advice(plan: BallPlan) -> list[Finding]:
     if plan.table_balls < FEWEST_TABLE_BALLS:
         found.append(
             Finding(
-                "plan.table_balls", "warning",
+                "plan.table_balls",
+                "warning",
                 f"{plan.table_balls} balls on the table: without {FEWEST_TABLE_BALLS} nobody knows how the "
                 "tool point moves and turns as a whole, and no cycle can be identified",
             )
-        )  # fmt: skip
+        )
     told = 3 * (plan.balls * plan.poses + plan.table_balls)
     unknown = MOTIONS + PLACE * plan.poses
     short = plan.balls < _FEWEST_BALLS or plan.poses < _FEWEST_POSES
     if short or told < _REDUNDANCY * unknown:
         found.append(
             Finding(
-                "plan.too_few_balls", "warning",
+                "plan.too_few_balls",
+                "warning",
                 f"{plan.balls} balls in {plan.poses} poses give {told} readings for {unknown} unknowns "
                 f"({MOTIONS} error motions and the place of the array in each pose); {_REDUNDANCY:g} for "
                 f"each unknown, {_FEWEST_BALLS} balls and {_FEWEST_POSES} poses are needed to hold poses "
                 "out as a check",
                 {"readings_1": float(told), "unknowns_1": float(unknown)},
             )
-        )  # fmt: skip
+        )
     return found
 
 
 def _length_advice(plan: BallPlan) -> list[Finding]:
     found = [
         Finding(
-            "plan.one_campaign", "info",
+            "plan.one_campaign",
+            "info",
             "one campaign cannot judge its own model: plan another under another schedule of heat, in "
             "another season, as warm as the machine ever gets",
         )
-    ]  # fmt: skip
+    ]
     if plan.cycles < _FEWEST_CYCLES:
         found.append(
             Finding(
-                "plan.too_few_cycles", "warning",
+                "plan.too_few_cycles",
+                "warning",
                 f"{plan.cycles} cycles; {_FEWEST_CYCLES} are needed to choose temperatures and to leave "
                 "spans of hours out",
                 {"cycles_1": float(plan.cycles)},
             )
-        )  # fmt: skip
+        )
     return found

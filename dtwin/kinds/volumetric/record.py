@@ -24,8 +24,7 @@ class _Volumetric(Kind):
     columns = ("t_s", "x_mm", "y_mm", "z_mm", "error_x_um", "error_y_um", "error_z_um")
     always_fitted = "Error motions, each driven by a few temperatures."
     instead: ClassVar[Mapping[str, str]] = {
-        "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a "
-        "twin of heat"
+        "rows": "dtwin twin fit CAMPAIGN --effects rigid_shift,axis_expansion --name NAME fits a twin of heat"
     }
 
     @property

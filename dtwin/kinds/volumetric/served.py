@@ -9,13 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.kinds.volumetric.plan import BallPlan
-from dtwin.kinds.volumetric.simulate import (
-    MACHINE,
-    QUICK_EVERY,
-    parameters_of,
-    planned_cycles,
-    write_ball_campaign,
-)
+from dtwin.kinds.volumetric.simulate import MACHINE, QUICK_EVERY, parameters_of, planned_cycles, write_ball_campaign
 from dtwin.machines.thermal_network import SCHEDULES
 from dtwin.machines.volumetric import CYCLE_S, READING_S, VolumetricMill
 from dtwin.schema import Floats
@@ -51,9 +45,7 @@ class ServedMill:
     axes = ("x", "y", "z")
     channels_hz = 0.0
 
-    def __init__(
-        self, plan: BallPlan | None, truth: str, schedule: str, seed: int, *, quick: bool
-    ) -> None:
+    def __init__(self, plan: BallPlan | None, truth: str, schedule: str, seed: int, *, quick: bool) -> None:
         self._mill = VolumetricMill(SCHEDULES[schedule], parameters_of(truth), seed)
         self._machine = plan.machine if plan else MACHINE
         n = _QUICK_CYCLES if quick else _CYCLES
@@ -86,9 +78,7 @@ class ServedMill:
             number = ball // self._per_cycle
             since_s = max(now_s - self._cycles[number] * CYCLE_S, 0.0)
             row = int(since_s / READING_S)
-            found |= {
-                name: float(values[row]) for name, values in self._temperatures[number].items()
-            }
+            found |= {name: float(values[row]) for name, values in self._temperatures[number].items()}
         return found
 
     def advance(self, tick: int, offset_um: Floats) -> None:
@@ -100,13 +90,17 @@ class ServedMill:
         parts = np.split(self._offset_um, len(self._balls))
         # The scales read less where the correction lets the machine go further.
         readings = [
-            replace(found, error_um=found.error_um - offset)
-            for found, offset in zip(self._balls, parts, strict=True)
+            replace(found, error_um=found.error_um - offset) for found, offset in zip(self._balls, parts, strict=True)
         ]
         write_ball_campaign(
-            folder, folder.name, self._machine, self._cycles, readings, self._mill,
+            folder,
+            folder.name,
+            self._machine,
+            self._cycles,
+            readings,
+            self._mill,
             corrected=bool(self._offset_um.any()),
-        )  # fmt: skip
+        )
         return f"{len(readings)} cycles of the ball array"
 
     def _read(self, cycle: int) -> dict[str, Floats]:

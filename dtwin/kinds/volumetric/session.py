@@ -124,18 +124,19 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     known = lake.campaign(name)
     if known.kind != "volumetric":
         raise InputError(
-            "not a ball-array campaign", code="volumetric.kind", where=name, got=known.kind,
-            allowed="volumetric",
-        )  # fmt: skip
-    runs = [
-        run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)
-    ]
+            "not a ball-array campaign", code="volumetric.kind", where=name, got=known.kind, allowed="volumetric"
+        )
+    runs = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
     runs.sort(key=lambda run: float(run.meta.condition.get("time_h", 0.0)))
     if len(runs) <= REFERENCE_CYCLES:
         raise InputError(
-            "too few usable cycles", code="volumetric.cycles", where=name, got=str(len(runs)),
-            allowed=f"more than {REFERENCE_CYCLES}", hint=f"dtwin check: what is wrong with {name}",
-        )  # fmt: skip
+            "too few usable cycles",
+            code="volumetric.cycles",
+            where=name,
+            got=str(len(runs)),
+            allowed=f"more than {REFERENCE_CYCLES}",
+            hint=f"dtwin check: what is wrong with {name}",
+        )
     artefact = _artefact(known.machine_geometry, name)
     balls = [_balls(run) for run in runs]
     reference = averaged_balls(balls[:REFERENCE_CYCLES])
@@ -148,16 +149,24 @@ def session_in(lake: Lake, name: str, progress: Progress) -> Session:
     inside = {n: t for n, (group, t) in table.items() if group == _SENSORS}
     if not inside:
         raise InputError(
-            "no thermocouple has readings in every cycle", code="volumetric.sensors", where=name,
+            "no thermocouple has readings in every cycle",
+            code="volumetric.sensors",
+            where=name,
             hint=f'a signal group "{_SENSORS}" with columns that end in _c',
-        )  # fmt: skip
+        )
     absolute = np.column_stack(list(inside.values()))
     begun = absolute[:REFERENCE_CYCLES].mean(axis=0)
     return Session(
-        name, np.array([float(run.meta.condition.get("time_h", i)) for i, run in enumerate(runs)]),
-        artefact, moved, tuple(found), tuple(inside), absolute - begun, begun,
+        name,
+        np.array([float(run.meta.condition.get("time_h", i)) for i, run in enumerate(runs)]),
+        artefact,
+        moved,
+        tuple(found),
+        tuple(inside),
+        absolute - begun,
+        begun,
         {n: t for n, (group, t) in table.items() if group != _SENSORS},
-    )  # fmt: skip
+    )
 
 
 def with_offered(measured: Session, offered: Sequence[str]) -> Session:
@@ -171,10 +180,12 @@ def with_offered(measured: Session, offered: Sequence[str]) -> Session:
     absent = [name for name in offered if name not in measured.offered_c]
     if absent:
         raise InputError(
-            "no such temperature was logged beside the thermocouples", code="volumetric.offered",
-            where=measured.campaign, got=", ".join(absent)[:120],
+            "no such temperature was logged beside the thermocouples",
+            code="volumetric.offered",
+            where=measured.campaign,
+            got=", ".join(absent)[:120],
             allowed=", ".join(measured.offered_c) or "none was",
-        )  # fmt: skip
+        )
     rises = [measured.offered_rise(name) for name in offered]
     more = np.column_stack([measured.rise_c, *rises])
     read = [measured.offered_c[name][:REFERENCE_CYCLES].mean() for name in offered]
@@ -185,18 +196,23 @@ def with_offered(measured: Session, offered: Sequence[str]) -> Session:
 def _artefact(geometry: Mapping[str, Any], where: str) -> Artefact:
     if str(geometry.get("chain", "XZY")) != "XZY":
         raise InputError(
-            "only machines that carry Y on Z on X can be identified", code="volumetric.chain",
-            where=where, got=str(geometry.get("chain"))[:20], allowed="XZY",
-        )  # fmt: skip
+            "only machines that carry Y on Z on X can be identified",
+            code="volumetric.chain",
+            where=where,
+            got=str(geometry.get("chain"))[:20],
+            allowed="XZY",
+        )
     strokes: Strokes = {}
     for axis in "xyz":
         reach = geometry.get(f"stroke_{axis}_mm")
         if not (isinstance(reach, list) and len(reach) == 2 and reach[0] < reach[1]):
             raise InputError(
-                "the stroke of an axis is needed", code="volumetric.stroke",
-                where=f"{where} machine_geometry.stroke_{axis}_mm", got=str(reach)[:60],
+                "the stroke of an axis is needed",
+                code="volumetric.stroke",
+                where=f"{where} machine_geometry.stroke_{axis}_mm",
+                got=str(reach)[:60],
                 allowed="two positions in mm, ascending",
-            )  # fmt: skip
+            )
         strokes[axis] = (float(reach[0]), float(reach[1]))
     held_out = tuple(int(pose) for pose in geometry.get("held_out_poses", ()))
     repeat = float(geometry.get("pose_repeat_um", np.inf))

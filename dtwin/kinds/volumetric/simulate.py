@@ -37,10 +37,15 @@ TRUTHS = {"surface": VolumetricParameters(), "pockets": VolumetricParameters(poc
 
 
 def simulate_volumetric(
-    folder: Path, progress: Progress, *, schedule: str = "training", seed: int = 0,
-    quick: bool = False, parameters: VolumetricParameters | None = None,
+    folder: Path,
+    progress: Progress,
+    *,
+    schedule: str = "training",
+    seed: int = 0,
+    quick: bool = False,
+    parameters: VolumetricParameters | None = None,
     plan: BallPlan | None = None,
-) -> int:  # fmt: skip
+) -> int:
     """Measure the virtual mill for days and write a campaign folder.
 
     Parameters
@@ -72,18 +77,12 @@ def simulate_volumetric(
     """
     if (folder / "campaign.toml").exists():
         raise InputError(
-            "the folder holds a campaign already", code="simulate.exists", where=str(folder),
-            hint="give another --out",
-        )  # fmt: skip
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
+        )
     if schedule not in SCHEDULES:
-        raise InputError(
-            "no such schedule", code="simulate.schedule", got=schedule[:40],
-            allowed=", ".join(SCHEDULES),
-        )  # fmt: skip
+        raise InputError("no such schedule", code="simulate.schedule", got=schedule[:40], allowed=", ".join(SCHEDULES))
     mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
-    cycles = (
-        planned_cycles(plan, mill) if plan else range(0, mill.cycles, QUICK_EVERY if quick else 1)
-    )
+    cycles = planned_cycles(plan, mill) if plan else range(0, mill.cycles, QUICK_EVERY if quick else 1)
     folder.mkdir(parents=True, exist_ok=True)
     name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
     for done, cycle in enumerate(cycles):
@@ -94,9 +93,15 @@ def simulate_volumetric(
 
 
 def write_ball_campaign(
-    folder: Path, name: str, machine: str, cycles: Sequence[int],
-    readings: Sequence[BallReadings], mill: VolumetricMill, *, corrected: bool,
-) -> None:  # fmt: skip
+    folder: Path,
+    name: str,
+    machine: str,
+    cycles: Sequence[int],
+    readings: Sequence[BallReadings],
+    mill: VolumetricMill,
+    *,
+    corrected: bool,
+) -> None:
     """Write cycles that were measured as a campaign folder; the campaign file comes last.
 
     Parameters
@@ -129,9 +134,7 @@ def parameters_of(truth: str) -> VolumetricParameters:
         When there is no such mill.
     """
     if truth not in TRUTHS:
-        raise InputError(
-            "no such virtual mill", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS)
-        )
+        raise InputError("no such virtual mill", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))
     return TRUTHS[truth]
 
 
@@ -151,31 +154,28 @@ def planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:
         When the virtual mill has another array, or is not heated for so long.
     """
     own = {
-        "balls": len(array_balls(1)), "poses": len(AZIMUTHS_DEG), "table_balls": len(FIXED_BALLS_MM),
+        "balls": len(array_balls(1)),
+        "poses": len(AZIMUTHS_DEG),
+        "table_balls": len(FIXED_BALLS_MM),
         "ball_s": BALL_S,
-    }  # fmt: skip
+    }
     asked = {name: getattr(plan, name) for name in own}
     if asked != own or plan.every_h != int(plan.every_h) or plan.hours > mill.cycles:
         raise InputError(
-            "the virtual mill cannot do this", code="simulate.plan",
-            got=", ".join(f"{k} {v:g}" for k, v in asked.items())
-            + f", every_h {plan.every_h:g}, hours {plan.hours:g}",
+            "the virtual mill cannot do this",
+            code="simulate.plan",
+            got=", ".join(f"{k} {v:g}" for k, v in asked.items()) + f", every_h {plan.every_h:g}, hours {plan.hours:g}",
             allowed=", ".join(f"{k} {v:g}" for k, v in own.items())
             + f", every_h in whole hours, hours up to {mill.cycles}",
-        )  # fmt: skip
+        )
     return range(0, plan.cycles * int(plan.every_h), int(plan.every_h))
 
 
 def _write_cycle(folder: Path, cycle: int, readings: BallReadings, mill: VolumetricMill) -> None:
     stem = f"c{cycle:03d}"
     write_parquet(folder / f"{stem}.parquet", table_of(_columns(readings)))
-    for name, columns in (
-        ("thermocouples", mill.thermocouples_c(cycle)),
-        ("control", mill.control_c(cycle)),
-    ):
-        write_signals(
-            folder / f"{stem}.{name}.parquet", SignalGroup(name, 1.0 / READING_S, columns)
-        )
+    for name, columns in (("thermocouples", mill.thermocouples_c(cycle)), ("control", mill.control_c(cycle))):
+        write_signals(folder / f"{stem}.{name}.parquet", SignalGroup(name, 1.0 / READING_S, columns))
 
 
 def _columns(readings: BallReadings) -> dict[str, NDArray[Any]]:
@@ -189,13 +189,7 @@ def _columns(readings: BallReadings) -> dict[str, NDArray[Any]]:
 
 
 def _write_campaign_file(
-    folder: Path,
-    name: str,
-    machine: str,
-    cycles: list[int],
-    mill: VolumetricMill,
-    *,
-    corrected: bool,
+    folder: Path, name: str, machine: str, cycles: list[int], mill: VolumetricMill, *, corrected: bool
 ) -> None:
     geometry = {
         "type": "volumetric",
@@ -219,7 +213,10 @@ def _write_campaign_file(
         for cycle, stem in ((cycle, f"c{cycle:03d}") for cycle in cycles)
     ]
     head = {
-        "name": name, "machine": machine, "kind": "volumetric", "machine_geometry": geometry,
+        "name": name,
+        "machine": machine,
+        "kind": "volumetric",
+        "machine_geometry": geometry,
         "instrument": instrument,
-    }  # fmt: skip
+    }
     write_campaign_file(folder, head, runs)

@@ -25,7 +25,7 @@ def slot_places_mm(strokes_mm: dict[str, tuple[float, float]]) -> Floats:
     """
     low = {axis: reach[0] + 0.25 * (reach[1] - reach[0]) for axis, reach in strokes_mm.items()}
     high = {axis: reach[0] + 0.75 * (reach[1] - reach[0]) for axis, reach in strokes_mm.items()}
-    grid = [(x, y) for y in np.linspace(low["y"], high["y"], 4) for x in np.linspace(low["x"], high["x"], 4)]  # fmt: skip
+    grid = [(x, y) for y in np.linspace(low["y"], high["y"], 4) for x in np.linspace(low["x"], high["x"], 4)]
     return np.array([(x, y, low["z"]) for x, y in grid])
 
 
@@ -46,9 +46,11 @@ def slot_errors_um(depth_um: Floats, start: int) -> Floats:
     """
     if not 0 <= start <= len(depth_um) - SLOTS:
         raise InputError(
-            "the slots do not fit into the campaign", code="volumetric.slots", got=f"start {start} h",
+            "the slots do not fit into the campaign",
+            code="volumetric.slots",
+            got=f"start {start} h",
             allowed=f"0 to {len(depth_um) - SLOTS} h",
-        )  # fmt: skip
+        )
     milled = np.array([depth_um[start + k, k] for k in range(SLOTS)])
     return np.asarray(milled - milled[0])
 

@@ -27,11 +27,18 @@ def judged_text(found: Mapping[str, Any]) -> str:
             f"average, {s['max_range_um']:z.1f} -> {s['max_range_left_um']:z.1f} um at worst"
         )
     rows = [
-        [r["name"], r["unit"], f"{r['rms_um']:z.2f}", f"{r['rms_left_um']:z.2f}",
-         f"{r['rms_reduction_pct']:z.0f}", len(r["sensors"]), "yes" if r["memory"] else "",
-         f"{r['largest_inflation']:z.0f}"]
+        [
+            r["name"],
+            r["unit"],
+            f"{r['rms_um']:z.2f}",
+            f"{r['rms_left_um']:z.2f}",
+            f"{r['rms_reduction_pct']:z.0f}",
+            len(r["sensors"]),
+            "yes" if r["memory"] else "",
+            f"{r['largest_inflation']:z.0f}",
+        ]
         for r in found["coefficients"]
-    ]  # fmt: skip
+    ]
     head = ("", "unit", "RMS", "left", "less %", "sensors", "memory", "inflation")
     lines += ["", table(head, rows), "", *_line_lines(found["lines"])]
     return "\n".join([*lines, *finding_lines(found)])
@@ -61,9 +68,7 @@ def _line_lines(lines: Sequence[Mapping[str, Any]]) -> list[str]:
     for line in lines:
         if line["worse_h"]:
             named = ", ".join(f"{h:g}" for h in line["worse_h"])
-            out.append(
-                f"line {line['line']}, error in {line['direction']}: worse than nothing in jobs of {named} h"
-            )
+            out.append(f"line {line['line']}, error in {line['direction']}: worse than nothing in jobs of {named} h")
     return out
 
 
@@ -74,9 +79,5 @@ def _unexplained_line(entry: Mapping[str, Any]) -> str:
             f"{entry['name']} is not explained by the thermocouples; {entry['cause']} explains it in both "
             f"campaigns ({left}): --offer {entry['cause']}"
         )
-    told = (
-        f"nor by what else was logged ({left})"
-        if left
-        else "and no other campaign was given to look for a cause"
-    )
+    told = f"nor by what else was logged ({left})" if left else "and no other campaign was given to look for a cause"
     return f"{entry['name']} is not explained by the thermocouples, {told}"

@@ -79,9 +79,8 @@ class ThermalModel:
 
 
 def fit_thermal(
-    name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str], *, most: int = _MOST_INPUTS,
-    static: bool = False,
-) -> ThermalModel:  # fmt: skip
+    name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str], *, most: int = _MOST_INPUTS, static: bool = False
+) -> ThermalModel:
     """Choose sensors one by one, with and without memory, by a criterion and by parsimony.
 
     Of the models whose residual is at most 15 % above that of the one with the best criterion, the
@@ -109,9 +108,11 @@ def fit_thermal(
     """
     if len(motion) < _FEWEST_CYCLES:
         raise InputError(
-            "too few cycles for a thermal model", code="volumetric.cycles", got=str(len(motion)),
+            "too few cycles for a thermal model",
+            code="volumetric.cycles",
+            got=str(len(motion)),
             allowed=f"at least {_FEWEST_CYCLES}",
-        )  # fmt: skip
+        )
     fits: list[tuple[ThermalModel, Floats]] = []
     for remembers in (False,) if static else (False, True):
         chosen: list[int] = []
@@ -167,9 +168,8 @@ def _next(motion: Floats, rise_c: Floats, chosen: Sequence[int], *, remembers: b
 
 
 def _fitted(
-    name: str, motion: Floats, rise_c: Floats, chosen: Sequence[int], sensors: Sequence[str], *,
-    remembers: bool,
-) -> tuple[ThermalModel, Floats]:  # fmt: skip
+    name: str, motion: Floats, rise_c: Floats, chosen: Sequence[int], sensors: Sequence[str], *, remembers: bool
+) -> tuple[ThermalModel, Floats]:
     used = rise_c[:, list(chosen)]
     memory = 0.0
     per_k: Floats = np.asarray(np.linalg.lstsq(used, motion, rcond=None)[0], dtype=np.float64)

@@ -27,9 +27,8 @@ _Fit = Callable[[str, Floats, Floats, Sequence[str]], ThermalModel]
 
 
 def train_volumetric(
-    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None,
-    progress: StageProgress | None = None,
-) -> Training:  # fmt: skip
+    lake: Lake, name: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
+) -> Training:
     """Train every candidate on a ball-array campaign.
 
     Heat lasts: neighbouring cycles are no replicates. Five spans of hours are left out in turn, each as
@@ -61,18 +60,22 @@ def train_volumetric(
         found.append(_candidate(title, fit, measured, campaign.machine))
         tell("candidates", done, len(_FITS), title)
     found.sort(key=lambda c: c.held_out.rms_um)
-    before, floor = (
-        _distances(measured, values) for values in (np.zeros_like(measured.values), measured.values)
-    )
+    before, floor = (_distances(measured, values) for values in (np.zeros_like(measured.values), measured.values))
     equations = [c for c in found if c.promotable]
     report = TrainingReport(
-        machine=campaign.machine, campaign=name, table_versions=versions,
-        noise_floor_um=rms(np.concatenate(floor)), rms_before_um=rms(np.concatenate(before)),
-        n_runs=len(measured.hour), n_rows=sum(len(part) for part in before),
-        candidates=tuple(found), proposed=min(equations, key=lambda c: c.held_out.rms_um).name,
-        seed=seed, told=tuple(_what_was_seen(measured, engine)),
+        machine=campaign.machine,
+        campaign=name,
+        table_versions=versions,
+        noise_floor_um=rms(np.concatenate(floor)),
+        rms_before_um=rms(np.concatenate(before)),
+        n_runs=len(measured.hour),
+        n_rows=sum(len(part) for part in before),
+        candidates=tuple(found),
+        proposed=min(equations, key=lambda c: c.held_out.rms_um).name,
+        seed=seed,
+        told=tuple(_what_was_seen(measured, engine)),
         floor_is="what the identified error motions leave themselves",
-    )  # fmt: skip
+    )
     geometry = {"type": "volumetric"} | dict(campaign.machine_geometry)
     hours = float(measured.hour[0]), float(measured.hour[-1])
     return Training(report, geometry, ((name, *hours),))
@@ -100,9 +103,7 @@ def serving_bundle(
         name: (float(column.min()), float(column.max()))
         for name, column in zip(training.sensors, absolute.T, strict=True)
     }
-    return volumetric_bundle(
-        models, training.artefact.strokes_mm, begun, seen, "volumetric", machine, switched_off
-    )
+    return volumetric_bundle(models, training.artefact.strokes_mm, begun, seen, "volumetric", machine, switched_off)
 
 
 def _nothing(name: str, motion: Floats, rise_c: Floats, sensors: Sequence[str]) -> ThermalModel:
@@ -135,7 +136,9 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         worse = _worse(measured, expected)
         bundle = serving_bundle(models, measured, machine, worse)
     return Candidate(
-        name=title, family=family, promotable=bundle is not None,
+        name=title,
+        family=family,
+        promotable=bundle is not None,
         complexity=sum(len(m.sensors) for m in models),
         scores={HELD_OUT: _scores(measured, expected, spans)},
         train_rms_um=rms(np.concatenate(_distances(measured, fitted))),
@@ -144,7 +147,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         bundle=None if bundle is None else bundle.to_dict(),
         findings=tuple(f"{name} is worse than nothing in hours left out: switched off" for name in worse)
         or (("needs every thermocouple: a comparison only",) if family == "linear" else ()),
-    )  # fmt: skip
+    )
 
 
 def _left_out(fit: _Fit, measured: Session) -> tuple[Floats, list[Any]]:
@@ -171,10 +174,7 @@ def _run(models: Sequence[ThermalModel], measured: Session) -> Floats:
 
 def _worse(measured: Session, expected: Floats) -> tuple[str, ...]:
     left = measured.values - expected
-    return tuple(
-        name for i, name in enumerate(measured.artefact.names)
-        if rms(left[:, i]) > rms(measured.values[:, i])
-    )  # fmt: skip
+    return tuple(name for i, name in enumerate(measured.artefact.names) if rms(left[:, i]) > rms(measured.values[:, i]))
 
 
 def _distances(measured: Session, expected: Floats) -> list[Floats]:
@@ -197,9 +197,8 @@ def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores
     was, left = np.concatenate(before), np.concatenate(after)
     r2 = 1.0 - float(np.sum(left**2) / np.sum((was - was.mean()) ** 2))
     return Scores(
-        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans),
-        len(measured.hour),
-    )  # fmt: skip
+        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans), len(measured.hour)
+    )
 
 
 def _what_was_seen(measured: Session, engine: Engine | None) -> list[str]:
@@ -215,7 +214,5 @@ def _what_was_seen(measured: Session, engine: Engine | None) -> list[str]:
 
 
 def _readable(model: ThermalModel) -> str:
-    terms = " ".join(
-        f"{k:+.4g} {s}" for s, k in zip(model.sensors, model.per_k.tolist(), strict=True)
-    )
+    terms = " ".join(f"{k:+.4g} {s}" for s, k in zip(model.sensors, model.per_k.tolist(), strict=True))
     return f"{model.name} = {terms or '0'} (rises since the reference)"

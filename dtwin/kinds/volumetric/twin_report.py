@@ -100,9 +100,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
         if any(c["add"] and c["rms_after_um"] > now for c in result["candidates"]):
             lines.append("more after than now: it offsets another at these balls until both are in")
     if result["quiet"]:
-        lines.append(
-            f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}"
-        )
+        lines.append(f"move, but by less than {100 * MATERIAL:z.0f} % of the floor: {', '.join(result['quiet'])}")
     if result["next_experiment"]:
         lines.append(f"next: {result['next_experiment']['text']}")
     return "\n".join([*lines, *_advice(name, result)])
@@ -128,10 +126,7 @@ def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Sectio
 
 def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
     """Return what is missing."""
-    said = (
-        _SEVERITY.get(result["verdict"], "warning"),
-        f"{result['verdict']}: {result['headline']}",
-    )
+    said = (_SEVERITY.get(result["verdict"], "warning"), f"{result['verdict']}: {result['headline']}")
     figures = [ranked_figure(result)] if result["candidates"] else []
     return Section("What is missing", [], [said], [], figures, [diagnosis_text(name, result)])
 
@@ -193,10 +188,7 @@ def _bodies(sensors: Sequence[str]) -> str:
 def _place(place: Mapping[str, Any]) -> str:
     where = f"pose {place['pose']}" if place["pose"] else "balls on the table"
     first, last = place["hours"]
-    return (
-        f"{where}, in {place['axis']}, {first:g} to {last:g} h: "
-        f"{micrometres(place['residual_rms_um'])} um"
-    )
+    return f"{where}, in {place['axis']}, {first:g} to {last:g} h: {micrometres(place['residual_rms_um'])} um"
 
 
 def _day_table(result: Mapping[str, Any]) -> Table:
@@ -238,15 +230,13 @@ def motion_figure(result: Mapping[str, Any]) -> go.Figure:
     rows = sorted(result["motions"], key=lambda m: -m["rms_before_um"])
     figure = go.Figure()
     for label, key, colour in (
-        ("measured", "rms_before_um", "measured"), ("left by the twin", "rms_after_um", "second"),
+        ("measured", "rms_before_um", "measured"),
+        ("left by the twin", "rms_after_um", "second"),
         ("noise of the motion", "noise_um", "floor"),
-    ):  # fmt: skip
+    ):
         figure.add_trace(
-            go.Bar(
-                x=[m["effect"] for m in rows], y=[m[key] for m in rows], name=label,
-                marker_color=COLOURS[colour],
-            )
-        )  # fmt: skip
+            go.Bar(x=[m["effect"] for m in rows], y=[m[key] for m in rows], name=label, marker_color=COLOURS[colour])
+        )
     figure.update_layout(
         title="Every error motion at the balls",
         yaxis={"title": "RMS, um", "type": "log", "dtick": 1},
@@ -268,23 +258,22 @@ def day_figure(result: Mapping[str, Any]) -> go.Figure:
     named = [f"{d['hours'][0]:g} to {d['hours'][1]:g}" for d in days]
     figure = go.Figure()
     for label, key, colour in (
-        ("measured", "rms_before_um", "measured"), ("left by the twin", "rms_after_um", "second"),
-    ):  # fmt: skip
-        figure.add_trace(
-            go.Bar(
-                x=named, y=[d[key] for d in days], name=label, marker_color=COLOURS[colour],
-            )
-        )  # fmt: skip
+        ("measured", "rms_before_um", "measured"),
+        ("left by the twin", "rms_after_um", "second"),
+    ):
+        figure.add_trace(go.Bar(x=named, y=[d[key] for d in days], name=label, marker_color=COLOURS[colour]))
     figure.add_trace(
         go.Scatter(
-            x=named, y=[result["noise_floor_um"]] * len(days), mode="lines", name="noise floor",
+            x=named,
+            y=[result["noise_floor_um"]] * len(days),
+            mode="lines",
+            name="noise floor",
             line={"color": COLOURS["floor"], "dash": "dash"},
         )
-    )  # fmt: skip
+    )
     figure.update_layout(
-        title="Error at the balls, day by day", yaxis_title="RMS, um", xaxis_title="hours",
-        barmode="group",
-    )  # fmt: skip
+        title="Error at the balls, day by day", yaxis_title="RMS, um", xaxis_title="hours", barmode="group"
+    )
     return styled(figure)
 
 

@@ -59,14 +59,22 @@ class HeatComparison:
         """Return a JSON-ready mapping."""
         figures = heat_figures(self.series, self.left)
         return {
-            "kind": KIND, "twin": self.twin.name, "version": self.twin.version,
-            "campaign": self.series.campaign, "runs": len(self.series.hour),
-            "rms_before_um": figures["rms_before_um"], "residual_rms_um": figures["rms_after_um"],
+            "kind": KIND,
+            "twin": self.twin.name,
+            "version": self.twin.version,
+            "campaign": self.series.campaign,
+            "runs": len(self.series.hour),
+            "rms_before_um": figures["rms_before_um"],
+            "residual_rms_um": figures["rms_after_um"],
             "systematic_rms_um": figures["systematic_rms_um"],
-            "noise_floor_um": figures["noise_floor_um"], "replication": "cycle",
-            "conditions": list(by_day(self.series, self.left)), "motions": self._motions(),
-            "where": list(self.where), "warnings": list(self.warnings), "encoder_split": None,
-        }  # fmt: skip
+            "noise_floor_um": figures["noise_floor_um"],
+            "replication": "cycle",
+            "conditions": list(by_day(self.series, self.left)),
+            "motions": self._motions(),
+            "where": list(self.where),
+            "warnings": list(self.warnings),
+            "encoder_split": None,
+        }
 
     def _motions(self) -> list[dict[str, Any]]:
         """Return every motion with what it does at the balls, before and after."""
@@ -74,13 +82,14 @@ class HeatComparison:
         labels = {term.motion: term.label for term in self.twin.terms}
         return [
             {
-                "effect": name, "in_twin": labels.get(name),
+                "effect": name,
+                "in_twin": labels.get(name),
                 "rms_before_um": series.share_um(series.values[:, i], i),
                 "rms_after_um": series.share_um(self.left[:, i], i),
                 "noise_um": series.share_um(series.uncertainty_of(i), i),
             }
             for i, name in enumerate(series.names)
-        ]  # fmt: skip
+        ]
 
 
 class HeatTwins(TwinShelf):
@@ -95,9 +104,7 @@ class HeatTwins(TwinShelf):
     def __init__(self, home: Home) -> None:
         super().__init__(home, KIND)
 
-    def fit(
-        self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False
-    ) -> HeatTwin:
+    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> HeatTwin:
         """Fit a twin to a campaign; an existing twin of that name gets a new version.
 
         Parameters
@@ -119,9 +126,11 @@ class HeatTwins(TwinShelf):
         require_name(name, "the twin")
         if robust:
             raise InputError(
-                "a twin of heat has no robust fit", code="twin.robust", where=f"twin {name}",
+                "a twin of heat has no robust fit",
+                code="twin.robust",
+                where=f"twin {name}",
                 hint="leave out --robust; dtwin check names cycles that went wrong",
-            )  # fmt: skip
+            )
         terms = heat_terms(effects)
         loaded = load_heat(self.home, campaign, [term.motion for term in terms])
         return self._store(name, loaded, terms, "fit")
@@ -218,9 +227,7 @@ class HeatTwins(TwinShelf):
         old = self.newest(name, version)
         return self._store(name, self._loaded(old), old.terms, f"restore v{version}")
 
-    def discover(
-        self, name: str, *, seed: int = 0
-    ) -> tuple[list[HeatTwin], list[tuple[str, ...]], HeatDiagnosis]:
+    def discover(self, name: str, *, seed: int = 0) -> tuple[list[HeatTwin], list[tuple[str, ...]], HeatDiagnosis]:
         """Diagnose and add until nothing is missing, or nothing that was logged would help.
 
         Parameters
@@ -269,9 +276,8 @@ class HeatTwins(TwinShelf):
             return heat_twin_from(document)
         except (KeyError, TypeError, ValueError, InputError) as error:
             raise StoreError(
-                "this is not a twin of heat", code="twin.format", where=str(path), allowed=FORMAT,
-                got=str(error)[:80],
-            ) from error  # fmt: skip
+                "this is not a twin of heat", code="twin.format", where=str(path), allowed=FORMAT, got=str(error)[:80]
+            ) from error
 
     def _loaded(self, twin: HeatTwin, campaign: str | None = None) -> HeatLoaded:
         return load_heat(self.home, campaign or twin.campaign, [term.motion for term in twin.terms])
@@ -285,20 +291,10 @@ class HeatTwins(TwinShelf):
         self.store_diagnosis({**named, **found.as_dict()})
         return found
 
-    def _store(
-        self, name: str, loaded: HeatLoaded, terms: Sequence[HeatTerm], action: str
-    ) -> HeatTwin:
+    def _store(self, name: str, loaded: HeatLoaded, terms: Sequence[HeatTerm], action: str) -> HeatTwin:
         version = self.next_version(name)
         fitted = fit_heat(loaded.series, terms)
-        twin = heat_twin_of(
-            fitted,
-            loaded.series,
-            terms,
-            name=name,
-            version=version,
-            action=action,
-            data=loaded.data,
-        )
+        twin = heat_twin_of(fitted, loaded.series, terms, name=name, version=version, action=action, data=loaded.data)
         self.store(twin.as_dict())
         return twin
 

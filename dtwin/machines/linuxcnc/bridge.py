@@ -105,11 +105,7 @@ class Control:
             # A command that failed says error until the next one is given.
             over = stat.state in (self.api.RCS_DONE, self.api.RCS_ERROR)
             done = stat.exec_state == self.api.EXEC_DONE and over
-            return {
-                "running": not (idle and done),
-                "enabled": bool(stat.enabled),
-                "messages": list(self.messages),
-            }
+            return {"running": not (idle and done), "enabled": bool(stat.enabled), "messages": list(self.messages)}
 
     def record(self, file: str) -> dict[str, Any]:
         """Begin to write the sampler's stream; what it held from before is dropped."""
@@ -174,9 +170,7 @@ class Registers:
         }
 
 
-def answer(
-    request: dict[str, Any], control: Control, registers: Registers
-) -> "dict[str, Any] | None":
+def answer(request: dict[str, Any], control: Control, registers: Registers) -> "dict[str, Any] | None":
     """Do what a line asks for; a correction is not answered."""
     what = request["do"]
     if what == "send":

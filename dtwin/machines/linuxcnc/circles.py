@@ -45,16 +45,18 @@ class Circle:
         largest = 60.0 * math.sqrt(_LARGEST_ACCELERATION_MM_S2 * max(self.radius_mm, 0.0))
         if not 5.0 <= self.radius_mm <= 0.9 * TRAVEL_MM:
             raise InputError(
-                "the circle does not fit the machine", code="linuxcnc.radius",
-                got=f"{self.radius_mm:g} mm", allowed=f"5 to {0.9 * TRAVEL_MM:g} mm",
-            )  # fmt: skip
-        if not (self.feed_mm_min >= 100.0 and speed * speed / self.radius_mm
-                <= _LARGEST_ACCELERATION_MM_S2):  # fmt: skip
+                "the circle does not fit the machine",
+                code="linuxcnc.radius",
+                got=f"{self.radius_mm:g} mm",
+                allowed=f"5 to {0.9 * TRAVEL_MM:g} mm",
+            )
+        if not (self.feed_mm_min >= 100.0 and speed * speed / self.radius_mm <= _LARGEST_ACCELERATION_MM_S2):
             raise InputError(
-                "the axes cannot hold this feed on this circle", code="linuxcnc.feed",
+                "the axes cannot hold this feed on this circle",
+                code="linuxcnc.feed",
                 got=f"{self.feed_mm_min:g} mm/min at {self.radius_mm:g} mm",
                 allowed=f"100 to {largest:z.0f} mm/min",
-            )  # fmt: skip
+            )
 
 
 @dataclass(frozen=True)
@@ -103,9 +105,15 @@ def program(circles: Sequence[Circle]) -> str:
         sign = 1.0 if circle.direction == "CCW" else -1.0
         end = math.radians(2.0 * _LEAD_DEG)
         told = {
-            1: sign, 2: circle.radius_mm, 3: 0.0, 4: 0.0, 5: 0.0,
-            6: float(PLANES.index(circle.plane)), 7: circle.feed_mm_min, 0: float(number),
-        }  # fmt: skip
+            1: sign,
+            2: circle.radius_mm,
+            3: 0.0,
+            4: 0.0,
+            5: 0.0,
+            6: float(PLANES.index(circle.plane)),
+            7: circle.feed_mm_min,
+            0: float(number),
+        }
         at = (circle.radius_mm * math.cos(end), sign * circle.radius_mm * math.sin(end))
         centre = f"{'IJK'[AXES.index(first)]}{-circle.radius_mm:z.6f}"
         others = "".join(f" {a}0" for a in AXES if a not in (first, second))
@@ -146,18 +154,22 @@ def read_samples(path: Path) -> Floats:
                 break
     if not whole or any(len(row) != _COLUMNS for row in rows) or len(rows) < 2:
         raise DeviceError(
-            "the sampler's recording is not whole", code="linuxcnc.samples", where=path.name,
+            "the sampler's recording is not whole",
+            code="linuxcnc.samples",
+            where=path.name,
             got=f"{len(rows)} rows" if whole else "an overrun during a circle",
             hint="the computer was too busy to fetch the samples; measure again",
-        )  # fmt: skip
+        )
     samples = np.array(rows, dtype=float)
     gaps = np.flatnonzero(np.diff(samples[:, 0]) != 1.0)
     if len(gaps):
         raise DeviceError(
-            "samples are missing in the controller's recording", code="linuxcnc.samples",
-            where=path.name, got=f"{len(gaps)} gaps, the first after {samples[gaps[0], 0]:z.0f}",
+            "samples are missing in the controller's recording",
+            code="linuxcnc.samples",
+            where=path.name,
+            got=f"{len(gaps)} gaps, the first after {samples[gaps[0], 0]:z.0f}",
             hint="the computer was too busy to fetch them; measure again",
-        )  # fmt: skip
+        )
     return samples
 
 
@@ -188,14 +200,13 @@ def _trace(samples: Floats, number: int, circle: Circle) -> Trace:
     chosen = np.flatnonzero(moving & (turned >= _LEAD_DEG) & (turned < _LEAD_DEG + 360.0))
     if not len(chosen) or turned.max() < _LEAD_DEG + 360.0 or np.diff(chosen).max() != 1:
         raise DeviceError(
-            "a circle was not run as a whole", code="linuxcnc.circle", where=f"circle {number}",
+            "a circle was not run as a whole",
+            code="linuxcnc.circle",
+            where=f"circle {number}",
             got=f"{turned.max() if len(turned) else 0.0:z.0f} deg in {len(rows)} samples",
-        )  # fmt: skip
+        )
     cut = rows[chosen]
-    return Trace(
-        circle, (cut[:, 0] - cut[0, 0]) / SAMPLE_HZ, command[chosen], cut[:, 5:8], cut[:, 9:12],
-        cut[:, 8],
-    )  # fmt: skip
+    return Trace(circle, (cut[:, 0] - cut[0, 0]) / SAMPLE_HZ, command[chosen], cut[:, 5:8], cut[:, 9:12], cut[:, 8])
 
 
 def _angle_deg(position_mm: Floats, circle: Circle) -> Floats:

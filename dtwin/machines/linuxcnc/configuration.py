@@ -14,9 +14,11 @@ TRAVEL_MM = 150.0
 _MAX_COMP_BYTES = 100_000
 _MOST_TRIPLETS = 256
 _RANGES = {
-    "position_gain": (1.0, 900.0), "noise": (0.0, 100.0),
-    "feed_forward_x": (0.0, 2.0), "feed_forward_y": (0.0, 2.0),
-}  # fmt: skip
+    "position_gain": (1.0, 900.0),
+    "noise": (0.0, 100.0),
+    "feed_forward_x": (0.0, 2.0),
+    "feed_forward_y": (0.0, 2.0),
+}
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,7 @@ class MillFaults:
         seed : int
             Of the bar's noise.
         """
-        lines = [
-            f"setp plant.{f.name.replace('_', '-')} {getattr(self, f.name):.9g}"
-            for f in fields(self)
-        ]
+        lines = [f"setp plant.{f.name.replace('_', '-')} {getattr(self, f.name):.9g}" for f in fields(self)]
         # Neighbouring seeds must not begin alike.
         return [*lines, f"setp plant.noise-state {1 + (seed * 2654435761) % (2**32 - 2)}"]
 
@@ -96,20 +95,19 @@ def read_faults(path: Path) -> MillFaults:
             given = tomllib.loads(file.read(_MAX_COMP_BYTES).decode("utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
-            "the faults cannot be read",
-            code="linuxcnc.faults",
-            where=str(path),
-            got=str(error)[:120],
+            "the faults cannot be read", code="linuxcnc.faults", where=str(path), got=str(error)[:120]
         ) from error
     for name, value in given.items():
         number = isinstance(value, int | float) and not isinstance(value, bool)
         low, high = _RANGES.get(name, (-1.0, 1.0))
         if name not in names or not number or not low <= value <= high:
             raise InputError(
-                "this is no fault of the simulated mill", code="linuxcnc.faults", where=str(path),
+                "this is no fault of the simulated mill",
+                code="linuxcnc.faults",
+                where=str(path),
                 got=f"{name[:40]} = {str(value)[:40]}",
                 allowed=f"{low:g} to {high:g}" if name in names else ", ".join(names),
-            )  # fmt: skip
+            )
     return MillFaults(**{name: float(value) for name, value in given.items()})
 
 
@@ -122,18 +120,40 @@ def ini_text(compensation: Mapping[str, str]) -> str:
         Name of a compensation file in the same folder, by axis.
     """
     lines = [
-        "[EMC]", "VERSION = 1.1", "MACHINE = dtwin-mill", "DEBUG = 0",
-        "[DISPLAY]", "DISPLAY = ./no_display.sh",
-        "[TASK]", "TASK = milltask", "CYCLE_TIME = 0.001",
-        "[RS274NGC]", "PARAMETER_FILE = mill.var",
-        "[EMCMOT]", "EMCMOT = motmod", "COMM_TIMEOUT = 4.0", "SERVO_PERIOD = 1000000",
-        "[EMCIO]", "EMCIO = io", "CYCLE_TIME = 0.1", "TOOL_TABLE = mill.tbl",
-        "[HAL]", "HALFILE = mill.hal", "HALFILE = faults.hal",
-        "[TRAJ]", "COORDINATES = X Y Z", "LINEAR_UNITS = mm", "ANGULAR_UNITS = degree",
-        "DEFAULT_LINEAR_VELOCITY = 50", "MAX_LINEAR_VELOCITY = 200",
-        "DEFAULT_LINEAR_ACCELERATION = 1000", "MAX_LINEAR_ACCELERATION = 1000",
-        "[KINS]", "KINEMATICS = trivkins coordinates=XYZ", "JOINTS = 3",
-    ]  # fmt: skip
+        "[EMC]",
+        "VERSION = 1.1",
+        "MACHINE = dtwin-mill",
+        "DEBUG = 0",
+        "[DISPLAY]",
+        "DISPLAY = ./no_display.sh",
+        "[TASK]",
+        "TASK = milltask",
+        "CYCLE_TIME = 0.001",
+        "[RS274NGC]",
+        "PARAMETER_FILE = mill.var",
+        "[EMCMOT]",
+        "EMCMOT = motmod",
+        "COMM_TIMEOUT = 4.0",
+        "SERVO_PERIOD = 1000000",
+        "[EMCIO]",
+        "EMCIO = io",
+        "CYCLE_TIME = 0.1",
+        "TOOL_TABLE = mill.tbl",
+        "[HAL]",
+        "HALFILE = mill.hal",
+        "HALFILE = faults.hal",
+        "[TRAJ]",
+        "COORDINATES = X Y Z",
+        "LINEAR_UNITS = mm",
+        "ANGULAR_UNITS = degree",
+        "DEFAULT_LINEAR_VELOCITY = 50",
+        "MAX_LINEAR_VELOCITY = 200",
+        "DEFAULT_LINEAR_ACCELERATION = 1000",
+        "MAX_LINEAR_ACCELERATION = 1000",
+        "[KINS]",
+        "KINEMATICS = trivkins coordinates=XYZ",
+        "JOINTS = 3",
+    ]
     limits = [f"MIN_LIMIT = {-TRAVEL_MM:g}", f"MAX_LIMIT = {TRAVEL_MM:g}"]
     for number, axis in enumerate(AXES):
         lines += [f"[AXIS_{axis}]", *limits, "MAX_VELOCITY = 200", "MAX_ACCELERATION = 1200"]
@@ -167,25 +187,29 @@ def compensation_text(path: Path) -> str:
             text = file.read(_MAX_COMP_BYTES + 1).decode("ascii")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(
-            "the compensation file cannot be read", code="linuxcnc.comp", where=str(path),
-            got=str(error)[:120],
-        ) from error  # fmt: skip
+            "the compensation file cannot be read", code="linuxcnc.comp", where=str(path), got=str(error)[:120]
+        ) from error
     last = -float("inf")
     rows = [line for line in text.splitlines() if line.strip()]
     for number, line in enumerate(rows, start=1):
         nominal = _triplet(line)
         if not last < nominal < 1e6:
             raise InputError(
-                "this is no row of a compensation file", code="linuxcnc.comp",
-                where=f"{path}, row {number}", got=line[:60],
+                "this is no row of a compensation file",
+                code="linuxcnc.comp",
+                where=f"{path}, row {number}",
+                got=line[:60],
                 allowed="nominal forward reverse, in mm, nominal rising",
-            )  # fmt: skip
+            )
         last = nominal
     if not 2 <= len(rows) <= _MOST_TRIPLETS or len(text) > _MAX_COMP_BYTES:
         raise InputError(
-            "a compensation file has too few or too many rows", code="linuxcnc.comp",
-            where=str(path), got=str(len(rows)), allowed=f"2 to {_MOST_TRIPLETS}",
-        )  # fmt: skip
+            "a compensation file has too few or too many rows",
+            code="linuxcnc.comp",
+            where=str(path),
+            got=str(len(rows)),
+            allowed=f"2 to {_MOST_TRIPLETS}",
+        )
     return "\n".join(rows) + "\n"
 
 

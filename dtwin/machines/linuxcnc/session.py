@@ -17,9 +17,12 @@ from dtwin.machines.linuxcnc.configuration import MillFaults, ini_text
 
 PACKAGES = "linuxcnc-uspace linuxcnc-uspace-dev gcc libc6-dev make iproute2"
 _PROGRAMS = {
-    "linuxcnc": "linuxcnc-uspace", "halcompile": "linuxcnc-uspace-dev", "gcc": "gcc libc6-dev",
-    "unshare": "util-linux", "ip": "iproute2",
-}  # fmt: skip
+    "linuxcnc": "linuxcnc-uspace",
+    "halcompile": "linuxcnc-uspace-dev",
+    "gcc": "gcc libc6-dev",
+    "unshare": "util-linux",
+    "ip": "iproute2",
+}
 _COMPONENTS = ("dtwin_plant", "dtwin_correction")
 _SYSTEM_PYTHON = "/usr/bin/python3"
 _PATH = "/usr/sbin:/usr/bin:/sbin:/bin"
@@ -27,9 +30,18 @@ _READY_S = 60.0
 # LinuxCNC refuses to be root; inside, its user bears this number, whoever it is outside.
 _INSIDE_UID = 1000
 _NAMESPACES = (
-    "--user", f"--map-user={_INSIDE_UID}", f"--map-group={_INSIDE_UID}", "--keep-caps",
-    "--net", "--ipc", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc",
-)  # fmt: skip
+    "--user",
+    f"--map-user={_INSIDE_UID}",
+    f"--map-group={_INSIDE_UID}",
+    "--keep-caps",
+    "--net",
+    "--ipc",
+    "--mount",
+    "--pid",
+    "--fork",
+    "--kill-child",
+    "--mount-proc",
+)
 
 
 def require_linuxcnc() -> None:
@@ -43,9 +55,11 @@ def require_linuxcnc() -> None:
     for program, package in _PROGRAMS.items():
         if shutil.which(program, path=_PATH) is None:
             raise MissingPart(
-                f"{program} is not installed", code="linuxcnc.missing", where=f"package {package}",
+                f"{program} is not installed",
+                code="linuxcnc.missing",
+                where=f"package {package}",
                 hint=f"apt-get install --no-install-recommends {PACKAGES}",
-            )  # fmt: skip
+            )
     tried = _quiet(["unshare", *_NAMESPACES, "ip", "link", "set", "lo", "up"])
     if tried.returncode:
         raise MissingPart(
@@ -83,9 +97,8 @@ class LinuxcncSession(OpenAndClose):
     """
 
     def __init__(
-        self, faults: MillFaults | None = None, compensation: Mapping[str, str] | None = None,
-        *, seed: int = 0,
-    ) -> None:  # fmt: skip
+        self, faults: MillFaults | None = None, compensation: Mapping[str, str] | None = None, *, seed: int = 0
+    ) -> None:
         self.faults = MillFaults() if faults is None else faults
         self.compensation = dict(compensation or {})
         self.seed = seed
@@ -141,10 +154,11 @@ class LinuxcncSession(OpenAndClose):
             built = _quiet(["halcompile", "--compile", source.name], cwd=components)
             if built.returncode:
                 raise MissingPart(
-                    f"halcompile does not compile {source.name}", code="linuxcnc.halcompile",
+                    f"halcompile does not compile {source.name}",
+                    code="linuxcnc.halcompile",
                     got=(built.stderr or built.stdout).strip()[-300:],
                     hint=f"apt-get install --no-install-recommends {PACKAGES}",
-                )  # fmt: skip
+                )
         for axis, text in self.compensation.items():
             (self.folder / f"{axis.lower()}.comp").write_text(text)
         named = {axis: f"{axis.lower()}.comp" for axis in self.compensation}
@@ -158,9 +172,14 @@ class LinuxcncSession(OpenAndClose):
     def _start(self) -> None:
         self.process = subprocess.Popen(
             ["unshare", *_NAMESPACES, "sh", "prepare.sh", _SYSTEM_PYTHON, "-s", "bridge.py"],
-            cwd=self.folder, env={"PATH": _PATH, "LANG": "C.UTF-8"}, text=True, start_new_session=True,
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
+            cwd=self.folder,
+            env={"PATH": _PATH, "LANG": "C.UTF-8"},
+            text=True,
+            start_new_session=True,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
         assert self.process.stdout is not None
         ready, _, _ = select.select([self.process.stdout], [], [], _READY_S)
         line = self.process.stdout.readline() if ready else ""
@@ -168,13 +187,16 @@ class LinuxcncSession(OpenAndClose):
             log = self.folder / "linuxcnc.log"
             told = log.read_text(errors="replace")[-600:] if log.exists() else ""
             raise DeviceError(
-                "LinuxCNC does not come up", code="linuxcnc.start",
-                got=f"{line.strip() or 'silence'} {told}".strip(),
-            )  # fmt: skip
+                "LinuxCNC does not come up", code="linuxcnc.start", got=f"{line.strip() or 'silence'} {told}".strip()
+            )
 
 
 def _quiet(command: list[str], cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command, cwd=cwd, capture_output=True, text=True, check=False,
+        command,
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
         env={**os.environ, "PATH": _PATH, "LANG": "C.UTF-8"},
-    )  # fmt: skip
+    )

@@ -30,10 +30,7 @@ EFFECT = Effect(
     remedy="Check guideways; measure at the height of work.",
     reference="ISO 230-1",
     needs=("abbe_offset_mm",),
-    confusables=(
-        "scale_mismatch",
-        "straightness",
-    ),
+    confusables=("scale_mismatch", "straightness"),
     correctable="A compensation value of the control, or an offset of position.",
     within_condition=True,
 )

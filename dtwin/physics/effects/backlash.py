@@ -32,13 +32,6 @@ EFFECT = Effect(
     remedy=("Preload or renew nut and bearings; else enter backlash compensation in the control."),
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
     kinds=("circular", "linear", "sinusoidal"),
-    confusables=(
-        "friction",
-        "reversal_spike",
-        "lateral_play",
-    ),
-    correctable=(
-        "Backlash compensation of the control, or an offset that jumps with the direction "
-        "of the axis."
-    ),
+    confusables=("friction", "reversal_spike", "lateral_play"),
+    correctable=("Backlash compensation of the control, or an offset that jumps with the direction of the axis."),
 )

@@ -29,15 +29,9 @@ EFFECT = Effect(
     formula="-(dB / 2) (x / 100 mm) sgn(v) cos(t) for the X axis",
     looks_like="Steps of different size at the two ends of the axis.",
     separate_by="Measure the same circle at another place along the axis.",
-    remedy=(
-        "Inspect the screw along its length; a table of backlash by position if the control "
-        "has one."
-    ),
+    remedy=("Inspect the screw along its length; a table of backlash by position if the control has one."),
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
     kinds=("circular", "linear"),
-    confusables=(
-        "backlash",
-        "lateral_play",
-    ),
+    confusables=("backlash", "lateral_play"),
     correctable="A table of backlash by position.",
 )

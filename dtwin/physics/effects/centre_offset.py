@@ -15,10 +15,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="centre_offset",
     title="Centre offset",
-    parameters=(
-        Parameter("first", "um", 20.0),
-        Parameter("second", "um", 20.0),
-    ),
+    parameters=(Parameter("first", "um", 20.0), Parameter("second", "um", 20.0)),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),
     meaning="The pivot of the instrument is not at the centre of the programmed circle.",
@@ -28,9 +25,6 @@ EFFECT = Effect(
     remedy="None: it belongs to the set-up and is taken out of every figure.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
     per="machine",
-    confusables=(
-        "thermal_drift",
-        "measurement_delay",
-    ),
+    confusables=("thermal_drift", "measurement_delay"),
     setup=True,
 )

@@ -20,15 +20,10 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="cyclic_error_by_direction",
     title="Cyclic error that depends on direction",
-    parameters=(
-        Parameter("cosine", "um", 1.0),
-        Parameter("sine", "um", 1.0),
-    ),
+    parameters=(Parameter("cosine", "um", 1.0), Parameter("sine", "um", 1.0)),
     regressors=_columns,
     law=Law(0.0, None, "odd"),
-    meaning=(
-        "The cyclic error differs between forward and reverse travel: play inside the screw drive."
-    ),
+    meaning=("The cyclic error differs between forward and reverse travel: play inside the screw drive."),
     formula="sgn(v) C cos(t) cos(2 pi x / p + f) for the X axis",
     looks_like="Fine lobes whose size or phase changes with the direction.",
     separate_by="Run slowly in both directions along a straight line with a laser interferometer.",

@@ -4,16 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dtwin.physics.effect import (
-    Effect,
-    Law,
-    Parameter,
-    Shape,
-    ShapeParameter,
-    moves,
-    stacked,
-    travelled_mm,
-)
+from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, stacked, travelled_mm
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
@@ -51,9 +42,6 @@ EFFECT = Effect(
         ShapeParameter("presliding_um", "um", 30.0, (15.0, 60.0, 300.0)),
         ShapeParameter("stribeck_mm_s", "mm/s", 5.0, (2.0, 8.0)),
     ),
-    confusables=(
-        "backlash",
-        "reversal_spike",
-    ),
+    confusables=("backlash", "reversal_spike"),
     correctable="Friction compensation of the control.",
 )

@@ -31,9 +31,6 @@ EFFECT = Effect(
     separate_by="Repeat with another load at the tool: sag follows the load.",
     remedy="Counterbalance; compensation by overhang.",
     reference="[D] cantilever under its own weight",
-    confusables=(
-        "straightness",
-        "squareness",
-    ),
+    confusables=("straightness", "squareness"),
     correctable="A compensation value of the control, or an offset of position.",
 )

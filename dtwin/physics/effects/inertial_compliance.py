@@ -11,9 +11,7 @@ from dtwin.schema import Floats
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     bend = [
-        -1e-3 * state.acceleration_mm_s2[a] * state.sensitivity[a]
-        if a in state.axes
-        else np.zeros(state.n)
+        -1e-3 * state.acceleration_mm_s2[a] * state.sensitivity[a] if a in state.axes else np.zeros(state.n)
         for a in "XYZ"
     ]
     return stacked(*bend)
@@ -40,10 +38,6 @@ EFFECT = Effect(
     ),
     per="machine",
     kinds=("circular", "sinusoidal"),
-    confusables=(
-        "servo_lag",
-        "structural_resonance",
-        "scale_mismatch",
-    ),
+    confusables=("servo_lag", "structural_resonance", "scale_mismatch"),
     correctable="An offset proportional to the commanded acceleration.",
 )

@@ -16,17 +16,12 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="instrument_artefact",
     title="Instrument artefact",
-    parameters=(
-        Parameter("cosine", "um", 1.0),
-        Parameter("sine", "um", 1.0),
-    ),
+    parameters=(Parameter("cosine", "um", 1.0), Parameter("sine", "um", 1.0)),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),
     meaning="A dirty cup, a loose joint or a ball out of round.",
     formula="a cos(3t) + b sin(3t)",
-    looks_like=(
-        "Three lobes that do not depend on the radius and change when the bar is seated anew."
-    ),
+    looks_like=("Three lobes that do not depend on the radius and change when the bar is seated anew."),
     separate_by="Seat the bar again between repeats: it changes, straightness stays.",
     remedy="Clean balls and cups, seat the bar again.",
     reference="Renishaw ballbar help text, tri-lobe test error",

@@ -27,9 +27,6 @@ EFFECT = Effect(
     remedy="Compliance model of the robot with payload and centre of gravity.",
     reference="[D] static joint compliance through the Jacobian",
     per="joint",
-    confusables=(
-        "joint_offset",
-        "scale_mismatch",
-    ),
+    confusables=("joint_offset", "scale_mismatch"),
     correctable="A compensation value of the control, or an offset of position.",
 )

@@ -20,15 +20,11 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="joint_cyclic",
     title="Cyclic error of a joint",
-    parameters=(
-        Parameter("cosine", "urad", 30.0),
-        Parameter("sine", "urad", 30.0),
-    ),
+    parameters=(Parameter("cosine", "urad", 30.0), Parameter("sine", "urad", 30.0)),
     regressors=_columns,
     law=Law(0.0, None, "even"),
     meaning=(
-        "Transmission error of a joint gear, or eccentricity of its encoder: repeats with "
-        "the angle of the joint."
+        "Transmission error of a joint gear, or eccentricity of its encoder: repeats with the angle of the joint."
     ),
     formula="E cos(N q + f) times the lever of the joint",
     looks_like="Ripple whose density follows the speed of the joint.",
@@ -37,9 +33,6 @@ EFFECT = Effect(
     reference="[D] transmission error through the Jacobian",
     per="joint",
     shapes=(ShapeParameter("order", "1/turn", 1.0, (1.0, 2.0, *range(8, 104, 8), 200.0)),),
-    confusables=(
-        "cyclic_error",
-        "joint_offset",
-    ),
+    confusables=("cyclic_error", "joint_offset"),
     correctable="A table by joint angle, or its projection on the path.",
 )

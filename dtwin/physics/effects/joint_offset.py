@@ -29,10 +29,6 @@ EFFECT = Effect(
     remedy="Kinematic calibration of the robot.",
     reference="Slamani, Nubiola, Bonev: ball bar tests of an industrial robot",
     per="joint",
-    confusables=(
-        "joint_compliance",
-        "scale_mismatch",
-        "squareness",
-    ),
+    confusables=("joint_compliance", "scale_mismatch", "squareness"),
     correctable="A compensation value of the control, or an offset of position.",
 )

@@ -22,23 +22,12 @@ EFFECT = Effect(
     parameters=(Parameter("play", "um", 3.0),),
     regressors=_columns,
     law=Law(0.0, 0.0, "odd"),
-    meaning=(
-        "Play in the guideway: the carriage tips or shifts at right angles to its motion "
-        "when it reverses."
-    ),
+    meaning=("Play in the guideway: the carriage tips or shifts at right angles to its motion when it reverses."),
     formula="-d (L / 2) |sin(t)| for the X axis",
-    looks_like=(
-        "Radius differs between the directions, with lobes; never a step where the axis "
-        "itself reverses."
-    ),
-    separate_by=(
-        "Compare both directions at one set-up: backlash steps at its own reversal, play does not."
-    ),
+    looks_like=("Radius differs between the directions, with lobes; never a step where the axis itself reverses."),
+    separate_by=("Compare both directions at one set-up: backlash steps at its own reversal, play does not."),
     remedy="Adjust or renew guideway, gibs or preload of the carriages.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
-    confusables=(
-        "backlash",
-        "lateral_play_taper",
-    ),
+    confusables=("backlash", "lateral_play_taper"),
     correctable="An offset of the other axis that jumps with the direction of this one.",
 )

@@ -24,15 +24,10 @@ EFFECT = Effect(
     law=Law(0.0, 1.0, "odd"),
     meaning="Guideway play is larger at one end of the travel.",
     formula="d (dL / 2) (x / 100 mm) sgn(vx) sin(t) for the X axis",
-    looks_like=(
-        "Lobes that differ between the two ends of the axis and turn over with the direction."
-    ),
+    looks_like=("Lobes that differ between the two ends of the axis and turn over with the direction."),
     separate_by="Measure the same circle at another place along the axis.",
     remedy="Inspect the guideway along its length.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
-    confusables=(
-        "lateral_play",
-        "servo_mismatch",
-    ),
+    confusables=("lateral_play", "servo_mismatch"),
     correctable="A table of offsets by position and direction.",
 )

@@ -21,10 +21,7 @@ EFFECT = Effect(
     parameters=(Parameter("delay", "ms", 1.0),),
     regressors=_columns,
     law=Law(1.0, None, "odd"),
-    meaning=(
-        "The reading of the bar is late against the angle: the centre offset seems to turn "
-        "with the speed."
-    ),
+    meaning=("The reading of the bar is late against the angle: the centre offset seems to turn with the speed."),
     formula="d (F / R) tau (a sin(t) - b cos(t)), a and b the centre of the set-up",
     looks_like="The centre differs between the directions, in proportion to the angular speed.",
     separate_by="Halve the feed: the difference of the centres halves.",
@@ -32,8 +29,5 @@ EFFECT = Effect(
     reference="[D] time shift of a shifted circle",
     per="machine",
     needs=("setup_first_um", "setup_second_um"),
-    confusables=(
-        "centre_offset",
-        "backlash",
-    ),
+    confusables=("centre_offset", "backlash"),
 )

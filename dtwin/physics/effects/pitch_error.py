@@ -27,10 +27,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="pitch_error",
     title="Pitch error",
-    parameters=(
-        Parameter("cosine", "um", 5.0),
-        Parameter("sine", "um", 5.0),
-    ),
+    parameters=(Parameter("cosine", "um", 5.0), Parameter("sine", "um", 5.0)),
     regressors=_columns,
     law=Law(None, None, "even"),
     meaning="The lead of the screw wanders along its length.",
@@ -41,9 +38,6 @@ EFFECT = Effect(
     reference="ISO 230-2",
     kinds=("linear",),
     shapes=(ShapeParameter("wave_mm", "mm", 200.0, _WAVES_MM),),
-    confusables=(
-        "lead_error",
-        "cyclic_error",
-    ),
+    confusables=("lead_error", "cyclic_error"),
     correctable="Pitch error table of the control.",
 )

@@ -19,20 +19,13 @@ EFFECT = Effect(
     parameters=(Parameter("radius", "um", 5.0),),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),
-    meaning=(
-        "The length of the bar differs from the nominal radius; a scale error common to all "
-        "axes looks the same."
-    ),
+    meaning=("The length of the bar differs from the nominal radius; a scale error common to all axes looks the same."),
     formula="c, the same at every angle",
     looks_like="The circle is larger or smaller everywhere.",
     separate_by="Calibrate the bar, or use two bar lengths.",
     remedy="None: it belongs to the set-up.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
     per="machine",
-    confusables=(
-        "servo_lag",
-        "inertial_compliance",
-        "thermal_growth",
-    ),
+    confusables=("servo_lag", "inertial_compliance", "thermal_growth"),
     setup=True,
 )

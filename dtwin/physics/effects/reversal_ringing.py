@@ -22,22 +22,14 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="reversal_ringing",
     title="Ringing after reversal",
-    parameters=(
-        Parameter("cosine_at_100_mm_s", "um", 3.0),
-        Parameter("sine_at_100_mm_s", "um", 3.0),
-    ),
+    parameters=(Parameter("cosine_at_100_mm_s", "um", 3.0), Parameter("sine_at_100_mm_s", "um", 3.0)),
     regressors=_columns,
     law=Law(None, None, "even"),
-    meaning=(
-        "The jerk of the reversal excites a mode of the structure or of the servo, which dies out."
-    ),
+    meaning=("The jerk of the reversal excites a mode of the structure or of the servo, which dies out."),
     formula="F A exp(-2 pi d f t_r) cos(2 pi f t_r + p)",
-    looks_like=(
-        "A decaying wave that begins at every reversal; its length in degrees grows with the feed."
-    ),
+    looks_like=("A decaying wave that begins at every reversal; its length in degrees grows with the feed."),
     separate_by=(
-        "Change the feed: the wave keeps its period in time, a screw or gear error keeps "
-        "its period in position."
+        "Change the feed: the wave keeps its period in time, a screw or gear error keeps its period in position."
     ),
     remedy="Lower jerk, damp or stiffen the structure, notch filter.",
     reference="[D] kinematics of a free damped oscillation",
@@ -46,9 +38,6 @@ EFFECT = Effect(
         # What is damped more is no mode of a structure: a spike after a reversal looks like that.
         ShapeParameter("damping_ratio", "1", 0.05, (0.015, 0.05, 0.16)),
     ),
-    confusables=(
-        "structural_resonance",
-        "reversal_spike",
-    ),
+    confusables=("structural_resonance", "reversal_spike"),
     correctable="Input shaping; an offset at the rate of the path cannot.",
 )

@@ -53,10 +53,7 @@ def _peak(slow_s: float, fast_s: float) -> float:
 EFFECT = Effect(
     name="reversal_spike",
     title="Reversal spike",
-    parameters=(
-        Parameter("height_at_positive_end", "um", 5.0),
-        Parameter("height_at_negative_end", "um", 5.0),
-    ),
+    parameters=(Parameter("height_at_positive_end", "um", 5.0), Parameter("height_at_negative_end", "um", 5.0)),
     regressors=_columns,
     law=Law(None, None, "even"),
     meaning=(
@@ -82,10 +79,6 @@ EFFECT = Effect(
         ShapeParameter("rise_ms", "ms", 1.0, (1.0, 20.0), (0.0, 150.0)),
         ShapeParameter("presliding_um", "um", 0.2, (0.2, 4.0, 20.0), (0.0, 60.0)),
     ),
-    confusables=(
-        "friction",
-        "reversal_ringing",
-        "backlash",
-    ),
+    confusables=("friction", "reversal_ringing", "backlash"),
     correctable="Friction compensation of the control; an offset is usually too slow.",
 )

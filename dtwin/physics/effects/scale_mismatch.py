@@ -39,11 +39,6 @@ EFFECT = Effect(
     remedy="Correct the scale factor of the axis, check the temperature of scale and screw.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
     per="plane_or_axis",
-    confusables=(
-        "inertial_compliance",
-        "servo_lag",
-        "thermal_growth",
-        "angular_error",
-    ),
+    confusables=("inertial_compliance", "servo_lag", "thermal_growth", "angular_error"),
     correctable="A compensation value of the control, or an offset of position.",
 )

@@ -16,9 +16,7 @@ EFFECT = Effect(
     name="screw_error",
     title="Screw error within a turn",
     parameters=tuple(
-        Parameter(f"{part}_{order}", "um", 5.0 / order)
-        for order in range(1, ORDERS + 1)
-        for part in ("cosine", "sine")
+        Parameter(f"{part}_{order}", "um", 5.0 / order) for order in range(1, ORDERS + 1) for part in ("cosine", "sine")
     ),
     regressors=_columns,
     law=Law(0.0, None, "even"),

@@ -11,9 +11,7 @@ from dtwin.schema import Floats
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     loss = [
-        0.5e-3 * state.acceleration_mm_s2[a] * state.sensitivity[a]
-        if a in state.axes
-        else np.zeros(state.n)
+        0.5e-3 * state.acceleration_mm_s2[a] * state.sensitivity[a] if a in state.axes else np.zeros(state.n)
         for a in "XYZ"
     ]
     return stacked(*loss)
@@ -42,10 +40,6 @@ EFFECT = Effect(
         "influence of typical machine errors on circular paths"
     ),
     per="machine",
-    confusables=(
-        "inertial_compliance",
-        "radius_offset",
-        "structural_resonance",
-    ),
+    confusables=("inertial_compliance", "radius_offset", "structural_resonance"),
     correctable="Radius correction by feed, or feed forward.",
 )

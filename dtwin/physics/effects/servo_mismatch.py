@@ -31,9 +31,7 @@ EFFECT = Effect(
         "One plane shows the difference of its two axes only."
     ),
     formula="d (F dtau / 2) sin(2t), tau in ms and F in mm/s",
-    looks_like=(
-        "Oval along 45 or 135 degrees that turns over with the direction and grows with the feed."
-    ),
+    looks_like=("Oval along 45 or 135 degrees that turns over with the direction and grows with the feed."),
     separate_by="Reverse the direction; then double the feed: it must double.",
     remedy="Match the position loop gains, or enable feed forward on both axes.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",

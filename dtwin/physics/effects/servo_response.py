@@ -8,10 +8,7 @@ from dtwin.physics.second_order import mode_columns
 EFFECT = Effect(
     name="servo_response",
     title="Response of the servo loop",
-    parameters=(
-        Parameter("with_acceleration", "1", 0.2),
-        Parameter("with_velocity", "1", 0.05),
-    ),
+    parameters=(Parameter("with_acceleration", "1", 0.2), Parameter("with_velocity", "1", 0.05)),
     regressors=mode_columns,
     law=Law(None, None, "even"),
     meaning=(

@@ -32,9 +32,6 @@ EFFECT = Effect(
     remedy="Lubrication, guideway coating, loop gain.",
     reference="Stribeck friction",
     shapes=(ShapeParameter("slow_mm_s", "mm/s", 3.0, (1.0, 3.0, 8.0)),),
-    confusables=(
-        "friction",
-        "structural_resonance",
-    ),
+    confusables=("friction", "structural_resonance"),
     on_spread=True,
 )

@@ -21,10 +21,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 EFFECT = Effect(
     name="stiffening_joint",
     title="Stiffening joint",
-    parameters=(
-        Parameter("with_acceleration", "1", 0.2),
-        Parameter("with_velocity", "1", 0.05),
-    ),
+    parameters=(Parameter("with_acceleration", "1", 0.2), Parameter("with_velocity", "1", 0.05)),
     regressors=_columns,
     law=Law(None, None, "even"),
     meaning="Rough faces of a joint touch at more and more places as the inertia presses on them.",

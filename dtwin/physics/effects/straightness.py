@@ -22,10 +22,7 @@ EFFECT = Effect(
     parameters=(Parameter("bow_at_100_mm", "um", 5.0),),
     regressors=_columns,
     law=Law(0.0, 2.0, "even"),
-    meaning=(
-        "The guideway of the axis is bowed: the other axis is pushed aside by the square of "
-        "the position."
-    ),
+    meaning=("The guideway of the axis is bowed: the other axis is pushed aside by the square of the position."),
     formula="s (x / 100 mm)^2 sin(t) for the X axis",
     looks_like=(
         "Three smooth lobes, the same at all feeds and in both directions; changes with the "
@@ -34,9 +31,6 @@ EFFECT = Effect(
     separate_by="Seat the bar again: three lobes of a dirty cup change, those of a guideway stay.",
     remedy="Check guideway and alignment of the bed, or enter a straightness table.",
     reference="ISO 230-4:2022 annex B, influence of typical machine errors on circular paths",
-    confusables=(
-        "instrument_artefact",
-        "gravity_sag",
-    ),
+    confusables=("instrument_artefact", "gravity_sag"),
     correctable="A compensation value of the control, or an offset of position.",
 )

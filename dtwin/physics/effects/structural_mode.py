@@ -8,10 +8,7 @@ from dtwin.physics.second_order import mode_columns
 EFFECT = Effect(
     name="structural_mode",
     title="Structural mode",
-    parameters=(
-        Parameter("with_acceleration", "1", 0.2),
-        Parameter("with_velocity", "1", 0.05),
-    ),
+    parameters=(Parameter("with_acceleration", "1", 0.2), Parameter("with_velocity", "1", 0.05)),
     regressors=mode_columns,
     law=Law(None, None, "even"),
     meaning=(
@@ -21,8 +18,7 @@ EFFECT = Effect(
     formula="a s^2 / D + b s w / D, D = s^2 + 2 z w s + w^2, at s = i 2 pi f, lightly damped",
     looks_like="An error in proportion to the amplitude that grows steeply towards the mode.",
     separate_by=(
-        "Compare encoder and tool: a mode is seen by the tool only. Tones close to the mode show its "
-        "damping."
+        "Compare encoder and tool: a mode is seen by the tool only. Tones close to the mode show its damping."
     ),
     remedy="Stiffen or damp the structure; an inverse model of the mode in the command.",
     reference="[D] second-order transfer function at the frequency of the tone",

@@ -35,13 +35,8 @@ EFFECT = Effect(
         "of the path and rings when an axis reverses."
     ),
     formula="c F^2/R cos^2(t) + F A exp(-2 pi d f t_r) cos(2 pi f t_r + p)",
-    looks_like=(
-        "An oval that grows with the square of the feed, with a decaying wave after reversals."
-    ),
-    separate_by=(
-        "Change the feed by 10 %: the wave keeps its period in time. Accelerometers name "
-        "the frequency."
-    ),
+    looks_like=("An oval that grows with the square of the feed, with a decaying wave after reversals."),
+    separate_by=("Change the feed by 10 %: the wave keeps its period in time. Accelerometers name the frequency."),
     remedy="Stiffen or damp the mode, lower jerk and acceleration.",
     reference="[D] second-order mode driven by the acceleration of the path",
     shapes=(
@@ -49,12 +44,6 @@ EFFECT = Effect(
         # What is damped more is no mode of a structure: a spike after a reversal looks like that.
         ShapeParameter("damping_ratio", "1", 0.05, (0.015, 0.05, 0.16)),
     ),
-    confusables=(
-        "inertial_compliance",
-        "reversal_ringing",
-        "servo_lag",
-    ),
-    correctable=(
-        "The part that follows the acceleration; the ringing cannot be corrected by offsets."
-    ),
+    confusables=("inertial_compliance", "reversal_ringing", "servo_lag"),
+    correctable=("The part that follows the acceleration; the ringing cannot be corrected by offsets."),
 )

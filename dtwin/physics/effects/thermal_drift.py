@@ -28,23 +28,14 @@ EFFECT = Effect(
     ),
     regressors=_columns,
     law=Law(0.0, 0.0, "even"),
-    meaning=(
-        "Centre and radius move with time: heat of the structure, creep of the set-up, or "
-        "wear over days."
-    ),
+    meaning=("Centre and radius move with time: heat of the structure, creep of the set-up, or wear over days."),
     formula="h (a cos(t) + b sin(t) + c), h in hours",
     looks_like="The start and the end of the circle do not meet; repeats wander in one direction.",
-    separate_by=(
-        "Stop for twenty minutes and measure again: drift with time goes on, thermal growth "
-        "turns back."
-    ),
+    separate_by=("Stop for twenty minutes and measure again: drift with time goes on, thermal growth turns back."),
     remedy="Warm up, wait for the set-up to settle, shorten the test.",
     reference="ISO 230-3",
     per="machine",
     kinds=("circular", "linear"),
-    confusables=(
-        "thermal_growth",
-        "centre_offset",
-    ),
+    confusables=("thermal_growth", "centre_offset"),
     within_condition=True,
 )

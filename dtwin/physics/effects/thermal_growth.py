@@ -12,10 +12,7 @@ from dtwin.schema import Floats
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     rise = state.column("temperature_rise_c")
     axes = [axis] if axis else list(state.axes)
-    grown = sum(
-        (state.position_mm[a] * state.sensitivity[a] for a in axes if a in state.axes),
-        start=np.zeros(state.n),
-    )
+    grown = sum((state.position_mm[a] * state.sensitivity[a] for a in axes if a in state.axes), start=np.zeros(state.n))
     return (1e-3 * rise * grown)[:, None]
 
 
@@ -25,9 +22,7 @@ EFFECT = Effect(
     parameters=(Parameter("expansion", "um/(m K)", 10.0),),
     regressors=_columns,
     law=Law(0.0, 1.0, "even"),
-    meaning=(
-        "Scales, screws or the workpiece side grow with temperature: all axes alike, or one axis."
-    ),
+    meaning=("Scales, screws or the workpiece side grow with temperature: all axes alike, or one axis."),
     formula="a dT R, for one axis a dT R cos^2(t)",
     looks_like="The circle grows or becomes oval as the machine warms up.",
     separate_by=(
@@ -40,11 +35,7 @@ EFFECT = Effect(
     per="machine_and_axis",
     needs=("temperature_c",),
     kinds=("circular", "linear"),
-    confusables=(
-        "thermal_drift",
-        "scale_mismatch",
-        "radius_offset",
-    ),
+    confusables=("thermal_drift", "scale_mismatch", "radius_offset"),
     correctable="A scale factor that follows the logged temperature.",
     within_condition=True,
 )

@@ -24,8 +24,7 @@ EFFECT = Effect(
     formula="b dT, the same all along the axis",
     looks_like="Whole curves move up and down from run to run, as the temperature does.",
     separate_by=(
-        "Let the machine cool down in the middle of the campaign: a shift turns back with temperature, "
-        "drift does not."
+        "Let the machine cool down in the middle of the campaign: a shift turns back with temperature, drift does not."
     ),
     remedy="Warm up before measuring; hold the screw near the zero; a scale instead of the screw.",
     reference="ISO 230-3",

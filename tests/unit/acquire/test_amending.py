@@ -17,15 +17,8 @@ CAMPAIGN = Campaign("c", "mill-a", instrument={"calibrated_mm": 100.0, "model": 
 
 def made(run_id: str, seed: int) -> Run:
     t_s = np.arange(400) / 200.0
-    samples = {
-        "t_s": t_s,
-        "angle_deg": 180.0 * t_s,
-        "deviation_um": np.random.default_rng(seed).normal(size=400),
-    }
-    meta = RunMeta(
-        run_id, plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=18_850.0,
-        sample_rate_hz=200.0,
-    )  # fmt: skip
+    samples = {"t_s": t_s, "angle_deg": 180.0 * t_s, "deviation_um": np.random.default_rng(seed).normal(size=400)}
+    meta = RunMeta(run_id, plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=18_850.0, sample_rate_hz=200.0)
     return Run(meta, samples)
 
 
@@ -63,9 +56,7 @@ def test_the_corrected_campaign_file_and_the_first_one_are_both_unchanged(lake: 
 
 
 def test_a_single_run_is_amended_and_judged_again(lake: Lake) -> None:
-    amend(
-        lake, "c", ["feed_mm_min=1000", "setup=s2", "covariates.load_kg=3.5"], "typo", runs=["r1"]
-    )
+    amend(lake, "c", ["feed_mm_min=1000", "setup=s2", "covariates.load_kg=3.5"], "typo", runs=["r1"])
     one, two = lake.runs("c")
     assert (one["feed_mm_min"], one["setup"]) == (1000.0, "s2")
     assert json.loads(one["covariates_json"]) == {"load_kg": 3.5}
@@ -94,9 +85,7 @@ def test_a_single_run_is_amended_and_judged_again(lake: Lake) -> None:
         ("radius_mm=100", "amend.same"),
     ],
 )
-def test_what_cannot_be_stated_is_refused_and_nothing_is_kept(
-    lake: Lake, setting: str, code: str
-) -> None:
+def test_what_cannot_be_stated_is_refused_and_nothing_is_kept(lake: Lake, setting: str, code: str) -> None:
     with pytest.raises(InputError) as caught:
         amend(lake, "c", [setting], "because")
     assert caught.value.code == code

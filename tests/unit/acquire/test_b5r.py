@@ -56,9 +56,7 @@ def test_written_file_is_read_back_the_same(real_recording: Path, tmp_path: Path
         np.testing.assert_allclose(after.samples["angle_deg"], before.samples["angle_deg"])
 
 
-def test_runs_of_different_tests_are_not_written_together(
-    real_recording: Path, tmp_path: Path
-) -> None:
+def test_runs_of_different_tests_are_not_written_together(real_recording: Path, tmp_path: Path) -> None:
     one, two = read_b5r(real_recording).runs
     other = replace(two, meta=replace(two.meta, feed_mm_min=1.0))
     with pytest.raises(InputError, match="share plane, radius and feed"):
@@ -102,9 +100,7 @@ def _with(path: Path, real: Path, old: bytes, new: bytes) -> Path:
         (b'TEST_PLANE="XY"', b'TEST_PLANE="QQ"', "run.plane"),
     ],
 )
-def test_impossible_fields_are_named(
-    real_recording: Path, tmp_path: Path, old: bytes, new: bytes, code: str
-) -> None:
+def test_impossible_fields_are_named(real_recording: Path, tmp_path: Path, old: bytes, new: bytes, code: str) -> None:
     broken = _with(tmp_path / "x.b5r", real_recording, old, new)
     with pytest.raises(InputError) as caught:
         read_b5r(broken)
@@ -123,9 +119,7 @@ def test_missing_direction_is_named(real_recording: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.9999])
-def test_truncation_is_noticed_wherever_it_is(
-    real_recording: Path, tmp_path: Path, share: float
-) -> None:
+def test_truncation_is_noticed_wherever_it_is(real_recording: Path, tmp_path: Path, share: float) -> None:
     data = real_recording.read_bytes()
     path = tmp_path / "cut.b5r"
     path.write_bytes(data[: int(len(data) * share)])
@@ -156,9 +150,7 @@ OUTSIDE = b"""<?xml version="1.0"?><!DOCTYPE z [<!ENTITY x SYSTEM "file:///etc/p
     ],
 )
 @pytest.mark.timeout(60)
-def test_hostile_and_foreign_files_are_refused_cheaply(
-    tmp_path: Path, data: bytes, code: str
-) -> None:
+def test_hostile_and_foreign_files_are_refused_cheaply(tmp_path: Path, data: bytes, code: str) -> None:
     path = tmp_path / "hostile.b5r"
     path.write_bytes(data)
     tracemalloc.start()

@@ -36,25 +36,16 @@ RUN = '[[run]]\nid = "r1"\nfile = "r1.csv"\nplane = "XY"\nradius_mm = 100.0\nfee
 
 def test_csv_json_parquet_and_b5r_go_the_same_way(tmp_path: Path, real_recording: Path) -> None:
     shutil.copy(real_recording, tmp_path / "real.b5r")
-    trace = {
-        "ErrorUnits": "millimetres",
-        "Runs": [{"Direction": 0, "Readings": [0.001 * i for i in range(300)]}],
-    }
+    trace = {"ErrorUnits": "millimetres", "Runs": [{"Direction": 0, "Readings": [0.001 * i for i in range(300)]}]}
     (tmp_path / "t.json").write_text(json.dumps(trace))
     n = 50
     write_parquet(
         tmp_path / "p.parquet",
         table_of(
-            {
-                "t_s": np.arange(n) / 10,
-                "angle_deg": -np.linspace(0, 360, n),
-                "deviation_um": np.sin(np.arange(n)),
-            }
+            {"t_s": np.arange(n) / 10, "angle_deg": -np.linspace(0, 360, n), "deviation_um": np.sin(np.arange(n))}
         ),
     )
-    write_signals(
-        tmp_path / "s.parquet", SignalGroup("accelerometers", 1651.6, {"wrist_x_g": np.ones(9)})
-    )
+    write_signals(tmp_path / "s.parquet", SignalGroup("accelerometers", 1651.6, {"wrist_x_g": np.ones(9)}))
     more = (
         '[[run]]\nid = "real"\nfile = "real.b5r"\n'
         '[[run]]\nid = "t"\nfile = "t.json"\nplane = "XY"\nradius_mm = 150.0\nfeed_mm_min = 3000.0\ndirection = "CCW"\nsample_rate_hz = 100.0\n'
@@ -94,11 +85,7 @@ def test_bad_rows_are_rejected_and_kept(tmp_path: Path) -> None:
         ('[[run]]\nid = "../r"\nfile = "r1.csv"\n', None, "name.invalid"),
         ('[[run]]\nid = "r1"\nfile = "../../etc/passwd"\n', None, "campaign.escape"),
         ('[[run]]\nid = "r1"\nfile = "/etc/passwd"\n', None, "campaign.escape"),
-        (
-            '[[run]]\nid = "r1"\nfile = "nothing.csv"\nplane="XY"\ndirection="CW"\n',
-            None,
-            "file.missing",
-        ),
+        ('[[run]]\nid = "r1"\nfile = "nothing.csv"\nplane="XY"\ndirection="CW"\n', None, "file.missing"),
         (RUN + RUN, None, "ingest.duplicate_run"),
         (RUN.replace('direction = "CCW"\n', ""), None, "run.direction"),
         (RUN.replace('plane = "XY"\n', ""), None, "run.plane"),
@@ -127,18 +114,10 @@ def test_bad_rows_are_rejected_and_kept(tmp_path: Path) -> None:
         (RUN, {"r1.csv": "t_s,angle_deg,deviation\n0,0,0\n"}, "columns.missing"),
         (
             RUN,
-            {
-                "r1.csv": csv_rows()
-                .replace("t_s,", "t_s,")
-                .replace("deviation_um", "deviation_um,warmth", 1)
-            },
+            {"r1.csv": csv_rows().replace("t_s,", "t_s,").replace("deviation_um", "deviation_um,warmth", 1)},
             "table.malformed",
         ),
-        (
-            RUN,
-            {"r1.csv": "t_s,angle_deg,deviation_um,warmth\n0,0,0,1.5\n1,1,1,1.5\n"},
-            "units.unknown",
-        ),
+        (RUN, {"r1.csv": "t_s,angle_deg,deviation_um,warmth\n0,0,0,1.5\n1,1,1,1.5\n"}, "units.unknown"),
         (RUN, {"r1.csv": "t_s,angle_deg,deviation_um\nnan,nan,nan\n"}, "table.no_rows"),
         (RUN, {"r1.csv": ""}, "file.empty"),
         ("run = 3", None, "campaign.toml"),
@@ -156,9 +135,7 @@ def test_what_is_wrong_is_named_and_nothing_is_stored(
     assert lake.runs() == []
 
 
-def test_a_contradiction_between_toml_and_file_is_a_finding(
-    tmp_path: Path, real_recording: Path
-) -> None:
+def test_a_contradiction_between_toml_and_file_is_a_finding(tmp_path: Path, real_recording: Path) -> None:
     shutil.copy(real_recording, tmp_path / "real.b5r")
     run = '[[run]]\nid = "real"\nfile = "real.b5r"\nfeed_mm_min = 3000.0\n'
     opened = open_campaign(folder(tmp_path, run, {}))

@@ -78,10 +78,7 @@ def test_without_the_package_one_line_says_how_to_install_it() -> None:
         "print('pyarrow' in sys.modules)\n"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.split("\n")[:2] == [
-        "daq.package pip install '.[daq]' in a checkout of dtwin",
-        "False",
-    ]
+    assert out.stdout.split("\n")[:2] == ["daq.package pip install '.[daq]' in a checkout of dtwin", "False"]
 
 
 def test_reading_before_start_is_refused() -> None:

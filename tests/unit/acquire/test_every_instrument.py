@@ -54,12 +54,10 @@ PEERS: dict[str, Callable[[], AbstractContextManager[Settings]]] = {
     "controller": robot_settings,
 }
 ABSENT: dict[str, Settings] = {
-    "accelerometers": {
-        "channels": CHANNELS, "rate_hz": 5120.0, "grpc_target": "127.0.0.1:1", "timeout_s": 0.2,
-    },
+    "accelerometers": {"channels": CHANNELS, "rate_hz": 5120.0, "grpc_target": "127.0.0.1:1", "timeout_s": 0.2},
     "serial": {"port": "/dev/ttyNotThere", "columns": ("force_n",), "rate_hz": 200.0},
     "controller": {"host": free_address(), "timeout_s": 0.5},
-}  # fmt: skip
+}
 INSTRUMENTS = [name for name, entry in ENTRIES.items() if entry.role == "instrument"]
 BENCHES = [name for name, entry in ENTRIES.items() if entry.role == "bench"]
 
@@ -105,9 +103,7 @@ def test_it_records_into_a_file_that_reads_back(device: Instrument, tmp_path: Pa
     with device:
         described = device.describe()
         stream = tmp_path / "r1.arrows"
-        with Recorder(
-            stream, described.group, described.rate_hz, described.columns, notes=described.notes
-        ) as recorder:
+        with Recorder(stream, described.group, described.rate_hz, described.columns, notes=described.notes) as recorder:
             device.start()
             taken = record(device, recorder, lambda n: n < 40)
             device.stop()

@@ -11,14 +11,7 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.ingest import ingest
 from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
-from dtwin.kinds.linear.laser_file import (
-    LaserTest,
-    linear_error,
-    read_laser_file,
-    sign_rule,
-    sweeps,
-    write_laser_file,
-)
+from dtwin.kinds.linear.laser_file import LaserTest, linear_error, read_laser_file, sign_rule, sweeps, write_laser_file
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
 from dtwin.store import Lake
@@ -88,17 +81,11 @@ def test_a_spoilt_line_is_kept_aside_and_no_file_is_refused(tmp_path: Path) -> N
 
 def test_sweeps_part_where_the_axis_turns_even_when_a_reading_is_missing() -> None:
     whole = np.array([1, 2, 3, 3, 2, 1, 1, 2, 3, 3, 2, 1.0])
-    assert [(s.start, s.stop, d) for s, d in sweeps(whole)] == [
-        (0, 3, 1), (3, 6, -1), (6, 9, 1), (9, 12, -1),
-    ]  # fmt: skip
-    assert [(s.start, s.stop, d) for s, d in sweeps(np.array([1, 2, 3, 2, 1.0]))] == [
-        (0, 3, 1), (3, 5, -1),
-    ]  # fmt: skip
+    assert [(s.start, s.stop, d) for s, d in sweeps(whole)] == [(0, 3, 1), (3, 6, -1), (6, 9, 1), (9, 12, -1)]
+    assert [(s.start, s.stop, d) for s, d in sweeps(np.array([1, 2, 3, 2, 1.0]))] == [(0, 3, 1), (3, 5, -1)]
 
 
-def campaign(
-    tmp_path: Path, error_in: np.ndarray, targets_in: np.ndarray, skip: int = -1, sign: float = 1.0
-) -> Path:
+def campaign(tmp_path: Path, error_in: np.ndarray, targets_in: np.ndarray, skip: int = -1, sign: float = 1.0) -> Path:
     """Write runs of errors (runs, 2 targets) as a campaign folder."""
     path = np.concatenate([targets_in, targets_in[::-1]])
     rows = [
@@ -134,10 +121,7 @@ def test_a_laser_file_becomes_runs_in_mm_and_um_and_lands_in_the_lake(tmp_path: 
     told = errors(2)
     folder = campaign(tmp_path, told, np.linspace(1.0, 16.6, 31))
     runs = runs_of(folder)
-    assert [(r.meta.run_id, r.meta.repeat, r.n_samples) for r in runs] == [
-        ("z-1", 1, 62),
-        ("z-2", 2, 62),
-    ]
+    assert [(r.meta.run_id, r.meta.repeat, r.n_samples) for r in runs] == [("z-1", 1, 62), ("z-2", 2, 62)]
     assert np.allclose(runs[1].samples["error_um"], np.round(told[1], 6) * 25400.0)
     assert runs[0].samples["position_mm"][30] == pytest.approx(16.6 * 25.4)
     assert runs[1].samples["t_s"][0] == 62 * 6
@@ -154,16 +138,12 @@ def codes(runs: list[Run]) -> set[str]:
     return {f.code for f in [*found, *judge_campaign(runs)]}
 
 
-def test_missed_targets_wrong_signs_and_steps_that_divide_the_pitch_are_named(
-    tmp_path: Path,
-) -> None:
+def test_missed_targets_wrong_signs_and_steps_that_divide_the_pitch_are_named(tmp_path: Path) -> None:
     grid = np.linspace(1.0, 16.6, 31)
     assert codes(runs_of(campaign(tmp_path, errors(), grid))) == set()
     assert codes(runs_of(campaign(tmp_path, errors(), grid, skip=40))) == {"linear.missed_targets"}
     assert codes(runs_of(campaign(tmp_path, errors(), grid, sign=-1.0))) == {"laser.sign"}
-    assert codes(runs_of(campaign(tmp_path, errors(), np.arange(31.0)))) == {
-        "linear.step_divides_pitch"
-    }
+    assert codes(runs_of(campaign(tmp_path, errors(), np.arange(31.0)))) == {"linear.step_divides_pitch"}
     assert codes(runs_of(campaign(tmp_path, errors() + 1.0, grid))) == {"reading.out_of_range"}
     assert codes(runs_of(campaign(tmp_path, errors(1), grid))) == {"campaign.no_repeat"}
 

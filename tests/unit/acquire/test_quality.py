@@ -29,12 +29,8 @@ def test_the_short_clockwise_window_is_found(real: dict[str, Run]) -> None:
     assert not any(f.code.startswith("arc.") for f in judge_run(real["ccw"]))
 
 
-@pytest.mark.parametrize(
-    ("direction", "expected"), [("ccw", (810, 1609, 2387)), ("cw", (551, 1351, 2140))]
-)
-def test_the_stops_every_half_turn_are_found(
-    real: dict[str, Run], direction: str, expected: tuple[int, ...]
-) -> None:
+@pytest.mark.parametrize(("direction", "expected"), [("ccw", (810, 1609, 2387)), ("cw", (551, 1351, 2140))])
+def test_the_stops_every_half_turn_are_found(real: dict[str, Run], direction: str, expected: tuple[int, ...]) -> None:
     stops = found(judge_run(real[direction]), "motion.stops").numbers["samples_1"]
     assert isinstance(stops, list)
     for wanted in expected:
@@ -68,14 +64,7 @@ def made(**columns: np.ndarray) -> Run:
         "angle_deg": np.linspace(0, 360, n),
         "deviation_um": 5 * np.sin(np.arange(n) / 7.0),
     } | columns
-    meta = RunMeta(
-        "r",
-        plane="XY",
-        direction="CCW",
-        radius_mm=100.0,
-        feed_mm_min=18_800.0,
-        sample_rate_hz=200.0,
-    )
+    meta = RunMeta("r", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=18_800.0, sample_rate_hz=200.0)
     return Run(meta, samples)
 
 
@@ -99,10 +88,7 @@ def _changed(values: np.ndarray, at: slice, to: float) -> np.ndarray:
         ({"t_s": _changed(np.arange(400) / 200, slice(200, 201), 0.0)}, "clock.backwards"),
         ({"t_s": np.arange(400) / 200 + (np.arange(400) > 200) * 0.5}, "clock.dropout"),
         ({"deviation_um": 1e4 * np.sin(np.arange(400) / 7.0)}, "reading.out_of_range"),
-        (
-            {"deviation_um": _changed(5 * np.sin(np.arange(400) / 7.0), slice(100, 150), 1.0)},
-            "reading.stuck",
-        ),
+        ({"deviation_um": _changed(5 * np.sin(np.arange(400) / 7.0), slice(100, 150), 1.0)}, "reading.stuck"),
         ({"deviation_um": np.minimum(5 * np.sin(np.arange(400) / 30.0), 3.0)}, "reading.clipped"),
         ({"angle_deg": -np.linspace(0, 360, 400)}, "angle.direction"),
         ({"angle_deg": np.linspace(0, 360, 400) + (np.arange(400) > 200) * 90.0}, "angle.jump"),
@@ -120,24 +106,17 @@ def test_faults_of_signals_are_named() -> None:
         (np.clip(good, -1, 1), "signal.clipped"),
         (np.zeros(5000), "signal.dead"),
     ):
-        run = replace(
-            made(), signals=(SignalGroup("accelerometers", 1651.6, {"wrist_x_g": values}),)
-        )
+        run = replace(made(), signals=(SignalGroup("accelerometers", 1651.6, {"wrist_x_g": values}),))
         assert code in codes(run)
 
 
 @pytest.mark.parametrize(
-    ("lost", "told", "code"),
-    [(12, True, ""), (12, False, "signal.not_finite"), (600, True, "signal.lost")],
+    ("lost", "told", "code"), [(12, True, ""), (12, False, "signal.not_finite"), (600, True, "signal.lost")]
 )
-def test_samples_that_a_recorder_told_as_lost_spoil_a_run_only_in_number(
-    lost: int, told: bool, code: str
-) -> None:
+def test_samples_that_a_recorder_told_as_lost_spoil_a_run_only_in_number(lost: int, told: bool, code: str) -> None:
     rng = np.random.default_rng(1)
     gone = np.arange(5000) < lost
-    columns = {
-        n: np.where(gone, np.nan, rng.normal(size=5000)) for n in ("target_x_mm", "wrist_x_g")
-    }
+    columns = {n: np.where(gone, np.nan, rng.normal(size=5000)) for n in ("target_x_mm", "wrist_x_g")}
     columns["segment_id"] = np.where(gone, -1, 1)
     findings = (Finding("recording.gap", "warning", "lost"),) if told else ()
     run = replace(made(), signals=(SignalGroup("controller", 125.0, columns),), findings=findings)
@@ -167,9 +146,7 @@ def test_a_campaign_without_repeats_or_directions_says_so() -> None:
         ({"radius_mm": 100.0 / 25.4}, "radius.implausible"),
     ],
 )
-def test_a_wrong_feed_or_a_radius_in_inches_is_an_error(
-    change: dict[str, float], code: str
-) -> None:
+def test_a_wrong_feed_or_a_radius_in_inches_is_an_error(change: dict[str, float], code: str) -> None:
     run = made()
     wrong = replace(run, meta=replace(run.meta, **change))  # type: ignore[arg-type]
     assert found(judge_run(wrong), code).severity == "error"

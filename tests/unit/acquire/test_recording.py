@@ -71,9 +71,7 @@ def test_every_acknowledged_block_survives_kill_9(tmp_path: Path, trial: int) ->
     assert not found.complete
     expected = block(0, found.group.n_samples)
     np.testing.assert_array_equal(found.group.columns["count"], expected["count"])
-    np.testing.assert_array_equal(
-        found.group.columns["wrist_x_g"], expected["wrist_x_g"].astype(np.float32)
-    )
+    np.testing.assert_array_equal(found.group.columns["wrist_x_g"], expected["wrist_x_g"].astype(np.float32))
     (sealed,) = recover_folder(tmp_path)
     assert not stream.exists()
     assert [f.code for f in sealed.findings] == ["recording.incomplete"]
@@ -102,9 +100,7 @@ def test_every_truncation_and_bit_flip_yields_only_true_blocks(tmp_path: Path) -
         fewer += found.blocks < 8
         expected = block(0, found.group.n_samples)
         assert found.group.columns["count"].tolist() == expected["count"].tolist()
-        assert np.array_equal(
-            found.group.columns["wrist_x_g"], expected["wrist_x_g"].astype(np.float32)
-        )
+        assert np.array_equal(found.group.columns["wrist_x_g"], expected["wrist_x_g"].astype(np.float32))
     assert fewer > 200
     assert codes == {"recording.empty", "recording.damaged"}
 
@@ -231,9 +227,7 @@ def test_a_full_disk_is_said_and_loses_nothing(tmp_path: Path) -> None:
         ({"wrist_x_g": np.zeros(3), "count": np.zeros(3)}, "recording.type"),
     ],
 )
-def test_a_block_that_does_not_fit_is_refused(
-    tmp_path: Path, bad: dict[str, np.ndarray], code: str
-) -> None:
+def test_a_block_that_does_not_fit_is_refused(tmp_path: Path, bad: dict[str, np.ndarray], code: str) -> None:
     with recorder(tmp_path / "r1.arrows") as writing:
         with pytest.raises(InputError) as caught:
             writing.append(bad)

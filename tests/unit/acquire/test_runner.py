@@ -21,9 +21,7 @@ from dtwin.schema import Direction, Run
 
 
 def small_plan(name: str = "small", feeds: tuple[float, ...] = (4000.0, 6000.0)) -> Plan:
-    return training_plan(
-        radii_mm=(100.0,), feeds_mm_min=feeds, planes=("YZ",), repeats=1, name=name
-    )
+    return training_plan(radii_mm=(100.0,), feeds_mm_min=feeds, planes=("YZ",), repeats=1, name=name)
 
 
 def test_a_campaign_is_complete_and_repeatable(tmp_path: Path) -> None:
@@ -98,9 +96,7 @@ run_campaign(plan, VirtualCobotBench(), Path(sys.argv[1]), lambda d, n, w: print
 
 
 def test_a_killed_campaign_continues_and_ends_the_same(tmp_path: Path) -> None:
-    child = subprocess.Popen(
-        [sys.executable, "-c", _CHILD, str(tmp_path / "a")], stdout=subprocess.PIPE
-    )
+    child = subprocess.Popen([sys.executable, "-c", _CHILD, str(tmp_path / "a")], stdout=subprocess.PIPE)
     assert child.stdout is not None
     for _ in range(3):
         child.stdout.readline()
@@ -111,17 +107,13 @@ def test_a_killed_campaign_continues_and_ends_the_same(tmp_path: Path) -> None:
     kept = len((tmp_path / "a" / MANIFEST).read_text().splitlines())
     assert 3 <= kept < 8
     for target in ("a", "b"):
-        subprocess.run(
-            [sys.executable, "-c", _CHILD, str(tmp_path / target)], check=True, capture_output=True
-        )
+        subprocess.run([sys.executable, "-c", _CHILD, str(tmp_path / target)], check=True, capture_output=True)
     for name in sorted(p.name for p in (tmp_path / "b").glob("t*")):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     plan = json.loads((tmp_path / "a" / "plan.json").read_text())
     assert len(plan["tests"]) == 8
     assert np.isfinite(
-        open_campaign(tmp_path / "a")
-        .read(open_campaign(tmp_path / "a").entries[0])[0][0]
-        .samples["deviation_um"]
+        open_campaign(tmp_path / "a").read(open_campaign(tmp_path / "a").entries[0])[0][0].samples["deviation_um"]
     ).all()
 
 

@@ -36,9 +36,7 @@ def test_a_channel_file_says_everything_about_the_sensors(tmp_path: Path) -> Non
     setup = read_sensors(written(tmp_path, GOOD))
     assert (setup.rate_hz, setup.grpc_target) == (5120.0, "127.0.0.1:31763")
     wrist, base = setup.channels
-    assert (wrist.name, wrist.physical, wrist.sensitivity_mv_g) == (
-        "wrist_x_g", "cDAQ1Mod1/ai0", 1000.0,
-    )  # fmt: skip
+    assert (wrist.name, wrist.physical, wrist.sensitivity_mv_g) == ("wrist_x_g", "cDAQ1Mod1/ai0", 1000.0)
     assert (wrist.excitation_a, wrist.range_g, wrist.full_scale_g) == (0.002, None, 5.0)
     assert (base.excitation_a, base.range_g, base.full_scale_g) == (0.0, 10.0, 50.0)
 
@@ -64,9 +62,7 @@ def test_a_channel_file_says_everything_about_the_sensors(tmp_path: Path) -> Non
         ("127.0.0.1:31763", "31763", "sensors.value", "host:port"),
     ],
 )
-def test_what_is_wrong_is_said_with_its_place(
-    tmp_path: Path, old: str, new: str, code: str, said: str
-) -> None:
+def test_what_is_wrong_is_said_with_its_place(tmp_path: Path, old: str, new: str, code: str, said: str) -> None:
     assert old in GOOD
     path = written(tmp_path, GOOD.replace(old, new))
     with pytest.raises(InputError) as caught:

@@ -67,11 +67,7 @@ def test_garbage_costs_at_most_its_neighbour(parts: list[tuple[bytes, bytes]]) -
 
 
 @settings(max_examples=300)
-@given(
-    st.lists(payloads, min_size=3, max_size=10),
-    st.integers(min_value=0),
-    st.integers(min_value=1, max_value=255),
-)
+@given(st.lists(payloads, min_size=3, max_size=10), st.integers(min_value=0), st.integers(min_value=1, max_value=255))
 def test_a_damaged_byte_never_becomes_a_value(sent: list[bytes], place: int, flip: int) -> None:
     line = bytearray(b"".join(encode(n, payload) for n, payload in enumerate(sent)))
     line[place % len(line)] ^= flip

@@ -51,9 +51,7 @@ def test_samples_arrive_in_order(peer: SerialPeer, device: SerialInstrument) -> 
     assert device.check() == ()
 
 
-def test_garbage_and_half_frames_are_counted_and_never_values(
-    peer: SerialPeer, device: SerialInstrument
-) -> None:
+def test_garbage_and_half_frames_are_counted_and_never_values(peer: SerialPeer, device: SerialInstrument) -> None:
     peer.raw(random.Random(5).randbytes(100).replace(b"\x00", b"\x01") + b"\x00")
     peer.send(1.0, 20.0, sequence=0)
     peer.raw(b"\x07half")
@@ -70,9 +68,7 @@ def test_only_garbage_is_silence(peer: SerialPeer, device: SerialInstrument) -> 
     assert code_of(device) == "serial.silent"
 
 
-def test_lost_frames_are_a_gap_before_the_sample_that_follows(
-    peer: SerialPeer, device: SerialInstrument
-) -> None:
+def test_lost_frames_are_a_gap_before_the_sample_that_follows(peer: SerialPeer, device: SerialInstrument) -> None:
     for k in (0, 1, 5, 6):
         peer.send(float(k), 20.0, sequence=k)
     readings = []
@@ -94,9 +90,7 @@ def test_the_sequence_number_may_wrap(peer: SerialPeer, device: SerialInstrument
     assert (got, lost) == ([65534.0, 65535.0, 0.0, 1.0], 0)
 
 
-def test_a_repeated_frame_is_dropped_and_a_restart_is_said(
-    peer: SerialPeer, device: SerialInstrument
-) -> None:
+def test_a_repeated_frame_is_dropped_and_a_restart_is_said(peer: SerialPeer, device: SerialInstrument) -> None:
     for k in (100, 100, 101):
         peer.send(float(k), 20.0, sequence=k)
     assert values(device, 2) == [100.0, 101.0]

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.features.alignment import (
-    align_envelopes,
-    align_periodic,
-    align_stops,
-    nearest_neighbour,
-    unwrap_angle,
-)
+from dtwin.features.alignment import align_envelopes, align_periodic, align_stops, nearest_neighbour, unwrap_angle
 
 STOPS_S = (3.0, 7.1, 11.3, 15.2)
 
@@ -28,9 +22,7 @@ def bursts(rate_hz: float, shift_s: float, length_s: float = 18.0, seed: int = 0
 
 def commanded(rate_hz: float, length_s: float = 18.0) -> np.ndarray:
     t = np.arange(int(length_s * rate_hz)) / rate_hz
-    return sum(
-        np.where(np.abs(t - at) < 0.05 + 0.02 * k, 1000.0, 0.0) for k, at in enumerate(STOPS_S)
-    )
+    return sum(np.where(np.abs(t - at) < 0.05 + 0.02 * k, 1000.0, 0.0) for k, at in enumerate(STOPS_S))
 
 
 @pytest.mark.parametrize("lag_s", [-1.237, 0.0, 0.4445, 2.01])
@@ -61,9 +53,7 @@ def test_lag_is_finer_than_a_sample() -> None:
 
 def test_unrelated_records_have_a_large_residual() -> None:
     rng = np.random.default_rng(1)
-    found = align_envelopes(
-        rng.standard_normal(2000), 200.0, rng.standard_normal(2000), 200.0, max_lag_s=2.0
-    )
+    found = align_envelopes(rng.standard_normal(2000), 200.0, rng.standard_normal(2000), 200.0, max_lag_s=2.0)
     assert found.residual > 1.2
     assert found.sharpness < 0.1
 

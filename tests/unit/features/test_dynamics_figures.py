@@ -13,12 +13,7 @@ from hypothesis import strategies as st
 
 from dtwin.errors import InputError
 from dtwin.features.dynamics.distances import distances_um, dtw_um, frechet_um
-from dtwin.features.dynamics.figures import (
-    dynamic_components,
-    eq15,
-    relative_difference,
-    weighted_sum,
-)
+from dtwin.features.dynamics.figures import dynamic_components, eq15, relative_difference, weighted_sum
 from dtwin.features.dynamics.turns import one_turn
 from dtwin.schema import Floats
 
@@ -43,9 +38,7 @@ def by_definition(first: list[float], second: list[float]) -> tuple[float, float
 
 @settings(deadline=None)
 @given(CURVES, CURVES)
-def test_both_distances_are_the_best_over_all_warping_paths(
-    first: list[float], second: list[float]
-) -> None:
+def test_both_distances_are_the_best_over_all_warping_paths(first: list[float], second: list[float]) -> None:
     found = distances_um(np.array(first), np.array(second))
     assert found == pytest.approx(by_definition(first, second), abs=1e-6)
 

@@ -33,11 +33,13 @@ def independent(read: Floats, model: str, alpha: float) -> Floats:
     turn = np.array([[np.cos(step), -np.sin(step)], [np.sin(step), np.cos(step)]])
     size = 2 if model == "circle" else 1
     by = UnscentedKalmanFilter(
-        size, 1, 1.0,
+        size,
+        1,
+        1.0,
         hx=lambda x: np.array([np.hypot(*x) - radius if size == 2 else x[0]]),
         fx=lambda x, dt: turn @ x if size == 2 and dt else x,
         points=MerweScaledSigmaPoints(size, alpha, 2.0, 0.0),
-    )  # fmt: skip
+    )
     by.x = np.array([radius + read[0], 0.0][:size] if size == 2 else [read[0]])
     by.P, by.Q, by.R = 0.01 * np.eye(size), 1e-3 * np.eye(size), np.eye(1)
     out = []

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.features.encoder_split import (
-    Cutoff,
-    repeat_floor,
-    seen_by_controller_um,
-    slow_part,
-    split,
-)
+from dtwin.features.encoder_split import Cutoff, repeat_floor, seen_by_controller_um, slow_part, split
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
@@ -26,10 +20,7 @@ META = RunMeta("r1", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=2
 def test_a_following_error_is_projected_on_the_outward_radius() -> None:
     angle = np.degrees(THETA)
     x, y = 100.0 * np.cos(THETA), 100.0 * np.sin(THETA)
-    samples = {
-        "cmd_x_mm": x, "act_x_mm": x - 0.003 * np.sin(THETA),
-        "cmd_y_mm": y, "act_y_mm": y + 0.001,
-    }  # fmt: skip
+    samples = {"cmd_x_mm": x, "act_x_mm": x - 0.003 * np.sin(THETA), "cmd_y_mm": y, "act_y_mm": y + 0.001}
     seen = seen_by_controller_um(META, samples, angle)
     # -3 sin cos + 1 sin, by hand.
     np.testing.assert_allclose(seen, -1.5 * np.sin(2 * THETA) + np.sin(THETA), atol=1e-9)
@@ -84,9 +75,7 @@ def test_the_parts_add_up_and_their_sizes_are_those_of_their_waves() -> None:
     known, conditions = np.ones((6, 360), dtype=bool), np.array([0, 0, 0, 1, 1, 1])
     found = split(measured, controller, known, conditions, np.full(6, 15.0))
     parts = found.parts_um
-    np.testing.assert_allclose(
-        parts["controller"] + parts["quasi_static"] + parts["dynamic"], measured, atol=1e-12
-    )
+    np.testing.assert_allclose(parts["controller"] + parts["quasi_static"] + parts["dynamic"], measured, atol=1e-12)
     sizes = found.sizes()
     assert sizes["controller"].rms_um == pytest.approx(4.0 / np.sqrt(2.0))
     assert sizes["dynamic"].rms_um == pytest.approx(2.0 / np.sqrt(2.0))

@@ -29,9 +29,7 @@ def test_integral_agrees_with_scipy() -> None:
 def test_constant_acceleration_gives_half_a_t_squared() -> None:
     t = np.arange(800) / RATE_HZ
     expected = 0.5 * 1e-3 * 9806.65 * t**2
-    np.testing.assert_allclose(
-        displacement_mm(np.full(800, 1e-3), RATE_HZ), expected, rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_allclose(displacement_mm(np.full(800, 1e-3), RATE_HZ), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_window_mean_of_a_milli_g_offset_is_ten_micrometres() -> None:

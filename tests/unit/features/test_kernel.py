@@ -8,12 +8,7 @@ import scipy.signal
 import scipy.stats
 
 from dtwin.errors import InputError
-from dtwin.features.catalogue import (
-    FEATURE_NAMES,
-    FEATURES,
-    feature_column,
-    positions,
-)
+from dtwin.features.catalogue import FEATURE_NAMES, FEATURES, feature_column, positions
 from dtwin.features.kernel import CONSTANT, NOT_FINITE, VALID, window_features
 
 RATE_HZ = 1652.0
@@ -61,9 +56,7 @@ def test_agrees_with_scipy(n: int) -> None:
 
 def test_spectrum_of_white_noise_holds_the_variance() -> None:
     x = np.random.default_rng(3).standard_normal((2, 1024))
-    values, _ = window_features(
-        x, RATE_HZ, ["band_power", "variance"], (0.0, RATE_HZ / 2 + RATE_HZ)
-    )
+    values, _ = window_features(x, RATE_HZ, ["band_power", "variance"], (0.0, RATE_HZ / 2 + RATE_HZ))
     np.testing.assert_allclose(values[:, 0], values[:, 1], rtol=1e-12)
 
 

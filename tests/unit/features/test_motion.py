@@ -49,9 +49,7 @@ def test_circle_in_every_plane_and_direction(plane: str, sign: float) -> None:
     expected = 2.0 + sign * 2.5 * np.arange(len(states)) / RATE_HZ
     np.testing.assert_allclose(angle, expected, atol=1e-9)
     np.testing.assert_allclose(found[:, OUT["commanded_speed_mm_s"]], 250.0, rtol=1e-12)
-    np.testing.assert_allclose(
-        found[1:, OUT["radial_acceleration_mm_s2"]], -(250.0**2) / RADIUS_MM, rtol=1e-3
-    )
+    np.testing.assert_allclose(found[1:, OUT["radial_acceleration_mm_s2"]], -(250.0**2) / RADIUS_MM, rtol=1e-3)
     assert np.abs(found[:, OUT["tangential_acceleration_mm_s2"]]).max() < 2.0
     assert (found[:, OUT["direction_sign"]] == sign).all()
 
@@ -76,9 +74,7 @@ def test_tangential_acceleration_has_the_sign_of_speeding_up() -> None:
     states[:, 16:19] *= np.linspace(0, 1, len(states))[:, None]
     found = PathInputs(INDEX, TCP_MM).batch(states)
     rise = 250.0 / (len(states) - 1) * RATE_HZ
-    np.testing.assert_allclose(
-        found[1:, OUT["tangential_acceleration_mm_s2"]], rise, rtol=0.02, atol=3
-    )
+    np.testing.assert_allclose(found[1:, OUT["tangential_acceleration_mm_s2"]], rise, rtol=0.02, atol=3)
 
 
 def test_served_one_by_one_is_the_batch_bit_for_bit() -> None:
@@ -116,9 +112,7 @@ def test_the_layout_may_have_other_fields_between() -> None:
     place = {name: 59 - 2 * i for i, name in enumerate(STATE_FIELDS)}
     for name, i in place.items():
         wide[:, i] = states[:, INDEX[name]]
-    assert np.array_equal(
-        PathInputs(place, TCP_MM).batch(wide), PathInputs(INDEX, TCP_MM).batch(states)
-    )
+    assert np.array_equal(PathInputs(place, TCP_MM).batch(wide), PathInputs(INDEX, TCP_MM).batch(states))
 
 
 def test_wrong_use_is_refused() -> None:

@@ -20,9 +20,7 @@ def real_mm(run_id: str) -> np.ndarray:
     return np.asarray(run.samples["deviation_um"], dtype=np.float64) / 1000
 
 
-@pytest.mark.parametrize(
-    ("run_id", "expected"), [("ccw", [810, 1609, 2387]), ("cw", [551, 1351, 2140])]
-)
+@pytest.mark.parametrize(("run_id", "expected"), [("ccw", [810, 1609, 2387]), ("cw", [551, 1351, 2140])])
 def test_stops_of_the_real_recording(run_id: str, expected: list[int]) -> None:
     found = [stop.sample for stop in find_stops(real_mm(run_id), RATE_HZ)][:3]
     np.testing.assert_allclose(found, expected, atol=15)
@@ -42,9 +40,7 @@ def test_lead_in_of_the_real_clockwise_run() -> None:
 
 def bursts(times_s: list[float], length_s: float = 20.0) -> np.ndarray:
     t = np.arange(int(length_s * RATE_HZ)) / RATE_HZ
-    x = 0.05 * np.sin(2 * np.pi * 0.13 * t) + 1e-3 * np.random.default_rng(0).standard_normal(
-        len(t)
-    )
+    x = 0.05 * np.sin(2 * np.pi * 0.13 * t) + 1e-3 * np.random.default_rng(0).standard_normal(len(t))
     for at in times_s:
         x += 0.05 * np.exp(-(((t - at) / 0.03) ** 2)) * np.sin(2 * np.pi * 40 * t)
     return x

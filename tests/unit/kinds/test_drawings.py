@@ -26,8 +26,7 @@ LOBES_UM = 3.0 * np.cos(2.0 * np.radians(ANGLE_DEG))
 
 
 def circle() -> Run:
-    meta = RunMeta("c1", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=9425.0,
-                   sample_rate_hz=RATE_HZ)  # fmt: skip
+    meta = RunMeta("c1", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=9425.0, sample_rate_hz=RATE_HZ)
     moved_um = 5.0 + 20.0 * np.cos(np.radians(ANGLE_DEG)) + LOBES_UM
     return Run(meta, {"t_s": T_S, "angle_deg": ANGLE_DEG, "deviation_um": moved_um})
 
@@ -35,8 +34,12 @@ def circle() -> Run:
 def sweeps() -> Run:
     position = np.array([0.0, 10.0, 20.0, 20.0, 10.0, 0.0])
     ways = np.repeat(np.array(["forward", "reverse"], dtype=object), 3)
-    samples = {"t_s": np.arange(6.0), "position_mm": position, "direction": ways,
-               "error_um": np.array([0.0, 1.0, 2.0, 5.0, 4.0, 3.0])}  # fmt: skip
+    samples = {
+        "t_s": np.arange(6.0),
+        "position_mm": position,
+        "direction": ways,
+        "error_um": np.array([0.0, 1.0, 2.0, 5.0, 4.0, 3.0]),
+    }
     return Run(RunMeta("s1", kind="linear", condition={"axis": "X"}, sample_rate_hz=1.0), samples)
 
 

@@ -15,13 +15,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.linear import simulate as virtual_lathe
 from dtwin.kinds.machine import PLAN, VirtualMachine
-from dtwin.kinds.registry import (
-    kind_names,
-    machine_named,
-    machine_of_type,
-    machine_table,
-    machines,
-)
+from dtwin.kinds.registry import kind_names, machine_named, machine_of_type, machine_table, machines
 from dtwin.kinds.sinusoidal import simulate as virtual_turning
 from dtwin.kinds.volumetric import simulate as virtual_volumetric
 from dtwin.machines.thermal_network import SCHEDULES
@@ -36,7 +30,9 @@ LINEAR = (
     '[plan]\nkind = "linear"\nname = "p"\nmachine = "m"\naxis = "Z"\nunit = "in"\nstart = 1\nend = 3\n'
     "step = 0.5\nruns = 1\ndwell_s = 6\nfeed_min = 20\novershoot = 0.1\naxis_low = 0\naxis_high = 41\n"
 )
-CIRCLES = '[plan]\nkind = "circular"\nname = "p"\nmachine = "m"\n[grid]\nplane = "XY"\nradius_mm = 100\nfeed_mm_min = 500\n'
+CIRCLES = (
+    '[plan]\nkind = "circular"\nname = "p"\nmachine = "m"\n[grid]\nplane = "XY"\nradius_mm = 100\nfeed_mm_min = 500\n'
+)
 
 
 def simulate(*words: object) -> None:
@@ -62,9 +58,7 @@ def test_every_machine_has_a_name_a_type_and_a_kind_of_its_own() -> None:
         ("volumetric", "schedule", tuple(SCHEDULES)),
     ],
 )
-def test_the_records_name_what_the_machines_take(
-    name: str, option: str, values: tuple[str, ...]
-) -> None:
+def test_the_records_name_what_the_machines_take(name: str, option: str, values: tuple[str, ...]) -> None:
     assert machine_named(name).options[option] == values
 
 
@@ -74,9 +68,7 @@ def test_the_table_of_the_docs_is_that_of_the_records() -> None:
 
 @pytest.mark.parametrize("machine", EVERY, ids=lambda machine: machine.name)
 @pytest.mark.parametrize("option", OPTIONS)
-def test_an_option_that_a_machine_lacks_is_refused(
-    machine: VirtualMachine, option: str, tmp_path: Path
-) -> None:
+def test_an_option_that_a_machine_lacks_is_refused(machine: VirtualMachine, option: str, tmp_path: Path) -> None:
     out = tmp_path / "out"
     value = "nothing.toml" if option == PLAN else "strange"
     with pytest.raises(InputError) as refused:
@@ -159,9 +151,7 @@ def test_no_machine_gets_its_evidence_from_another(
 
 
 @pytest.mark.parametrize("machine", EVERY, ids=lambda machine: machine.name)
-def test_the_serving_host_is_told_of_the_chain_of_robots_only(
-    machine: VirtualMachine, tmp_path: Path
-) -> None:
+def test_the_serving_host_is_told_of_the_chain_of_robots_only(machine: VirtualMachine, tmp_path: Path) -> None:
     geometry = {"type": machine.type, "tcp_mm": [0.0, 0.0, 100.0]}
     if machine.robot and machine.name != "cobot":
         with pytest.raises(InputError):

@@ -18,13 +18,22 @@ from dtwin.kinds.registry import kind_named, kinds
 
 HEAD = {"name": "p", "machine": "m"}
 LINEAR = HEAD | {
-    "kind": "linear", "axis": "X", "unit": "mm", "start": 0.0, "end": 300.0, "step": 12.0, "runs": 3,
-    "dwell_s": 6.0, "feed_min": 500.0, "overshoot": 1.0, "axis_low": -5.0, "axis_high": 305.0,
-    "axes": "XYZ", "pitch": 10.0,
-}  # fmt: skip
-TONES = HEAD | {
-    "kind": "sinusoidal", "frequencies_hz": [10.0, 40.0], "amplitudes_um": [2.0, 6.0], "repeats": 3,
-}  # fmt: skip
+    "kind": "linear",
+    "axis": "X",
+    "unit": "mm",
+    "start": 0.0,
+    "end": 300.0,
+    "step": 12.0,
+    "runs": 3,
+    "dwell_s": 6.0,
+    "feed_min": 500.0,
+    "overshoot": 1.0,
+    "axis_low": -5.0,
+    "axis_high": 305.0,
+    "axes": "XYZ",
+    "pitch": 10.0,
+}
+TONES = HEAD | {"kind": "sinusoidal", "frequencies_hz": [10.0, 40.0], "amplitudes_um": [2.0, 6.0], "repeats": 3}
 PLANS: dict[str, dict[str, Any]] = {
     "circular": {
         "plan": HEAD,
@@ -82,10 +91,8 @@ def test_a_plan_says_its_names_its_time_and_what_it_cannot_tell(plan: tuple[str,
 
 @pytest.mark.parametrize(
     ("verb", "option", "key"), [("detectable", "--check", "detectable"), ("programs", "--out", "programs")]
-)  # fmt: skip
-def test_an_option_acts_or_is_refused(
-    plan: tuple[str, Path], tmp_path: Path, verb: str, option: str, key: str
-) -> None:
+)
+def test_an_option_acts_or_is_refused(plan: tuple[str, Path], tmp_path: Path, verb: str, option: str, key: str) -> None:
     kind, file = plan
     words = [file, option, *([tmp_path / "out"] if option == "--out" else [])]
     if kind_named(kind).offers(verb):
@@ -107,9 +114,7 @@ def test_an_option_acts_or_is_refused(
         (["--out", "programs", "--control", "smoke"], "smoke"),
     ],
 )
-def test_options_that_would_do_nothing_are_refused(
-    tmp_path: Path, words: list[str], told: str
-) -> None:
+def test_options_that_would_do_nothing_are_refused(tmp_path: Path, words: list[str], told: str) -> None:
     file = tmp_path / "plan.toml"
     file.write_text(toml(PLANS["linear"]), encoding="utf-8")
     with pytest.raises(InputError) as refused:

@@ -67,9 +67,7 @@ class _Spindle(Kind):
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         turns = int(document["plan"]["turns"])
         few = [Finding("plan.few", "warning", "one turn shows no repeat")] if turns < 2 else []
-        return Planned(
-            "spindle", turns, {"name": "s", "turns": turns}, 0.1 * turns, few, ("a spindle",)
-        )
+        return Planned("spindle", turns, {"name": "s", "turns": turns}, 0.1 * turns, few, ("a spindle",))
 
     def judge_run(self, run: Run) -> list[Finding]:
         worst = float(abs(run.samples["run_out_um"]).max())

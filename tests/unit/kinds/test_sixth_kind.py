@@ -80,9 +80,7 @@ def test_a_rotary_table_goes_from_plan_to_champion(tmp_path: Path) -> None:
     served = load_bundle(resolve("latest", "table-1", home).path, "table-1").bundle
     predicted = CompiledBundle(served).run(np.array([[45.0], [90.0]]))
     assert abs(predicted).max() > 1.0
-    browser = TestClient(
-        application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765"
-    )
+    browser = TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
     assert "Error over the turn" in browser.get("/campaigns/table/runs/r001").text
     drawn = browser.get("/api/campaigns/table/runs/r001/turn").json()
     assert len(drawn["data"]) == 1

@@ -16,10 +16,22 @@ from dtwin.pipeline.twins import Twins
 from dtwin.store import Lake
 
 AXIS = {
-    "name": "axis", "machine": "virtual-mill", "axis": "Z", "unit": "in", "start": 1, "end": 25,
-    "step": 0.25, "runs": 2, "dwell_s": 6, "feed_min": 20, "overshoot": 0.1, "window": 0.01,
-    "axis_low": 0, "axis_high": 41, "pitch": 0.25,
-}  # fmt: skip
+    "name": "axis",
+    "machine": "virtual-mill",
+    "axis": "Z",
+    "unit": "in",
+    "start": 1,
+    "end": 25,
+    "step": 0.25,
+    "runs": 2,
+    "dwell_s": 6,
+    "feed_min": 20,
+    "overshoot": 0.1,
+    "window": 0.01,
+    "axis_low": 0,
+    "axis_high": 41,
+    "pitch": 0.25,
+}
 
 
 def test_a_twin_of_an_axis_is_looked_at_and_one_of_circles_on_the_same_machine_is_not(

@@ -13,13 +13,10 @@ SAMPLE = Path(__file__).parents[3] / "data" / "samples" / "ur10e_xy_r100_f5000.b
 
 def real_readings_um() -> dict[str, np.ndarray]:
     blocks = re.findall(
-        r"<RUN_DIRECTION>(C?CW)</RUN_DIRECTION>\s*<RUN_TEMP.*?<READINGS>(.*?)</READINGS>",
-        SAMPLE.read_text(),
-        re.DOTALL,
+        r"<RUN_DIRECTION>(C?CW)</RUN_DIRECTION>\s*<RUN_TEMP.*?<READINGS>(.*?)</READINGS>", SAMPLE.read_text(), re.DOTALL
     )
     return {
-        direction: 1e3
-        * np.array([float(x) for x in re.findall(r"[+-]\d+\.\d+", "".join(t.split()))])
+        direction: 1e3 * np.array([float(x) for x in re.findall(r"[+-]\d+\.\d+", "".join(t.split()))])
         for direction, t in blocks
     }
 

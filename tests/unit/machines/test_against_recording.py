@@ -4,15 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from recorded import (
-    BANDS_HZ,
-    band_rms_um,
-    burst_rms_um,
-    highpassed,
-    real_readings_um,
-    stops,
-    without_centre,
-)
+from recorded import BANDS_HZ, band_rms_um, burst_rms_um, highpassed, real_readings_um, stops, without_centre
 
 from dtwin.machines.cobot import CircleCondition, CobotRecording, VirtualCobot
 
@@ -27,10 +19,7 @@ def real() -> dict[str, np.ndarray]:
 @pytest.fixture(scope="module")
 def virtual() -> dict[str, CobotRecording]:
     cobot = VirtualCobot()
-    return {
-        d: cobot.measure(CircleCondition("XY", 100, 5000, d), setup="s1", repeat=1)
-        for d in DIRECTIONS
-    }
+    return {d: cobot.measure(CircleCondition("XY", 100, 5000, d), setup="s1", repeat=1) for d in DIRECTIONS}
 
 
 def real_turn(readings: np.ndarray) -> np.ndarray:
@@ -43,9 +32,7 @@ def virtual_turn(recording: CobotRecording) -> np.ndarray:
     return without_centre(1e3 * recording.deviation_mm[start:end])
 
 
-def test_total_and_bands_are_within_a_fifth(
-    real: dict[str, np.ndarray], virtual: dict[str, CobotRecording]
-) -> None:
+def test_total_and_bands_are_within_a_fifth(real: dict[str, np.ndarray], virtual: dict[str, CobotRecording]) -> None:
     wanted = {d: real_turn(real[d]) for d in DIRECTIONS}
     got = {d: virtual_turn(virtual[d]) for d in DIRECTIONS}
     for d in DIRECTIONS:
@@ -62,9 +49,7 @@ def test_line_near_nine_and_a_half_hertz(virtual: dict[str, CobotRecording]) -> 
         lines = np.abs(np.fft.rfft(turn))
         hz = np.fft.rfftfreq(len(turn), 1 / 200)
         near = (hz > 7) & (hz < 13)
-        assert hz[near][np.argmax(lines[near])] == pytest.approx(
-            9.4, abs=0.66
-        )  # bandwidth of the mode
+        assert hz[near][np.argmax(lines[near])] == pytest.approx(9.4, abs=0.66)  # bandwidth of the mode
 
 
 def test_mean_feed_is_three_to_five_percent_low(virtual: dict[str, CobotRecording]) -> None:
@@ -74,9 +59,7 @@ def test_mean_feed_is_three_to_five_percent_low(virtual: dict[str, CobotRecordin
         assert 0.95 < feed_mm_min / 5000 < 0.97
 
 
-def test_stops_show_as_bursts(
-    real: dict[str, np.ndarray], virtual: dict[str, CobotRecording]
-) -> None:
+def test_stops_show_as_bursts(real: dict[str, np.ndarray], virtual: dict[str, CobotRecording]) -> None:
     for d in DIRECTIONS:
         readings = 1e3 * virtual[d].deviation_mm
         start, end = virtual[d].window

@@ -27,26 +27,18 @@ def test_a_run_is_a_function_of_seed_setup_repeat_and_condition(cobot: VirtualCo
         for name in one.columns:
             np.testing.assert_array_equal(one.columns[name], two.columns[name])
     other_repeat = cobot.measure(ARC, setup="s1", repeat=2)
-    np.testing.assert_array_equal(
-        other_repeat.truth.setup.eccentricity_um, first.truth.setup.eccentricity_um
-    )
-    np.testing.assert_array_equal(
-        other_repeat.truth.parts_um["joints"], first.truth.parts_um["joints"]
-    )
+    np.testing.assert_array_equal(other_repeat.truth.setup.eccentricity_um, first.truth.setup.eccentricity_um)
+    np.testing.assert_array_equal(other_repeat.truth.parts_um["joints"], first.truth.parts_um["joints"])
     assert not np.array_equal(other_repeat.truth.parts_um["drift"], first.truth.parts_um["drift"])
     other_setup = cobot.measure(ARC, setup="s2", repeat=1)
     assert other_setup.truth.setup.eccentricity_um[1] != first.truth.setup.eccentricity_um[1]
     other_machine = VirtualCobot(seed=6).measure(ARC, setup="s1", repeat=1)
-    assert not np.array_equal(
-        other_machine.truth.parts_um["joints"], first.truth.parts_um["joints"]
-    )
+    assert not np.array_equal(other_machine.truth.parts_um["joints"], first.truth.parts_um["joints"])
 
 
 @pytest.mark.parametrize("radius", [100.0, 150.0, 300.0])
 @pytest.mark.parametrize("plane", ["XY", "YZ", "XZ"])
-def test_every_cell_of_the_campaign_is_reached_on_one_branch(
-    cobot: VirtualCobot, plane: str, radius: float
-) -> None:
+def test_every_cell_of_the_campaign_is_reached_on_one_branch(cobot: VirtualCobot, plane: str, radius: float) -> None:
     recording = cobot.measure(CircleCondition(plane, radius, 6000.0, "CW"), setup="s", repeat=1)
     columns = recording.groups[1].columns
     q = np.column_stack([columns[f"target_q_{j}_rad"] for j in range(1, 7)])
@@ -56,9 +48,7 @@ def test_every_cell_of_the_campaign_is_reached_on_one_branch(
     np.testing.assert_allclose(reached, target, atol=1e-6)
     assert np.abs(np.diff(q, axis=0)).max() < 0.02
     scale = np.array([500.0] * 3 + [1.0] * 3)[:, None]
-    least = min(
-        np.linalg.svd(jacobian_kernel(row, UR10E.dh, tcp) / scale)[1].min() for row in q[::50]
-    )
+    least = min(np.linalg.svd(jacobian_kernel(row, UR10E.dh, tcp) / scale)[1].min() for row in q[::50])
     assert least > 0.1
     window_s = (recording.window[1] - recording.window[0]) / recording.sample_rate_hz
     arc = 2 * np.pi if recording.condition.plane == "XY" else np.pi
@@ -81,9 +71,7 @@ def test_ball_bar_is_the_sum_of_the_parts_of_the_truth(cobot: VirtualCobot) -> N
 def test_repeatable_error_is_what_repeats(cobot: VirtualCobot) -> None:
     t_s, radial_um, vector_um = cobot.repeatable_error_um(FAST)
     truth = cobot.measure(FAST, setup="s9", repeat=4).truth
-    np.testing.assert_allclose(
-        radial_um, truth.parts_um["joints"] + truth.parts_um["structure"], atol=1e-6
-    )
+    np.testing.assert_allclose(radial_um, truth.parts_um["joints"] + truth.parts_um["structure"], atol=1e-6)
     np.testing.assert_array_equal(t_s, truth.t_s)
     assert vector_um.shape == (len(t_s), 3)
 
@@ -127,9 +115,7 @@ def test_offset_is_latched_by_sequence_limited_delayed_and_released(cobot: Virtu
         if tick == 20:
             controller.step(layout.correction_registers(19, (0.0, 0.0, 0.0)))
         else:
-            controller.step(
-                layout.correction_registers(sequence, wanted if sequence else (0, 0, 0))
-            )
+            controller.step(layout.correction_registers(sequence, wanted if sequence else (0, 0, 0)))
         applied.append(controller.state()[layout.APPLIED : layout.APPLIED + 3].copy())
     offsets = np.array(applied)
     first = int(np.argmax(offsets[:, 1] < 0))
@@ -174,9 +160,7 @@ def test_correction_moves_tool_and_encoders_alike(cobot: VirtualCobot) -> None:
     np.testing.assert_allclose(moved_um, [100, -50, 25], atol=8)
 
 
-def test_speed_scaling_stretches_the_run_and_a_protective_stop_ends_motion(
-    cobot: VirtualCobot,
-) -> None:
+def test_speed_scaling_stretches_the_run_and_a_protective_stop_ends_motion(cobot: VirtualCobot) -> None:
     controller = cobot.controller(ARC, setup="s1", repeat=1)
     controller.set_speed_scaling(0.5)
     for _ in range(1500):

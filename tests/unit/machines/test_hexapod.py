@@ -10,26 +10,23 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.machines.ballbar import read_ballbar
-from dtwin.machines.hexapod import (
-    OVERSHOOT_DEG,
-    HexapodRecording,
-    VirtualHexapod,
-    leg_lengths_kernel,
-    path_angle_rad,
-)
+from dtwin.machines.hexapod import OVERSHOOT_DEG, HexapodRecording, VirtualHexapod, leg_lengths_kernel, path_angle_rad
 from dtwin.machines.hexapod_parameters import CENTRE_MM, HexapodParameters
 from dtwin.machines.motion import CircleCondition
 
 PERFECT = replace(
-    HexapodParameters().without_dynamics(), joint_centre_mm=0.0, leg_offset_mm=0.0,
-    leg_scale_ppm=0.0, play_um=0.0, eccentricity_um=0.0, length_error_um=0.0,
-)  # fmt: skip
+    HexapodParameters().without_dynamics(),
+    joint_centre_mm=0.0,
+    leg_offset_mm=0.0,
+    leg_scale_ppm=0.0,
+    play_um=0.0,
+    eccentricity_um=0.0,
+    length_error_um=0.0,
+)
 
 
 @cache
-def measured(
-    feed: float, way: str = "CCW", parameters: HexapodParameters | None = None
-) -> HexapodRecording:
+def measured(feed: float, way: str = "CCW", parameters: HexapodParameters | None = None) -> HexapodRecording:
     machine = VirtualHexapod(parameters, seed=0)
     return machine.measure(CircleCondition("YZ", 50.0, feed, way), setup="s1", repeat=1)
 
@@ -127,9 +124,7 @@ def test_vibration_of_the_motors_is_where_their_screws_put_it() -> None:
 
 def test_the_same_seed_measures_the_same_and_another_does_not() -> None:
     condition = CircleCondition("YZ", 50.0, 6000.0, "CW")
-    first, again, other = (
-        VirtualHexapod(seed=s).measure(condition, setup="s1", repeat=1) for s in (0, 0, 1)
-    )
+    first, again, other = (VirtualHexapod(seed=s).measure(condition, setup="s1", repeat=1) for s in (0, 0, 1))
     assert np.array_equal(first.deviation_um, again.deviation_um)
     assert not np.array_equal(first.deviation_um, other.deviation_um)
 

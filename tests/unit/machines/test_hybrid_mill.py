@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.machines.hybrid_mill import (
-    ITEMS,
-    MODE_HZ,
-    SENSOR_NOISE_G,
-    CorrectionInput,
-    HybridMill,
-    hybrid_parameters,
-)
+from dtwin.machines.hybrid_mill import ITEMS, MODE_HZ, SENSOR_NOISE_G, CorrectionInput, HybridMill, hybrid_parameters
 from dtwin.machines.mill import SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S
 from dtwin.machines.mill_noise import NoiseParameters
@@ -24,9 +17,11 @@ CORNERS = np.array([[0.0, 47.0], [47.0, 47.0], [47.0, 0.0]])
 
 def test_circles_show_the_published_slow_error_and_servo_error() -> None:
     mill = VirtualMill(
-        hybrid_parameters(), seed=1, noise=NoiseParameters(rms_um=0.2),
+        hybrid_parameters(),
+        seed=1,
+        noise=NoiseParameters(rms_um=0.2),
         setup_errors=SetupErrors(centre_mm=0.002, radius_um=0.5),
-    )  # fmt: skip
+    )
     tests = [CircularTest(radius_mm=50.0, feed_mm_min=f) for f in (100.0, 250.0, 500.0)]
     servo = []
     for run in mill.measure(tests):
@@ -74,7 +69,9 @@ def test_the_correction_input_has_steps_delay_rate_and_ends() -> None:
     source = CorrectionInput(quantum_um=0.98, delay_s=0.02, update_hz=6.0)
     got = source.applied_um(wanted)
     assert not got[:, :20].any()
-    np.testing.assert_allclose(got / 0.98 - np.round(got / 0.98), np.where(got == 125.0, got / 0.98 - np.round(125.0 / 0.98), 0.0), atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(
+        got / 0.98 - np.round(got / 0.98), np.where(got == 125.0, got / 0.98 - np.round(125.0 / 0.98), 0.0), atol=1e-9
+    )
     assert len(np.unique(got[0])) <= 7
     assert got.max() == 125.0
     run = HybridMill(0).run(CORNERS, 500.0)
@@ -91,10 +88,7 @@ def test_the_correction_input_has_steps_delay_rate_and_ends() -> None:
 
 def test_what_the_mill_cannot_drive_is_refused() -> None:
     mill = HybridMill(0)
-    for corners, feed, words in (
-        (np.array([[0.0, 0.0], [0.0, 80.0]]), 500.0, "strokes"),
-        (CORNERS, 3500.0, "feed"),
-    ):
+    for corners, feed, words in ((np.array([[0.0, 0.0], [0.0, 80.0]]), 500.0, "strokes"), (CORNERS, 3500.0, "feed")):
         with pytest.raises(InputError, match=words):
             mill.run(corners, feed)
     with pytest.raises(InputError, match="does not fit"):

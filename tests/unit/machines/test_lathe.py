@@ -12,13 +12,7 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
 from dtwin.kinds.linear.plan import LinearPlan
 from dtwin.kinds.linear.program import laser_program
-from dtwin.kinds.linear.simulate import (
-    laser_setup,
-    motion_of_plan,
-    simulate_lathe,
-    verification_plan,
-    virtual_lathe,
-)
+from dtwin.kinds.linear.simulate import laser_setup, motion_of_plan, simulate_lathe, verification_plan, virtual_lathe
 from dtwin.lathe_network import read_network
 from dtwin.machines.laser_trigger import watch
 from dtwin.machines.lathe import ThreadScrew, VirtualLathe, Wander
@@ -76,8 +70,11 @@ def test_a_window_smaller_than_the_error_is_told() -> None:
 
 def test_the_slide_keeps_its_place_within_the_play() -> None:
     screw = ThreadScrew(tilt_um=0.0, wave_um=0.0, lead_um_per_m=0.0, wear_um=0.0)
-    still = replace(screw, leading=replace(screw.leading, once_um=0.0, twice_um=0.0),
-                    trailing=replace(screw.trailing, once_um=0.0, twice_um=0.0))  # fmt: skip
+    still = replace(
+        screw,
+        leading=replace(screw.leading, once_um=0.0, twice_um=0.0),
+        trailing=replace(screw.trailing, once_um=0.0, twice_um=0.0),
+    )
     places = VirtualLathe(still, CALM).slide_mm(np.array([10.0, 11.0, 10.95, 10.98, 10.5, 11.0]))
     # 72 um of play: a way back of 50 um moves nothing.
     assert np.allclose(places, [9.964, 10.964, 10.964, 10.964, 10.536, 10.964])

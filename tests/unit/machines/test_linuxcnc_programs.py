@@ -11,12 +11,7 @@ import pytest
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.machines.linuxcnc import session
 from dtwin.machines.linuxcnc.circles import Circle, program, read_samples, traces
-from dtwin.machines.linuxcnc.configuration import (
-    MillFaults,
-    compensation_text,
-    ini_text,
-    read_faults,
-)
+from dtwin.machines.linuxcnc.configuration import MillFaults, compensation_text, ini_text, read_faults
 
 
 def test_a_program_runs_each_plane_its_own_way() -> None:
@@ -28,7 +23,7 @@ def test_a_program_runs_each_plane_its_own_way() -> None:
     assert text.index("G17") < text.index("G18")
 
 
-@pytest.mark.parametrize(("radius", "feed"), [(1.0, 1000.0), (500.0, 1000.0), (20.0, 2e4), (20.0, 1.0)])  # fmt: skip
+@pytest.mark.parametrize(("radius", "feed"), [(1.0, 1000.0), (500.0, 1000.0), (20.0, 2e4), (20.0, 1.0)])
 def test_circles_beyond_the_machine_are_refused(radius: float, feed: float) -> None:
     with pytest.raises(InputError) as caught:
         Circle("XY", radius, feed, "CCW")
@@ -47,13 +42,7 @@ def row(number: int, circle: int) -> str:
 def test_missing_samples_are_noticed_in_circles_and_only_there(tmp_path: Path) -> None:
     before = ["overrun", row(7, 0), "overrun", row(20, 0), row(21, 1)]
     assert len(read_samples(sampled(tmp_path / "a", before))) == 2
-    for bad in (
-        [row(1, 1), "overrun", row(9, 1)],
-        [row(1, 1), row(3, 1)],
-        [row(1, 1), "2 0.0"],
-        ["overrun"],
-        [],
-    ):
+    for bad in ([row(1, 1), "overrun", row(9, 1)], [row(1, 1), row(3, 1)], [row(1, 1), "2 0.0"], ["overrun"], []):
         with pytest.raises(DeviceError) as caught:
             read_samples(sampled(tmp_path / "b", bad))
         assert caught.value.code == "linuxcnc.samples"
@@ -70,9 +59,18 @@ def test_half_a_circle_is_no_run(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "0 0 0\n", "0 0 0\n0 0 0\n", "10 0 0\n5 0 0\n", "0 0\n1 0\n", "0 x 0\n1 0 0\n",
-     "0 12.5 0\n1 0 0\n", "0 nan 0\n1 0 0\n", "".join(f"{i} 0 0\n" for i in range(257))],
-)  # fmt: skip
+    [
+        "",
+        "0 0 0\n",
+        "0 0 0\n0 0 0\n",
+        "10 0 0\n5 0 0\n",
+        "0 0\n1 0\n",
+        "0 x 0\n1 0 0\n",
+        "0 12.5 0\n1 0 0\n",
+        "0 nan 0\n1 0 0\n",
+        "".join(f"{i} 0 0\n" for i in range(257)),
+    ],
+)
 def test_a_compensation_file_that_linuxcnc_would_drop_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "x.comp"
     file.write_text(text, encoding="ascii")
@@ -99,14 +97,7 @@ def test_faults_are_numbers_that_the_mill_has(tmp_path: Path) -> None:
     file = tmp_path / "truth.toml"
     file.write_text("play_y = 0.01\nnoise = 0\n", encoding="utf-8")
     assert read_faults(file) == MillFaults(play_y=0.01, noise=0.0)
-    for text in (
-        "play = 1.0",
-        "play_x = 'a'",
-        "play_x = nan",
-        "position_gain = 1e9",
-        "play_x",
-        "noise = true",
-    ):
+    for text in ("play = 1.0", "play_x = 'a'", "play_x = nan", "position_gain = 1e9", "play_x", "noise = true"):
         file.write_text(text, encoding="utf-8")
         with pytest.raises(InputError) as caught:
             read_faults(file)

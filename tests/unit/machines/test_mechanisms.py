@@ -87,9 +87,7 @@ def test_a_long_arm_swings_slowly() -> None:
         state, seen = np.array([1.0, 0.0]), []
         for _ in range(1000):
             tcp = np.zeros(3)
-            modes_kernel(
-                modes, TICK_S, 0.0, reach, np.zeros(3), np.zeros(3), state, tcp, np.zeros(3)
-            )  # fmt: skip
+            modes_kernel(modes, TICK_S, 0.0, reach, np.zeros(3), np.zeros(3), state, tcp, np.zeros(3))
             seen.append(tcp[0])
         counts.append(np.count_nonzero(np.diff(np.sign(seen))))
     assert counts[0] / counts[1] == pytest.approx(4.0**PARAMETERS.structure.posture_1, rel=0.06)
@@ -129,9 +127,7 @@ def test_mode_shape_turns_with_joint_1() -> None:
     moved = []
     for angle, push in ((0.0, [1.0, 0.0, 0.0]), (np.pi / 2, [0.0, 1.0, 0.0])):
         tcp = np.zeros(3)
-        modes_kernel(
-            modes, TICK_S, angle, REACH_MM, np.array(push), np.zeros(3), np.zeros(2), tcp, np.zeros(3)
-        )  # fmt: skip
+        modes_kernel(modes, TICK_S, angle, REACH_MM, np.array(push), np.zeros(3), np.zeros(2), tcp, np.zeros(3))
         moved.append(tcp)
     np.testing.assert_allclose(moved[1], [-moved[0][1], moved[0][0], moved[0][2]], atol=1e-18)
 
@@ -162,9 +158,7 @@ def test_accelerometer_sees_a_known_shake_with_its_noise_and_limits() -> None:
     path = np.column_stack([shake_mm, np.zeros((len(t), 2))])
     upright = np.tile(np.eye(3).ravel(), (len(t), 1))
     eye = (np.eye(3), np.eye(3))
-    group = accelerometer_group(
-        quiet, eye, 0.03, (path, upright, 500.0), 0.1, 0.0, np.random.default_rng(0)
-    )
+    group = accelerometer_group(quiet, eye, 0.03, (path, upright, 500.0), 0.1, 0.0, np.random.default_rng(0))
     peak_g = 0.1 * (2 * np.pi * 9.4) ** 2 / 9806.65
     wrist = group.columns["wrist_x_g"]
     assert wrist.std() == pytest.approx(peak_g / np.sqrt(2), rel=0.02)

@@ -22,7 +22,7 @@ def _measured(parameters, *tests):
 
 
 def test_a_machine_without_faults_drives_a_circle():
-    (_, deviation_um), = _measured(IDEAL)  # fmt: skip
+    ((_, deviation_um),) = _measured(IDEAL)
     assert np.abs(deviation_um).max() < 1e-6
 
 

@@ -9,12 +9,7 @@ from hypothesis import strategies as st
 
 from dtwin.acquire.b5r import read_b5r
 from dtwin.errors import InputError
-from dtwin.physics.circular import (
-    bidirectional_figures,
-    circular_figures,
-    fit_circle,
-    minimum_zone_um,
-)
+from dtwin.physics.circular import bidirectional_figures, circular_figures, fit_circle, minimum_zone_um
 from dtwin.physics.spectrum import band_rms_um, strongest_lines
 
 ANGLE = np.arange(0.0, 360.0, 0.25)
@@ -85,9 +80,7 @@ def test_hysteresis_is_the_largest_difference_of_samples_at_one_angle() -> None:
     figures = bidirectional_figures((ANGLE, spike), nothing, 100.0)
     assert figures.hysteresis_um == pytest.approx(30.0, rel=0.01)
     assert figures.hysteresis_angle_deg == pytest.approx(ANGLE[ANGLE.size // 3] % 360.0)
-    both = bidirectional_figures(
-        (ANGLE, np.full_like(ANGLE, 3.0)), (-ANGLE, np.ones_like(ANGLE)), 100.0
-    )
+    both = bidirectional_figures((ANGLE, np.full_like(ANGLE, 3.0)), (-ANGLE, np.ones_like(ANGLE)), 100.0)
     assert both.mean_bidirectional_radius_um == pytest.approx(2.0, abs=1e-6)
     assert both.hysteresis_um == pytest.approx(2.0, abs=1e-6)
 
@@ -118,9 +111,7 @@ def test_common_and_own_centres_differ_by_what_the_centres_are_apart() -> None:
 def test_real_file_agrees_with_the_vendor_within_0_3_um(real_recording: Path) -> None:
     for run in read_b5r(real_recording).runs:
         window = slice(*run.window)
-        figures = circular_figures(
-            run.samples["angle_deg"][window], run.samples["deviation_um"][window], 100.0
-        )
+        figures = circular_figures(run.samples["angle_deg"][window], run.samples["deviation_um"][window], 100.0)
         stated = run.meta.vendor
         assert figures.circle.centre_a_um == pytest.approx(stated["centre_a_um"], abs=0.3)
         assert figures.circle.centre_b_um == pytest.approx(stated["centre_b_um"], abs=0.3)

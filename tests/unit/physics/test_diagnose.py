@@ -94,11 +94,7 @@ def test_a_logged_channel_is_named_and_its_bystander_is_not() -> None:
             run,
             meta=replace(
                 run.meta,
-                covariates={
-                    **run.meta.covariates,
-                    "coolant_bar_1": float(pressure[i]),
-                    "flow_1": float(bystander[i]),
-                },
+                covariates={**run.meta.covariates, "coolant_bar_1": float(pressure[i]), "flow_1": float(bystander[i])},
             ),
         )
         for i, run in enumerate(runs)
@@ -111,8 +107,7 @@ def test_a_logged_channel_is_named_and_its_bystander_is_not() -> None:
 
 def test_heat_is_told_with_drift_as_its_rival() -> None:
     hot = replace(
-        SOUND.with_axis("X", growth_um_m_k=12.0).with_axis("Y", growth_um_m_k=12.0),
-        heat=HeatParameters(rise_c=3.0),
+        SOUND.with_axis("X", growth_um_m_k=12.0).with_axis("Y", growth_um_m_k=12.0), heat=HeatParameters(rise_c=3.0)
     )
     found = verdict(measured(VirtualMill(hot, seed=6)))
     labels = {s.effect for s in found.group}
@@ -121,9 +116,7 @@ def test_heat_is_told_with_drift_as_its_rival() -> None:
 
 def test_a_temperature_that_never_changes_is_no_reason_to_blame_heat() -> None:
     runs = measured(VirtualMill(SOUND, seed=1))
-    cold = [
-        replace(run, meta=replace(run.meta, covariates={"temperature_c": 20.0})) for run in runs
-    ]
+    cold = [replace(run, meta=replace(run.meta, covariates={"temperature_c": 20.0})) for run in runs]
     found = verdict(cold)
     assert "did not change" in found.untestable["thermal_growth"]
     bare = [replace(run, meta=replace(run.meta, covariates={})) for run in runs]
@@ -164,8 +157,7 @@ def test_growth_that_lags_behind_its_channel_is_not_called_growth_with_it() -> N
 def test_runs_that_all_bear_one_time_are_judged_without_it() -> None:
     mill = replace(SOUND.with_axis("X", growth_um_m_k=25.0), heat=HeatParameters(rise_c=4.0))
     runs = [
-        replace(run, meta=replace(run.meta, started="2026-03-02T08:00:00Z"))
-        for run in measured(VirtualMill(mill, 5))
+        replace(run, meta=replace(run.meta, started="2026-03-02T08:00:00Z")) for run in measured(VirtualMill(mill, 5))
     ]
     tested = {test.variable for suspect in verdict(runs).suspects for test in suspect.laws}
     assert tested
@@ -174,22 +166,13 @@ def test_runs_that_all_bear_one_time_are_judged_without_it() -> None:
 
 def test_five_faults_are_found_from_nothing_and_sized() -> None:
     mill = replace(
-        SOUND.with_axis("X", scale_ppm=25.0, play_um=3.0, lateral_um=2.5).with_axis(
-            "Y", bow_um=4.0
-        ),
-        changeover_um=2.0,
+        SOUND.with_axis("X", scale_ppm=25.0, play_um=3.0, lateral_um=2.5).with_axis("Y", bow_um=4.0), changeover_um=2.0
     )
     runs = measured(VirtualMill(mill, seed=3, noise=NoiseParameters(rms_um=0.1)))
     obs = observed(runs)
     found = diagnose(obs, [], LIBRARY)
     names = {group[0].label for group in found.found}
-    wanted = {
-        "squareness XY",
-        "scale_mismatch XY",
-        "backlash X",
-        "lateral_play X",
-        "straightness Y",
-    }
+    wanted = {"squareness XY", "scale_mismatch XY", "backlash X", "lateral_play X", "straightness Y"}
     assert names == wanted | {"axis_changeover XY"}
     assert all(len(group) == 1 for group in found.found), found.headline
     largest = [group[0].size_um for group in found.found]
@@ -240,27 +223,33 @@ def test_small_effects_stay_beside_a_loud_unknown_of_one_harmonic() -> None:
 
     mill = replace(SOUND.with_axis("X", bow_um=4.0), changeover_um=2.0)
     noise = NoiseParameters(rms_um=0.1)
-    found = diagnose(
-        observed(measured(VirtualMill(mill, seed=6, noise=noise, disturbance=lobe))), [], LIBRARY
-    )
+    found = diagnose(observed(measured(VirtualMill(mill, seed=6, noise=noise, disturbance=lobe))), [], LIBRARY)
     named = {group[0].label for group in found.found}
     assert named == {"squareness XY", "scale_mismatch XY", "straightness X", "axis_changeover XY"}
     assert found.unresolved is not None
 
 
 def test_ten_faults_with_laws_that_are_not_the_library_s_are_named_without_a_false_one() -> None:
-    mill = MillParameters(squareness_um_m={"XY": 20.0}, changeover_um=2.0).with_axis(
-        "X", scale_ppm=20.0, play_um=3.0, lateral_um=3.0, bow_um=4.0, pitch_error_um=2.0,
-        pitch_mm=9.7,
-    ).with_axis("Y", play_taper_um=3.0, lateral_taper_um=4.0, feed_forward=0.99)  # fmt: skip
+    mill = (
+        MillParameters(squareness_um_m={"XY": 20.0}, changeover_um=2.0)
+        .with_axis("X", scale_ppm=20.0, play_um=3.0, lateral_um=3.0, bow_um=4.0, pitch_error_um=2.0, pitch_mm=9.7)
+        .with_axis("Y", play_taper_um=3.0, lateral_taper_um=4.0, feed_forward=0.99)
+    )
     noise = NoiseParameters(rms_um=0.1)
     found = diagnose(observed(measured(VirtualMill(mill, seed=8, noise=noise))), [], LIBRARY)
     groups = [{s.label for s in group} for group in found.found]
     wanted = {
-        "squareness XY", "axis_changeover XY", "scale_mismatch XY", "backlash X", "lateral_play X",
-        "straightness X", "cyclic_error X", "backlash_taper Y", "lateral_play_taper Y",
+        "squareness XY",
+        "axis_changeover XY",
+        "scale_mismatch XY",
+        "backlash X",
+        "lateral_play X",
+        "straightness X",
+        "cyclic_error X",
+        "backlash_taper Y",
+        "lateral_play_taper Y",
         "servo_mismatch XY",
-    }  # fmt: skip
+    }
     assert all(len(group) <= 3 for group in groups)
     assert wanted <= set.union(*groups)
     assert all(group & wanted for group in groups)

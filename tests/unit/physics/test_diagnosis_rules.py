@@ -70,8 +70,7 @@ def test_the_floor_is_the_noise_whatever_was_fitted_inside_conditions() -> None:
 
 def test_heat_times_feed_is_not_called_a_wrong_scale() -> None:
     hot = replace(
-        MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0),
-        heat=HeatParameters(rise_c=3.0),
+        MillParameters(squareness_um_m={"XY": 30.0}).with_axis("X", scale_ppm=25.0), heat=HeatParameters(rise_c=3.0)
     )
 
     def faster_is_worse(moment: Moment) -> Floats:

@@ -49,11 +49,7 @@ CANONICAL = [
 
 
 def state(
-    plane: Plane = "XY",
-    direction: Direction = "CCW",
-    radius_mm: float = 100.0,
-    feed_mm_s: float = 50.0,
-    n: int = 720,
+    plane: Plane = "XY", direction: Direction = "CCW", radius_mm: float = 100.0, feed_mm_s: float = 50.0, n: int = 720
 ) -> State:
     meta = RunMeta("r", plane=plane, direction=direction, radius_mm=radius_mm, feed_mm_min=3000.0)
     angle = (np.arange(n) + 0.5) * 2 * np.pi / n
@@ -80,8 +76,15 @@ def test_the_canonical_names_are_there() -> None:
 @pytest.mark.parametrize("name", sorted(LIBRARY))
 def test_an_effect_is_documented_and_finite_everywhere(name: str) -> None:
     effect = LIBRARY[name]
-    for text in (effect.title, effect.meaning, effect.formula, effect.looks_like,
-                 effect.separate_by, effect.remedy, effect.reference):  # fmt: skip
+    for text in (
+        effect.title,
+        effect.meaning,
+        effect.formula,
+        effect.looks_like,
+        effect.separate_by,
+        effect.remedy,
+        effect.reference,
+    ):
         assert len(text) > 2
     assert all(other in LIBRARY for other in effect.confusables)
     assert name not in effect.confusables
@@ -120,9 +123,7 @@ def acts_along_an_axis(effect: Effect) -> bool:
     obs = observe(campaign, [Run(RunMeta("r", kind=kind, condition=condition), samples)])
     whole = effect.setup or effect.per == "machine"
     found = obs.regressors(Instance(effect, "" if whole else "Z"), effect.start_shape)
-    still = (
-        np.array([[1.0]]) if whole else obs.regressors(Instance(effect, "X"), effect.start_shape)
-    )
+    still = np.array([[1.0]]) if whole else obs.regressors(Instance(effect, "X"), effect.start_shape)
     return bool(np.isfinite(found).all() and found.any() and (whole or not still.any()))
 
 
@@ -245,8 +246,11 @@ def test_joint_effects_move_the_tool_as_the_robot_s_kinematics_do() -> None:
 def test_a_column_that_was_not_logged_is_named() -> None:
     bare = circular_state(
         RunMeta("r", plane="XY", direction="CCW", radius_mm=100.0, feed_mm_min=3000.0),
-        np.linspace(0.1, 6.2, 50), feed_mm_s=50.0, columns={}, geometry={},
-    )  # fmt: skip
+        np.linspace(0.1, 6.2, 50),
+        feed_mm_s=50.0,
+        columns={},
+        geometry={},
+    )
     for name, axis, missing in (
         ("thermal_growth", "", "temperature_rise_c"),
         ("joint_reversal", "1", "machine_geometry"),

@@ -31,13 +31,19 @@ def campaign(error_um: Floats, rng: np.random.Generator, noise_um: float = 0.25)
     runs = []
     for number in range(RUNS):
         covariates = {
-            "humidity_pct": HUMIDITY[number], "supply_v": 24.0 + rng.standard_normal(),
-            "oil_c": 30.0 + rng.standard_normal(), "temperature_c": 20.0 + rng.standard_normal(),
-        }  # fmt: skip
+            "humidity_pct": HUMIDITY[number],
+            "supply_v": 24.0 + rng.standard_normal(),
+            "oil_c": 30.0 + rng.standard_normal(),
+            "temperature_c": 20.0 + rng.standard_normal(),
+        }
         meta = RunMeta(
-            f"r{number}", kind="linear", condition={"axis": "X"}, repeat=number + 1,
-            started=f"2026-03-02T08:{10 * number:02d}:00+00:00", covariates=covariates,
-        )  # fmt: skip
+            f"r{number}",
+            kind="linear",
+            condition={"axis": "X"},
+            repeat=number + 1,
+            started=f"2026-03-02T08:{10 * number:02d}:00+00:00",
+            covariates=covariates,
+        )
         samples = {
             "position_mm": np.concatenate([AT_MM, AT_MM[::-1]]),
             "direction": ways,
@@ -58,10 +64,7 @@ def test_what_moves_with_a_channel_is_said_to() -> None:
 
 def test_channels_that_do_nothing_are_not_named() -> None:
     bow = 2.0 * np.sin(6.0 * SHARE)
-    named = [
-        diagnose(campaign(bow, np.random.default_rng(n), 0.1), [], LIBRARY).channels
-        for n in range(10)
-    ]
+    named = [diagnose(campaign(bow, np.random.default_rng(n), 0.1), [], LIBRARY).channels for n in range(10)]
     assert not any(named)
 
 
@@ -111,7 +114,5 @@ def test_what_the_library_does_not_have_gets_no_name(shape: Floats) -> None:
 
 def test_wear_with_soft_ends_is_wear_and_nothing_else() -> None:
     worn = np.tanh((SHARE - 0.3) / 0.05) - np.tanh((SHARE - 0.6) / 0.05)
-    found = diagnose(
-        campaign(-2.0 * worn * np.array([[1.0], [-1.0]]), np.random.default_rng(4)), [], LIBRARY
-    )
+    found = diagnose(campaign(-2.0 * worn * np.array([[1.0], [-1.0]]), np.random.default_rng(4)), [], LIBRARY)
     assert [[s.label for s in group] for group in found.found] == [["worn_screw X"]]

@@ -11,12 +11,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric.chain import COEFFICIENTS, design
 from dtwin.kinds.volumetric.heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric.heat_series import HeatSeries
-from dtwin.kinds.volumetric.heat_twin import (
-    fit_heat,
-    heat_figures,
-    heat_twin_from,
-    heat_twin_of,
-)
+from dtwin.kinds.volumetric.heat_twin import fit_heat, heat_figures, heat_twin_from, heat_twin_of
 from dtwin.kinds.volumetric.identify import Artefact, Balls
 from dtwin.kinds.volumetric.motions import FAMILIES, family_of, heat_terms
 
@@ -34,9 +29,7 @@ def lasting(seed: int, n: int = 120, hours: float = 15.0) -> np.ndarray:
     return 3.0 * out
 
 
-def series(
-    driven: dict[str, np.ndarray], *, seed: int = 0, alike: float = 0.0, n: int = 120
-) -> HeatSeries:
+def series(driven: dict[str, np.ndarray], *, seed: int = 0, alike: float = 0.0, n: int = 120) -> HeatSeries:
     """Return motions with noise, two thermocouples on bed and ram each, and a logged tank."""
     rng = np.random.default_rng(1000 + seed)
     bed, ram, tank = (lasting(k, n) for k in (1, 2, 3))
@@ -48,9 +41,18 @@ def series(
         values[:, MOTIONS.index(name)] += motion
     each = np.tile(np.eye(len(MOTIONS)), (n, 1, 1))
     return HeatSeries(
-        "made", "mill", np.arange(n, dtype=float), MOTIONS, values, NOISE**2 * each, each,
-        np.full(n, 0.25), rise, dict.fromkeys(rise, 20.0), tuple(read),
-    )  # fmt: skip
+        "made",
+        "mill",
+        np.arange(n, dtype=float),
+        MOTIONS,
+        values,
+        NOISE**2 * each,
+        each,
+        np.full(n, 0.25),
+        rise,
+        dict.fromkeys(rise, 20.0),
+        tuple(read),
+    )
 
 
 def found(made: HeatSeries, *effects: str) -> HeatDiagnosis:
@@ -139,9 +141,7 @@ def test_the_uncertainty_counts_the_cycles_that_are_independent() -> None:
         made = series({"EXX1": BED + extra})
         terms = heat_terms(["EXX1@bed_01_c"])
         fitted = fit_heat(made, terms)
-        (only,) = heat_twin_of(
-            fitted, made, terms, name="t", version=1, action="fit", data={}
-        ).uncertainties
+        (only,) = heat_twin_of(fitted, made, terms, name="t", version=1, action="fit", data={}).uncertainties
         return only[0]
 
     white = np.random.default_rng(7).normal(0.0, NOBODY.std(), 120)

@@ -25,9 +25,7 @@ USUAL = {"duration_ms": 60.0, "rise_ms": 1.0, "presliding_um": 0.2}
         ({"rise_ms": 1e-6}, (5.0, 5.0), ""),
     ],
 )
-def test_a_value_or_shape_at_its_limit_is_said(
-    shape: dict[str, float], values: tuple[float, float], said: str
-) -> None:
+def test_a_value_or_shape_at_its_limit_is_said(shape: dict[str, float], values: tuple[float, float], said: str) -> None:
     term = Term(Instance(LIBRARY["reversal_spike"], "X"), USUAL | shape)
     found = implausible([term], np.array(values)).get("reversal_spike X", "")
     assert said in found

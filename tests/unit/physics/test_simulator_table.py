@@ -46,9 +46,7 @@ def observed(name: str) -> Observations:
 
 
 def value(found: Fit, effect: str, axis: str, parameter: str) -> float:
-    (estimate,) = [
-        e for e in found.estimates if (e.effect, e.axis, e.name) == (effect, axis, parameter)
-    ]
+    (estimate,) = [e for e in found.estimates if (e.effect, e.axis, e.name) == (effect, axis, parameter)]
     assert estimate.identifiable
     return estimate.value
 

@@ -20,10 +20,22 @@ from dtwin.schema import Campaign, Run, RunMeta
 
 LIBRARY = Library()
 PLAN = {
-    "name": "z", "machine": "lathe", "axis": "Z", "unit": "in", "start": 1, "end": 25,
-    "step": 0.025, "runs": 4, "dwell_s": 6, "feed_min": 20, "overshoot": 0.1, "window": 0.01,
-    "axis_low": 0, "axis_high": 41, "pitch": 0.25,
-}  # fmt: skip
+    "name": "z",
+    "machine": "lathe",
+    "axis": "Z",
+    "unit": "in",
+    "start": 1,
+    "end": 25,
+    "step": 0.025,
+    "runs": 4,
+    "dwell_s": 6,
+    "feed_min": 20,
+    "overshoot": 0.1,
+    "window": 0.01,
+    "axis_low": 0,
+    "axis_high": 41,
+    "pitch": 0.25,
+}
 SLOW = ["lead_error", "backlash", "pitch_error"]
 
 
@@ -94,10 +106,7 @@ def positioning(position_mm: list[float], axis: str = "Z", repeat: int = 1) -> R
     ("runs", "code"),
     [
         ([positioning([0.0, 1.0, 2.0])], "twin.targets"),
-        (
-            [positioning([k + 0.1 * r for k in range(6)], repeat=r) for r in (1, 2, 3)],
-            "twin.targets",
-        ),
+        ([positioning([k + 0.1 * r for k in range(6)], repeat=r) for r in (1, 2, 3)], "twin.targets"),
         ([positioning(list(range(6))), positioning(list(range(6)), "X", 2)], "twin.axis"),
         ([replace(positioning(list(range(6))), samples={"t_s": np.arange(6.0)})], "twin.columns"),
     ],

@@ -35,9 +35,7 @@ def measured(truth: str) -> list[Run]:
         for number, (frequency_hz, amplitude_um) in enumerate(TONES.groups, start=1):
             slide = virtual_slide(truth)
             warm, warmer = 1.0 + 0.002 * rng.standard_normal(2)
-            slide = replace(
-                slide, servo_hz=slide.servo_hz * warm, structure_hz=slide.structure_hz * warmer
-            )
+            slide = replace(slide, servo_hz=slide.servo_hz * warm, structure_hz=slide.structure_hz * warmer)
             tone = Grid((frequency_hz,), (amplitude_um,))
             (run,) = virtual_runs(tone, slide, 100 * repeat + number)
             meta = replace(run.meta, run_id=f"g{number:03d}-{repeat}", repeat=repeat)

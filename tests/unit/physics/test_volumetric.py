@@ -35,18 +35,8 @@ def turned_mm(angle_um_m: dict[str, float], carried_mm: np.ndarray) -> np.ndarra
 
 def test_the_chain_agrees_with_rotation_matrices() -> None:
     x, y, z = at = np.array([300.0, 900.0, 1300.0])
-    travel = {
-        a: (2 * p - sum(STROKES[a])) / np.ptp(STROKES[a]) for a, p in zip("xyz", at, strict=True)
-    }
-    angles = {
-        "EAX2": 8.0,
-        "EBX1": -5.0,
-        "ECZ1": 6.0,
-        "EAZ1": 4.0,
-        "EC0": 7.0,
-        "EB0": -3.0,
-        "EA0": 2.0,
-    }
+    travel = {a: (2 * p - sum(STROKES[a])) / np.ptp(STROKES[a]) for a, p in zip("xyz", at, strict=True)}
+    angles = {"EAX2": 8.0, "EBX1": -5.0, "ECZ1": 6.0, "EAZ1": 4.0, "EC0": 7.0, "EB0": -3.0, "EA0": 2.0}
     second = (3 * travel["x"] ** 2 - 1) / 2
     point = np.array([0.0, y, 0.0])
     point = np.array([0.0, 0.0, z]) + turned_mm(
@@ -133,10 +123,7 @@ def test_the_temperatures_that_act_are_chosen_and_the_others_not() -> None:
     model = fit_thermal("EXX1", motion, rise, names)
     assert (set(model.sensors), model.memory) == ({"s4", "s7"}, 0.0)
     per_k = dict(zip(model.sensors, model.per_k, strict=True))
-    assert (per_k["s4"], per_k["s7"]) == (
-        pytest.approx(3.0, abs=0.02),
-        pytest.approx(-2.0, abs=0.02),
-    )
+    assert (per_k["s4"], per_k["s7"]) == (pytest.approx(3.0, abs=0.02), pytest.approx(-2.0, abs=0.02))
     assert len(model.tried) == 20
 
 
@@ -179,9 +166,7 @@ def test_slots_see_what_drifts_between_them() -> None:
     assert slot_ranges_um(depth).tolist() == [15.0] * 5
     inside = slot_places_mm(STROKES)
     assert inside.shape == (16, 3)
-    assert all(
-        STROKES["xyz"[k]][0] < v < STROKES["xyz"[k]][1] for row in inside for k, v in enumerate(row)
-    )
+    assert all(STROKES["xyz"[k]][0] < v < STROKES["xyz"[k]][1] for row in inside for k, v in enumerate(row))
     with pytest.raises(InputError):
         slot_errors_um(depth, 5)
 
@@ -194,18 +179,13 @@ def test_the_printed_reductions_follow_from_the_printed_pairs() -> None:
 def test_the_served_equation_is_the_model() -> None:
     rise = np.column_stack([slow(120, k) for k in range(3)])
     names = ["bed_c", "ram_c", "table_c"]
-    models = [
-        fit_thermal(name, rise @ RNG.normal(0, 3, 3), rise, names, static=True)
-        for name in COEFFICIENTS
-    ]
+    models = [fit_thermal(name, rise @ RNG.normal(0, 3, 3), rise, names, static=True) for name in COEFFICIENTS]
     begun, seen = dict.fromkeys(names, 22.0), dict.fromkeys(names, (15.0, 30.0))
     bundle = volumetric_bundle(models, STROKES, begun, seen, "heat", "mill", switched_off=("EXX2",))
     compiled = CompiledBundle(bundle)
     at, now = places(5), np.array([23.5, 21.0, 24.25])
     kept = [model for model in models if model.name != "EXX2"]
-    motion = [
-        float(m.run((now - 22.0)[[names.index(s) for s in m.sensors]][None, :])[0]) for m in kept
-    ]
+    motion = [float(m.run((now - 22.0)[[names.index(s) for s in m.sensors]][None, :])[0]) for m in kept]
     expected = design(at, STROKES, [m.name for m in kept]) @ np.array(motion)
     given = dict(zip(names, now.tolist(), strict=True))
     for row, place in zip(expected, at, strict=True):

@@ -19,9 +19,7 @@ _FIXED = re.compile(r":[<>^]?[+]?([z]?)[0-9,]*\.([0-9]+|\{[a-z_]+\})f\}")
 def test_every_format_with_fixed_digits_drops_the_sign_of_zero(package: object) -> None:
     root = Path(str(package.__file__)).parent  # type: ignore[attr-defined]
     files = sorted(root.rglob("*.py"))
-    formats = [
-        (path, match) for path in files for match in _FIXED.finditer(path.read_text("utf-8"))
-    ]
+    formats = [(path, match) for path in files for match in _FIXED.finditer(path.read_text("utf-8"))]
     assert len(formats) > 5
     assert [f"{path}: {match[0]}" for path, match in formats if not match[1]] == []
 

@@ -10,9 +10,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits, State
 
-CONTRACT = WindowContract(
-    1652.0, 150, 15, ("wrist_x_g", "wrist_y_g"), ("rms", "mean_frequency"), None, "none"
-)
+CONTRACT = WindowContract(1652.0, 150, 15, ("wrist_x_g", "wrist_y_g"), ("rms", "mean_frequency"), None, "none")
 
 
 def path_bundle(**changes: Any) -> Bundle:

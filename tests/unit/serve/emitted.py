@@ -84,11 +84,19 @@ class Reader:
 
 
 _SIGNS: dict[str, Callable[[Any, Any], Any]] = {
-    "+": lambda a, b: a + b, "-": lambda a, b: a - b, "*": lambda a, b: a * b,
-    "%": lambda a, b: a % b, "MOD": lambda a, b: a % b, ">": lambda a, b: a > b,
-    "<": lambda a, b: a < b, ">=": lambda a, b: a >= b, "<=": lambda a, b: a <= b,
-    "==": lambda a, b: a == b, "=": lambda a, b: a == b, "!=": lambda a, b: a != b,
-}  # fmt: skip
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "%": lambda a, b: a % b,
+    "MOD": lambda a, b: a % b,
+    ">": lambda a, b: a > b,
+    "<": lambda a, b: a < b,
+    ">=": lambda a, b: a >= b,
+    "<=": lambda a, b: a <= b,
+    "==": lambda a, b: a == b,
+    "=": lambda a, b: a == b,
+    "!=": lambda a, b: a != b,
+}
 
 
 class Program:
@@ -130,10 +138,19 @@ class StructuredText(Program):
 
     def __init__(self, text: str) -> None:
         plain = {
-            "ABS": abs, "SQRT": math.sqrt, "EXP": math.exp, "LN": math.log, "SIN": math.sin,
-            "COS": math.cos, "TAN": math.tan, "ATAN": math.atan, "MIN": min, "MAX": max,
-            "TRUNC": math.trunc, "DINT_TO_LREAL": float,
-        }  # fmt: skip
+            "ABS": abs,
+            "SQRT": math.sqrt,
+            "EXP": math.exp,
+            "LN": math.log,
+            "SIN": math.sin,
+            "COS": math.cos,
+            "TAN": math.tan,
+            "ATAN": math.atan,
+            "MIN": min,
+            "MAX": max,
+            "TRUNC": math.trunc,
+            "DINT_TO_LREAL": float,
+        }
         super().__init__(plain, whole_division=True)
         text = re.sub(r"\(\*.*?\*\)", " ", text, flags=re.S)
         reader = Reader(text)
@@ -200,9 +217,7 @@ class StructuredText(Program):
                 while True:
                     condition = reader.expression()
                     reader.take("THEN")
-                    branches.append(
-                        (condition, self._statements(reader, "ELSIF", "ELSE", "END_IF"))
-                    )
+                    branches.append((condition, self._statements(reader, "ELSIF", "ELSE", "END_IF")))
                     if reader.peek() != "ELSIF":
                         break
                     reader.take()
@@ -261,10 +276,15 @@ class URScript(Program):
 
     def __init__(self, text: str) -> None:
         plain = {
-            "sqrt": math.sqrt, "pow": math.pow, "sin": math.sin, "cos": math.cos,
-            "tan": math.tan, "atan2": math.atan2, "floor": lambda x: math.floor(x),
+            "sqrt": math.sqrt,
+            "pow": math.pow,
+            "sin": math.sin,
+            "cos": math.cos,
+            "tan": math.tan,
+            "atan2": math.atan2,
+            "floor": lambda x: math.floor(x),
             "log": lambda base, x: math.log(x) / math.log(base),
-        }  # fmt: skip
+        }
         super().__init__(plain, whole_division=False)
         lines = [line.strip() for line in text.splitlines()]
         self.lines = [line for line in lines if line and not line.startswith("#")]
@@ -309,13 +329,7 @@ class URScript(Program):
                 out.append(("return", Reader(line[7:]).expression(), None))
             else:
                 name, value = line.removeprefix("local ").split(" = ", 1)
-                out.append(
-                    (
-                        "new" if line.startswith("local ") else "set",
-                        name,
-                        Reader(value).expression(),
-                    )
-                )
+                out.append(("new" if line.startswith("local ") else "set", name, Reader(value).expression()))
             at += 1
         return out, at
 

@@ -133,9 +133,7 @@ def test_other_machine_and_other_contract_are_refused(tmp_path: Path) -> None:
         lambda d: d["tick_graph"].update(outputs={}),
         lambda d: d["tick_graph"].update(nodes=[{"op": "const", "value": 1.0}] * 5000),
         lambda d: d["tick_graph"].update(nodes="x" * 10),
-        lambda d: d["tick_graph"]["tables"].append(
-            {"start": 0, "spacing": 0, "values": [1, 2], "periodic": False}
-        ),
+        lambda d: d["tick_graph"]["tables"].append({"start": 0, "spacing": 0, "values": [1, 2], "periodic": False}),
         lambda d: d["inputs"][0].update(low="-20"),
         lambda d: d["inputs"][0].update(low=30.0),
         lambda d: d["inputs"][0].update(frame="wrist"),
@@ -163,8 +161,7 @@ def test_malformed_content_is_refused(tmp_path: Path, change: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    "raw",
-    [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b'{"format": NaN}', b'{"a": 1, "a": 2}'],
+    "raw", [b"", b"{", b"[]", b"\xff\xfe", b"[" * 100_000, b'{"format": NaN}', b'{"a": 1, "a": 2}']
 )
 def test_malformed_files_are_refused(tmp_path: Path, raw: bytes) -> None:
     path = tmp_path / "bundle.json"

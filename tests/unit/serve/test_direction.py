@@ -32,11 +32,7 @@ def test_tangential_and_normal_axes(plane: str, angle: float) -> None:
 
 
 def test_base_axes_and_roles() -> None:
-    outputs = (
-        Output("x", "base_x", "error"),
-        Output("y", "base_y", "correction"),
-        Output("z", "base_z", "error"),
-    )
+    outputs = (Output("x", "base_x", "error"), Output("y", "base_y", "correction"), Output("z", "base_z", "error"))
     assert Direction(outputs).apply(np.array([1.0, 2.0, 3.0]), 0.0, 0.0).tolist() == [-1, 2, -3]
 
 

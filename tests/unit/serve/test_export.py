@@ -30,9 +30,7 @@ def every_operator() -> Graph:
     one += [g.apply(f, abs(y) + 0.1) for f in ("sqrt", "log")]
     two = [g.apply(f, x, y) for f in ("add", "sub", "mul", "atan2", "min", "max")]
     two += [x / (y * y + 1.0), g.power(x, 5), g.power(y * y + 1.0, -3)]
-    tables = [
-        g.lookup(x, -2.0, 0.5, [1.0, -2.5, 3.0, 0.25, 7.0], periodic=p) for p in (True, False)
-    ]
+    tables = [g.lookup(x, -2.0, 0.5, [1.0, -2.5, 3.0, 0.25, 7.0], periodic=p) for p in (True, False)]
     total = g.total([*one, *two, *tables, 1e-3 * s, -4.0 * y])
     return g.graph({"a": total, "b": total * x - 1.5e-7}, {"s": s + x, "u": total})
 

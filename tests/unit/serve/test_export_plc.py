@@ -44,9 +44,6 @@ def test_only_what_is_used_is_written() -> None:
 def test_a_name_that_could_become_code_is_refused(name: str) -> None:
     g = GraphBuilder()
     graph = g.graph({"out": g.input(name) * 2.0})
-    for write in (
-        lambda: to_structured_text(graph, (name,), {}),
-        lambda: to_urscript(graph, (name,), ()),
-    ):
+    for write in (lambda: to_structured_text(graph, (name,), {}), lambda: to_urscript(graph, (name,), ())):
         with pytest.raises(InputError, match="no identifier"):
             write()

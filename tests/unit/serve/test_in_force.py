@@ -24,9 +24,7 @@ def toward(out: np.ndarray, wanted: np.ndarray, room_um: float) -> np.ndarray:
 
 @given(
     st.lists(
-        st.tuples(
-            st.floats(-50, 50), st.floats(-50, 50), st.integers(0, 4), st.booleans(), st.booleans()
-        ),
+        st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.integers(0, 4), st.booleans(), st.booleans()),
         min_size=1,
         max_size=200,
     )
@@ -41,10 +39,8 @@ def test_no_change_at_the_machine_is_longer_than_a_step_whatever_is_held_up(
     for x, y, arrive, overwritten, reported in script:
         if reported:
             known.report(latched)
-        if not known.engaged:
-            out = np.zeros(3)
-        else:
-            out = toward(out, np.array([x, y, 0.0]), known.room_um(out, STEP_UM))
+        wanted = np.array([x, y, 0.0])
+        out = toward(out, wanted, known.room_um(out, STEP_UM)) if known.engaged else np.zeros(3)
         number = known.sent(out, 0.0)
         if overwritten and queue:
             queue[-1] = (number, out)

@@ -33,9 +33,7 @@ with lease({host!r}, {machine!r}, Home(pathlib.Path({str(home.root)!r}))):
     print("held", flush=True)
     sys.stdin.read()
 """
-    process = subprocess.Popen(
-        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert process.stdin is not None
     assert process.stdout is not None
     try:
@@ -49,10 +47,7 @@ with lease({host!r}, {machine!r}, Home(pathlib.Path({str(home.root)!r}))):
 
 def test_second_server_is_refused_and_told_who_holds_it(home: Home) -> None:
     with held_elsewhere(home, ROBOT, "cobot-a") as other:
-        with (
-            pytest.raises(DeviceError, match="is served already") as refused,
-            lease(ROBOT, "cobot-a", home),
-        ):
+        with pytest.raises(DeviceError, match="is served already") as refused, lease(ROBOT, "cobot-a", home):
             raise AssertionError("two servers of one robot")
         assert refused.value.exit_code == EXIT_DEVICE
         assert str(other.pid) in (refused.value.got or "")
@@ -60,9 +55,7 @@ def test_second_server_is_refused_and_told_who_holds_it(home: Home) -> None:
         pass
 
 
-@pytest.mark.parametrize(
-    ("host", "machine"), [(ROBOT, "cobot-b"), ("localhost", "cobot-b"), ("127.0.0.9", "cobot-a")]
-)
+@pytest.mark.parametrize(("host", "machine"), [(ROBOT, "cobot-b"), ("localhost", "cobot-b"), ("127.0.0.9", "cobot-a")])
 def test_robot_and_machine_are_held_each(home: Home, host: str, machine: str) -> None:
     with (
         held_elsewhere(home, ROBOT, "cobot-a"),

@@ -39,18 +39,14 @@ def test_another_process_sees_the_newest_tick(home: Home) -> None:
             state[layout.TIMESTAMP] = 0.002 * tick
             reason = CLAMPED if tick == 3 else OK
             board.show(state, np.array([0.0, 2.5, 0.0]), reason, (0.002, 0.0003, 0.0), (1, 0))
-        done = subprocess.run(
-            [sys.executable, "-c", READ, str(home.root)], capture_output=True, text=True, check=True
-        )
+        done = subprocess.run([sys.executable, "-c", READ, str(home.root)], capture_output=True, text=True, check=True)
         assert done.stdout == "5 1 {'ok': 4, 'clamped': 1} 2.5\n"
         assert read_board("mill-b", home) is None
         assert read_board("mill-a", Home(home.root / "other")) is None
     assert read_board("mill-a", home) is None
 
 
-def test_a_full_board_keeps_the_newest_in_order(
-    home: Home, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_board_keeps_the_newest_in_order(home: Home, monkeypatch: pytest.MonkeyPatch) -> None:
     state = layout.empty_state()
     with live_board("mill-a", home, clamp_um=9.0, period_s=0.002, started_s=1.0) as board:
         assert board is not None
@@ -95,14 +91,9 @@ def test_a_circle_is_drawn_with_and_without_its_correction() -> None:
     # A way out that follows hides the circle before it no more than half a turn replaces it.
     left = np.concatenate([position, position[-1:] + [[0.0, 5.0, 0.0]] * 300])
     more = np.ones((len(left), 1))
-    again = circle_figure(
-        left, centre * more, 50.0 * more[:, 0], np.concatenate([sent, sent[:300]])
-    )
+    again = circle_figure(left, centre * more, 50.0 * more[:, 0], np.concatenate([sent, sent[:300]]))
     assert again is not None
     assert np.allclose(again.data[0].y, figure.data[0].y)
     half = slice(0, 800)
-    assert (
-        circle_figure(position[half], centre * every[half], 50.0 * every[half, 0], sent[half])
-        is None
-    )
+    assert circle_figure(position[half], centre * every[half], 50.0 * every[half, 0], sent[half]) is None
     assert circle_figure(position, centre * every, 0.0 * every[:, 0], sent) is None

@@ -66,9 +66,7 @@ def angle_bundle(cobot: VirtualCobot, frame: str = "path_radial", role: str = "e
     )
 
 
-def served(
-    cobot: VirtualCobot, bundle: Bundle, **options: Any
-) -> tuple[float, ServeStatus, np.ndarray]:
+def served(cobot: VirtualCobot, bundle: Bundle, **options: Any) -> tuple[float, ServeStatus, np.ndarray]:
     controller = cobot.controller(CONDITION, setup="s1", repeat=1)
     status = serve_lockstep(Decision(CompiledBundle(bundle), TCP_MM), controller, **options)
     recording = controller.recording()
@@ -198,10 +196,11 @@ def robot() -> Iterator[tuple[str, Callable[..., dict[str, Any]]]]:
     """A virtual robot behind its real RTDE server, in a process of its own."""
     host = f"127.{20 + os.getpid() % 200}.{os.getpid() // 200 % 250}.250"
     process = subprocess.Popen(
-        [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}",
-         "--repeat-forever", "--control"],
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "dtwin.machines.rtde_server", f"--host={host}", "--repeat-forever", "--control"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     assert process.stdin is not None
     assert process.stdout is not None
     reader, writer = process.stdout, process.stdin
@@ -346,10 +345,7 @@ def test_interrupt_becomes_a_question(cobot: VirtualCobot) -> None:
 
 def test_only_a_rising_sequence_is_sent(cobot: VirtualCobot) -> None:
     link = BrokenLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), 10)
-    loop = ServingLoop(
-        Decision(CompiledBundle(path_bundle()), TCP_MM), link,
-        first_sequence=layout.SEQUENCE_LIMIT,
-    )  # fmt: skip
+    loop = ServingLoop(Decision(CompiledBundle(path_bundle()), TCP_MM), link, first_sequence=layout.SEQUENCE_LIMIT)
     numbers: list[int] = []
     link.send = lambda offset, sequence: numbers.append(sequence)  # type: ignore[method-assign]
     loop.run(5.0, priority=0)
@@ -383,17 +379,15 @@ class LossyLink:
 
 
 @pytest.mark.parametrize(
-    "lost",
-    [[range(1, 4)], [range(2, 40)], [range(3, 40)], [range(9, 60), range(80, 81), range(90, 300)]],
+    "lost", [[range(1, 4)], [range(2, 40)], [range(3, 40)], [range(9, 60), range(80, 81), range(90, 300)]]
 )
 def test_lost_corrections_neither_jump_nor_end_it(cobot: VirtualCobot, lost: list[range]) -> None:
     link = LossyLink(cobot.controller(CONDITION, setup="s1", repeat=1).state(), lost)
     limits = SafetyLimits(clamp_um=30.0, slew_um_s=2000.0, stale_s=0.02, trips_to_latch=99)
     g = GraphBuilder()
     bundle = path_bundle(
-        safety=limits, states=(),
-        tick_graph=g.graph({"radial_error_um": 20.0 + 0.0 * g.input("path_angle_rad")}),
-    )  # fmt: skip
+        safety=limits, states=(), tick_graph=g.graph({"radial_error_um": 20.0 + 0.0 * g.input("path_angle_rad")})
+    )
     loop = ServingLoop(Decision(CompiledBundle(bundle), TCP_MM), link)  # type: ignore[arg-type]
     seen: list[float] = []
     until_s = time.monotonic() + 60.0

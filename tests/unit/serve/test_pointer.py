@@ -133,10 +133,7 @@ def test_trial_leaves_the_champion_alone(home: Home) -> None:
     pointer = write_pointer("cobot-a", home, path, 4, "trial")
     assert champion.read_bytes() == before
     assert pointer.name == "trial.json"
-    assert (resolve("latest", None, home).version, resolve("latest", None, home).state) == (
-        3,
-        "champion",
-    )
+    assert (resolve("latest", None, home).version, resolve("latest", None, home).state) == (3, "champion")
     found = resolve("trial", None, home)
     assert (found.version, found.state, found.machine) == (4, "trial", "cobot-a")
     clear_trial("cobot-a", home)
@@ -217,11 +214,7 @@ def test_a_withdrawn_version_stays_so_whatever_becomes_of_the_list(home: Home) -
     with pytest.raises(GateRefusal, match="barred"):
         resolve("latest", "cobot-a", home)
     listed = pointer.with_name(BARRED)
-    for spoil in (
-        listed.unlink,
-        lambda: listed.write_text("{}"),
-        lambda: listed.write_text('{"30": "worse"}'),
-    ):
+    for spoil in (listed.unlink, lambda: listed.write_text("{}"), lambda: listed.write_text('{"30": "worse"}')):
         spoil()
         with pytest.raises(GateRefusal) as refused:
             resolve("latest", "cobot-a", home)
@@ -287,9 +280,7 @@ def test_many_writers_at_once_lose_nothing(home: Home) -> None:
         "from dtwin.serve.barred import bar\n"
         "for k in range(10): bar('cobot-a', Home(Path(sys.argv[1])), 100 * int(sys.argv[2]) + k, 'x')\n"
     )
-    writers = [
-        subprocess.Popen([sys.executable, "-c", code, str(home.root), str(n)]) for n in range(1, 4)
-    ]
+    writers = [subprocess.Popen([sys.executable, "-c", code, str(home.root), str(n)]) for n in range(1, 4)]
     while any(w.poll() is None for w in writers):
         assert resolve("latest", "cobot-a", home).version == 3
     assert [w.returncode for w in writers] == [0, 0, 0]

@@ -11,13 +11,7 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.serve.served_time import (
-    correction_in_force,
-    events_path,
-    served_during,
-    served_stretches,
-    serving_now,
-)
+from dtwin.serve.served_time import correction_in_force, events_path, served_during, served_stretches, serving_now
 
 BEGIN = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 A, B = "a" * 64, "b" * 64
@@ -32,9 +26,7 @@ def home(tmp_path: Path) -> Home:
     return Home(tmp_path)
 
 
-def journal(
-    home: Home, *events: tuple[float, str, str] | tuple[float, str, str, dict[str, Any]]
-) -> None:
+def journal(home: Home, *events: tuple[float, str, str] | tuple[float, str, str, dict[str, Any]]) -> None:
     path = events_path(home, "m")
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8") as file:
@@ -60,9 +52,13 @@ def test_a_session_is_in_force_from_its_beginning_to_its_release(home: Home) -> 
 
 def test_a_lost_link_ends_it_and_a_link_that_comes_back_begins_it(home: Home) -> None:
     journal(
-        home, (0, "s", "serving", live()), (20, "s", "link_lost"), (25, "s", "still_lost"),
-        (30, "s", "reconnected"), (60, "s", "released"),
-    )  # fmt: skip
+        home,
+        (0, "s", "serving", live()),
+        (20, "s", "link_lost"),
+        (25, "s", "still_lost"),
+        (30, "s", "reconnected"),
+        (60, "s", "released"),
+    )
     between = correction_in_force(home, "m")
     assert between(at(1), at(19)) == between(at(31), at(59)) == A
     assert between(at(21), at(29)) == ""
@@ -71,9 +67,8 @@ def test_a_lost_link_ends_it_and_a_link_that_comes_back_begins_it(home: Home) ->
 
 def test_one_model_after_the_other_within_a_run_is_mixed(home: Home) -> None:
     journal(
-        home, (0, "s", "serving", live()), (20, "s", "released"),
-        (20, "t", "serving", live(B)), (60, "t", "released"),
-    )  # fmt: skip
+        home, (0, "s", "serving", live()), (20, "s", "released"), (20, "t", "serving", live(B)), (60, "t", "released")
+    )
     between = correction_in_force(home, "m")
     assert between(at(10), at(40)) == "mixed"
     assert between(at(21), at(40)) == B
@@ -83,9 +78,13 @@ def test_one_model_after_the_other_within_a_run_is_mixed(home: Home) -> None:
 
 def test_who_looks_on_or_sends_zeros_corrects_nothing(home: Home) -> None:
     journal(
-        home, (0, "s", "serving", live()), (5, "looks", "serving", live(B) | {"mode": "shadow"}),
-        (8, "looks", "released"), (9, "looks", "ended"), (12, "z", "serving", live(B) | {"mode": "dry-run"}),
-    )  # fmt: skip
+        home,
+        (0, "s", "serving", live()),
+        (5, "looks", "serving", live(B) | {"mode": "shadow"}),
+        (8, "looks", "released"),
+        (9, "looks", "ended"),
+        (12, "z", "serving", live(B) | {"mode": "dry-run"}),
+    )
     assert correction_in_force(home, "m")(at(1), at(30)) == A
     assert serving_now(home, "m") == A
 

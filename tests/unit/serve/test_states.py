@@ -21,9 +21,7 @@ LARGEST = state_limits.robot(UR10E, TCP_MM)
 
 
 def real_states() -> np.ndarray:
-    controller = VirtualCobot(seed=3).controller(
-        CircleCondition("YZ", 300.0, 6000.0, "CW"), setup="s1", repeat=1
-    )
+    controller = VirtualCobot(seed=3).controller(CircleCondition("YZ", 300.0, 6000.0, "CW"), setup="s1", repeat=1)
     states = []
     for _ in range(2000):
         states.append(controller.state().copy())
@@ -49,8 +47,7 @@ def test_no_number_of_a_state_may_be_impossible(place: int, bad: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value"),
-    [("actual_tcp_x_mm", 2000.0), ("target_q_3_rad", 20.0), ("actual_qd_1_rad_s", 30.0)],
+    ("name", "value"), [("actual_tcp_x_mm", 2000.0), ("target_q_3_rad", 20.0), ("actual_qd_1_rad_s", 30.0)]
 )
 def test_a_robot_has_limits_of_its_own(name: str, value: float) -> None:
     state = layout.empty_state()
@@ -87,9 +84,7 @@ def test_an_impossible_state_leads_to_zero_and_leaves_no_trace() -> None:
     assert again > 1.0
 
 
-def steady(
-    watch: StampWatch, stamps: list[float], received: list[float], fresh: bool
-) -> list[bool]:
+def steady(watch: StampWatch, stamps: list[float], received: list[float], fresh: bool) -> list[bool]:
     return [watch.steady(s, r, fresh=fresh) for s, r in zip(stamps, received, strict=True)]
 
 

@@ -56,9 +56,7 @@ def test_runs_hold_every_operation_once_and_operands_first() -> None:
             assert not one.writes & known
             known |= one.writes
     fused = sum(len(part) for op, part in runs if op == MULTIPLY_ADD)
-    assert known | {i for i, node in enumerate(graph.nodes) if node.op == "mul"} == set(
-        range(len(graph.nodes))
-    )
+    assert known | {i for i, node in enumerate(graph.nodes) if node.op == "mul"} == set(range(len(graph.nodes)))
     assert fused == 9
     assert [(op, len(part)) for op, part in runs if op == SINE_AND_COSINE] == [(24, 5)]
     assert len(runs) < 6

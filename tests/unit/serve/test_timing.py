@@ -97,9 +97,7 @@ def test_realtime_is_undone_and_reports_every_part() -> None:
     policy, enabled = os.sched_getscheduler(0), gc.isenabled()
     with realtime(priority=10) as report:
         assert not gc.isenabled()
-        assert set(report) == {
-            "priority", "memory_lock", "timer_slack", "processor", "garbage_collection", "awake",
-        }  # fmt: skip
+        assert set(report) == {"priority", "memory_lock", "timer_slack", "processor", "garbage_collection", "awake"}
         used = report["priority"] == "used"
         assert (os.sched_getscheduler(0) == os.SCHED_FIFO) == used
         wishes = [link for link in Path("/proc/self/fd").iterdir() if _target(link) == WAKE_UP]

@@ -58,14 +58,15 @@ def made_twin(effects: Any = EFFECTS) -> tuple[Twin, Any]:
         effect = LIBRARY[name]
         terms.append(Term(Instance(effect, axis), shape or effect.start_shape))
         estimates += [
-            Estimate(**blank | {"effect": name, "axis": axis, "name": p.name, "unit": p.unit,
-                                "value": v, "identifiable": True})
+            Estimate(
+                **blank
+                | {"effect": name, "axis": axis, "name": p.name, "unit": p.unit, "value": v, "identifiable": True}
+            )
             for p, v in zip(effect.parameters, values, strict=True)
-        ]  # fmt: skip
+        ]
     twin = Twin(
-        "t", 1, "virtual-mill", "c", "fit", tuple(terms), tuple(estimates), (),
-        ValidityBox.of(obs), {}, (), (), {}, {},
-    )  # fmt: skip
+        "t", 1, "virtual-mill", "c", "fit", tuple(terms), tuple(estimates), (), ValidityBox.of(obs), {}, (), (), {}, {}
+    )
     return twin, obs
 
 
@@ -90,10 +91,7 @@ def points(source: Source) -> np.ndarray:
 def wanted(source: Source) -> np.ndarray:
     names = source.bundle.tick_inputs
     graph = source.bundle.tick_graph
-    found = [
-        graph.evaluate(dict(zip(names, row, strict=True)), {})[0]["radial_um"]
-        for row in points(source).tolist()
-    ]
+    found = [graph.evaluate(dict(zip(names, row, strict=True)), {})[0]["radial_um"] for row in points(source).tolist()]
     assert np.abs(found).max() > 2.0
     return np.array(found)
 
@@ -132,10 +130,7 @@ def test_python_runs_and_agrees(source: Source, tmp_path: Path) -> None:
     path.write_text(export(source, Request("python")).text, encoding="utf-8")
     code = runpy.run_path(str(path))
     names = source.bundle.tick_inputs
-    rows = [
-        code["twin_t"](dict(zip(names, row, strict=True)), {})[0]["radial_um"]
-        for row in points(source).tolist()
-    ]
+    rows = [code["twin_t"](dict(zip(names, row, strict=True)), {})[0]["radial_um"] for row in points(source).tolist()]
     np.testing.assert_allclose(rows, wanted(source), rtol=1e-12, atol=1e-12)
     assert set(code["BOX"]) == set(names)
 
@@ -144,10 +139,7 @@ def test_structured_text_and_urscript_agree_and_say_that_they_never_ran(source: 
     names = source.bundle.tick_inputs
     text = export(source, Request("st")).text
     block = StructuredText(text)
-    rows = [
-        block.tick(dict(zip(names, row, strict=True)))["radial_um"]
-        for row in points(source).tolist()
-    ]
+    rows = [block.tick(dict(zip(names, row, strict=True)))["radial_um"] for row in points(source).tolist()]
     np.testing.assert_allclose(rows, wanted(source), rtol=1e-12, atol=1e-12)
     script = export(source, Request("urscript")).text
     call = URScript(script).functions["dtwin_twin_t"]
@@ -177,12 +169,8 @@ def test_a_promoted_equation_with_states_is_exported_too() -> None:
         export(Source(sensor_bundle(), "champion", None), Request("c"))
 
 
-def test_a_compensation_file_holds_play_and_scale_of_one_axis_and_nothing_else(
-    source: Source,
-) -> None:
-    made = export(
-        source, Request("comp", axis="X", travel_mm=(250.0, 450.0), origin_mm=(350, 0, 0))
-    )
+def test_a_compensation_file_holds_play_and_scale_of_one_axis_and_nothing_else(source: Source) -> None:
+    made = export(source, Request("comp", axis="X", travel_mm=(250.0, 450.0), origin_mm=(350, 0, 0)))
     rows = np.array([[float(v) for v in line.split()] for line in made.text.splitlines()])
     x = rows[:, 0] - 350.0
     assert (np.diff(rows[:, 0]) > 0).all()
@@ -195,8 +183,11 @@ def test_a_compensation_file_holds_play_and_scale_of_one_axis_and_nothing_else(
     }
     on_y = export(source, Request("comp", axis="Y"))
     assert on_y.left_out == {"servo_mismatch Y on Y": "depends on the feed"}
-    for bad in (Request("comp"), Request("comp", axis="X", points=257),
-                Request("comp", axis="X", travel_mm=(5.0, 5.0))):  # fmt: skip
+    for bad in (
+        Request("comp"),
+        Request("comp", axis="X", points=257),
+        Request("comp", axis="X", travel_mm=(5.0, 5.0)),
+    ):
         with pytest.raises(InputError):
             export(source, bad)
 
@@ -269,10 +260,15 @@ def test_a_compensated_program_drives_the_true_circle() -> None:
     assert circle.sum() > 200
     # The first step after a reversal is the take-up of the play itself.
     assert np.quantile(np.abs(radius[circle] - 50.0), 0.98) < 2e-4
-    plain = np.array([
-        50.0 + machine_error_um(50 * math.cos(t), 50 * math.sin(t), np.array([-math.sin(t), 0]))[0]
-        * math.cos(t) / 1000.0 for t in np.linspace(0.1, 6.2, 50)
-    ])  # fmt: skip
+    plain = np.array(
+        [
+            50.0
+            + machine_error_um(50 * math.cos(t), 50 * math.sin(t), np.array([-math.sin(t), 0]))[0]
+            * math.cos(t)
+            / 1000.0
+            for t in np.linspace(0.1, 6.2, 50)
+        ]
+    )
     assert np.abs(plain - 50.0).max() > 1e-3
     assert made.interpolation_um <= 0.1
     assert made.outside == 0
@@ -291,9 +287,21 @@ def test_axes_that_the_program_never_placed_are_not_moved() -> None:
 
 @pytest.mark.parametrize(
     "line",
-    ["G91", "G41 D1", "G2 X1 Y1 R5", "#1=5", "G81 X1 Y1 Z-5 R2", "G20", "X1 Y2", "o100 sub",
-     "G1 X[1+2] F100", "G3 X9 Y0 I-50 F100", "G1 X5", "G28 X0"],
-)  # fmt: skip
+    [
+        "G91",
+        "G41 D1",
+        "G2 X1 Y1 R5",
+        "#1=5",
+        "G81 X1 Y1 Z-5 R2",
+        "G20",
+        "X1 Y2",
+        "o100 sub",
+        "G1 X[1+2] F100",
+        "G3 X9 Y0 I-50 F100",
+        "G1 X5",
+        "G28 X0",
+    ],
+)
 def test_what_is_not_understood_is_refused_with_its_line(line: str, source: Source) -> None:
     assert source.twin is not None
     with pytest.raises(InputError) as refusal:

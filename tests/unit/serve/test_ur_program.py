@@ -114,9 +114,7 @@ def test_the_program_uses_the_registers_that_the_host_writes() -> None:
     assert len(opened) == len(re.findall(r"^\s*end\b", text, re.MULTILINE))
 
 
-@pytest.mark.parametrize(
-    "limits", [(0.0, 1.0, 0.1), (5000.0, 1.0, 0.1), (10.0, 0.0, 0.1), (10.0, 1.0, 0.0)]
-)
+@pytest.mark.parametrize("limits", [(0.0, 1.0, 0.1), (5000.0, 1.0, 0.1), (10.0, 0.0, 0.1), (10.0, 1.0, 0.0)])
 def test_limits_that_are_none_are_refused(limits: tuple[float, float, float]) -> None:
     with pytest.raises(InputError, match="no limits"):
         correction_program(*limits)

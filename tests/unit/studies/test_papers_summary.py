@@ -24,16 +24,18 @@ def test_what_does_not_follow_is_named_with_both_figures() -> None:
     assert [row.split()[-5:] for row in said[2:4]] == [["1"] * 5, ["1", "0", "0", "0", "0"]]
     rest = said[said.index("what does not follow:") :]
     assert rest[1:] == [
-        "  lathe: does not: 12 um; here 30 um", "", "easier here:",
+        "  lathe: does not: 12 um; here 30 um",
+        "",
+        "easier here:",
         "  lathe: easier here: 12 um; here 30 um",
-    ]  # fmt: skip
+    ]
     assert counted(found["mill"]["lines"]).startswith("1 follows, 0 does not")
 
 
 @pytest.mark.parametrize(
     ("ours", "answer"),
     [(10.0, "follows"), (14.9, "follows"), (6.7, "follows"), (15.1, "does not"), (6.6, "easier here")],
-)  # fmt: skip
+)
 def test_better_than_the_source_is_not_the_same(ours: float, answer: Answer) -> None:
     assert by_what_is_left(ours, 10.0) == answer
 

@@ -10,20 +10,12 @@ import pytest
 from dtwin.errors import InputError
 from studies.machines.probed_block import Block, probe
 from studies.placement_campaign import SETTINGS
-from studies.probed_placements import (
-    COUNTS,
-    NOT_SQUARE,
-    SETUP_SLIP,
-    TRAVEL_LIMIT,
-    locate,
-)
+from studies.probed_placements import COUNTS, NOT_SQUARE, SETUP_SLIP, TRAVEL_LIMIT, locate
 
 CENTRE_MM = np.array([0.137, -0.211, 0.043])
 
 
-def readings(
-    turned_deg: float = 0.4, temperature_c: float = 34.5, centre_mm: np.ndarray = CENTRE_MM
-) -> np.ndarray:
+def readings(turned_deg: float = 0.4, temperature_c: float = 34.5, centre_mm: np.ndarray = CENTRE_MM) -> np.ndarray:
     block = Block(centre_mm, np.radians(turned_deg), temperature_c)
     return probe(block, 0.0, np.random.default_rng(1))
 

@@ -10,13 +10,7 @@ import pytest
 
 from studies.dynamics_paper import LOW_PASS, PUBLISHED, Size, dynamics_paper
 from studies.report.papers import dynamics_paper_text
-from studies.simulated_dynamics import (
-    DIRECTIONS,
-    TWIN_OF_FOUR,
-    Case,
-    simulated_machines,
-    simulated_turn,
-)
+from studies.simulated_dynamics import DIRECTIONS, TWIN_OF_FOUR, Case, simulated_machines, simulated_turn
 
 
 @cache
@@ -54,10 +48,7 @@ def test_slight_vibration_changes_little_and_all_components_rise() -> None:
         for with_it, without in zip(shaken, still, strict=True):
             assert with_it.dc2_um > without.dc2_um
             assert with_it.dc3_um > without.dc3_um
-    wrong = {
-        how: max(abs(c.dc3_um - c.true_rms_um) for c in of(how, 5.0))
-        for how in (PUBLISHED, TWIN_OF_FOUR)
-    }
+    wrong = {how: max(abs(c.dc3_um - c.true_rms_um) for c in of(how, 5.0)) for how in (PUBLISHED, TWIN_OF_FOUR)}
     assert wrong[TWIN_OF_FOUR] < 0.2 < wrong[PUBLISHED]
 
 

@@ -14,11 +14,7 @@ _A_SOURCE = re.compile(r"\bthes[ie]s\b|\bdissertation\b|(?<!on )(?<!\")\bpapers?
 def test_the_product_names_no_thesis_and_no_paper() -> None:
     root = Path(dtwin.__file__).parent
     # Commands and their list name the verbs that start a study.
-    files = [
-        p
-        for p in sorted(root.rglob("*.py"))
-        if p.parent.name != "commands" and p != root / "cli.py"
-    ]
+    files = [p for p in sorted(root.rglob("*.py")) if p.parent.name != "commands" and p != root / "cli.py"]
     named = [
         f"{path.relative_to(root)}:{number}: {line.strip()}"
         for path in files

@@ -41,8 +41,7 @@ def test_the_bar_stays_at_its_length_and_the_circles_at_their_heights(cobot: Vir
 def test_one_mounting_reads_alike_and_another_differs_by_its_centre(cobot: VirtualCobot) -> None:
     ticks = cobot.run(sphere_plan(cobot, FEED))
     first, again, other = (
-        sphere_run(cobot, FEED, ticks, setup=setup, repeat=repeat)
-        for setup, repeat in (("a", 1), ("a", 2), ("b", 1))
+        sphere_run(cobot, FEED, ticks, setup=setup, repeat=repeat) for setup, repeat in (("a", 1), ("a", 2), ("b", 1))
     )
     assert np.abs(np.diff(first.azimuth_rad)).max() < 0.02
     assert first.azimuth_rad[0] - first.azimuth_rad[-1] == pytest.approx(8.0 * np.pi, abs=1e-3)

@@ -7,14 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from studies.tracking_figures import (
-    BLOCK_RATE_HZ,
-    BLOCK_SAMPLES,
-    PUBLISHED,
-    Pass,
-    published_figures,
-    reduce_passes,
-)
+from studies.tracking_figures import BLOCK_RATE_HZ, BLOCK_SAMPLES, PUBLISHED, Pass, published_figures, reduce_passes
 
 FEEDS = (2000.0, 4000.0, 5000.0)
 BLOCK_S = (BLOCK_SAMPLES - 1) / BLOCK_RATE_HZ
@@ -32,25 +25,18 @@ def one(feed: float, direction: str, repeat: int, bar_um: float, pull_mg: float)
 
 
 def passes(gaps: dict[float, float], pulls: dict[float, float]) -> list[Pass]:
-    return [
-        one(f, d, r, gaps[f] + 0.1 * (r - 2), pulls[f])
-        for f in FEEDS
-        for d in ("CCW", "CW")
-        for r in (1, 2, 3)
-    ]
+    return [one(f, d, r, gaps[f] + 0.1 * (r - 2), pulls[f]) for f in FEEDS for d in ("CCW", "CW") for r in (1, 2, 3)]
 
 
 def test_the_published_per_cents_follow_from_the_published_means() -> None:
     told = published_figures()
     assert told["mean_of_per_cents"] == pytest.approx(41.3, abs=0.05)
     bar, acc, enc = (np.array(PUBLISHED[k]) for k in ("ball_bar", "accelerometer", "encoder"))
-    np.testing.assert_allclose(
-        100.0 * (acc - enc) / (bar - enc), PUBLISHED["reduction_pct"], atol=0.5
-    )
+    np.testing.assert_allclose(100.0 * (acc - enc) / (bar - enc), PUBLISHED["reduction_pct"], atol=0.5)
     assert told["per_cent_of_sums"] == pytest.approx(100.0 * 49.4 / 125.0, abs=0.1)
     # By hand for F2000: gap 16.9, mean of the others 27.025: 40.1 %.
     others = ((125.0 - g) / 4.0 for g in (16.9, 22.6, 26.0, 34.6, 24.9))
-    by_hand = [100 * (1 - abs(g - o) / g) for g, o in zip((16.9, 22.6, 26.0, 34.6, 24.9), others, strict=True)]  # fmt: skip
+    by_hand = [100 * (1 - abs(g - o) / g) for g, o in zip((16.9, 22.6, 26.0, 34.6, 24.9), others, strict=True)]
     assert by_hand[0] == pytest.approx(40.1, abs=0.05)
     assert told["constant_of_other_feeds_pct"] == pytest.approx(np.mean(by_hand), abs=0.1)
 
@@ -80,7 +66,7 @@ def test_going_past_the_bar_is_not_a_success() -> None:
     gaps = {f: 10.0 for f in FEEDS}
     doubled = passes(gaps, {f: 0.0 for f in FEEDS})
     doubled = [replace(p, encoder_um=p.encoder_um + 0.0, bar_um=-p.bar_um) for p in doubled]
-    pulled = [replace(p, blocks_g=one(p.feed_mm_min, "CCW", 1, 0.0, 10.0 / UM_PER_MG).blocks_g) for p in doubled]  # fmt: skip
+    pulled = [replace(p, blocks_g=one(p.feed_mm_min, "CCW", 1, 0.0, 10.0 / UM_PER_MG).blocks_g) for p in doubled]
     found = reduce_passes(pulled)
     # The swarm's best is to switch the wrong way off.
     assert found.reduction_pct == pytest.approx(0.0, abs=1e-6)

@@ -30,16 +30,11 @@ def test_a_process_is_told_from_a_later_one_with_its_number() -> None:
 
 def test_a_killed_training_is_closed_and_a_running_one_is_not(tmp_path: Path) -> None:
     home = Home(tmp_path)
-    assert (
-        subprocess.run([sys.executable, "-c", _KILLED, str(tmp_path)], check=False).returncode == -9
-    )
+    assert subprocess.run([sys.executable, "-c", _KILLED, str(tmp_path)], check=False).returncode == -9
     registry = Registry(home)
     with registry.open_run("mine", {}) as mine:
         assert registry.close_abandoned() == 1
-        states = {
-            r.info.run_name: r.info.status
-            for r in registry.client.search_runs([registry.experiment()])
-        }
+        states = {r.info.run_name: r.info.status for r in registry.client.search_runs([registry.experiment()])}
         assert states == {"training": "KILLED", "mine": "RUNNING"}
     assert registry.client.get_run(mine).info.status == "FINISHED"
     assert registry.close_abandoned() == 0

@@ -25,18 +25,12 @@ def test_an_input_that_only_rounding_moves_does_no_harm_elsewhere(recipe: Recipe
 
 
 def candidate(name: str, train_rms_um: float) -> Candidate:
-    return Candidate(
-        name, "linear", False, 1, {"run": Scores("run", 0.0, 1, 1, 1, "", 2, 2)}, train_rms_um
-    )
+    return Candidate(name, "linear", False, 1, {"run": Scores("run", 0.0, 1, 1, 1, "", 2, 2)}, train_rms_um)
 
 
 def test_a_baseline_that_is_worse_than_nothing_where_it_was_fitted_is_told() -> None:
-    (told,) = worse_in_sample(
-        [candidate("zero", 48.0), candidate("a", 47.0), candidate("b", 324.0)]
-    )
-    assert told.startswith(
-        "b is worse than no correction on the rows that it was fitted to (324 against 48 um)"
-    )
+    (told,) = worse_in_sample([candidate("zero", 48.0), candidate("a", 47.0), candidate("b", 324.0)])
+    assert told.startswith("b is worse than no correction on the rows that it was fitted to (324 against 48 um)")
     assert len(worse_in_sample([candidate("zero", 48.0), candidate("c", float("nan"))])) == 1
     assert worse_in_sample([candidate("b", 324.0)]) == []
 

@@ -7,17 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from closed_loop import (
-    BEGIN,
-    MACHINE,
-    WITHOUT,
-    circles,
-    copied,
-    in_lake,
-    served,
-    small_bundle,
-    turns,
-)
+from closed_loop import BEGIN, MACHINE, WITHOUT, circles, copied, in_lake, served, small_bundle, turns
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
@@ -77,10 +67,7 @@ def test_harm_is_worse() -> None:
 
 
 def test_no_effect_is_neither_and_false_alarms_are_rare() -> None:
-    verdicts = [
-        said(circles(turns(BUNDLE), before_um=5.0, after_um=5.0, seed=s)).conditions[0]
-        for s in range(150)
-    ]
+    verdicts = [said(circles(turns(BUNDLE), before_um=5.0, after_um=5.0, seed=s)).conditions[0] for s in range(150)]
     # Two 95 % intervals added in squares: one in twenty at most, half of them to either side.
     assert sum(c["worse"] for c in verdicts) <= 0.025 * 150 + 3 * np.sqrt(150 * 0.025)
     assert sum(c["better"] for c in verdicts) <= 0.025 * 150 + 3 * np.sqrt(150 * 0.025)
@@ -115,8 +102,7 @@ def test_too_few_runs_are_refused() -> None:
 def test_copies_of_a_run_do_not_count_twice() -> None:
     runs = circles(turns(BUNDLE, 2))
     again = circles(turns(BUNDLE, 1), seed=7, begin=BEGIN.replace(hour=10), directions=("CCW",))
-    whole = said([*runs, *(replace(r, meta=replace(r.meta, run_id=f"x{k}"))
-                           for k, r in enumerate(again))])  # fmt: skip
+    whole = said([*runs, *(replace(r, meta=replace(r.meta, run_id=f"x{k}")) for k, r in enumerate(again))])
     assert whole.conditions[0]["n_with"] == 5
     faked = [*runs, *(copied(run, f"copy-{k}") for k, run in enumerate(runs))]
     honest = said(runs)
@@ -245,10 +231,12 @@ def test_tones_and_strokes_are_compared_as_well() -> None:
         wave = 3.0 * np.sin(2.0 * np.pi * 20.0 * t)
         noise = 1e-4 * np.random.default_rng(number).standard_normal(t.size)
         meta = RunMeta(
-            f"t{number}", kind="sinusoidal", correction=SHA if number % 2 else "",
+            f"t{number}",
+            kind="sinusoidal",
+            correction=SHA if number % 2 else "",
             condition={"axis": "Z", "frequency_hz": 20.0, "amplitude_um": 3.0},
             started=(BEGIN.replace(minute=number)).isoformat(),
-        )  # fmt: skip
+        )
         samples = {"t_s": t, "cmd_z_mm": wave / 1e3, "tool_z_mm": (gain * wave + noise) / 1e3}
         return Run(meta, samples)
 
@@ -256,14 +244,18 @@ def test_tones_and_strokes_are_compared_as_well() -> None:
         place = np.linspace(0.0, 100.0, 11)
         noise = 0.05 * np.random.default_rng(number).standard_normal(22)
         meta = RunMeta(
-            f"s{number}", kind="linear", correction=SHA if number % 2 else "",
-            condition={"axis": "Z"}, started=(BEGIN.replace(minute=number)).isoformat(),
-        )  # fmt: skip
+            f"s{number}",
+            kind="linear",
+            correction=SHA if number % 2 else "",
+            condition={"axis": "Z"},
+            started=(BEGIN.replace(minute=number)).isoformat(),
+        )
         samples = {
-            "t_s": np.arange(22.0), "position_mm": np.concatenate([place, place[::-1]]),
+            "t_s": np.arange(22.0),
+            "position_mm": np.concatenate([place, place[::-1]]),
             "direction": np.repeat(np.array(["forward", "reverse"], dtype=object), 11),
             "error_um": slope * np.concatenate([place, place[::-1]]) + noise + 17.0,
-        }  # fmt: skip
+        }
         return Run(meta, samples)
 
     tones = said([tone(n, 1.01 if n % 2 else 1.1) for n in range(6)]).conditions[0]
@@ -280,6 +272,5 @@ def test_kinds_that_are_not_compared_run_by_run_say_so() -> None:
     run = Run(meta, {"t_s": np.zeros(1), "error_x_um": np.ones(1)})
     with pytest.raises(InputError, match="evidence run by run is not offered"):
         evidence_of_runs(
-            [EvidenceRun("without", "c", "0", run)], kind="virtual", machine=MACHINE,
-            model_sha256=SHA, campaigns={},
-        )  # fmt: skip
+            [EvidenceRun("without", "c", "0", run)], kind="virtual", machine=MACHINE, model_sha256=SHA, campaigns={}
+        )

@@ -31,13 +31,7 @@ def bundle(**changes: object) -> Bundle:
         machine="mill-a",
         model_version=0,
         inputs=[Input("path_angle_rad", unit, "path", rate, "path", -20.0, 20.0)],
-        outputs=[
-            Output(
-                "radial_um",
-                str(changes.pop("frame", "path_radial")),
-                str(changes.pop("role", "error")),
-            )
-        ],
+        outputs=[Output("radial_um", str(changes.pop("frame", "path_radial")), str(changes.pop("role", "error")))],
         tick_graph=graph,
         safety=SafetyLimits(clamp_um=15.0),
     )
@@ -84,12 +78,8 @@ def test_another_unit_or_rate_breaks_the_contract() -> None:
 
 def test_changed_test_vectors_break_the_contract() -> None:
     sound = bundle()
-    vectors = dataclasses.replace(
-        sound.vectors, outputs=tuple((v[0] + 1e-6,) for v in sound.vectors.outputs)
-    )
-    assert failed(offline_gates(dataclasses.replace(sound, vectors=vectors), GOOD)) == {
-        "train and serve agree"
-    }
+    vectors = dataclasses.replace(sound.vectors, outputs=tuple((v[0] + 1e-6,) for v in sound.vectors.outputs))
+    assert failed(offline_gates(dataclasses.replace(sound, vectors=vectors), GOOD)) == {"train and serve agree"}
 
 
 def evidence(**changes: object) -> Evidence:
@@ -103,9 +93,8 @@ def evidence(**changes: object) -> Evidence:
         "worse": False,
     } | changes
     return Evidence(
-        "virtual", SOUND.machine, SOUND.model_sha256, {"without": ("a",), "with": ("a",)},
-        (condition,), (), 5,
-    )  # fmt: skip
+        "virtual", SOUND.machine, SOUND.model_sha256, {"without": ("a",), "with": ("a",)}, (condition,), (), 5
+    )
 
 
 SOUND = bundle()
@@ -113,9 +102,7 @@ SOUND = bundle()
 
 def test_evidence_must_belong_to_bundle_and_machine() -> None:
     assert failed(evidence_gate(evidence(), SOUND, real=False)) == set()
-    assert failed(evidence_gate(evidence(), SOUND, real=True)) == {
-        "evidence is of this kind of machine"
-    }
+    assert failed(evidence_gate(evidence(), SOUND, real=True)) == {"evidence is of this kind of machine"}
     other = bundle(frame="base_x")
     assert "evidence belongs to this bundle" in failed(evidence_gate(evidence(), other, real=False))
 

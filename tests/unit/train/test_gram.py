@@ -15,9 +15,7 @@ def data() -> tuple[np.ndarray, np.ndarray]:
 
 def test_without_penalty_it_is_least_squares(data: tuple[np.ndarray, np.ndarray]) -> None:
     x, y = data
-    np.testing.assert_allclose(
-        solve(sums_of(x, y), 0.0), np.linalg.lstsq(x, y, rcond=None)[0], rtol=1e-9
-    )
+    np.testing.assert_allclose(solve(sums_of(x, y), 0.0), np.linalg.lstsq(x, y, rcond=None)[0], rtol=1e-9)
 
 
 def test_cells_add_up_and_the_residual_is_the_residual(data: tuple[np.ndarray, np.ndarray]) -> None:
@@ -28,9 +26,7 @@ def test_cells_add_up_and_the_residual_is_the_residual(data: tuple[np.ndarray, n
     assert both.residual(weights) == pytest.approx(float(np.sum((y - x @ weights) ** 2)))
 
 
-def test_forward_order_finds_the_terms_that_matter_first(
-    data: tuple[np.ndarray, np.ndarray],
-) -> None:
+def test_forward_order_finds_the_terms_that_matter_first(data: tuple[np.ndarray, np.ndarray]) -> None:
     x, y = data
     assert set(forward_order(sums_of(x, y), [[i] for i in range(7)], 1e-6)[:2]) == {1, 4}
 

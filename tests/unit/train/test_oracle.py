@@ -27,8 +27,7 @@ def rms_um(cobot: VirtualCobot, offsets_um: np.ndarray, safety: SafetyLimits) ->
 
 
 @pytest.mark.parametrize(
-    ("safety", "share"),
-    [(SafetyLimits(clamp_um=300.0, slew_um_s=20_000.0), 0.3), (SafetyLimits(clamp_um=1e-3), 1.001)],
+    ("safety", "share"), [(SafetyLimits(clamp_um=300.0, slew_um_s=20_000.0), 0.3), (SafetyLimits(clamp_um=1e-3), 1.001)]
 )
 def test_little_is_left_and_never_more_than_without(safety: SafetyLimits, share: float) -> None:
     cobot = VirtualCobot(seed=5)

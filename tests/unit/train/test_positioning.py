@@ -10,22 +10,9 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear.bundle import (
-    Flanks,
-    deployed_bundle,
-    fit_harmonics,
-    flanks_bundle,
-    flanks_of,
-    printed_pair,
-)
+from dtwin.kinds.linear.bundle import Flanks, deployed_bundle, fit_harmonics, flanks_bundle, flanks_of, printed_pair
 from dtwin.kinds.linear.gates import along, positioning_gates
-from dtwin.kinds.linear.models import (
-    Averages,
-    Bidirectional,
-    Unidirectional,
-    fit_dual,
-    whole_turns,
-)
+from dtwin.kinds.linear.models import Averages, Bidirectional, Unidirectional, fit_dual, whole_turns
 from dtwin.kinds.linear.net_training import ALGORITHMS, train_net
 from dtwin.kinds.linear.simulate import mapping_plan
 from dtwin.kinds.linear.small_net import new_net
@@ -84,9 +71,7 @@ def test_the_remainder_is_that_of_c_everywhere() -> None:
 
 
 def test_the_deployed_equation_fails_each_gate_by_name() -> None:
-    verdicts = positioning_gates(
-        deployed_bundle(printed_pair(NETWORK), "printed", "lathe"), PITCH_IN, MAPPED_IN
-    )
+    verdicts = positioning_gates(deployed_bundle(printed_pair(NETWORK), "printed", "lathe"), PITCH_IN, MAPPED_IN)
     assert {v.gate: v.passed for v in verdicts} == {
         "no seam at a turn of the screw": False,
         "ends held outside of the mapped travel": False,
@@ -187,9 +172,7 @@ def test_the_pair_reaches_its_goals(exact: Averages) -> None:
 
 def test_tables_alias_the_screw_when_their_step_divides_the_pitch() -> None:
     left = {t["model"]: t for t in table_steps(NETWORK)}
-    one, quarter, fine = (
-        left[f"bidirectional table, {step} in"]["rms_um"] for step in ("1", "0.25", "0.025")
-    )
+    one, quarter, fine = (left[f"bidirectional table, {step} in"]["rms_um"] for step in ("1", "0.25", "0.025"))
     assert one == pytest.approx(quarter, rel=0.02)
     assert fine < 0.15 * quarter
     assert left["one table and one backlash, 0.025 in"]["rms_um"] > 4 * fine
@@ -198,14 +181,10 @@ def test_tables_alias_the_screw_when_their_step_divides_the_pitch() -> None:
 def test_tables_are_straight_between_entries_and_held_beyond() -> None:
     # The illustrative tables of the source: forward and reverse, 0 to 4 in.
     a = Averages(
-        np.arange(5.0),
-        np.array([1.0, 1.0, 0.0, -1.0, -2.0]) * 1e-3,
-        np.array([-1.0, -1.0, -2.0, -3.0, -4.0]) * 1e-3,
+        np.arange(5.0), np.array([1.0, 1.0, 0.0, -1.0, -2.0]) * 1e-3, np.array([-1.0, -1.0, -2.0, -3.0, -4.0]) * 1e-3
     )
     two = Bidirectional(a)
-    assert two.error_in(np.array([0.0, 1.0]), np.array([2.5, 2.5])) == pytest.approx(
-        [-5e-4, -2.5e-3]
-    )
+    assert two.error_in(np.array([0.0, 1.0]), np.array([2.5, 2.5])) == pytest.approx([-5e-4, -2.5e-3])
     assert two.error_in(np.zeros(2), np.array([-9.0, 9.0])) == pytest.approx([1e-3, -2e-3])
     backlash = float(np.mean(a.reverse_in - a.forward_in))
     one = Unidirectional(a).error_in(np.array([1.0]), np.array([3.0]))

@@ -13,9 +13,7 @@ from dtwin.train.recheck import CheckedRun, judge
 CONDITIONS = (("XY", 100.0, 2000.0), ("YZ", 150.0, 5000.0), ("ZX", 100.0, 5000.0))
 
 
-def runs(
-    growth_um: dict[int, float], *, blocks: int = 3, noise_um: float = 1.0, seed: int = 0
-) -> list[CheckedRun]:
+def runs(growth_um: dict[int, float], *, blocks: int = 3, noise_um: float = 1.0, seed: int = 0) -> list[CheckedRun]:
     rng = np.random.default_rng(seed)
     made = []
     for number, condition in enumerate(CONDITIONS):

@@ -34,9 +34,7 @@ def test_text_says_what_the_formula_says(text: str, seed: int) -> None:
     np.testing.assert_array_equal(again.values(values, others), formula.values(values, constants))
 
 
-@pytest.mark.parametrize(
-    "text", ["__import__('os')", "t", "c1.real", "lambda: 1", "c1 if r else 2"]
-)
+@pytest.mark.parametrize("text", ["__import__('os')", "t", "c1.real", "lambda: 1", "c1 if r else 2"])
 def test_only_formulas_become_effects(text: str) -> None:
     with pytest.raises(InputError, match="not a formula"):
         formula_effect("learned_formula_00000000", text)

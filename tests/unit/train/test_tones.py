@@ -15,14 +15,7 @@ from dtwin.kinds.sinusoidal.fit import FittedTones, fitted_tones
 from dtwin.kinds.sinusoidal.gates import AnsweredWindow
 from dtwin.kinds.sinusoidal.groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
 from dtwin.kinds.sinusoidal.loop import ToneCommand, run_loop
-from dtwin.kinds.sinusoidal.simulate import (
-    PUBLISHED,
-    QUICK,
-    Grid,
-    noiseless,
-    virtual_runs,
-    virtual_slide,
-)
+from dtwin.kinds.sinusoidal.simulate import PUBLISHED, QUICK, Grid, noiseless, virtual_runs, virtual_slide
 from dtwin.kinds.sinusoidal.trial import trial
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -92,9 +85,7 @@ def test_the_free_search_is_repeated_without_what_it_predicts(groups: ToneGroups
         def __init__(self) -> None:
             self.shown: list[np.ndarray] = []
 
-        def search(
-            self, inputs: Mapping[str, np.ndarray], target: np.ndarray, seed: int
-        ) -> list[Found]:
+        def search(self, inputs: Mapping[str, np.ndarray], target: np.ndarray, seed: int) -> list[Found]:
             self.shown.append(target)
             rms = next(name for name in inputs if name.endswith("_rms_g"))
             return [Found(f"2.0 * {rms}", 3, 0.0)]
@@ -142,9 +133,7 @@ def test_the_window_tells_gain_and_lag_and_the_tick_makes_the_exact_vector(
     assert abs(told - error) > 0.1 * abs(error)
 
 
-def test_the_sine_moves_in_over_a_quarter_of_a_second(
-    groups: ToneGroups, made: FittedTones
-) -> None:
+def test_the_sine_moves_in_over_a_quarter_of_a_second(groups: ToneGroups, made: FittedTones) -> None:
     bundle = made.bundle
     compiled = CompiledBundle(bundle)
     features = window_of(groups, -1, bundle)
@@ -165,9 +154,7 @@ def test_the_stream_gives_the_bits_of_the_training(made: FittedTones) -> None:
     stream = StreamingWindow(window)
     sent = 1000.0 * run.samples["cmd_z_mm"]
     block = np.stack([sent, run.signals[0].columns["tool_z_g"]])
-    found = [
-        stream.push(part).values for part in np.split(block[:, :5000], [7, 1234, 4999], axis=1)
-    ]
+    found = [stream.push(part).values for part in np.split(block[:, :5000], [7, 1234, 4999], axis=1)]
     served = np.concatenate([f for f in found if len(f)])[0]
     assert served[1].tobytes() == trained.tobytes()
 

@@ -33,10 +33,13 @@ def test_what_no_operator_carries_is_refused() -> None:
     rate = Traced([GraphBuilder().input("rate")])
     turning = 1j * rate
     for attempt in (
-        lambda: np.exp(turning), lambda: turning**0.5, lambda: np.add.reduce(turning),
-        lambda: 2.0 + NotTold("the weather"), lambda: rate * NotTold("the weather"),
+        lambda: np.exp(turning),
+        lambda: turning**0.5,
+        lambda: np.add.reduce(turning),
+        lambda: 2.0 + NotTold("the weather"),
+        lambda: rate * NotTold("the weather"),
         lambda: np.where(NotTold("the weather"), 1.0, 2.0),
-    ):  # fmt: skip
+    ):
         with pytest.raises(NotTraceable):
             attempt()
 

@@ -59,9 +59,8 @@ def twin_with(instance: Instance, obs: Observations, shape: dict[str, float] | N
         for i, p in enumerate(effect.parameters)
     ]
     return Twin(
-        "t", 1, "virtual-mill", "c", "fit", (term,), tuple(estimates), (), ValidityBox.of(obs),
-        {}, (), (), {}, {},
-    )  # fmt: skip
+        "t", 1, "virtual-mill", "c", "fit", (term,), tuple(estimates), (), ValidityBox.of(obs), {}, (), (), {}, {}
+    )
 
 
 def of_library(obs: Observations) -> list[Instance]:
@@ -69,9 +68,7 @@ def of_library(obs: Observations) -> list[Instance]:
     return [i for i in found if not i.effect.setup]
 
 
-def test_every_effect_of_the_library_is_frozen_as_it_is(
-    obs: Observations, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_effect_of_the_library_is_frozen_as_it_is(obs: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "choose", lambda t: module.TermChoice(t.label, True, ""))
     angle = np.linspace(0.013, 6.27, 23)
     done, refused = set(), {}
@@ -89,24 +86,37 @@ def test_every_effect_of_the_library_is_frozen_as_it_is(
             logged = {k: np.full(len(angle), v) for k, v in meta.covariates.items()}
             mean_c = np.mean([m.covariates["temperature_c"] for m in obs.runs])
             logged["temperature_rise_c"] = logged["temperature_c"] - mean_c
-            state = circular_state(
-                meta, angle, feed_mm_s=meta.feed_mm_min / 60.0, columns=logged, geometry={}
-            )
+            state = circular_state(meta, angle, feed_mm_s=meta.feed_mm_min / 60.0, columns=logged, geometry={})
             columns = instance.effect.columns(state, instance.axis, twin.terms[0].shape)
             got = radial_error_um(
-                bundle, angle, plane=meta.plane, direction=meta.direction,
-                radius_mm=meta.radius_mm, feed_mm_min=meta.feed_mm_min,
+                bundle,
+                angle,
+                plane=meta.plane,
+                direction=meta.direction,
+                radius_mm=meta.radius_mm,
+                feed_mm_min=meta.feed_mm_min,
                 covariates={k: v for k, v in meta.covariates.items() if k in asked},
-            )  # fmt: skip
+            )
             np.testing.assert_allclose(
-                got, columns @ twin.values(twin.terms[0]), rtol=1e-9, atol=1e-12,
+                got,
+                columns @ twin.values(twin.terms[0]),
+                rtol=1e-9,
+                atol=1e-12,
                 err_msg=f"{instance.label} {meta.plane} {meta.direction}",
-            )  # fmt: skip
+            )
         done.add(instance.effect.name)
     # Needs session time, or divides by the speed at standstill.
     assert set(refused) <= {*AT_STANDSTILL, "thermal_drift", "measurement_delay"}, refused
-    assert {"backlash", "cyclic_error", "straightness", "servo_lag", "thermal_growth",
-            "angular_error", "gravity_sag", "lateral_play_taper"} <= done  # fmt: skip
+    assert {
+        "backlash",
+        "cyclic_error",
+        "straightness",
+        "servo_lag",
+        "thermal_growth",
+        "angular_error",
+        "gravity_sag",
+        "lateral_play_taper",
+    } <= done
 
 
 def test_joint_effects_of_a_robot_are_frozen_too(obs: Observations) -> None:
@@ -119,9 +129,7 @@ def test_joint_effects_of_a_robot_are_frozen_too(obs: Observations) -> None:
         graph = twin_bundle(twin, robot).bundle.tick_graph
         for row in (0, 3, 9, 17):
             meta = robot.runs[row]
-            state = circular_state(
-                meta, angle, feed_mm_s=meta.feed_mm_min / 60.0, columns={}, geometry=geometry
-            )
+            state = circular_state(meta, angle, feed_mm_s=meta.feed_mm_min / 60.0, columns={}, geometry=geometry)
             wanted = instance.effect.columns(state, "2", twin.terms[0].shape)
             for i, t in enumerate(angle.tolist()):
                 joints = {
@@ -134,9 +142,14 @@ def test_joint_effects_of_a_robot_are_frozen_too(obs: Observations) -> None:
                     )
                 }
                 sign = 1.0 if meta.direction == "CCW" else -1.0
-                inputs = {"path_angle_rad": t, "direction_sign": sign, "plane_id":
-                          float(PLANES.index(meta.plane)), "radius_mm": meta.radius_mm,
-                          "commanded_speed_mm_s": meta.feed_mm_min / 60.0, **joints}  # fmt: skip
+                inputs = {
+                    "path_angle_rad": t,
+                    "direction_sign": sign,
+                    "plane_id": float(PLANES.index(meta.plane)),
+                    "radius_mm": meta.radius_mm,
+                    "commanded_speed_mm_s": meta.feed_mm_min / 60.0,
+                    **joints,
+                }
                 got = graph.evaluate(inputs, {})[0]["radial_um"]
                 value = float(wanted[i] @ twin.values(twin.terms[0]))
                 assert got == pytest.approx(value, rel=1e-9, abs=1e-12)
@@ -163,9 +176,7 @@ def test_an_effect_of_a_channel_that_is_not_logged_is_left_out(obs: Observations
     growth, square = Instance(LIBRARY["thermal_growth"]), Instance(LIBRARY["squareness"], "XY")
     twin = twin_with(growth, obs)
     other = twin_with(square, obs)
-    both = replace(
-        twin, terms=(*twin.terms, *other.terms), estimates=(*twin.estimates, *other.estimates)
-    )
+    both = replace(twin, terms=(*twin.terms, *other.terms), estimates=(*twin.estimates, *other.estimates))
     told = {t.label: t for t in twin_bundle(both, bare).terms}
     assert told["squareness XY"].included
     assert not told["thermal_growth"].included
@@ -224,18 +235,28 @@ def test_operators_mean_what_numpy_means() -> None:
     builder = GraphBuilder()
     x = Traced([builder.input("x")])
     made = {
-        "where": np.where(x > 1.0, x**2, -x), "mod": x % np.pi, "less": (x < 0.5) * 1.0,
-        "clip": np.clip(x, 0.0, 1.0), "root": x**1.5, "odd": x**0.3, "hypot": np.hypot(x, 2.0),
+        "where": np.where(x > 1.0, x**2, -x),
+        "mod": x % np.pi,
+        "less": (x < 0.5) * 1.0,
+        "clip": np.clip(x, 0.0, 1.0),
+        "root": x**1.5,
+        "odd": x**0.3,
+        "hypot": np.hypot(x, 2.0),
         "both": ((x >= 0.2) & (x <= 0.9)) * 1.0,
-    }  # fmt: skip
+    }
     graph = builder.graph({k: expressions_of(v, builder, 1)[0] for k, v in made.items()})
     for v in (0.1, 0.5, 0.9, 1.0, 2.5, 7.0):
         got, _ = graph.evaluate({"x": v}, {})
         want = {
-            "where": v**2 if v > 1 else -v, "mod": v % np.pi, "less": float(v < 0.5),
-            "clip": min(max(v, 0.0), 1.0), "root": v**1.5, "odd": v**0.3,
-            "hypot": np.hypot(v, 2.0), "both": float(0.2 <= v <= 0.9),
-        }  # fmt: skip
+            "where": v**2 if v > 1 else -v,
+            "mod": v % np.pi,
+            "less": float(v < 0.5),
+            "clip": min(max(v, 0.0), 1.0),
+            "root": v**1.5,
+            "odd": v**0.3,
+            "hypot": np.hypot(v, 2.0),
+            "both": float(0.2 <= v <= 0.9),
+        }
         for name, value in want.items():
             assert got[name] == pytest.approx(value, abs=1e-12), name
     for refused in (lambda: float(x), lambda: np.cumsum(x), lambda: np.floor(x), lambda: x[0]):

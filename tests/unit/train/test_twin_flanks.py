@@ -29,13 +29,23 @@ from dtwin.schema import Floats
 
 LIBRARY = Library()
 PLAN = {
-    "name": "z", "machine": "lathe", "axis": "Z", "unit": "in", "start": 1, "end": 30.76,
-    "step": 0.48, "runs": 3, "dwell_s": 6, "feed_min": 20, "overshoot": 0.1, "window": 0.02,
-    "axis_low": 0, "axis_high": 41, "pitch": 0.25,
-}  # fmt: skip
-NAMES = [
-    "lead_error", "pitch_error", "backlash", "worn_screw", "screw_error", "screw_error_by_direction",
-]  # fmt: skip
+    "name": "z",
+    "machine": "lathe",
+    "axis": "Z",
+    "unit": "in",
+    "start": 1,
+    "end": 30.76,
+    "step": 0.48,
+    "runs": 3,
+    "dwell_s": 6,
+    "feed_min": 20,
+    "overshoot": 0.1,
+    "window": 0.02,
+    "axis_low": 0,
+    "axis_high": 41,
+    "pitch": 0.25,
+}
+NAMES = ["lead_error", "pitch_error", "backlash", "worn_screw", "screw_error", "screw_error_by_direction"]
 BOTH = (("forward", 1.0), ("reverse", -1.0))
 twin_from = partial(twin_of, name="t", version=1, action="fit", data={"samples": 3})
 
@@ -65,9 +75,7 @@ def evaluated(twin: Twin, obs: Observations, position_in: Floats, way: str) -> F
     return np.array(found)
 
 
-def test_both_flanks_are_what_the_twin_foretells(
-    worn: Observations, twin: Twin, tmp_path: Path
-) -> None:
+def test_both_flanks_are_what_the_twin_foretells(worn: Observations, twin: Twin, tmp_path: Path) -> None:
     # Also between the targets: another test of the same travel, which the twin did not see.
     finer = measured(tmp_path / "finer", step=0.08, runs=1)
     assert finer.grid.points[[0, -1]] == pytest.approx(worn.grid.points[[0, -1]], abs=1e-9)
@@ -80,9 +88,7 @@ def test_both_flanks_are_what_the_twin_foretells(
             assert np.ptp(told) > 20.0
 
 
-def test_what_is_served_rests_on_the_flank_where_the_screw_is_sent(
-    worn: Observations, twin: Twin
-) -> None:
+def test_what_is_served_rests_on_the_flank_where_the_screw_is_sent(worn: Observations, twin: Twin) -> None:
     frozen = flanks_twin_bundle(twin, worn)
     assert [t.label for t in frozen.terms if t.included] == list(twin.labels)
     low, high = reach_in(worn)
@@ -127,9 +133,15 @@ def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> No
         ("by_place", by_place, "its place among the targets"),
     ):
         own = Effect(
-            name, name, (Parameter("a", "um", 1.0),), columns, Law(1.0, 0.0, "odd"),
-            *(["x"] * 6), kinds=("linear",), correctable="yes",
-        )  # fmt: skip
+            name,
+            name,
+            (Parameter("a", "um", 1.0),),
+            columns,
+            Law(1.0, 0.0, "odd"),
+            *(["x"] * 6),
+            kinds=("linear",),
+            correctable="yes",
+        )
         terms = [*chosen_terms(["backlash"], LIBRARY, worn), Term(Instance(own, "Z"), {})]
         frozen = flanks_twin_bundle(twin_from(fit(worn, terms), worn), worn)
         assert [t.included for t in frozen.terms] == [True, False]
@@ -137,18 +149,13 @@ def test_what_the_loop_is_not_told_is_left_out_by_name(worn: Observations) -> No
 
 
 def test_heat_needs_a_channel_that_the_loop_is_not_told(worn: Observations) -> None:
-    warm = replace(
-        worn,
-        columns=tuple({**c, "temperature_c": 20.0 + 0.1 * i} for i, c in enumerate(worn.columns)),
-    )
+    warm = replace(worn, columns=tuple({**c, "temperature_c": 20.0 + 0.1 * i} for i, c in enumerate(worn.columns)))
     terms = chosen_terms(["backlash", "thermal_growth:Z"], LIBRARY, warm)
     frozen = flanks_twin_bundle(twin_from(fit(warm, terms), warm), warm)
     assert "temperature_c, and the loop of an axis is told its position only" in frozen.terms[1].how
 
 
-def test_runs_that_do_not_show_play_or_screw_are_refused(
-    worn: Observations, tmp_path: Path
-) -> None:
+def test_runs_that_do_not_show_play_or_screw_are_refused(worn: Observations, tmp_path: Path) -> None:
     up = worn.take(np.flatnonzero(worn.sense > 0.0))
     lead = chosen_terms(["lead_error"], LIBRARY, up)
     with pytest.raises(InputError, match="cannot be made of these runs"):
@@ -164,6 +171,4 @@ def test_a_correction_is_not_judged_by_one_run(worn: Observations) -> None:
         test_of_runs(one)
     test = test_of_runs(worn)
     assert (test.forward_um.shape, test.left_out) == ((63, 3), 0)
-    assert np.array_equal(
-        test.reverse_um[:, 1], worn.y_um[(worn.run_of == 1) & (worn.sense < 0)][0]
-    )
+    assert np.array_equal(test.reverse_um[:, 1], worn.y_um[(worn.run_of == 1) & (worn.sense < 0)][0])

@@ -59,9 +59,7 @@ def twin_with(names: list[str], obs: Observations) -> Twin:
         ("hardening", ["stiffening_joint"]),
     ],
 )
-def test_the_response_is_what_the_twin_foretells(
-    truth: str, names: list[str], request: pytest.FixtureRequest
-) -> None:
+def test_the_response_is_what_the_twin_foretells(truth: str, names: list[str], request: pytest.FixtureRequest) -> None:
     obs, groups = request.getfixturevalue(truth)
     twin = twin_with(names, obs)
     frozen = tone_twin_bundle(twin, obs, groups)
@@ -78,21 +76,17 @@ def test_the_response_is_what_the_twin_foretells(
 
 def left_of_a_tone(bundle: object, truth: str, frequency_hz: float, amplitude_um: float) -> float:
     """Return the length of the error of a tone in the last second, um."""
-    command = ToneCommand(
-        frequency_hz, lambda t: amplitude_um * np.ones_like(t), np.zeros_like, 9.0
-    )
+    command = ToneCommand(frequency_hz, lambda t: amplitude_um * np.ones_like(t), np.zeros_like, 9.0)
     record = run_loop(virtual_slide(truth), command, bundle, seed=4)  # type: ignore[arg-type]
     last = record.t_s > record.t_s[-1] - 1.0
     wanted, tool = (
-        fit_tone(record.t_s[last], values[last], frequency_hz)
-        for values in (record.command_um, record.tool_um)
+        fit_tone(record.t_s[last], values[last], frequency_hz) for values in (record.command_um, record.tool_um)
     )
     return abs(tool.phasor - wanted.phasor)
 
 
 @pytest.mark.parametrize(
-    ("truth", "names", "share"),
-    [("linear", ["structural_mode"], 0.01), ("hardening", ["stiffening_joint"], 0.1)],
+    ("truth", "names", "share"), [("linear", ["structural_mode"], 0.01), ("hardening", ["stiffening_joint"], 0.1)]
 )
 def test_a_tone_that_was_never_measured_is_corrected(
     truth: str, names: list[str], share: float, request: pytest.FixtureRequest
@@ -114,9 +108,7 @@ def test_outside_of_what_was_measured_nothing_is_corrected(linear: Measured) -> 
 
 def test_what_is_no_sine_is_left_out_by_name(linear: Measured) -> None:
     obs, groups = linear
-    frozen = tone_twin_bundle(
-        twin_with(["structural_mode", "guideway_friction", "backlash"], obs), obs, groups
-    )
+    frozen = tone_twin_bundle(twin_with(["structural_mode", "guideway_friction", "backlash"], obs), obs, groups)
     assert [t.included for t in frozen.terms] == [True, False, False]
     assert all("a sine cannot carry its corners" in t.how for t in frozen.terms[1:])
     with pytest.raises(InputError, match="no effect that offsets"):

@@ -21,9 +21,18 @@ def client(access: Access) -> TestClient:
 
 @pytest.mark.parametrize(
     "host",
-    ["localhost:8765/evil", "localhost:8765?x", "evil.example", "localhost.evil.example", "", "127.0.0.1@evil",
-     "[::1]evil", "localhost:8765 evil", "192.0.2.1"],
-)  # fmt: skip
+    [
+        "localhost:8765/evil",
+        "localhost:8765?x",
+        "evil.example",
+        "localhost.evil.example",
+        "",
+        "127.0.0.1@evil",
+        "[::1]evil",
+        "localhost:8765 evil",
+        "192.0.2.1",
+    ],
+)
 def test_a_host_that_is_not_one_is_no_name_of_ours(host: str) -> None:
     assert not names_this_computer(host)
     assert client(Access("127.0.0.1", 8765)).get("/", headers={"host": host}).status_code == 403
@@ -42,7 +51,9 @@ def test_another_port_is_another_site() -> None:
     assert not is_foreign(None, "127.0.0.1:2")
 
 
-@pytest.mark.parametrize(("site", "code"), [("cross-site", 403), ("same-site", 403), ("same-origin", 200), ("none", 200)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("site", "code"), [("cross-site", 403), ("same-site", 403), ("same-origin", 200), ("none", 200)]
+)
 def test_pages_are_not_computed_for_other_sites(site: str, code: int) -> None:
     opened = client(Access("127.0.0.1", 8765))
     assert opened.get("/twins/x", headers={"sec-fetch-site": site}).status_code == code

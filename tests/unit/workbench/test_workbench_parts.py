@@ -24,9 +24,19 @@ from dtwin.workbench.numbers import decimal
 
 @pytest.mark.parametrize(
     ("text", "meant"),
-    [("0,5", 0.5), ("0.5", 0.5), (" 1 234,5 ", 1234.5), ("1.234,5", 1234.5), ("1,234.5", 1234.5),
-     ("1.234.567", 1234567.0), ("-3", -3.0), ("\u22123,2", -3.2), ("2e3", 2000.0), (",5", 0.5)],
-)  # fmt: skip
+    [
+        ("0,5", 0.5),
+        ("0.5", 0.5),
+        (" 1 234,5 ", 1234.5),
+        ("1.234,5", 1234.5),
+        ("1,234.5", 1234.5),
+        ("1.234.567", 1234567.0),
+        ("-3", -3.0),
+        ("\u22123,2", -3.2),
+        ("2e3", 2000.0),
+        (",5", 0.5),
+    ],
+)
 def test_numbers_as_people_type_them(text: str, meant: float) -> None:
     assert decimal(text, "x") == meant
 
@@ -39,9 +49,16 @@ def test_what_is_not_a_number_is_refused(text: str) -> None:
 
 @pytest.mark.parametrize(
     ("host", "known"),
-    [("127.0.0.1:1", True), ("localhost:1", True), ("[::1]:1", True), ("evil.example:1", False),
-     ("192.0.2.7:1", False), ("", False), ("127.0.0.1.evil.example", False)],
-)  # fmt: skip
+    [
+        ("127.0.0.1:1", True),
+        ("localhost:1", True),
+        ("[::1]:1", True),
+        ("evil.example:1", False),
+        ("192.0.2.7:1", False),
+        ("", False),
+        ("127.0.0.1.evil.example", False),
+    ],
+)
 def test_loopback_is_known_by_its_own_names_only(host: str, known: bool) -> None:
     assert Access("127.0.0.1", 1).knows_host(host) is known
 
@@ -60,9 +77,8 @@ def _conditions(*wanted: tuple[Any, float, float, Any]) -> dict[str, Any]:
 
 def test_a_full_grid_is_one_plan_that_measures_exactly_it() -> None:
     experiment = _conditions(
-        *((p, r, f, d) for p in ("XY", "YZ") for r in (50.0, 100.0) for f in (1000.0, 2000.0)
-          for d in ("CCW", "CW"))
-    )  # fmt: skip
+        *((p, r, f, d) for p in ("XY", "YZ") for r in (50.0, 100.0) for f in (1000.0, 2000.0) for d in ("CCW", "CW"))
+    )
     (grid,) = grids_of(experiment)
     plan = expand(tomllib.loads(plan_toml("next", "mill-a", grid)), "plan")
     assert plan.n_runs == 3 * 16
@@ -74,9 +90,7 @@ def test_what_is_no_grid_becomes_several_plans_and_nothing_more() -> None:
     measured = set()
     for number, grid in enumerate(grids_of(_conditions(*wanted))):
         plan = expand(tomllib.loads(plan_toml(f"next-{number}", "mill-a", grid)), "plan")
-        measured |= {
-            (t.plane, t.radius_mm, t.feed_mm_min, d) for t in plan.tests for d in plan.directions
-        }
+        measured |= {(t.plane, t.radius_mm, t.feed_mm_min, d) for t in plan.tests for d in plan.directions}
     assert measured == wanted
 
 

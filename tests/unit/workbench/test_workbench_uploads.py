@@ -22,9 +22,21 @@ def archive(path: Path, members: dict[str, bytes], mode: int = 0) -> Path:
 
 @pytest.mark.parametrize(
     "name",
-    ["../x.b5r", "/etc/x.b5r", "a/../../x", "..\\x.b5r", "C:\\x", ".hidden", "a//b", "", "a\x00b",
-     "a/b/c/d/e.csv", "<b>.csv", "x" * 200],
-)  # fmt: skip
+    [
+        "../x.b5r",
+        "/etc/x.b5r",
+        "a/../../x",
+        "..\\x.b5r",
+        "C:\\x",
+        ".hidden",
+        "a//b",
+        "",
+        "a\x00b",
+        "a/b/c/d/e.csv",
+        "<b>.csv",
+        "x" * 200,
+    ],
+)
 def test_names_that_could_leave_their_folder_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         uploads.safe_path(name)
@@ -68,9 +80,7 @@ def test_a_bomb_is_stopped_while_it_is_unpacked(tmp_path: Path) -> None:
     assert written <= 12_000_000
 
 
-def test_the_whole_of_an_archive_is_limited(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_whole_of_an_archive_is_limited(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(uploads, "MAX_UNPACKED_BYTES", 1000)
     archive(tmp_path / "c.zip", {f"{n}.csv": bytes(range(200)) for n in range(6)})
     with pytest.raises(InputError) as caught:
