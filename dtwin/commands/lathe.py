@@ -124,16 +124,17 @@ def _in_real_time(bundle: Bundle, plan: LinearPlan | None, seconds: float, told:
 
 
 def _bundle(path: Path) -> Bundle:
+    from dtwin.kinds.linear.bundle import is_positioning_bundle
     from dtwin.serve.bundle_file import load_bundle
 
     found = load_bundle(path).bundle
-    if "position_in" not in found.tick_inputs:
+    if not is_positioning_bundle(found):
         raise InputError(
             "the bundle does not correct a position",
             code="lathe.bundle",
             where=str(path),
             got=", ".join(found.tick_inputs)[:120],
-            allowed="position_in, perhaps direction_1",
+            allowed="position_mm, perhaps direction_1",
             hint="dtwin lathe fit",
         )
     return found

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin import __version__
-from dtwin.kinds.linear.models import UM_PER_IN, Averages, DualNet
+from dtwin.kinds.linear.models import MM_PER_IN, UM_PER_IN, Averages, DualNet
 from dtwin.kinds.linear.small_net import SmallNet
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, Layer
 from dtwin.schema import Floats
@@ -26,13 +26,35 @@ RATE_HZ = 100.0
 ROOM_IN = 1.0
 # Below every place that an axis can start from.
 _FAR_IN = 100.0
-POSITION, DIRECTION, OUTPUT = "position_in", "direction_1", "error_z_um"
+POSITION, DIRECTION = "position_mm", "direction_1"
+# What bundles from before 2026-12 ask for.
+_INCHES = "position_in"
 SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=2000.0, stale_s=0.025)
 
 
 def is_positioning_bundle(bundle: Bundle) -> bool:
     """Tell whether a bundle corrects the position of one axis."""
-    return POSITION in bundle.tick_inputs
+    return bool({POSITION, _INCHES} & set(bundle.tick_inputs))
+
+
+def told(position_mm: Floats, direction: Floats) -> dict[str, Floats]:
+    """Return what the loop of an axis tells a bundle, by name of the input, shape (n,) each."""
+    return {POSITION: position_mm, _INCHES: position_mm / MM_PER_IN, DIRECTION: direction}
+
+
+def axis_number(bundle: Bundle) -> int:
+    """Return which axis a bundle corrects: 0, 1 or 2."""
+    (output,) = bundle.outputs
+    return ("base_x", "base_y", "base_z").index(output.frame)
+
+
+def _output(axis: str) -> Output:
+    return Output(f"error_{axis.lower()}_um", f"base_{axis.lower()}")
+
+
+def _position(travel_in: tuple[float, float]) -> Input:
+    low, high = (end * MM_PER_IN for end in travel_in)
+    return Input(POSITION, "mm", "none", RATE_HZ, "controller", low, high)
 
 
 def printed_pair(network: LatheNetwork) -> DualNet:
@@ -40,7 +62,9 @@ def printed_pair(network: LatheNetwork) -> DualNet:
     return DualNet(_as_net(network.full), _as_net(network.cyclic), PITCH_IN)
 
 
-def deployed_bundle(pair: DualNet, name: str, machine: str, reach_in: tuple[float, float] = MAPPED_IN) -> Bundle:
+def deployed_bundle(
+    pair: DualNet, name: str, machine: str, reach_in: tuple[float, float] = MAPPED_IN, axis: str = "Z"
+) -> Bundle:
     """Return the equation as the published program evaluates it, to the error instead of its negative.
 
     The remainder of the position by the pitch is taken by subtracting halved lengths, which is exact.
@@ -54,24 +78,24 @@ def deployed_bundle(pair: DualNet, name: str, machine: str, reach_in: tuple[floa
         Of the bundle.
     reach_in : tuple of float
         Validity box of the position.
+    axis : {"X", "Y", "Z"}
+        That is corrected.
     """
     builder = GraphBuilder()
-    direction, position = builder.input(DIRECTION), builder.input(POSITION)
+    direction, position = builder.input(DIRECTION), builder.input(POSITION) / MM_PER_IN
     reverse = builder.apply("step", direction - 0.5)
     turned = _remainder(builder, position, pair.pitch_in, reach_in[1])
     slow = pair.full.expression(builder, (reverse, position))
     fast = pair.cyclic.expression(builder, (reverse, turned))
-    graph = builder.graph({OUTPUT: (slow + fast) * UM_PER_IN})
+    output = _output(axis)
+    graph = builder.graph({output.name: (slow + fast) * UM_PER_IN})
     return create_bundle(
         corrects="linear",
         name=name,
         machine=machine,
         model_version=1,
-        inputs=(
-            Input(DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0),
-            Input(POSITION, "in", "none", RATE_HZ, "controller", *reach_in),
-        ),
-        outputs=(Output(OUTPUT, "base_z"),),
+        inputs=(Input(DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0), _position(reach_in)),
+        outputs=(output,),
         tick_graph=graph,
         safety=SAFETY,
         provenance=Provenance(code_version=__version__, evidence="none"),
@@ -189,7 +213,7 @@ def flanks_of(
     return Flanks(full, forward, reverse, pitch_in, reach_in)
 
 
-def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_in: tuple[float, float]) -> Bundle:
+def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_in: tuple[float, float], axis: str = "Z") -> Bundle:
     """Return the equation of two fitted flanks, with a memory for the play.
 
     Parameters
@@ -200,13 +224,15 @@ def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_in: tuple[floa
         Of the bundle.
     travel_in : tuple of float
         Travel of the axis, the validity box.
+    axis : {"X", "Y", "Z"}
+        That is corrected.
     """
     builder = GraphBuilder()
     limits = [
         lambda position, way=way, cyclic=cyclic: _flank(builder, flanks, way, cyclic, position)
         for way, cyclic in ((0.0, flanks.forward), (1.0, flanks.reverse))
     ]
-    return remembering_bundle(builder, limits, name, machine, travel_in)
+    return remembering_bundle(builder, limits, name, machine, travel_in, axis=axis)
 
 
 Limit = Callable[[Expression], Expression]
@@ -220,6 +246,7 @@ def remembering_bundle(
     travel_in: tuple[float, float],
     safety: SafetyLimits = SAFETY,
     table_versions: Mapping[str, int] | None = None,
+    axis: str = "Z",
 ) -> Bundle:
     """Return an equation with a memory for the play: no flag, no seam, ends held.
 
@@ -244,19 +271,22 @@ def remembering_bundle(
         Of the guard.
     table_versions : mapping of str to int, optional
         Versions of the lake's tables.
+    axis : {"X", "Y", "Z"}
+        That is corrected.
     """
-    position = builder.input(POSITION)
+    position = builder.input(POSITION) / MM_PER_IN
+    output = _output(axis)
     lower, upper = (position + limit(position - limit(position)) for limit in limits)
     lifted = builder.apply("max", builder.state("slide_in"), lower)
     slide = builder.apply("min", lifted, upper)
-    graph = builder.graph({OUTPUT: (slide - position) * UM_PER_IN}, {"slide_in": slide})
+    graph = builder.graph({output.name: (slide - position) * UM_PER_IN}, {"slide_in": slide})
     return create_bundle(
         corrects="linear",
         name=name,
         machine=machine,
         model_version=1,
-        inputs=(Input(POSITION, "in", "none", RATE_HZ, "controller", *travel_in),),
-        outputs=(Output(OUTPUT, "base_z"),),
+        inputs=(_position(travel_in),),
+        outputs=(output,),
         states=(State("slide_in", "in", travel_in[0] - _FAR_IN),),
         tick_graph=graph,
         safety=safety,

@@ -84,7 +84,7 @@ def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) ->
             "table_rms_um": table_rms_um(test),
         },
     )
-    return Judged(candidate, floor, rms(error), (("Z", low, high),))
+    return Judged(candidate, floor, rms(error), ((obs.axes[0], low, high),))
 
 
 def test_of_runs(obs: Observations) -> LinearTest:
@@ -122,6 +122,7 @@ def test_of_runs(obs: Observations) -> LinearTest:
         errors[-1.0],
         int(np.count_nonzero(~everywhere)),
         pitch_in(obs) * MM_PER_IN,
+        obs.axes[0],
     )
 
 

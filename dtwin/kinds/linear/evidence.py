@@ -10,7 +10,7 @@ import numpy as np
 
 from dtwin.acquire.virtual import EPOCH
 from dtwin.errors import InputError
-from dtwin.kinds.linear.bundle import is_positioning_bundle
+from dtwin.kinds.linear.bundle import axis_number, is_positioning_bundle
 from dtwin.kinds.linear.loop import PERIOD_S, exact_correction, looped, measured
 from dtwin.kinds.linear.matrix import LinearTest
 from dtwin.kinds.linear.plan import LinearPlan, better_step
@@ -53,7 +53,8 @@ def measured_days(
     if not is_positioning_bundle(bundle):
         raise InputError("the bundle does not correct a position", code="lathe.bundle", got=bundle.name)
     reach = logged["mapped_from_in"], logged["mapped_to_in"]
-    plan = evidence_plan(reach, logged["screw_pitch_in"], bundle.machine)
+    axis = "XYZ"[axis_number(bundle)]
+    plan = evidence_plan(reach, logged["screw_pitch_in"], bundle.machine, axis)
     runs: list[Run] = []
     oracle: list[Run] = []
     guards: list[Mapping[str, int]] = []
@@ -110,7 +111,7 @@ def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") ->
     return Run(meta, samples, source="virtual lathe")
 
 
-def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str) -> LinearPlan:
+def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str, axis: str = "Z") -> LinearPlan:
     """Return a test over the mapped travel whose step meets the screw at many angles.
 
     Parameters
@@ -119,7 +120,7 @@ def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str) 
         Mapped travel.
     pitch_in : float
         Travel in one turn of the screw.
-    machine : str
+    machine, axis : str
         Of the plan.
     """
     low, high = (round(end, 4) for end in reach_in)
@@ -128,6 +129,7 @@ def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str) 
         verification_plan(),
         name="evidence",
         machine=machine,
+        axis=axis,
         start=low,
         end=high,
         runs=1,

@@ -70,7 +70,7 @@ def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
     screw = screw_of(test, str(campaign))
     pair = fit_pair(averages, screw, seed)
     chosen = pair if model == "pair" else flanks_from(pair, averages, screw)
-    equation = serving_bundle(chosen, machine, screw)
+    equation = serving_bundle(chosen, machine, screw, test.axis)
     assert equation is not None
     figures = _figures(chosen, averages, screw.phases)
     return Fitted(equation, screw.pitch_in, screw.reach_in, figures)

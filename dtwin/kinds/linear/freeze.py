@@ -63,6 +63,7 @@ def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
         (low - ROOM_IN, high + ROOM_IN),
         _safety(kept.twin, obs),
         {k: v for k, v in twin.data.items() if isinstance(v, int)},
+        obs.axes[0],
     )
     return TwinBundle(replace(bundle, model_version=0), kept.choices, kept.twin)
 
@@ -80,11 +81,11 @@ def flank_graph(twin: Twin, obs: Observations) -> Graph:
     Returns
     -------
     Graph
-        Input ``position_in``; outputs ``forward`` and ``reverse``.
+        Input ``position_mm``; outputs ``forward`` and ``reverse``.
     """
     builder = GraphBuilder()
     flanks = _Flanks(builder, twin, obs)
-    position = builder.input(POSITION)
+    position = builder.input(POSITION) / MM_PER_IN
     return builder.graph({way: flanks.limit_in(position, way) * UM_PER_IN for way in WAYS})
 
 
@@ -130,7 +131,7 @@ class _Flanks:
         if term.instance.effect.needs:
             needs = ", ".join(term.instance.effect.needs)
             raise NotTraceable(f"it needs {needs}, and the loop of an axis is told its position only")
-        position = self.builder.input(POSITION)
+        position = self.builder.input(POSITION) / MM_PER_IN
         for way in WAYS:
             slow, fast = (self._effect_um(term, position, way, faster) for faster in (1.0, 2.0))
             if slow.index != fast.index:
@@ -172,14 +173,13 @@ def _traced_state(builder: GraphBuilder, position_in: Expression, obs: Observati
 
 def _require_both_ways(twin: Twin, obs: Observations) -> None:
     ways = {c.direction for c in obs.conditions if isinstance(c, Stroke)}
-    if obs.axes != ("Z",) or ways != set(WAYS):
+    if len(obs.axes) != 1 or ways != set(WAYS):
         raise InputError(
             "a correction of an axis cannot be made of these runs",
             code="correct.axis",
             where=f"twin {twin.name}, campaign {twin.campaign}",
             got=f"axis {', '.join(obs.axes)}, {' and '.join(sorted(ways))}",
-            allowed="axis Z, the only one whose equation can be written so far, measured forward "
-            "and reverse: the play must be known",
+            allowed="one axis, measured forward and reverse: the play must be known",
         )
 
 

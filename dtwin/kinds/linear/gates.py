@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from dtwin.kinds.linear.bundle import DIRECTION, OUTPUT, POSITION
+from dtwin.kinds.linear.bundle import told
+from dtwin.kinds.linear.models import MM_PER_IN
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
@@ -29,13 +30,12 @@ class PathAnswers:
     Parameters
     ----------
     bundle : Bundle
-        Takes ``position_in`` and perhaps ``direction_1``.
+        Takes ``position_mm`` and perhaps ``direction_1``.
     """
 
     def __init__(self, bundle: Bundle) -> None:
         self._inputs = bundle.tick_inputs
         self._compiled = CompiledBundle(bundle)
-        self._place = [o.name for o in bundle.outputs].index(OUTPUT)
 
     def along(self, position_in: Floats, standing: float | None = None) -> Floats:
         """Return the predicted error in um along successive positions, shape (n,).
@@ -57,10 +57,10 @@ class PathAnswers:
         way = np.where(step < 0.0, 1.0, 0.0)
         if standing is not None:
             way = np.where(step == 0.0, standing, way)
-        named = {POSITION: position_in, DIRECTION: way}
+        named = told(position_in * MM_PER_IN, way)
         self._compiled.reset()
         error: Floats = self._compiled.run(np.column_stack([named[name] for name in self._inputs]))
-        return error[:, self._place]
+        return error[:, 0]
 
 
 def along(bundle: Bundle, position_in: Floats) -> Floats:
@@ -69,7 +69,7 @@ def along(bundle: Bundle, position_in: Floats) -> Floats:
     Parameters
     ----------
     bundle : Bundle
-        Takes ``position_in`` and perhaps ``direction_1``.
+        Takes ``position_mm`` and perhaps ``direction_1``.
     position_in : ndarray, shape (n,)
         Positions, tick by tick.
     """

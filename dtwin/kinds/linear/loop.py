@@ -10,7 +10,7 @@ import numpy as np
 
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
-from dtwin.kinds.linear.bundle import RATE_HZ
+from dtwin.kinds.linear.bundle import RATE_HZ, axis_number, told
 from dtwin.kinds.linear.gates import along
 from dtwin.kinds.linear.matrix import LinearTest, linear_test
 from dtwin.kinds.linear.models import PositionModel
@@ -151,11 +151,12 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
     ticks = np.arange(motion.t_s[0], motion.t_s[-1] + PERIOD_S, PERIOD_S)
     commanded = motion.at(ticks)
     wanted = np.zeros((len(ticks), 3))
-    wanted[:, 2] = -along(bundle, commanded / MM_PER_IN)
-    names = [i.name for i in bundle.inputs]
+    moved = axis_number(bundle)
+    wanted[:, moved] = -along(bundle, commanded / MM_PER_IN)
+    named = told(commanded, np.zeros(len(ticks)))
     guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
-    box = np.column_stack([commanded / MM_PER_IN if n == "position_in" else np.zeros(len(ticks)) for n in names])
-    sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, 2]
+    box = np.column_stack([named[i.name] for i in bundle.inputs])
+    sent = guard.run(wanted, box, elapsed_s=PERIOD_S)[:, moved]
     applied = np.concatenate([[0.0], sent[:-1]])
     recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / 1000.0)
     test = _test_of(recording, plan)

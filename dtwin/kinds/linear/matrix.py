@@ -25,6 +25,8 @@ class LinearTest:
         Targets that some run missed.
     pitch_mm : float or None
         Travel in one turn of the screw.
+    axis : str
+        That was measured.
     """
 
     position_mm: Floats
@@ -32,6 +34,7 @@ class LinearTest:
     reverse_um: Floats
     left_out: int
     pitch_mm: float | None
+    axis: str = "Z"
 
 
 def linear_test(runs: Sequence[Run]) -> LinearTest:
@@ -54,6 +57,7 @@ def linear_test(runs: Sequence[Run]) -> LinearTest:
         reverse_um=matrix[:, len(runs) :],
         left_out=len(anywhere) - len(everywhere),
         pitch_mm=pitch if isinstance(pitch, float) else None,
+        axis=str(runs[0].meta.condition.get("axis", "Z")),
     )
 
 

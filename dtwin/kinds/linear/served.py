@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from dtwin.kinds.linear.bundle import told
 from dtwin.kinds.linear.plan import LinearPlan
 from dtwin.kinds.linear.simulate import (
     laser_setup,
@@ -17,7 +18,6 @@ from dtwin.kinds.linear.simulate import (
     virtual_lathe,
     write_lathe_campaign,
 )
-from dtwin.machines.lathe import MM_PER_IN
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
@@ -38,8 +38,7 @@ class ServedLathe:
     """
 
     period_s = PERIOD_S
-    axes = ("z",)
-    provides = ("position_in", "direction_1")
+    provides = tuple(told(np.zeros(1), np.zeros(1)))
     channels_hz = 0.0
 
     def __init__(self, plan: LinearPlan | None, truth: str, seed: int) -> None:
@@ -52,6 +51,8 @@ class ServedLathe:
         self._commanded_mm = self._motion.at(self._t_s)
         self._reverse = _reverse(self._commanded_mm)
         self._offset_um = np.zeros(len(self._t_s))
+        self.axes = (self._plan.axis.lower(),)
+        self._axis = "xyz".index(self.axes[0])
         self.name = f"virtual lathe, axis {self._plan.axis}"
 
     @property
@@ -61,12 +62,13 @@ class ServedLathe:
 
     def state(self, tick: int) -> Mapping[str, float]:
         """Return the commanded position before a tick."""
-        return {"position_in": float(self._commanded_mm[tick]) / MM_PER_IN, "direction_1": float(self._reverse[tick])}
+        here = told(self._commanded_mm[tick : tick + 1], self._reverse[tick : tick + 1])
+        return {name: float(values[0]) for name, values in here.items()}
 
     def advance(self, tick: int, offset_um: Floats) -> None:
         """Take what is in force from the next cycle on: the control reads its inputs once in each."""
         if tick + 1 < len(self._offset_um):
-            self._offset_um[tick + 1] = offset_um[2]
+            self._offset_um[tick + 1] = offset_um[self._axis]
 
     def write(self, folder: Path) -> str:
         """Write what the laser read as a campaign folder; return what was written."""

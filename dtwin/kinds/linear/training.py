@@ -137,7 +137,7 @@ def flanks_from(pair: DualNet, averages: Averages, screw: Screw) -> Flanks:
     return flanks_of(pair.full, averages, screw.pitch_in, orders, screw.reach_in)
 
 
-def serving_bundle(model: PositionModel, machine: str, screw: Screw) -> Bundle | None:
+def serving_bundle(model: PositionModel, machine: str, screw: Screw, axis: str = "Z") -> Bundle | None:
     """Return the equation of a model, None when it is none.
 
     Parameters
@@ -148,12 +148,14 @@ def serving_bundle(model: PositionModel, machine: str, screw: Screw) -> Bundle |
         That the bundle is for.
     screw : Screw
         Gives the validity box.
+    axis : {"X", "Y", "Z"}
+        That is corrected.
     """
     if isinstance(model, DualNet):
-        return deployed_bundle(model, "lathe-pair", machine, screw.reach_in)
+        return deployed_bundle(model, "lathe-pair", machine, screw.reach_in, axis)
     if isinstance(model, Flanks):
         low, high = screw.reach_in
-        return flanks_bundle(model, "lathe-flanks", machine, (low - ROOM_IN, high + ROOM_IN))
+        return flanks_bundle(model, "lathe-flanks", machine, (low - ROOM_IN, high + ROOM_IN), axis)
     return None
 
 
@@ -209,7 +211,7 @@ def train_positioning(
         told=tuple([*_what_was_seen(test, screw, engine), *_not_proposed(found)]),
     )
     geometry = {"type": "lathe"} | dict(campaign.machine_geometry)
-    return Training(report, geometry, (("Z", *screw.reach_in),))
+    return Training(report, geometry, ((test.axis, *screw.reach_in),))
 
 
 def _usable_test(lake: Lake, name: str) -> LinearTest:
@@ -217,14 +219,13 @@ def _usable_test(lake: Lake, name: str) -> LinearTest:
     runs = [lake.load(row) for row in rows]
     both = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
     axes = {str(run.meta.condition.get("axis", "Z")) for run in both}
-    if len(both) < _FEWEST_RUNS or axes != {"Z"}:
+    if len(both) < _FEWEST_RUNS or len(axes) != 1:
         raise InputError(
             "a model of the position cannot be judged",
             code="train.grid",
             where=f"campaign {name}",
             got=f"{len(both)} usable runs of axis {', '.join(axes) or '-'}",
-            allowed=f"{_FEWEST_RUNS} runs or more, up and down, of one axis Z: its equation is the "
-            "only one that can be written so far",
+            allowed=f"{_FEWEST_RUNS} runs or more, up and down, of one axis",
             hint="repeat the test: runs = 2 in the plan; dtwin check says what is wrong with a run",
         )
     return linear_test(both)
@@ -260,7 +261,7 @@ def _candidate(
 ) -> Candidate:
     direction, position, error = stacked(test)
     rest = error - (model.error_in(direction, position) * UM_PER_IN)[:, None]
-    bundle = serving_bundle(model, machine, screw)
+    bundle = serving_bundle(model, machine, screw, test.axis)
     refused = () if bundle is None else _refusals(bundle, screw)
     size = len(bundle.tick_graph.nodes) if bundle is not None else _entries(model)
     return Candidate(

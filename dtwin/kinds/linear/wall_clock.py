@@ -13,7 +13,6 @@ from dtwin.kinds.linear.bundle import POSITION
 from dtwin.kinds.linear.loop import PERIOD_S
 from dtwin.kinds.linear.plan import LinearPlan
 from dtwin.kinds.linear.simulate import motion_of_plan
-from dtwin.machines.lathe import MM_PER_IN
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.realtime import realtime
@@ -53,7 +52,7 @@ def paced(
     Parameters
     ----------
     bundle : Bundle
-        Predicts the error from the commanded position ``position_in``.
+        Predicts the error from the commanded position ``position_mm``.
     plan : LinearPlan
         The motion; it begins again when it has ended.
     seconds : float
@@ -85,35 +84,35 @@ def paced(
     n = max(1, round(seconds / PERIOD_S))
     motion = motion_of_plan(plan)
     length_s = float(motion.t_s[-1] - motion.t_s[0])
-    position_in = motion.at(motion.t_s[0] + np.arange(n) * PERIOD_S % length_s) / MM_PER_IN
+    position_mm = motion.at(motion.t_s[0] + np.arange(n) * PERIOD_S % length_s)
     compiled = CompiledBundle(bundle)
     guard = Guard(bundle.safety, np.array([i.low for i in bundle.inputs]), np.array([i.high for i in bundle.inputs]))
     # Compiled and called once before any time counts.
-    _correct(compiled, guard, float(position_in[0]), PERIOD_S)
+    _correct(compiled, guard, float(position_mm[0]), PERIOD_S)
     compiled.reset()
     guard.reset()
     cycles = Cycles(n)
     with realtime(priority) as allowed:
-        begun_s = _run(cycles, compiled, guard, position_in, send)
+        begun_s = _run(cycles, compiled, guard, position_mm, send)
     return _summary(cycles, begun_s, allowed, guard)
 
 
-def _run(cycles: Cycles, compiled: CompiledBundle, guard: Guard, position_in: Floats, send: Send | None) -> float:
+def _run(cycles: Cycles, compiled: CompiledBundle, guard: Guard, position_mm: Floats, send: Send | None) -> float:
     begun_s = time.perf_counter() + _LEAD_S
     last, number = -1, 0
-    while number < len(position_in):
+    while number < len(position_mm):
         wait_s = begun_s + number * PERIOD_S - time.perf_counter()
         if wait_s > 0.0:
             time.sleep(wait_s)
         now_s = time.perf_counter()
         behind = int((now_s - begun_s) / PERIOD_S) - number
         if behind > 0:
-            cycles.missed += min(behind, len(position_in) - number)
+            cycles.missed += min(behind, len(position_mm) - number)
             number += behind
             continue
         cycles.begun_s[number] = now_s
         elapsed_s = (number - last) * PERIOD_S
-        um = _correct(compiled, guard, float(position_in[number]), elapsed_s)
+        um = _correct(compiled, guard, float(position_mm[number]), elapsed_s)
         if send is not None:
             send(number, um)
         cycles.sent_um[number] = um
@@ -122,12 +121,12 @@ def _run(cycles: Cycles, compiled: CompiledBundle, guard: Guard, position_in: Fl
             cycles.late += 1
         last, number = number, number + 1
     if send is not None:
-        send(len(position_in), 0.0)
+        send(len(position_mm), 0.0)
     return begun_s
 
 
-def _correct(compiled: CompiledBundle, guard: Guard, position_in: float, elapsed_s: float) -> float:
-    inputs = np.array([position_in])
+def _correct(compiled: CompiledBundle, guard: Guard, position_mm: float, elapsed_s: float) -> float:
+    inputs = np.array([position_mm])
     wanted = np.array([0.0, 0.0, -float(compiled.tick(inputs)[0])])
     return float(guard.step(wanted, inputs, age_s=0.0, elapsed_s=elapsed_s)[2])
 

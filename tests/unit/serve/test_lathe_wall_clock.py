@@ -22,9 +22,9 @@ def position_bundle(*names: str) -> Bundle:
         name="slope",
         machine="lathe",
         model_version=0,
-        inputs=[Input(name, "in", "none", 100.0, "controller", -1.0, 50.0) for name in names],
+        inputs=[Input(name, "mm", "none", 100.0, "controller", -25.0, 1250.0) for name in names],
         outputs=[Output("error_z_um", "base_z", "error")],
-        tick_graph=builder.graph({"error_z_um": 2.0 * inputs[0]}),
+        tick_graph=builder.graph({"error_z_um": 0.08 * inputs[0]}),
         safety=SafetyLimits(clamp_um=200.0),
     )
 
@@ -37,7 +37,7 @@ def test_a_stall_is_counted_cycle_by_cycle() -> None:
         if cycle == 20:
             time.sleep(0.055)
 
-    found = paced(position_bundle("position_in"), verification_plan(), 0.6, priority=0, send=stalled)
+    found = paced(position_bundle("position_mm"), verification_plan(), 0.6, priority=0, send=stalled)
     assert found["cycles"] == 60
     absent = sorted(set(range(60)) - set(sent))
     # What the control's end did not get is what the loop says that it missed.
@@ -50,4 +50,4 @@ def test_a_stall_is_counted_cycle_by_cycle() -> None:
 
 def test_a_correction_that_asks_for_a_direction_is_refused() -> None:
     with pytest.raises(InputError, match="remembers the play"):
-        paced(position_bundle("position_in", "direction_1"), verification_plan(), 0.1)
+        paced(position_bundle("position_mm", "direction_1"), verification_plan(), 0.1)

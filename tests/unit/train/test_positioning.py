@@ -10,19 +10,32 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear.bundle import Flanks, deployed_bundle, fit_harmonics, flanks_bundle, flanks_of, printed_pair
+from dtwin.kinds.linear.bundle import (
+    Flanks,
+    axis_number,
+    deployed_bundle,
+    fit_harmonics,
+    flanks_bundle,
+    flanks_of,
+    is_positioning_bundle,
+    printed_pair,
+)
 from dtwin.kinds.linear.gates import along, positioning_gates
 from dtwin.kinds.linear.models import Averages, Bidirectional, Unidirectional, fit_dual, whole_turns
 from dtwin.kinds.linear.net_training import ALGORITHMS, train_net
 from dtwin.kinds.linear.simulate import mapping_plan
 from dtwin.kinds.linear.small_net import new_net
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, read_network
+from dtwin.serve.builder import GraphBuilder
+from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.export import to_python
+from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.runtime import CompiledBundle
 from studies.lathe_paper import exact_averages, table_steps
 
 NETWORK = read_network()
 UM_PER_IN = 25400.0
+MM_PER_IN = 25.4
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +59,7 @@ def test_the_runtime_gives_what_the_printed_program_gives(tmp_path: Path) -> Non
     assert len(told) == 14
     assert np.max(np.abs(-NETWORK.error_in(inputs[:, 0], inputs[:, 1]) - told)) < 1e-12
     bundle = deployed_bundle(printed_pair(NETWORK), "printed", "lathe")
-    found = -CompiledBundle(bundle).run(inputs)[:, 0] / UM_PER_IN
+    found = -CompiledBundle(bundle).run(inputs * [1.0, MM_PER_IN])[:, 0] / UM_PER_IN
     assert np.max(np.abs(found - told)) < 1e-12
     # The same through the export.
     path = tmp_path / "exported.py"
@@ -57,16 +70,17 @@ def test_the_runtime_gives_what_the_printed_program_gives(tmp_path: Path) -> Non
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     for (direction, position), value in zip(inputs.tolist(), told.tolist(), strict=True):
-        named = {"direction_1": direction, "position_in": position}
+        named = {"direction_1": direction, "position_mm": position * MM_PER_IN}
         assert abs(-module.tick(named, {})[0]["error_z_um"] / UM_PER_IN - value) < 1e-12
 
 
 def test_the_remainder_is_that_of_c_everywhere() -> None:
     bundle = deployed_bundle(printed_pair(NETWORK), "printed", "lathe")
     position = np.concatenate([np.arange(-160, 161) * 0.25, np.linspace(-3.0, 45.0, 997)])
-    inputs = np.column_stack([np.zeros(len(position)), position])
+    inputs = np.column_stack([np.zeros(len(position)), position * MM_PER_IN])
     found = CompiledBundle(bundle).run(inputs)[:, 0] / UM_PER_IN
-    told = NETWORK.error_in(np.zeros(len(position)), position)
+    # Next to a whole turn rounding decides on which side of it a position lies.
+    told = NETWORK.error_in(np.zeros(len(position)), position * MM_PER_IN / MM_PER_IN)
     assert np.max(np.abs(found - told)) < 1e-11
 
 
@@ -88,6 +102,29 @@ def test_flanks_with_a_memory_pass_every_gate(flanks: Flanks) -> None:
     bundle = flanks_bundle(flanks, "flanks", "lathe", (0.0, 41.0))
     verdicts = positioning_gates(bundle, PITCH_IN, MAPPED_IN)
     assert [v.passed for v in verdicts] == [True] * 4, verdicts
+
+
+def test_any_axis_is_corrected_and_told_its_position_in_millimetres(flanks: Flanks) -> None:
+    bundle = flanks_bundle(flanks, "flanks", "mill", (0.0, 41.0), "X")
+    (position,), (output,) = bundle.inputs, bundle.outputs
+    assert (position.name, position.unit, position.high) == ("position_mm", "mm", 41.0 * MM_PER_IN)
+    assert (output.name, output.frame, axis_number(bundle)) == ("error_x_um", "base_x", 0)
+
+
+def test_a_bundle_from_before_is_told_inches() -> None:
+    builder = GraphBuilder()
+    graph = builder.graph({"error_z_um": builder.input("position_in") * 2.0})
+    bundle = create_bundle(
+        name="old",
+        machine="lathe",
+        model_version=1,
+        tick_graph=graph,
+        safety=SafetyLimits(clamp_um=100.0),
+        inputs=[Input("position_in", "in", "none", 100.0, "controller", 0.0, 41.0)],
+        outputs=[Output("error_z_um", "base_z")],
+    )
+    assert is_positioning_bundle(bundle)
+    assert along(bundle, np.array([1.0, 2.0])).tolist() == pytest.approx([2.0, 4.0])
 
 
 def test_flanks_need_no_flag_and_turn_round_in_the_overshoot(flanks: Flanks) -> None:

@@ -71,7 +71,7 @@ def twin(worn: Observations) -> Twin:
 
 def evaluated(twin: Twin, obs: Observations, position_in: Floats, way: str) -> Floats:
     graph = flank_graph(twin, obs)
-    found = [graph.evaluate({"position_in": float(x)}, {})[0][way] for x in position_in]
+    found = [graph.evaluate({"position_mm": 25.4 * float(x)}, {})[0][way] for x in position_in]
     return np.array(found)
 
 
