@@ -32,7 +32,8 @@ WARM_UP = 50
 
 def measured(mode: Output, in_flight: int, corrections: int) -> dict[str, float | str]:
     with tempfile.TemporaryDirectory() as scratch, AnalogueBoard(Path(scratch)) as board:
-        output = AnalogueOutput(board.port, output=mode, watchdog_ms=1000, in_flight=in_flight)
+        # A busy computer may simulate the board slower than it is.
+        output = AnalogueOutput(board.port, output=mode, watchdog_ms=1000, in_flight=in_flight, timeout_s=5.0)
         with output:
             output.engage()
             begun, first = time.monotonic(), len(board.changes)

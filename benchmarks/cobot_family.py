@@ -27,7 +27,7 @@ from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.machines.parameters import CobotParameters, load_parameters
 from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
-from dtwin.pipeline.modelling import train
+from dtwin.pipeline.model_training import train
 from dtwin.report.text import table
 from dtwin.serve.bundle import Bundle
 from dtwin.train.circle_evidence import WAYS

@@ -23,7 +23,7 @@ from dtwin.commands import evidence as evidence_command
 from dtwin.commands import exporting as exporting_command
 from dtwin.commands import lathe as lathe_commands
 from dtwin.commands import linuxcnc as linuxcnc_commands
-from dtwin.commands import modelling as modelling_commands
+from dtwin.commands import models as modelling_commands
 from dtwin.commands import papers as papers_command
 from dtwin.commands import rechecking as rechecking_command
 from dtwin.commands import record as record_command

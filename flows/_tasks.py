@@ -20,14 +20,15 @@ from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import cell, drift, measuring, modelling, rechecking
+from dtwin.pipeline import cell, drift, measuring, rechecking
 from dtwin.pipeline import evidence as closed_loop
+from dtwin.pipeline import model_training as modelling
 from dtwin.pipeline import scheduled as schedule
 from dtwin.pipeline.campaign_job import CampaignRequest, run_request
+from dtwin.pipeline.demo_steps import ProgressOf
 from dtwin.pipeline.desk import Desk
 from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
-from dtwin.pipeline.work import ProgressOf
 from dtwin.plan import Plan
 from dtwin.progress import Progress, StageProgress
 from dtwin.report.checking import check_source

@@ -12,10 +12,10 @@ from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import Home
 from dtwin.errors import DtwinError
+from dtwin.pipeline.demo_steps import PlainSteps, ProgressOf, Result, Work
 from dtwin.pipeline.measuring import FeatureReport
-from dtwin.pipeline.modelling import Registered
+from dtwin.pipeline.model_training import Registered
 from dtwin.pipeline.wall_clock import Circle, serving_numbers
-from dtwin.pipeline.work import PlainSteps, ProgressOf, Result, Work
 from dtwin.plan import Plan
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence

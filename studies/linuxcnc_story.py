@@ -17,7 +17,7 @@ from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
 from dtwin.pipeline.evidence import compute_measured, make_champion
 from dtwin.pipeline.exports import Request, export, source_of
 from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace, named, served_figures
-from dtwin.pipeline.modelling import put_on_trial
+from dtwin.pipeline.model_training import put_on_trial
 from dtwin.pipeline.twin_correction import Correction, correct
 from dtwin.pipeline.twins import Twins
 from dtwin.progress import Progress

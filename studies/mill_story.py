@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.acquire.virtual_mill import write_campaign
 from dtwin.config import Home
 from dtwin.pipeline.evidence import compute_measured, make_champion
-from dtwin.pipeline.modelling import put_on_trial
+from dtwin.pipeline.model_training import put_on_trial
 from dtwin.pipeline.twin_correction import Correction, correct
 from dtwin.pipeline.twins import Twins
 from dtwin.progress import Progress

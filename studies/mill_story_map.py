@@ -11,7 +11,7 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.config import Home
-from dtwin.pipeline.modelling import CONDITIONS_FILE
+from dtwin.pipeline.model_training import CONDITIONS_FILE
 from dtwin.schema import Floats, Run
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle

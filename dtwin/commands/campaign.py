@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.modelling import Json
+from dtwin.commands.models import Json
 from dtwin.commands.output import emit
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.modelling import Json, Machine, machine_named
+from dtwin.commands.models import Json, Machine, machine_named
 from dtwin.commands.output import emit
 from dtwin.errors import InputError
 from dtwin.report.text import table

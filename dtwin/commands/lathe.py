@@ -86,7 +86,7 @@ def compensate(
     as_json: Json = False,
 ) -> None:
     """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
-    from dtwin.commands.modelling import bundle_on_virtual
+    from dtwin.commands.models import bundle_on_virtual
     from dtwin.kinds.linear.loop import before_and_after
     from dtwin.kinds.linear.plan import read_linear_plan
     from dtwin.kinds.linear.text import compensation_text

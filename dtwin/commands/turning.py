@@ -97,7 +97,7 @@ def compensate(
 ) -> None:
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
     from dtwin.atomic import write_text
-    from dtwin.commands.modelling import bundle_on_virtual
+    from dtwin.commands.models import bundle_on_virtual
     from dtwin.kinds.sinusoidal.report import trial_section, trial_text
     from dtwin.kinds.sinusoidal.trial import TRIAL_HZ, trial
     from dtwin.report.html import page

@@ -49,8 +49,8 @@ def fit_twin(
 ) -> None:
     """Fit effects to a campaign."""
     from dtwin.config import home
-    from dtwin.pipeline.every_twin import twins_for
-    from dtwin.report.every_twin import twin_text
+    from dtwin.pipeline.twins_of_kind import twins_for
+    from dtwin.report.twin_of_kind import twin_text
 
     names = [part.strip() for part in wanted.split(",") if part.strip()]
     twins, known = twins_for(home(), library_with(effects_path), campaign)
@@ -78,7 +78,7 @@ def compare_twin(
     """
     from dtwin.kinds.volumetric.twins import HeatComparison
     from dtwin.pipeline.encoder_comparison import cutoff_of, no_controller_columns
-    from dtwin.report.every_twin import comparison_sections, comparison_text
+    from dtwin.report.twin_of_kind import comparison_sections, comparison_text
 
     asked = split_cycles is not None or split_hz is not None
     cutoff = cutoff_of(split_cycles, split_hz)
@@ -96,7 +96,7 @@ def diagnose_twin(
     name: Name, seed: Seed = 0, html: Report = None, effects_path: Paths = None, as_json: Json = False
 ) -> None:
     """Name the effect that is missing, or say why it cannot be named."""
-    from dtwin.report.every_twin import diagnosis_section, diagnosis_text
+    from dtwin.report.twin_of_kind import diagnosis_section, diagnosis_text
 
     twin, found = _twins_with(name, effects_path).diagnose(name, seed=seed)
     result = {"twin": name, "version": twin.version, "campaign": twin.campaign, **found.as_dict()}
@@ -149,7 +149,7 @@ def restore_version(
 @twin_app.command("discover")
 def discover_effects(name: Name, seed: Seed = 0, effects_path: Paths = None, as_json: Json = False) -> None:
     """Find all effects that these runs can tell, and add them one by one."""
-    from dtwin.report.every_twin import diagnosis_text
+    from dtwin.report.twin_of_kind import diagnosis_text
     from dtwin.report.twins import history_text
 
     twins = _twins_with(name, effects_path)
@@ -254,7 +254,13 @@ def show_twin(
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
     from dtwin.pipeline.twin_intervention import interventions
-    from dtwin.report.every_twin import comparison_sections, diagnosis_section, history_section, twin_section, twin_text
+    from dtwin.report.twin_of_kind import (
+        comparison_sections,
+        diagnosis_section,
+        history_section,
+        twin_section,
+        twin_text,
+    )
 
     twins = _twins_with(name, effects_path)
     twin = twins.newest(name, version)
@@ -281,8 +287,8 @@ def show_twin(
 
 
 def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:
-    from dtwin.report.every_twin import twin_text
     from dtwin.report.text import micrometres
+    from dtwin.report.twin_of_kind import twin_text
 
     after_um = twin.figures["rms_after_um"]
     payload = {**twin.as_dict(), "before": dict(before)}
@@ -316,7 +322,7 @@ def _twins(paths: list[Path] | None) -> Twins:
 
 def _twins_with(name: str, paths: list[Path] | None) -> Twins | HeatTwins:
     from dtwin.config import home
-    from dtwin.pipeline.every_twin import twins_with
+    from dtwin.pipeline.twins_of_kind import twins_with
 
     return twins_with(home(), library_with(paths), name)
 

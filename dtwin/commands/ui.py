@@ -40,7 +40,7 @@ def ui(
             "no such folder for effects", code="ui.effects_path", where=str(effects_path), hint=f"mkdir {effects_path}"
         )
     from dtwin.config import home
-    from dtwin.workbench.door import listening, only_one
+    from dtwin.workbench.listening_socket import listening, only_one
 
     def announce(address: str) -> None:
         shown = json.dumps({"address": address, "home": str(home().root)}, indent=2)
@@ -52,12 +52,12 @@ def ui(
             webbrowser.open(address)
 
     own = None if effects_path is None else effects_path.absolute()
-    with only_one(home()), listening(host, port) as door:
+    with only_one(home()), listening(host, port) as bound:
         from dtwin.workbench.server import run
 
         # The server has ended in order by then, and raises the signal once more.
         with contextlib.suppress(KeyboardInterrupt):
-            run(home(), host, door, own, announce, private=private)
+            run(home(), host, bound, own, announce, private=private)
     print("stopped", file=sys.stderr, flush=True)
     if threading.active_count() > 1:
         # A thread that still reads or fits must not meet an interpreter that is taken apart:

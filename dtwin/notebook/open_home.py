@@ -29,8 +29,8 @@ from dtwin.notebook.results import (
 )
 from dtwin.physics import localise
 from dtwin.physics.library import Library
-from dtwin.pipeline.every_twin import twins_for, twins_with
 from dtwin.pipeline.twin_data import load, pure_rms_um
+from dtwin.pipeline.twins_of_kind import twins_for, twins_with
 from dtwin.schema import Run
 from dtwin.store import Lake
 

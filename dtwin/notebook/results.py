@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from dtwin.errors import InputError
-from dtwin.report import every_twin as report
+from dtwin.report import twin_of_kind as report
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

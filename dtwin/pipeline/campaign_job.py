@@ -16,7 +16,7 @@ from dtwin.pipeline.campaign_steps import Step, by_turns, circle_steps
 from dtwin.pipeline.desk import Desk, enter_desk
 from dtwin.pipeline.evidence import compute
 from dtwin.pipeline.machine_campaign import Job, measure_campaign
-from dtwin.pipeline.modelling import geometry_of
+from dtwin.pipeline.model_training import geometry_of
 from dtwin.plan import Plan
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.controller_kind import is_virtual

@@ -10,7 +10,7 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.machine import FROM_THE_LAKE, EvidenceRequest, VirtualMachine
 from dtwin.kinds.registry import machine_of_type, machines
-from dtwin.pipeline.modelling import geometry_of, markdown_table
+from dtwin.pipeline.model_training import geometry_of, markdown_table
 from dtwin.progress import Progress
 from dtwin.report.campaign import evidence_section, evidence_table
 from dtwin.report.html import page

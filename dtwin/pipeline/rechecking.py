@@ -14,7 +14,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.evidence import compute
-from dtwin.pipeline.modelling import CONDITIONS_FILE, geometry_of
+from dtwin.pipeline.model_training import CONDITIONS_FILE, geometry_of
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.machine_file import MACHINE_TYPES

@@ -18,7 +18,7 @@ from dtwin.kinds.registry import kind_named
 from dtwin.locks import locked
 from dtwin.pipeline.against_champion import Comparison, compare_with_champion
 from dtwin.pipeline.drift import DriftCheck, campaign_of, champion_of, check_drift, trained_rows, usable
-from dtwin.pipeline.modelling import Registered, train
+from dtwin.pipeline.model_training import Registered, train
 from dtwin.progress import StageProgress
 from dtwin.schema import Campaign
 from dtwin.store import Lake

@@ -17,7 +17,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
 from dtwin.pipeline.judged_twin import Judged
-from dtwin.pipeline.modelling import CONDITIONS_FILE, require_uncorrected
+from dtwin.pipeline.model_training import CONDITIONS_FILE, require_uncorrected
 from dtwin.pipeline.twin_data import load
 from dtwin.pipeline.twins import Twins
 from dtwin.statistics import rms

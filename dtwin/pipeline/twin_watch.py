@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.pipeline.every_twin import every_shelf
-from dtwin.report.every_twin import comparison_text, diagnosis_text
+from dtwin.pipeline.twins_of_kind import every_shelf
+from dtwin.report.twin_of_kind import comparison_text, diagnosis_text
 from dtwin.store import Lake
 
 

@@ -12,7 +12,7 @@ from dtwin.links.axis_link import AxisLink
 from dtwin.schema import Floats
 from dtwin.serve.axis_inputs import AxisInputs
 from dtwin.serve.decision import Decision
-from dtwin.serve.endings import fault_of
+from dtwin.serve.end_of_serving import fault_of
 from dtwin.serve.journal import LINK_LOST, Note, Sparing
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.lockstep import serve_lockstep

@@ -22,8 +22,8 @@ from dtwin.serve.axis_lockstep import serve_machine_clock
 from dtwin.serve.barred import BarredWatch
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
+from dtwin.serve.connection import AxisConnection, Connection, with_trial_clamp
 from dtwin.serve.decision import STANDARD_INPUTS, Decision, SensorSource
-from dtwin.serve.door import AxisDoor, Door, with_trial_clamp
 from dtwin.serve.journal import NOT_RELEASED, RELEASED, SERVING, journal
 from dtwin.serve.lease import lease
 from dtwin.serve.live_board import live_board
@@ -112,9 +112,9 @@ def _serve_resolved(
         sensors = held.enter_context(open_sensors(window)) if open_sensors and window else None
         sampled_elsewhere = sensors is not None or request.axes is None
         inputs = AxisInputs(bundle, request.covariates, sensors=sampled_elsewhere)
-        door = _door(request, bundle, trial, inputs, home)
-        held.callback(door.close)
-        rate_hz = door.rate_hz
+        connection = _connection(request, bundle, trial, inputs, home)
+        held.callback(connection.close)
+        rate_hz = connection.rate_hz
         decision = Decision(
             compiled,
             machine.tcp if machine else NO_TOOL_MM,
@@ -137,14 +137,14 @@ def _serve_resolved(
             )
         barred = BarredWatch(resolved.machine, home, resolved.version)
         run: Callable[[Stop], ServeStatus]
-        if isinstance(door, AxisDoor) and door.clock == "machine":
-            run = partial(serve_machine_clock, door(), decision, inputs, request, events.note, barred, board)
+        if isinstance(connection, AxisConnection) and connection.clock == "machine":
+            run = partial(serve_machine_clock, connection(), decision, inputs, request, events.note, barred, board)
         else:
-            serving = MachineServing(request.serving(rate_hz), decision, door, events.note, barred, board)
+            serving = MachineServing(request.serving(rate_hz), decision, connection, events.note, barred, board)
             held.callback(serving.close)
             run = serving.run
         time_text = "until Ctrl-C" if request.duration_s is None else f"{request.duration_s:g} s"
-        announce(f"serving the {door.device} controller at {request.place}, {request.mode}, {time_text}")
+        announce(f"serving the {connection.device} controller at {request.place}, {request.mode}, {time_text}")
         model = {"version": resolved.version, "state": resolved.state}
         events.note(
             SERVING,
@@ -153,24 +153,24 @@ def _serve_resolved(
             model=model,
             pid=os.getpid(),
             model_sha256=model_sha256,
-            device=door.device,
+            device=connection.device,
             trial=trial,
         )
         with stop_on_signals() as asked:
-            status = run(lambda: asked() or door.finished)
-        if door.finished and status.ended == "stopped":
+            status = run(lambda: asked() or connection.finished)
+        if connection.finished and status.ended == "stopped":
             status = dataclasses.replace(status, ended="finished")
         events.note(RELEASED if status.released else NOT_RELEASED, why=status.ended)
-        return Served(request, resolved, door.device, trial, bundle.safety.clamp_um, status, door.realtime)
+        return Served(request, resolved, connection.device, trial, bundle.safety.clamp_um, status, connection.realtime)
 
 
-def _door(request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home) -> Door:
+def _connection(request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home) -> Connection:
     """Return the way to the machine; an axis control has greeted then."""
     if request.axes is None:
-        return Door(request, bundle, trial)
-    door = AxisDoor(request, bundle, trial, inputs, home)
-    if inputs.watch is not None and door.clock == "wall":
-        door.close()
+        return Connection(request, bundle, trial)
+    connection = AxisConnection(request, bundle, trial, inputs, home)
+    if inputs.watch is not None and connection.clock == "wall":
+        connection.close()
         raise InputError(
             "a sine cannot be corrected over a network in real time",
             code="serve.tones",
@@ -178,7 +178,7 @@ def _door(request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs
             got="a control on the wall clock",
             hint="export the bundle to the control: dtwin export --as c",
         )
-    return door
+    return connection
 
 
 def _require_control(request: ServeRequest, bundle: Bundle) -> None:

@@ -15,8 +15,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
-from dtwin.pipeline.every_twin import every_shelf, twins_with
 from dtwin.pipeline.twins import Twins
+from dtwin.pipeline.twins_of_kind import every_shelf, twins_with
 from dtwin.store import Lake
 from dtwin.workbench.access import Access
 from dtwin.workbench.cache import Cache

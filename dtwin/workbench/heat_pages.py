@@ -10,8 +10,8 @@ from starlette.responses import Response
 from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.kinds.volumetric.twin_report import day_figure, motion_figure, term_table
 from dtwin.kinds.volumetric.twins import HeatTwins
-from dtwin.report.every_twin import comparison_sections, diagnosis_section, history_section, twin_section
 from dtwin.report.html import Section
+from dtwin.report.twin_of_kind import comparison_sections, diagnosis_section, history_section, twin_section
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.pages import drawn, rendered

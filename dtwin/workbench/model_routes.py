@@ -86,7 +86,7 @@ def promote(request: Request, machine: str, version: str, why: Comment) -> JSONR
 
     def work(tell: Tell) -> str:
         from dtwin.pipeline.evidence import promote_proven, proven_or_measured
-        from dtwin.pipeline.modelling import put_on_trial as on_trial
+        from dtwin.pipeline.model_training import put_on_trial as on_trial
 
         address = f"/models/{machine}/{found.version}"
         if why.trial:

@@ -10,7 +10,7 @@ from starlette.responses import JSONResponse
 
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.every_twin import twins_for
+from dtwin.pipeline.twins_of_kind import twins_for
 from dtwin.schema import require_name
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of

@@ -21,7 +21,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.pipeline.desk import open_question
 from dtwin.pipeline.evidence import make_champion, measure
-from dtwin.pipeline.modelling import put_on_trial
+from dtwin.pipeline.model_training import put_on_trial
 from dtwin.pipeline.twins import Twins
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.registry import Registry

@@ -18,7 +18,7 @@ from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.drift import champion_of, check_drift, trained_rows
 from dtwin.pipeline.evidence import make_champion, measure
 from dtwin.pipeline.measuring import ingest
-from dtwin.pipeline.modelling import put_on_trial, train
+from dtwin.pipeline.model_training import put_on_trial, train
 from dtwin.pipeline.rechecking import recheck
 from dtwin.pipeline.scheduled import news, scheduled_training
 from dtwin.plan import training_plan

@@ -35,8 +35,8 @@ from dtwin.errors import DtwinError, GateRefusal
 from dtwin.features.windows import WindowContract
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import save_bundle
+from dtwin.serve.connection import require_evidence
 from dtwin.serve.controller_kind import is_virtual
-from dtwin.serve.door import require_evidence
 from dtwin.serve.interface import Input, Provenance, SafetyLimits
 from dtwin.serve.pointer import machine_folder, write_pointer
 from dtwin.serve.serve_request import ServeRequest
@@ -171,7 +171,8 @@ def test_speed_slider_does_not_end_the_serving(own_robot: VirtualRobot, home: Ho
     before = own_robot.do("status")["ticks"]
     while own_robot.do("status")["ticks"] < before + 250:
         time.sleep(0.02)
-    assert applied_um(own_robot) > 15.0
+    # A busy test computer may make the loop release in between; it goes on by itself.
+    wait_until_corrected(own_robot)
     server.interrupt()
     code, out, _ = server.end()
     assert (code, json.loads(out)["released"]) == (0, True)

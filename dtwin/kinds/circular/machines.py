@@ -114,7 +114,7 @@ def _on_bench(bench: Bench, plan: Plan, request: Request, progress: Progress) ->
 
 
 def _trained_circles(request: EvidenceRequest) -> EvidencePlan:
-    from dtwin.pipeline.modelling import CONDITIONS_FILE
+    from dtwin.pipeline.model_training import CONDITIONS_FILE
     from dtwin.train.circle_evidence import plan_within
 
     trained = request.registry.read_json(request.version, CONDITIONS_FILE)

@@ -25,7 +25,7 @@ TRIAL_SHARE = 0.25
 _TRY_S = 0.2
 
 
-class Door:
+class Connection:
     """Opens a link to a robot or a board.
 
     Parameters
@@ -85,13 +85,13 @@ class Door:
         require_evidence(self._bundle, device, mode=self._request.mode, trial=self._trial)
 
 
-class AxisDoor(Door):
+class AxisConnection(Connection):
     """Opens a link to a control that takes offsets of its axes.
 
     Parameters
     ----------
     request, bundle, trial
-        As for :class:`Door`.
+        As for :class:`Connection`.
     inputs : AxisInputs
         What the control must send.
     home : Home

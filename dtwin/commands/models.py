@@ -52,7 +52,7 @@ def train(
 ) -> None:
     """Train every candidate, compare on conditions left out, register the best equation."""
     from dtwin.config import home
-    from dtwin.pipeline.modelling import train as train_and_register
+    from dtwin.pipeline.model_training import train as train_and_register
     from dtwin.report.campaign import comparison_table
     from dtwin.train.promotion import verdict_lines
 
@@ -172,7 +172,7 @@ def promote(
     """
     from dtwin.config import home
     from dtwin.pipeline.evidence import make_champion, proven_or_measured
-    from dtwin.pipeline.modelling import put_on_trial
+    from dtwin.pipeline.model_training import put_on_trial
     from dtwin.report.campaign import evidence_table
     from dtwin.train.registry import Registry
 

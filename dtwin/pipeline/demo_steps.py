@@ -12,7 +12,8 @@ from typing import Any, Protocol, TypeVar
 from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import Home
-from dtwin.pipeline import evidence, measuring, modelling
+from dtwin.pipeline import evidence, measuring
+from dtwin.pipeline import model_training as modelling
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import Plan
 from dtwin.progress import Progress
