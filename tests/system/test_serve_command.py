@@ -16,7 +16,6 @@ import typer
 from served_robot import (
     MACHINE,
     Server,
-    applied_um,
     bundle,
     end_what_is_left,
     logged,
