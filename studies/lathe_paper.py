@@ -26,7 +26,7 @@ from dtwin.kinds.linear.report import before_after_figures
 from dtwin.kinds.linear.simulate import mapping_plan, verification_plan, virtual_lathe
 from dtwin.kinds.linear.small_net import new_net
 from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
-from dtwin.machines.lathe import UM_PER_IN
+from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle
@@ -159,7 +159,7 @@ def _left(model: PositionModel, truth: Averages) -> dict[str, float]:
 def _golden(network: LatheNetwork) -> Line:
     bundle = deployed_bundle(printed_pair(network), "printed", "published-lathe")
     rows = np.array([[g["dir"], g["pos_in"]] for g in network.golden], dtype=float)
-    found = -CompiledBundle(bundle).run(rows)[:, 0] / UM_PER_IN
+    found = -CompiledBundle(bundle).run(rows * [1.0, MM_PER_IN])[:, 0] / UM_PER_IN
     off = float(np.max(np.abs(found - [g["compensation_in"] for g in network.golden])))
     return Line(
         "printed network in the serving runtime",
