@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dtwin.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork
+from dtwin.kinds.linear.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork
 from dtwin.machines.laser_trigger import LaserSetup, Triggered, watch
 from dtwin.machines.lathe_control import Motion
 from dtwin.machines.wandering import wandering

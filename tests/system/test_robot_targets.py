@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from point_program import visit
 from served_robot import MACHINE, bundle, promote
 from typer.testing import CliRunner
 
@@ -16,7 +17,6 @@ from dtwin.config import home
 from dtwin.errors import DtwinError
 from dtwin.kinematics import UR10E
 from dtwin.machines.cobot import ELBOW_UP_RAD, TOOL_DOWN, VirtualCobot
-from dtwin.machines.point_program import visit
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
