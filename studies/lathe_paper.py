@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.linear.bundle import deployed_bundle, flanks_of, printed_pair
-from dtwin.kinds.linear.lathe_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.kinds.linear.loop import Figures, measured
 from dtwin.kinds.linear.models import (
     Averages,
@@ -27,6 +26,7 @@ from dtwin.kinds.linear.report import before_after_figures
 from dtwin.kinds.linear.simulate import mapping_plan, verification_plan, virtual_lathe
 from dtwin.kinds.linear.small_net import new_net
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
+from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.runtime import CompiledBundle

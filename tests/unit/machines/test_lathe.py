@@ -10,13 +10,13 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
-from dtwin.kinds.linear.lathe_network import read_network
 from dtwin.kinds.linear.plan import LinearPlan
 from dtwin.kinds.linear.program import laser_program
 from dtwin.kinds.linear.simulate import laser_setup, motion_of_plan, simulate_lathe, verification_plan, virtual_lathe
 from dtwin.machines.laser_trigger import watch
 from dtwin.machines.lathe import ThreadScrew, VirtualLathe, Wander
 from dtwin.machines.lathe_control import run_program
+from dtwin.machines.printed_network import read_network
 from dtwin.report.checking import check_source
 
 CALM = Wander(offset_um=0.0, scale_um_per_m=0.0, reading_um=0.0, quantum_um=0.0)
