@@ -5,12 +5,18 @@ set -euo pipefail
 
 .venv/bin/ruff check .
 .venv/bin/ruff format --check --quiet . || { echo "run: .venv/bin/ruff format ."; exit 1; }
-# Types on one core; contracts and documentation, whose output follows, on the other.
+# Types, contracts and documentation take what the tests leave of the processors, and say what they found meanwhile.
 said=$(mktemp)
 trap 'rm -f "$said"' EXIT
-(.venv/bin/lint-imports && NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --strict --site-dir .dtwin/site) >"$said" 2>&1 &
+quiet() { nice -n 19 .venv/bin/"$@"; }
+(
+    export NO_MKDOCS_2_WARNING=1
+    { quiet mypy && quiet lint-imports && quiet mkdocs build --strict --site-dir .dtwin/site; } >"$said" 2>&1 || failed=1
+    cat "$said"
+    exit "${failed:-0}"
+) &
 beside=$!
-.venv/bin/mypy
-wait "$beside" || { cat "$said"; exit 1; }
-cat "$said"
-OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 3 --no-loadscope-reorder -m "not long" "$@"
+tests=0
+OMP_NUM_THREADS=1 .venv/bin/python -m pytest -q -n 3 --no-loadscope-reorder -m "not long" "$@" || tests=$?
+wait "$beside" || { cat "$said"; echo "types, contracts or documentation: see above"; exit 1; }
+exit "$tests"
