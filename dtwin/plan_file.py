@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind, Planned
 from dtwin.kinds.registry import kind_named, kind_names, kinds
-from dtwin.schema import DEFAULT_KIND
+from dtwin.schema import DEFAULT_KIND, require_name
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -128,6 +128,31 @@ def filled(plan: type[_Plan], stated: Mapping[str, Any], where: str) -> _Plan:
     if missing:
         raise InputError("the plan lacks settings", code="plan.setting", where=where, got=", ".join(missing))
     return plan(**{name: _typed(name, known[name], stated[name], where) for name in stated})
+
+
+def obeying(plan: _Plan, rules: Iterable[tuple[str, bool, object, str]], where: str) -> _Plan:
+    """Return a plan whose names are usable and whose settings obey rules.
+
+    Parameters
+    ----------
+    plan : dataclass
+        With ``name`` and ``machine``.
+    rules : iterable of (str, bool, object, str)
+        Setting, whether its rule is kept, what was given, and what is allowed.
+    where : str
+        Where it comes from, for error messages.
+
+    Raises
+    ------
+    InputError
+        With the first rule that is broken.
+    """
+    for name in ("name", "machine"):
+        require_name(getattr(plan, name), f"plan.{name}")
+    for name, kept, got, allowed in rules:
+        if not kept:
+            raise broken_rule(name, f"{name} cannot be", where, got, allowed)
+    return plan
 
 
 def broken_rule(name: str, what: str, where: str, got: object, allowed: str) -> InputError:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.plan_file import broken_rule, filled
-from dtwin.schema import Finding, require_name
+from dtwin.plan_file import filled, obeying
+from dtwin.schema import Finding
 
 # Share of the control bandwidth up to which a slide may be driven.
 SAFE_SHARE = 0.8
@@ -104,9 +104,7 @@ def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:
         When a setting is unknown, missing or of the wrong type, or a rule is broken.
     """
     plan = filled(TonePlan, stated, where)
-    require_name(plan.name, "plan.name")
-    require_name(plan.machine, "plan.machine")
-    rules: tuple[tuple[str, bool, object, str], ...] = (
+    rules = (
         (
             "frequencies_hz",
             _distinct(plan.frequencies_hz, 1e4),
@@ -127,10 +125,7 @@ def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:
         ("sample_hz", 1.0 <= plan.sample_hz <= 1e6, plan.sample_hz, "1 to 1000000 Hz"),
         ("seed", plan.seed >= 0, plan.seed, "0 or more"),
     )
-    for name, kept, got, allowed in rules:
-        if not kept:
-            raise broken_rule(name, f"{name} cannot be", where, got, allowed)
-    return plan
+    return obeying(plan, rules, where)
 
 
 def duration_s(plan: TonePlan) -> float:

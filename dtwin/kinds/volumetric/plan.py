@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dtwin.plan_file import broken_rule, filled
-from dtwin.schema import Finding, require_name
+from dtwin.plan_file import filled, obeying
+from dtwin.schema import Finding
 
 # Beyond this a ball moves too far while the others are touched.
 MOST_DRIFT_UM = 6.0
@@ -83,9 +83,7 @@ def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
         When a setting is unknown, missing or of the wrong type, or a rule is broken.
     """
     plan = filled(BallPlan, stated, where)
-    require_name(plan.name, "plan.name")
-    require_name(plan.machine, "plan.machine")
-    rules: tuple[tuple[str, bool, object, str], ...] = (
+    rules = (
         ("hours", 1.0 <= plan.hours <= 10_000.0, plan.hours, "1 to 10000 h"),
         ("every_h", 0.1 <= plan.every_h <= plan.hours, plan.every_h, f"0.1 to {plan.hours:g} h"),
         ("balls", 1 <= plan.balls <= 1000, plan.balls, "1 to 1000"),
@@ -100,10 +98,7 @@ def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
             f"{plan.cycle_h:z.2f} h or more: {plan.touches} balls at {plan.ball_s:g} s",
         ),
     )
-    for name, kept, got, allowed in rules:
-        if not kept:
-            raise broken_rule(name, f"{name} cannot be", where, got, allowed)
-    return plan
+    return obeying(plan, rules, where)
 
 
 def ball_advice(plan: BallPlan) -> list[Finding]:
