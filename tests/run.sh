@@ -8,10 +8,10 @@ set -euo pipefail
 # Types, contracts and documentation take what the tests leave of the processors, and say what they found meanwhile.
 said=$(mktemp)
 trap 'rm -f "$said"' EXIT
-quiet() { nice -n 19 .venv/bin/"$@"; }
+quiet() { nice -n 19 "$@"; }
 (
     export NO_MKDOCS_2_WARNING=1
-    { quiet mypy && quiet lint-imports && quiet mkdocs build --strict --site-dir .dtwin/site; } >"$said" 2>&1 || failed=1
+    { quiet .venv/bin/mypy && quiet .venv/bin/lint-imports && quiet .venv/bin/mkdocs build --strict --site-dir .dtwin/site; } >"$said" 2>&1 || failed=1
     cat "$said"
     exit "${failed:-0}"
 ) &
