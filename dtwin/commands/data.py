@@ -92,8 +92,8 @@ def check(
 ) -> None:
     """Say what the data are, and what is wrong with them. Changes nothing."""
     from dtwin.config import home
+    from dtwin.lake.store import Lake
     from dtwin.report.checking import check_campaign, check_source, render_check
-    from dtwin.store import Lake
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
     told = _told(plane, radius, feed, direction, axis, setup, repeat, machine)
@@ -123,7 +123,7 @@ def ingest(
     """Bring measurements into the lake. Safe to repeat."""
     from dtwin.acquire.ingest import ingest as ingest_one
     from dtwin.config import home
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
     told = _told(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
@@ -137,7 +137,7 @@ def runs(
 ) -> None:
     """List the runs in the lake."""
     from dtwin.config import home
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
 
     rows = Lake(home().lake).runs(campaign, left_out=True)
     shown = (
@@ -204,8 +204,8 @@ def repair(
 ) -> None:
     """Drop what kills left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
     from dtwin.config import home
-    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
+    from dtwin.twins.registration import log_waiting, waiting_text
 
     found = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()

@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twin_correction import TwinWay
-    from dtwin.pipeline.twins import Twins
     from dtwin.report.html import Section
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.correct import TwinWay
+    from dtwin.twins.verbs import Twins
 
 
 class NotOffered(InputError):

@@ -11,12 +11,12 @@ from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import columns_sha256
+from dtwin.lake.store import Lake, RejectedRows
 from dtwin.physics.circular import bidirectional_figures
 from dtwin.progress import Progress
 from dtwin.report.text import table
-from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Floats, Run
-from dtwin.store import Lake, RejectedRows
 
 _MAX_DETAILED = 12
 

@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twins import Twins
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.verbs import Twins
 
 
 class Rotary(Kind):
@@ -67,7 +67,7 @@ class Rotary(Kind):
         return (Drawing("turn", "Error over the turn", 460, turn),)
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.pipeline.twins import Twins
+        from dtwin.twins.verbs import Twins
 
         return Twins(home, library)
 

@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twin_correction import TwinWay
-    from dtwin.pipeline.twins import Twins
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.correct import TwinWay
+    from dtwin.twins.verbs import Twins
 
 
 class _Circular(Kind):
@@ -82,7 +82,7 @@ class _Circular(Kind):
         return DRAWINGS
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.pipeline.twins import Twins
+        from dtwin.twins.verbs import Twins
 
         return Twins(home, library)
 
@@ -115,7 +115,7 @@ class _Circular(Kind):
 
     def twin_correction(self) -> TwinWay:
         from dtwin.kinds.circular.correction import freeze_circles, judge_circles
-        from dtwin.pipeline.twin_correction import BY_LAW, TwinWay
+        from dtwin.twins.correct import BY_LAW, TwinWay
 
         return TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)
 

@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twin_correction import TwinWay
-    from dtwin.pipeline.twins import Twins
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.correct import TwinWay
+    from dtwin.twins.verbs import Twins
 
 
 class _Linear(Kind):
@@ -97,7 +97,7 @@ class _Linear(Kind):
         return DRAWINGS
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.pipeline.twins import Twins
+        from dtwin.twins.verbs import Twins
 
         return Twins(home, library)
 
@@ -134,7 +134,7 @@ class _Linear(Kind):
 
     def twin_correction(self) -> TwinWay:
         from dtwin.kinds.linear.correction import freeze_axis, judge_axis
-        from dtwin.pipeline.twin_correction import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
+        from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
 
