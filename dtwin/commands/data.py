@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -93,15 +94,17 @@ def check(
     """Say what the data are, and what is wrong with them. Changes nothing."""
     from dtwin.config import home
     from dtwin.lake.store import Lake
+    from dtwin.machine_record import tolerances_of
     from dtwin.report.checking import check_campaign, check_source, render_check
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
     told = _told(plane, radius, feed, direction, axis, setup, repeat, machine)
+    limits = partial(tolerances_of, home())
     alone = any(value is not None for value in told.values())
     if not alone and not source.exists() and str(source) in lake.campaigns():
-        result = check_campaign(lake, str(source), line)
+        result = check_campaign(lake, str(source), line, limits)
     else:
-        result = check_source(source, line, told)
+        result = check_source(source, line, told, limits)
     emit(result, lambda: render_check(result), as_json=as_json)
 
 

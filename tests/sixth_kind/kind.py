@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 class Rotary(Kind):
     name = "rotary"
     columns = ("t_s", "angle_deg", "error_um")
+    campaign_columns = columns
     always_fitted = "The zero of every set-up is always fitted."
     instead: ClassVar[Mapping[str, str]] = {"programs": "the table turns by hand"}
 
@@ -45,9 +46,6 @@ class Rotary(Kind):
         if len(run.samples["angle_deg"]) >= 36:
             return []
         return [Finding("rotary.short", "error", "fewer than 36 places of the turn")]
-
-    def kept_for_campaign(self, run: Run) -> bool:
-        return True
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         spans = {run.meta.run_id: float(np.ptp(run.samples["error_um"])) for run in runs}

@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.report.sheet import Sheet
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
@@ -27,6 +30,8 @@ class _Linear(Kind):
     name = "linear"
     columns = ("t_s", "position_mm", "direction", "error_um")
     stated = ("axis",)
+    campaign_columns = columns
+    sheet_columns = columns
     always_fitted = "The zero of every set-up is always fitted."
     controls = ("opencnc", "iso")
     instead: ClassVar[Mapping[str, str]] = {
@@ -77,8 +82,15 @@ class _Linear(Kind):
         whole = [run for run in runs if run.samples]
         return judge_linear_campaign(whole) if whole else []
 
-    def kept_for_campaign(self, run: Run) -> bool:
-        return True
+    def sheet(self, runs: Sequence[Run]) -> Sheet:
+        from dtwin.kinds.linear.sheet import positioning_sheet
+
+        return positioning_sheet(runs)
+
+    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
+        from dtwin.kinds.linear.sheet import positioning_figure
+
+        return positioning_figure(runs)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.linear.report import positioning_result
