@@ -11,7 +11,7 @@ _DEVICE = {
     ),
     "latched": (
         "too many faults; the correction was released and stays so",
-        "the reasons in the status say which; serve again to arm it",
+        "the session's reasons say which, on the Live page of dtwin ui or in its log below DTWIN_HOME/logs; serve again to arm it",
     ),
     "diverged": (
         "the correction did not settle; it was released",

@@ -11,6 +11,7 @@ import hashlib
 import mmap
 import os
 import stat
+import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -43,11 +44,12 @@ COLUMNS = (
 )
 """Columns of a row, in their order."""
 
-_FORMAT = 2026.0
+_FORMAT = 2027.0
 _CAPACITY = 16384
 _HEADER = 32
 _FORMAT_AT, _PID, _STARTED, _TICKS, _LATE, _MISSED, _CLAMP, _PERIOD = range(8)
 _REASONS = 8
+_SHOWN = 31
 _SHAPE = (_HEADER + _CAPACITY * len(COLUMNS),)
 _BYTES = 8 * _SHAPE[0]
 _MEMORY = Path("/dev/shm")
@@ -69,6 +71,8 @@ class Seen:
         Longest correction that is allowed, and nominal period.
     reasons : mapping of str to int
         How often each reason of the guard acted.
+    shown_s : float
+        When the newest tick was shown, by this computer's ``time.monotonic()``.
     rows : ndarray, shape (n, columns)
         The newest ticks, oldest first, in the order of ``COLUMNS``.
     """
@@ -81,6 +85,7 @@ class Seen:
     clamp_um: float
     period_s: float
     reasons: Mapping[str, int]
+    shown_s: float
     rows: Floats
 
     def column(self, name: str) -> Floats:
@@ -147,6 +152,7 @@ class LiveBoard:
         head = self._head
         head[_REASONS + reason] += 1
         head[_LATE], head[_MISSED] = counts
+        head[_SHOWN] = time.monotonic()
         head[_TICKS] = self._count
 
 
@@ -225,6 +231,7 @@ def read_board(machine: str, home: Home) -> Seen | None:
         clamp_um=float(head[_CLAMP]),
         period_s=float(head[_PERIOD]),
         reasons={name: int(n) for name, n in zip(REASONS, counts, strict=True) if n},
+        shown_s=float(head[_SHOWN]),
         rows=rows[order],
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from dtwin.errors import InputError
 from dtwin.report.live_plots import circle_figure, correction_figure, waiting_figure
 from dtwin.report.model_plots import jitter_figure
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
+from dtwin.serve.live_state import RECENT_S, live_state
 from dtwin.serve.served_time import events_path
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.pages import drawn, rendered
@@ -28,7 +30,6 @@ router = APIRouter()
 _NEWEST = 20
 _TAIL_BYTES = 2_000_000
 _EVENTS = ".events.jsonl"
-_RECENT_S = 5.0
 _SHOWN_S = 20.0
 _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_z_um") + 1)
 
@@ -62,7 +63,9 @@ def live_page(request: Request) -> Response:
         "live.html",
         title="Live",
         serving=serving,
-        sessions=sessions(home),
+        states={s.machine: live_state(read_board(s.machine, home), time.monotonic()) for s in serving},
+        seen=_seen(home),
+        sessions=[s | {"outside_share": _outside_share(s)} for s in sessions(home)],
         events={s.machine: _newest_lines(events_path(home, s.machine))[::-1] for s in serving},
     )
 
@@ -70,23 +73,33 @@ def live_page(request: Request) -> Response:
 @router.get("/api/live")
 def live(request: Request) -> dict[str, Any]:
     """Return what is served now, and the newest session of every machine."""
-    home = bench_of(request).home
+    return _seen(bench_of(request).home)
+
+
+def _seen(home: Home) -> dict[str, Any]:
     return {
         "serving": [vars(s) for s in servings(home)],
-        "sessions": [{k: s[k] for k in ("machine", "started", "ended")} for s in sessions(home)],
+        "sessions": [{k: s[k] for k in ("ended", "machine", "started")} for s in sessions(home)],
     }
 
 
 @router.get("/api/live/{machine}/now")
 def now(request: Request, machine: str) -> dict[str, Any]:
-    """Return the figures of the newest seconds of a loop that runs."""
-    seen = _board(request, machine)
+    """Return what a machine that is served does now, and the figures of the newest seconds when its loop shows them."""
+    home = bench_of(request).home
+    if machine not in {s.machine for s in servings(home)}:
+        raise _none(machine)
+    seen = read_board(machine, home)
+    state = live_state(seen, time.monotonic()).as_dict()
+    if seen is None or not seen.ticks:
+        return {"state": state, "ticks": 0}
     interval, age = seen.column("interval_s"), seen.column("age_s")
-    recent = seen.column("stamp_s") >= seen.column("stamp_s")[-1] - _RECENT_S
+    recent = seen.column("stamp_s") >= seen.column("stamp_s")[-1] - RECENT_S
     interval, age = interval[recent & np.isfinite(interval)], age[recent]
     answered = seen.ticks + seen.missed
     rate_hz = 1.0 / float(interval.mean()) if len(interval) and interval.mean() > 0.0 else None
     return {
+        "state": state,
         "ticks": seen.ticks,
         "rate_hz": rate_hz,
         "late_or_missed": (seen.late + seen.missed) / answered,
@@ -121,20 +134,30 @@ def circle(request: Request, machine: str) -> Response:
 def _board(request: Request, machine: str) -> Seen:
     seen = read_board(machine, bench_of(request).home)
     if seen is None or not seen.ticks:
-        raise InputError(
-            "no loop of this machine shows its figures", code="live.none", got=machine[:80], hint="reload the page"
-        )
+        raise _none(machine)
     return seen
 
 
-@router.get("/api/live/{machine}/{number}/jitter")
-def jitter(request: Request, machine: str, number: int) -> Response:
-    """Return the jitter of a session, counted from the newest."""
-    found = [s for s in sessions(bench_of(request).home) if s["machine"] == machine]
-    if not 0 <= number < len(found) or "timing" not in found[number]:
-        raise InputError("no such session", code="page.unknown", got=f"{machine} {number}")
-    figure: go.Figure = jitter_figure(found[number]["timing"]["jitter_us_histogram"])
-    return drawn(figure)
+def _none(machine: str) -> InputError:
+    return InputError(
+        "no loop of this machine shows its figures", code="live.none", got=machine[:80], hint="reload the page"
+    )
+
+
+@router.get("/api/live/{machine}/jitter")
+def jitter(request: Request, machine: str, started: str) -> Response:
+    """Return the jitter of the session that began at a time."""
+    for found in sessions(bench_of(request).home):
+        if (found["machine"], found.get("started")) == (machine, started) and found.get("timing"):
+            figure: go.Figure = jitter_figure(found["timing"]["jitter_us_histogram"])
+            return drawn(figure)
+    raise InputError("no such session", code="page.unknown", got=f"{machine} {started}"[:100])
+
+
+def _outside_share(session: Mapping[str, Any]) -> float:
+    """Return the share of a session's ticks outside the model's range; 0 when its log does not say."""
+    ticks = (session.get("timing") or {}).get("ticks") or 0
+    return (session.get("reasons") or {}).get("outside_box", 0) / ticks if ticks else 0.0
 
 
 @router.post("/api/live/{machine}/stop")

@@ -51,7 +51,7 @@ def test_what_serves_is_shown_and_stopped(bench: Workbench) -> None:
         assert serving.stdout.readline() == "serving\n"
         (found,) = json.loads(bench.ask("/api/live")[1])["serving"]
         assert (found["machine"], found["pid"]) == ("mill-a", serving.pid)
-        assert "mill-a is being corrected" in bench.ask("/live")[1]
+        assert "mill-a is held by a server that has shown no tick yet" in bench.ask("/live")[1]
         assert bench.ask("/api/live/mill-a/stop", method="POST", body=b"{}")[0] == 403
         assert serving.poll() is None
         assert bench.act("/api/live/other/stop")[0] == 400
@@ -100,7 +100,7 @@ def test_a_session_that_ended_shows_its_figures(bench: Workbench) -> None:
     text = bench.ask("/live")[1]
     assert "clamped 7, slew limited 3" in text
     assert "0.40 <small>%, 3 late, 1 missed" in text
-    figure = json.loads(bench.ask("/api/live/mill-a/0/jitter")[1])
+    figure = json.loads(bench.ask("/api/live/mill-a/jitter?started=2026-03-02T08%3A00%3A00%2B00%3A00")[1])
     assert figure["data"][0]["x"] == ["<10", ">=10"]
 
 
@@ -125,6 +125,7 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
         page.goto(f"{workbench.base}/live")
         now = page.locator("[data-now]")
         expect(now.locator("[data-key=rate]")).not_to_have_text("\u2013")
+        expect(page.locator("h2", has_text=f"{MACHINE} is being corrected")).to_be_visible()
         first = int(now.locator("[data-key=ticks]").inner_text())
         expect(now.locator("[data-key=ticks]")).not_to_have_text(str(first))
         assert int(now.locator("[data-key=ticks]").inner_text()) > first

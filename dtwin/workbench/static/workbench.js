@@ -304,7 +304,8 @@ async function watchLive() {
   const followed = document.querySelector("[data-live]");
   if (!followed) return;
   all("[data-now]").forEach(watchNow);
-  const seen = JSON.stringify(await ask(followed.dataset.live));
+  // What the page was made of: a change before the first question must be noticed, too.
+  const seen = JSON.stringify(JSON.parse(followed.dataset.seen));
   for (;;) {
     await pause(1500);
     const now = await ask(followed.dataset.live).catch(() => null);
@@ -335,9 +336,12 @@ async function watchNow(list) {
   for (;;) {
     if (!document.hidden) {
       const now = await ask(list.dataset.now).catch(() => null);
-      section.querySelector("[data-silent]").hidden = Boolean(now);
-      section.querySelector("[data-moving]").hidden = !now;
-      if (now) {
+      const shown = Boolean(now && now.ticks);
+      section.querySelector("[data-silent]").hidden = shown;
+      section.querySelector("[data-moving]").hidden = !shown;
+      section.querySelector("h2").textContent = `${section.dataset.machineState} ${now ? now.state.said : "does not answer this page"}`;
+      section.className = `verdict live-${now ? now.state.word : "silent"}`;
+      if (shown) {
         tellNow(list, now);
         await Promise.all(figures.map(draw));
       }

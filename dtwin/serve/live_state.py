@@ -1,0 +1,68 @@
+"""What a machine that is served is doing now, as far as its board shows it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from dtwin.serve import safety
+from dtwin.serve.live_board import Seen
+from dtwin.serve.safety import REASONS
+
+RECENT_S = 5.0
+"""Controller time that a state is told of."""
+_CORRECTS = (safety.OK, safety.SHRUNK, safety.CLAMPED, safety.SLEWED)
+_SILENT_S = 1.0
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """What a served machine is doing now.
+
+    Attributes
+    ----------
+    word : {"starting", "correcting", "outside", "held", "silent"}
+        ``starting``: no tick was seen yet; ``outside``: mostly outside the model's range; ``held``: zeros are
+        sent for another reason; ``silent``: the loop shows no new ticks.
+    said : str
+        The same as the end of a sentence that begins with the machine.
+    outside_share : float
+        Share of the newest ticks outside the model's range.
+    """
+
+    word: str
+    said: str
+    outside_share: float = 0.0
+
+    def as_dict(self) -> dict[str, str | float]:
+        """Return a JSON-ready mapping."""
+        return asdict(self)
+
+
+def live_state(seen: Seen | None, now_s: float) -> LiveState:
+    """Return what a board shows of the newest seconds.
+
+    Parameters
+    ----------
+    seen : Seen or None
+        The board; None when there is none, as before the first tick and of loops that have none.
+    now_s : float
+        This computer's ``time.monotonic()``.
+    """
+    if seen is None or not seen.ticks:
+        return LiveState("starting", "is held by a server that has shown no tick yet")
+    silent_s = now_s - seen.shown_s
+    if silent_s > _SILENT_S:
+        return LiveState("silent", f"was not answered for {silent_s:.0f} s: what is in force is not known")
+    stamps = seen.column("stamp_s")
+    reasons = seen.column("reason")[stamps >= stamps[-1] - RECENT_S].astype(int)
+    outside = float(np.mean(reasons == safety.OUTSIDE))
+    beyond = f"outside the model's range for {100 * outside:.0f} % of the newest {RECENT_S:.0f} s"
+    if np.mean(np.isin(reasons, _CORRECTS)) >= 0.5:
+        return LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)
+    if outside >= 0.5:
+        return LiveState("outside", f"is {beyond}, and is not corrected there", outside)
+    often = Counter(reasons[~np.isin(reasons, _CORRECTS)].tolist()).most_common(1)[0][0]
+    return LiveState("held", f"is not corrected now: {REASONS[often].replace('_', ' ')}", outside)
