@@ -15,6 +15,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text
+from dtwin.report.faults import faults
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -85,6 +86,7 @@ def twin_text(twin: Twin) -> str:
     )
     shown = parameter_table(twin)
     lines = [head, table(shown.head, shown.rows) if shown.rows else "no effects yet"]
+    lines += ["", *(fault.sentence for fault in faults(twin)), ""] if twin.terms else []
     lines += [f"warning: {doubt}" for doubt in twin.doubts]
     lines += [f"cannot be told apart: {_alias(alias)}" for alias in twin.aliases]
     lines += [f"warning: {line}" for line in data_lines(twin.data)]

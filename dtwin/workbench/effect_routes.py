@@ -18,6 +18,7 @@ from dtwin.physics.gridding import fine_angle_rad
 from dtwin.physics.library import Library, instances
 from dtwin.physics.state import circular_state
 from dtwin.physics.template import template
+from dtwin.report.signature import signature_svg
 from dtwin.report.twins import effect_text
 from dtwin.schema import RunMeta, require_name
 from dtwin.workbench.bench import Bench, bench_of
@@ -57,7 +58,14 @@ def effect_list(request: Request, edit: str = "") -> Response:
 def effect_page(request: Request, name: str) -> Response:
     """Show what an effect is."""
     effect = bench_of(request).library[name]
-    return rendered(request, "effect.html", title=f"Effect {name}", effect=effect, text=effect_text(effect))
+    return rendered(
+        request,
+        "effect.html",
+        title=f"Effect {name}",
+        effect=effect,
+        text=effect_text(effect),
+        picture=signature_svg(effect),
+    )
 
 
 @router.get("/effect-template.py")

@@ -11,6 +11,7 @@ from starlette.responses import Response
 from dtwin.errors import InputError
 from dtwin.physics.gridding import CIRCLE
 from dtwin.report.encoder_split import encoder_section
+from dtwin.report.faults import faults
 from dtwin.report.html import Section, page
 from dtwin.report.twin_plots import (
     along_figure,
@@ -110,6 +111,7 @@ def diagnose_page(request: Request, name: str) -> Response:
         grids=grids_of(experiment) if planned else [],
         library=bench.library,
         found=found_table(diagnosis or {}),
+        faults=faults(twin),
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
     )
 

@@ -1,0 +1,83 @@
+"""The faults of a machine in the words of the shop: what, how large, how it shows, what to do."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dtwin.physics.fit import Estimate
+from dtwin.physics.twin import Twin
+from dtwin.report.signature import signature_svg
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One effect of a twin.
+
+    Attributes
+    ----------
+    effect, axis : str
+        As the library names them.
+    title : str
+        In words, with the axis.
+    size : str
+        With k = 2 and unit; says so when the runs do not tell it.
+    shows, remedy : str
+        How it is seen in a plot, and what to do at the machine.
+    picture : str
+        Its signature as SVG; empty when it has none on a circle.
+    """
+
+    effect: str
+    axis: str
+    title: str
+    size: str
+    shows: str
+    remedy: str
+    picture: str
+
+    @property
+    def sentence(self) -> str:
+        """All of it in a line."""
+        return f"{self.title}: {self.size}. {self.shows} {self.remedy}"
+
+
+def faults(twin: Twin, width: int = 72) -> list[Fault]:
+    """Return the effects of a twin as faults, in the order of the twin."""
+    found = []
+    for term in twin.terms:
+        effect, axis = term.instance.effect, term.instance.axis
+        mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
+        title = f"{effect.title}, {axis}" if axis else effect.title
+        picture = signature_svg(effect, axis, width)
+        found.append(Fault(effect.name, axis, title, size_of(mine), effect.looks_like, effect.remedy, picture))
+    return found
+
+
+def size_of(estimates: Sequence[Estimate]) -> str:
+    """Return the size of an effect with k = 2.
+
+    Parameters of one unit, as the cosine and the sine of a wave, are told as one amplitude; the uncertainty of
+    that takes them as uncorrelated.
+    """
+    told = [e for e in estimates if e.identifiable]
+    if not told:
+        return "its size is not told by these runs"
+    if len(told) > 1 and len({e.unit for e in told}) == 1:
+        size = math.hypot(*(e.value for e in told))
+        spread = math.hypot(*(e.value * e.uncertainty for e in told)) / size if size else math.nan
+        return _with_k2(size, spread, told[0].unit)
+    return "; ".join(
+        _with_k2(e.value, e.uncertainty, e.unit) + (f" ({e.name.replace('_', ' ')})" if len(told) > 1 else "")
+        for e in told
+    )
+
+
+def _with_k2(value: float, uncertainty: float, unit: str) -> str:
+    """Return a value rounded to two digits of its uncertainty."""
+    words = unit.replace("um", "µm").replace("ms2", "ms²")
+    if not math.isfinite(uncertainty) or uncertainty <= 0:
+        return f"{value:z.3g} {words}"
+    decimals = max(1 - math.floor(math.log10(uncertainty)), 0)
+    return f"{value:z.{decimals}f} ± {uncertainty:z.{decimals}f} {words}"

@@ -1,0 +1,71 @@
+"""The signature of an effect: the error that it makes round a circle, drawn small."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dtwin.physics.effect import Effect
+from dtwin.physics.library import campaign_instances
+from dtwin.physics.state import circular_state
+from dtwin.schema import Direction, Floats, Plane, RunMeta
+
+RADIUS_MM, FEED_MM_MIN = 100.0, 3000.0
+"""Circle on which signatures are drawn."""
+_ROBOT = {"type": "ur10e", "centre_mm": [-550.0, 0.0, 300.0], "tcp_mm": [0.0, 0.0, 158.3]}
+_SIZE, _CIRCLE, _DRAWN, _POINTS = 300, 100, 28, 720
+_COLOURS = {"CCW": "#0072B2", "CW": "#D55E00"}
+_LOGGED = ("temperature_c", "temperature_rise_c", "abbe_offset_mm", "time_h", "setup_first_um", "setup_second_um")
+
+
+def signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
+    """Return label and error of the first parameter of an effect by direction, each of shape (n,) over one turn.
+
+    Parameters
+    ----------
+    effect : Effect
+        One of a circle; other ones have no curves, and neither have those that change only the spread.
+    axis : str
+        On which axis; else the first on which it shows.
+    """
+    if "circular" not in effect.kinds or effect.on_spread:
+        return effect.name, {}
+    plane: Plane = "ZX" if effect.name == "gravity_sag" or axis == "Z" else "XY"
+    wanted = campaign_instances({effect.name: effect}, "circular", [plane], list(plane), _ROBOT)
+    angle = _angle()
+    columns = {name: np.ones(_POINTS) for name in _LOGGED}
+    ways: tuple[Direction, Direction] = ("CCW", "CW")
+    for instance in sorted(wanted, key=lambda i: i.axis != axis):
+        curves: dict[str, Floats] = {}
+        for way in ways:
+            meta = RunMeta("r", plane=plane, direction=way, radius_mm=RADIUS_MM, feed_mm_min=FEED_MM_MIN)
+            state = circular_state(meta, angle, feed_mm_s=FEED_MM_MIN / 60.0, columns=columns, geometry=_ROBOT)
+            curves[way] = effect.columns(state, instance.axis, effect.start_shape)[:, 0]
+        if any(c.any() for c in curves.values()):
+            return instance.label, curves
+    return effect.name, {}
+
+
+def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
+    """Return the signature as an SVG picture, empty when there is none: CCW blue, CW orange and dashed."""
+    label, curves = signature(effect, axis)
+    if not curves:
+        return ""
+    largest = max(float(np.abs(c).max()) for c in curves.values())
+    middle, angle = _SIZE / 2, _angle()
+    parts = [
+        f'<svg viewBox="0 0 {_SIZE} {_SIZE}" width="{width}" role="img" aria-label="error of {label} round the circle">',
+        f'<circle cx="{middle}" cy="{middle}" r="{_CIRCLE}" fill="none" stroke="#999" stroke-dasharray="3 3"/>',
+    ]
+    for way, curve in curves.items():
+        radius = _CIRCLE + _DRAWN * curve / largest
+        x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
+        path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+        dash = ' stroke-dasharray="6 3"' if way == "CW" else ""
+        parts.append(
+            f'<polygon points="{path}" fill="none" stroke="{_COLOURS[way]}" stroke-width="{1.6 * _SIZE / max(width, 150):.1f}"{dash}/>'
+        )
+    return "".join([*parts, "</svg>"])
+
+
+def _angle() -> Floats:
+    return np.asarray((np.arange(_POINTS) + 0.5) * 2 * np.pi / _POINTS)
