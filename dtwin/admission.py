@@ -51,8 +51,6 @@ def fresh(campaign: str, known: Rows, rows: Rows) -> dict[str, dict[str, Any]]:
 
     Parameters
     ----------
-    campaign : str
-        Name of the campaign.
     known : mapping of str to dict
         Its rows in the lake by run id, as they are stated now.
     rows : mapping of str to dict

@@ -15,16 +15,10 @@ class DtwinError(Exception):
 
     Parameters
     ----------
-    message : str
-        What is wrong, in one line.
     code : str
         Stable dotted identifier, for example ``"b5r.truncated"``.
     where : str, optional
         File, line, column, run or setting that is wrong.
-    got : str, optional
-        The offending value.
-    allowed : str, optional
-        What would have been accepted.
     hint : str, optional
         What to try next; may be a command.
     """

@@ -17,8 +17,6 @@ class Batch:
 
     Parameters
     ----------
-    table : DeltaFiles
-        Where to.
     parts : sequence of mapping
         Columns of every file that will be written.
     """

@@ -118,12 +118,8 @@ def solve_kernel(matrix: Floats, right: Floats) -> Floats:
 
     Serving hosts have no LAPACK that numba could call.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, n)
-        Overwritten.
-    right : ndarray, shape (n,)
-        Overwritten by the solution, which is also returned.
+    ``matrix``, (n, n): overwritten.
+    ``right``, (n,): overwritten by the solution, which is also returned.
     """
     n = right.shape[0]
     for k in range(n):
@@ -250,8 +246,6 @@ class KinematicChain:
 
     Attributes
     ----------
-    name : str
-        Model of the robot.
     dh : ndarray, shape (6, 4)
         Standard Denavit-Hartenberg rows: a_mm, d_mm, alpha_rad, theta_rad.
     """
@@ -322,13 +316,7 @@ def position_jacobian(q_rad: Floats, tcp_mm: Floats) -> Floats:
 
 
 def inverse(position_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats) -> Floats:
-    """Return the UR10e's joint angles (6,) for a pose, on the branch of the seed.
-
-    Raises
-    ------
-    InputError
-        When the pose is out of reach from this branch.
-    """
+    """Return the UR10e's joint angles (6,) for a pose, on the branch of the seed."""
     return UR10E.inverse(position_mm, rotation, tcp_mm, seed_q_rad)
 
 
@@ -351,8 +339,6 @@ def radial_unit(plane: str, angle_rad: Floats | float) -> Floats:
 
     Parameters
     ----------
-    plane : str
-        Plane of the circle.
     angle_rad : float or ndarray, shape (...,)
         Path angle, from the plane's first axis towards its second.
     """

@@ -31,8 +31,6 @@ class PlannedTest:
     ----------
     test_id : str
         ``t001`` ... in the order of measurement.
-    plane, radius_mm, feed_mm_min, repeat
-        The condition.
     setup : str
         Mounting of the instrument; changes with plane and radius.
     """
@@ -59,8 +57,6 @@ class Plan:
         Directions of every test, in order.
     seed : int
         Seed of the random order inside each set-up.
-    max_feed_mm_min, max_radius_mm : float
-        Limits of the machine.
     """
 
     name: str
@@ -84,15 +80,7 @@ def arc_deg(plane: Plane) -> float:
 
 
 def motion_s(test: PlannedTest, n_directions: int = 2) -> float:
-    """Estimate the time of pure motion of a test.
-
-    Parameters
-    ----------
-    test : PlannedTest
-        The test.
-    n_directions : int
-        Directions that are run.
-    """
+    """Estimate the time of pure motion of a test."""
     length_mm = math.radians(arc_deg(test.plane)) * test.radius_mm
     stops = arc_deg(test.plane) / 180.0
     return n_directions * (length_mm / (test.feed_mm_min / 60.0) + stops * _STOP_S)
@@ -114,19 +102,7 @@ def training_plan(
     machine: str = "virtual-cobot",
     seed: int = 1,
 ) -> Plan:
-    """Return the training campaign of the demo: 81 tests, 162 runs.
-
-    Parameters
-    ----------
-    radii_mm, feeds_mm_min, planes : sequence
-        The grid.
-    repeats : int
-        Repeats of every condition.
-    name, machine : str
-        Names of campaign and machine.
-    seed : int
-        Seed of the order.
-    """
+    """Return the training campaign of the demo: 81 tests, 162 runs."""
     document = {
         "plan": {"name": name, "machine": machine, "seed": seed},
         "grid": {
@@ -161,13 +137,6 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
 
     Feeds and repeats are crossed inside a set-up and shuffled there; plane and radius change
     only with the set-up.
-
-    Parameters
-    ----------
-    document : mapping
-        Content of a plan file.
-    where : str
-        Its name, for error messages.
     """
     head, grid = _table(document, "plan", where), _table(document, "grid", where)
     limits = document.get("limits", {})
@@ -202,13 +171,7 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
 
 
 def advice(plan: Plan) -> list[Finding]:
-    """Say what the plan cannot tell, before anything is measured.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan to judge.
-    """
+    """Say what the plan cannot tell, before anything is measured."""
     findings = []
     if max(test.repeat for test in plan.tests) < 2:
         findings.append(

@@ -61,13 +61,7 @@ def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
 
 
 def _plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:
-    """Return the kind of campaign that a plan asks for; ``unstated`` where it does not say.
-
-    Raises
-    ------
-    InputError
-        When there is no such kind, or it has no plan.
-    """
+    """Return the kind of campaign that a plan asks for; ``unstated`` where it does not say."""
     head = document.get("plan")
     name = head.get("kind", unstated) if isinstance(head, dict) else unstated
     if name not in kind_names():
@@ -104,8 +98,6 @@ def filled(plan: type[_Plan], stated: Mapping[str, Any], where: str) -> _Plan:
     ----------
     plan : type
         A dataclass of text, whole numbers, numbers and tuples of numbers.
-    stated : mapping
-        Its attributes.
     where : str
         Where they come from, for error messages.
 

@@ -155,13 +155,6 @@ def run_row(campaign: Campaign, run: Run) -> dict[str, Any]:
 
     ``content_sha256`` is of everything that was measured and stated, whatever file it came in:
     values, clocks, window, condition, machine, geometry and instrument.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What it belongs to.
-    run : Run
-        The run.
     """
     meta = run.meta
     row: dict[str, Any] = {
@@ -234,11 +227,6 @@ def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str,
     one's, 0 as ingested; ``left_out`` says why the run is left out, None when it is not. What is
     stated otherwise is another content: ``content_sha256`` covers it, and ``raw_sha256`` is the
     hash that was ingested.
-
-    Parameters
-    ----------
-    rows, amendments : sequence of mapping
-        Rows of the two tables.
     """
     by_run: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for record in sorted(amendments, key=lambda r: r["version"]):

@@ -31,8 +31,6 @@ class RejectedRows:
 
     Attributes
     ----------
-    run_id, source : str
-        Where they come from.
     rows : sequence of dict
         Each with ``row``, ``reason`` and ``values``.
     """
@@ -46,12 +44,8 @@ class RejectedRows:
 class CommitReport:
     """What a commit did.
 
-    Attributes
-    ----------
-    added, unchanged : tuple of str
-        Run ids that are new, and those that were there with the same content.
-    versions : dict of str to int
-        Table versions after the commit.
+    ``added``, ``unchanged``: run ids that are new, and those that were there with the same content.
+    ``versions``: table versions after the commit.
     """
 
     added: tuple[str, ...]
@@ -85,10 +79,6 @@ class Lake:
 
         Parameters
         ----------
-        campaign : Campaign
-            What the runs belong to.
-        runs : sequence of Run
-            Runs to add.
         rejected : sequence of RejectedRows
             Rows that were left out of their samples.
 
@@ -127,8 +117,6 @@ class Lake:
 
         Parameters
         ----------
-        campaign : str
-            Campaign in the lake.
         records : sequence of mapping
             ``run_id``, ``who``, ``when``, ``because`` and ``changes``: fields of the run's row,
             or ``left_out``.
@@ -252,8 +240,6 @@ class Lake:
             One of ``TABLES``.
         key : str
             What the rows are derived from; the same key is written once.
-        table : pyarrow.Table
-            The rows.
 
         Returns
         -------

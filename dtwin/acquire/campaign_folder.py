@@ -63,10 +63,6 @@ class FolderEntry:
         As stated; a ``.b5r`` becomes ``id-ccw`` and ``id-cw``.
     file : Path
         Samples of the reference instrument.
-    signals : tuple of Path
-        High-rate signal files.
-    stated : dict
-        The entry as written.
     """
 
     run_id: str
@@ -77,15 +73,7 @@ class FolderEntry:
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """A campaign and its runs, readable one by one.
-
-    Attributes
-    ----------
-    campaign : Campaign
-        The ``[campaign]`` table.
-    entries : tuple of FolderEntry
-        One per ``[[run]]``.
-    """
+    """A campaign and its runs, readable one by one."""
 
     campaign: Campaign
     entries: tuple[FolderEntry, ...]

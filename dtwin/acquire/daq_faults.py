@@ -38,17 +38,7 @@ _CODES: dict[int, tuple[str, str, str]] = {
 def daq_faults(where: str) -> Iterator[None]:
     """Turn the errors of NI's client into ours.
 
-    Parameters
-    ----------
-    where : str
-        Driver or server, for the message.
-
-    Raises
-    ------
-    MissingPart
-        When package or driver is not installed.
-    DeviceError
-        When server, module or channel is absent, gone, busy or silent.
+    ``where``: driver or server, for the message.
     """
     try:
         import nidaqmx.errors as ni

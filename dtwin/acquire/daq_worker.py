@@ -32,17 +32,7 @@ Say = Callable[[Mapping[str, Any]], None]
 def fill(task: AccelerometerTask, ring: SampleRing) -> None:
     """Read blocks into the ring until standard input ends.
 
-    Parameters
-    ----------
-    task : AccelerometerTask
-        Open.
-    ring : SampleRing
-        What is read is added to it.
-
-    Raises
-    ------
-    DeviceError
-        When the module or its server fails.
+    Raises ``DeviceError`` when the module or its server fails.
     """
     task.start()
     while not _ended(0.0):
@@ -53,19 +43,10 @@ def fill(task: AccelerometerTask, ring: SampleRing) -> None:
 def _keep_filling(task: AccelerometerTask, ring: SampleRing, say: Say) -> None:
     """Fill the ring, over as many openings as it takes.
 
-    Parameters
-    ----------
-    task : AccelerometerTask
-        Open; its rate is the one that has to be met again.
-    ring : SampleRing
-        What is read is added to it.
-    say : callable
-        Told of every fault, and of every return.
-
-    Raises
-    ------
-    DeviceError
-        When the modules came back in another order or at another rate.
+    ``task``: open; its rate is the one that has to be met again.
+    ``ring``: what is read is added to it.
+    ``say``: told of every fault, and of every return.
+    Raises ``DeviceError`` when the modules came back in another order or at another rate.
     """
     rate_hz = task.rate_hz
     while True:

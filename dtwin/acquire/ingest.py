@@ -26,8 +26,6 @@ class IngestReport:
 
     Attributes
     ----------
-    campaign : str
-        Name of the campaign.
     added, unchanged : tuple of str
         Run ids.
     findings : tuple of (str, Finding)
@@ -58,8 +56,6 @@ def ingest(
     ----------
     path : Path
         A campaign folder, its ``campaign.toml``, or a ``.b5r`` file.
-    lake : Lake
-        Where to.
     progress : callable, optional
         Called with (done, total, what) after every source file.
     told : mapping, optional

@@ -18,18 +18,9 @@ _EXAMPLE = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "2000", "axis": "X
 def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
     """Return a campaign of one run: a table that lies alone, and what is told of it.
 
-    Parameters
-    ----------
-    path : Path
-        ``.csv`` or ``.parquet``.
-    told : mapping
-        Settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine`` and ``axis``.
-        Direction and campaign may be left away: the angle runs one way, the file has a name.
-
-    Raises
-    ------
-    InputError
-        When something is missing; the hint is the command with it.
+    ``path``: ``.csv`` or ``.parquet``.
+    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine`` and ``axis``. Direction and
+    campaign may be left away: the angle runs one way, the file has a name.
     """
     kind = kind_of_table(path)
     needed = kind_named(kind).stated

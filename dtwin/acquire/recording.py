@@ -121,8 +121,6 @@ class Recorder:
         ----------
         n_lost : int
             Number of samples per channel that the device took and nobody read.
-        reason : str
-            Why, in a few words.
 
         Raises
         ------

@@ -27,12 +27,7 @@ _SIGNALS_KEY = b"dtwin.signals"
 class Gap:
     """Samples that the device took and nobody read.
 
-    Attributes
-    ----------
-    first_sample, n_lost : int
-        Place on the device's clock, and number per channel.
-    reason : str
-        Why.
+    ``first_sample``, ``n_lost``: place on the device's clock, and number per channel.
     """
 
     first_sample: int
@@ -44,18 +39,8 @@ class Gap:
 class Recovered:
     """What a recording holds.
 
-    Attributes
-    ----------
-    group : SignalGroup
-        All complete blocks; lost samples are NaN, and -1 in columns of whole numbers.
-    gaps : tuple of Gap
-        Where samples were lost.
-    blocks : int
-        Complete blocks of samples.
-    complete : bool
-        Whether the recording was closed in order.
-    notes : dict
-        What the recorder was given.
+    ``group``: all complete blocks; lost samples are NaN, and -1 in columns of whole numbers.
+    ``complete``: whether the recording was closed in order.
     """
 
     group: SignalGroup
@@ -74,16 +59,9 @@ class Recovered:
 class Sealed:
     """A recording that became a signal file.
 
-    Attributes
-    ----------
-    path : Path
-        The Parquet file.
-    n_samples, n_bytes : int
-        Samples per channel with the lost ones, and size of the file.
-    complete : bool
-        Whether the recording was closed in order.
-    findings : tuple of Finding
-        Gaps, and that it is incomplete.
+    ``n_samples``, ``n_bytes``: samples per channel with the lost ones, and size of the file.
+    ``complete``: whether the recording was closed in order.
+    ``findings``: gaps, and that it is incomplete.
     """
 
     path: Path
@@ -105,16 +83,7 @@ class _Content:
 def recover(path: Path) -> Recovered:
     """Return every complete block of a recording.
 
-    Parameters
-    ----------
-    path : Path
-        Stream written by ``Recorder``.
-
-    Raises
-    ------
-    StoreError
-        When the recording is still being written, is missing or empty, or its header is
-        damaged.
+    ``path``: stream written by ``Recorder``.
     """
     with _read(path) as content:
         head = content.head
@@ -132,8 +101,6 @@ def seal(path: Path, target: Path) -> Sealed:
     ----------
     path : Path
         Stream written by ``Recorder``.
-    target : Path
-        Parquet file to write.
 
     Raises
     ------
@@ -157,15 +124,7 @@ def recover_folder(folder: Path) -> list[Sealed]:
 
     Recordings that are being written are left alone; an empty one is removed.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the streams are; each becomes ``<name>.parquet`` beside it.
-
-    Raises
-    ------
-    StoreError
-        When a recording is damaged or cannot be sealed; the others are sealed all the same.
+    ``folder``: where the streams are; each becomes ``<name>.parquet`` beside it.
     """
     sealed, problems = [], []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
@@ -184,15 +143,7 @@ def recover_folder(folder: Path) -> list[Sealed]:
 def signal_findings(path: Path) -> tuple[Finding, ...]:
     """Return what the header of a sealed signal file says is wrong with it.
 
-    Parameters
-    ----------
-    path : Path
-        Parquet file; one without such a header has no findings.
-
-    Raises
-    ------
-    StoreError
-        When the file cannot be read.
+    ``path``: Parquet file; one without such a header has no findings.
     """
     try:
         metadata = pq.read_schema(path).metadata or {}

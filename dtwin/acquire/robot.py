@@ -34,16 +34,9 @@ COLUMNS: dict[str, np.dtype[Any]] = {
 class RobotRecorder(OpenAndClose):
     """Records a robot controller through the supervised link.
 
-    Parameters
-    ----------
-    host : str
-        Address of the controller.
-    rate_hz : float
-        States per second; the controller divides its own rate.
-    block_s : float
-        Time that one reading covers.
-    timeout_s : float
-        How long to wait for the controller, and for a state.
+    ``rate_hz``: states per second; the controller divides its own rate.
+    ``block_s``: time that one reading covers.
+    ``timeout_s``: how long to wait for the controller, and for a state.
     """
 
     name = _GROUP
@@ -86,13 +79,7 @@ class RobotRecorder(OpenAndClose):
         self._last_s, self._kept, self._running = None, None, True
 
     def read(self) -> Reading:
-        """Return successive states, up to the first loss.
-
-        Raises
-        ------
-        DeviceError
-            When the link is lost, the controller is silent, or its clock runs back.
-        """
+        """Return successive states, up to the first loss."""
         if not self._running:
             raise DeviceError("recording was not started", code="robot.stopped", where=self.host)
         rows: list[Floats] = []

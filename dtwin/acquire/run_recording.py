@@ -48,8 +48,6 @@ class RunRequest:
         Campaign folder; created.
     campaign, machine : str
         Names for ``campaign.toml``, when the folder has none yet.
-    run_id : str
-        Name of the run.
     duration_s : float or None
         Time to record in s; None until stopped.
     reference : str
@@ -80,14 +78,10 @@ class RecordedRun:
 
     Attributes
     ----------
-    run_id : str
-        Its name.
     sealed : tuple of Sealed
         One signal file per instrument.
     findings : tuple of Finding
         About the set-up of the instruments; gaps are in ``sealed``.
-    reference : Path
-        Where the reference instrument's file belongs.
     """
 
     run_id: str
@@ -105,8 +99,6 @@ def record_run(
     ----------
     instruments : sequence of Instrument
         Closed; opened and closed here. Without any, only the reference instrument measures.
-    request : RunRequest
-        What and where.
     asked_to_stop : callable
         Asked ten times a second; true ends the recording in order.
 

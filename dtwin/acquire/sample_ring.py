@@ -19,12 +19,8 @@ class SampleRing:
     The writer makes a counter odd, writes, and makes it even again; the reader copies and looks
     whether the counter stayed the same and even.
 
-    Parameters
-    ----------
-    memory : mmap
-        At least ``size(n_channels, capacity)`` bytes, zeroed.
-    n_channels, capacity : int
-        Channels, and samples kept of each.
+    ``memory``: at least ``size(n_channels, capacity)`` bytes, zeroed.
+    ``n_channels``, ``capacity``: channels, and samples kept of each.
     """
 
     def __init__(self, memory: mmap.mmap, n_channels: int, capacity: int) -> None:
@@ -70,13 +66,9 @@ class SampleRing:
     def newest(self, into: Floats) -> tuple[int, float]:
         """Copy the newest samples to ``into``, shape (channels, n).
 
-        Returns
-        -------
-        end : int
-            Samples on the device's clock up to the newest copied one; 0 when there are not
-            yet n samples without a gap, or the writer did not keep still.
-        read_s : float
-            Monotonic time at which the newest sample was read.
+        Returns ``end``: samples on the device's clock up to the newest copied one; 0 when there are not yet n samples
+        without a gap, or the writer did not keep still.
+        Returns ``read_s``: monotonic time at which the newest sample was read.
         """
         n = into.shape[1]
         for _ in range(_TRIES):

@@ -27,20 +27,10 @@ _CHANNEL = {"name": True, "input": True, "sensitivity_mv_g": True, "iepe_ma": Tr
 class SensorSetup:
     """What a channel file says.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    rate_hz : float
-        Wanted sample rate.
-    channels : tuple of AccelerometerChannel
-        In the order of the file.
-    block_s : float
-        Time that one block of a recording covers.
-    grpc_target : str or None
-        ``host:port`` of an NI gRPC device server; None for the local driver.
-    timeout_s : float
-        Wait for the server, and for samples.
+    ``channels``: in the order of the file.
+    ``block_s``: time that one block of a recording covers.
+    ``grpc_target``: ``host:port`` of an NI gRPC device server; None for the local driver.
+    ``timeout_s``: wait for the server, and for samples.
     """
 
     path: Path
@@ -59,19 +49,7 @@ class SensorSetup:
     def windows(self, contract: WindowContract) -> DaqWindows:
         """Open what delivers the windows of a contract, from the channels that it names.
 
-        Parameters
-        ----------
-        contract : WindowContract
-            What the model was trained on.
-
-        Raises
-        ------
-        InputError
-            When a channel of the model is not in the file, or the rate is another.
-        MissingPart
-            When package or driver is not installed.
-        DeviceError
-            When a device is absent, or samples at another rate than the model was trained on.
+        ``contract``: what the model was trained on.
         """
         by_name = {channel.name: channel for channel in self.channels}
         missing = [name for name in contract.channels if name not in by_name]

@@ -25,24 +25,10 @@ _TEXT_COLUMNS = frozenset({"direction"})
 def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
     """Read the samples of one run.
 
-    Parameters
-    ----------
-    path : Path
-        ``.csv`` or ``.parquet``.
-    kind : str
-        Kind of campaign; decides which columns must be there.
-
-    Returns
-    -------
-    columns : dict of str to ndarray, shape (n,)
-        Columns without the rejected rows.
-    rejects : list of dict
-        Rows that hold no usable number, each with ``row`` (from 0), ``reason`` and ``values``.
-
-    Raises
-    ------
-    InputError
-        When columns are missing, lack a unit, or nothing usable remains.
+    ``path``: ``.csv`` or ``.parquet``.
+    ``kind``: kind of campaign; decides which columns must be there.
+    Returns ``columns`` (n,): columns without the rejected rows.
+    Returns ``rejects``: rows that hold no usable number, each with ``row`` (from 0), ``reason`` and ``values``.
     """
     table = _read_table(path)
     columns = {name: _as_array(table, name, path) for name in table.column_names}
@@ -62,13 +48,7 @@ def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[d
 
 
 def kind_of_table(path: Path) -> str:
-    """Return the kind of campaign whose columns a table has.
-
-    Raises
-    ------
-    InputError
-        When it has the columns of none; the message names them all.
-    """
+    """Return the kind of campaign whose columns a table has."""
     names = set(_names(path))
     for kind in kinds():
         if names.issuperset(kind.columns):

@@ -22,17 +22,8 @@ def read_trace_json(path: Path, *, sample_rate_hz: float | None = None) -> tuple
 
     The file states neither rate, radius, feed nor angles; the campaign folder does.
 
-    Parameters
-    ----------
-    path : Path
-        The exported ``.json``.
-    sample_rate_hz : float, optional
-        Rate of the instrument. Without it times are sample numbers and a finding says so.
-
-    Raises
-    ------
-    InputError
-        When the file is not such an export or holds impossible values.
+    ``path``: the exported ``.json``.
+    ``sample_rate_hz``: rate of the instrument. Without it times are sample numbers and a finding says so.
     """
     where = str(path)
     document = _parse(read_bounded(path), where)

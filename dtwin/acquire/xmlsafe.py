@@ -27,8 +27,6 @@ def read_bounded(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
 
     Parameters
     ----------
-    path : Path
-        File to read.
     max_bytes : int
         Largest size that is still read.
 
@@ -76,18 +74,6 @@ def parse_vendor_xml(data: bytes, where: str) -> Element:
 
     Entities and document types are refused, and so are absurd depth and element counts.
     Two slips are mended: a value without an attribute name, and a bare ampersand.
-
-    Parameters
-    ----------
-    data : bytes
-        The file's content.
-    where : str
-        File name for error messages.
-
-    Raises
-    ------
-    InputError
-        When the content is hostile or still not well-formed.
     """
     if b"\x00" in data[:4096] and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError("not an XML file", code="xml.binary", where=where)

@@ -19,12 +19,8 @@ def _reflected(signal: Floats, margin: int) -> Floats:
 def above(signal: Floats, rate_hz: float, cutoff_hz: float) -> Floats:
     """Return the part of a record above a frequency, without phase shift.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (n,)
-        Record; its ends are continued by reflection, so that they do not ring.
-    rate_hz, cutoff_hz : float
-        Sample rate and lowest frequency that is kept.
+    ``signal``, (n,): record; its ends are continued by reflection, so that they do not ring.
+    ``rate_hz``, ``cutoff_hz``: sample rate and lowest frequency that is kept.
     """
     margin = min(len(signal) - 1, int(np.ceil(8 * rate_hz / cutoff_hz)))
     longer = _reflected(signal, margin)

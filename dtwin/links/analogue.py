@@ -73,19 +73,11 @@ class AxisCalibration:
 class Answer:
     """What the board said.
 
-    Attributes
-    ----------
-    sequence : int
-        Of the request that it answers.
-    engaged, tripped, pwm, read_back_wrong : bool
-        Whether it takes corrections; its watchdog dropped them; which output is in use; the
-        converter does not hold what was written.
-    refused : str
-        Why the request had no effect; empty when it had.
-    applied : tuple of int
-        Codes read back from the converter.
-    bad_frames, trips : int
-        Counted since the board started.
+    ``engaged``, ``tripped``, ``pwm``, ``read_back_wrong``: whether it takes corrections; its watchdog dropped them;
+    which output is in use; the converter does not hold what was written.
+    ``refused``: why the request had no effect; empty when it had.
+    ``applied``: codes read back from the converter.
+    ``bad_frames``, ``trips``: counted since the board started.
     """
 
     sequence: int

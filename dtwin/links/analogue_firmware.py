@@ -17,8 +17,6 @@ def build_firmware(out: Path, baud: int = 250_000) -> Path:
 
     Parameters
     ----------
-    out : Path
-        File to write.
     baud : int
         Of its serial port; 250000, 500000 and 1000000 are exact at 16 MHz.
 
@@ -51,8 +49,6 @@ def compiled(command: Sequence[str], out: Path) -> Path:
     ----------
     command : sequence of str
         Compiler and arguments, without the output.
-    out : Path
-        File to write.
 
     Raises
     ------

@@ -42,8 +42,6 @@ class Greeting:
 
     Attributes
     ----------
-    control : str
-        Its name.
     period_s : float
         From state to state.
     clock : {"wall", "machine"}
@@ -77,8 +75,6 @@ class AxisLink(StateLines):
         Axes that will be corrected.
     channels : sequence of str
         Signals that it must sample, at one rate.
-    channels_hz : float
-        That rate.
     samples : callable, optional
         Takes each sample of the channels, shape (channels,).
     writes : bool

@@ -29,8 +29,6 @@ class Frame:
     ----------
     sequence : int
         0 to 65535, counted by the sender.
-    payload : bytes
-        Content.
     """
 
     sequence: int
@@ -45,17 +43,8 @@ def crc16(data: bytes) -> int:
 def encode(sequence: int, payload: bytes) -> bytes:
     """Return a frame as it goes over the line, its end mark included.
 
-    Parameters
-    ----------
-    sequence : int
-        0 to 65535.
-    payload : bytes
-        At most ``_MAX_PAYLOAD`` bytes.
-
-    Raises
-    ------
-    InputError
-        When number or payload do not fit.
+    ``sequence``: 0 to 65535.
+    ``payload``: at most ``_MAX_PAYLOAD`` bytes.
     """
     if not 0 <= sequence < SEQUENCES or len(payload) > _MAX_PAYLOAD:
         raise InputError(
@@ -71,15 +60,8 @@ def encode(sequence: int, payload: bytes) -> bytes:
 class FrameReader:
     """Finds frames in what arrives, in pieces of any size.
 
-    Parameters
-    ----------
-    payload_size : int
-        Size that every payload must have; a frame of another size is garbage.
-
-    Attributes
-    ----------
-    bad_frames : int
-        Pieces between end marks that were no frame of ours.
+    ``payload_size``: size that every payload must have; a frame of another size is garbage.
+    ``bad_frames``: pieces between end marks that were no frame of ours.
     """
 
     def __init__(self, payload_size: int) -> None:

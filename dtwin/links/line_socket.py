@@ -16,19 +16,9 @@ _CHUNK = 1 << 16
 class LineSocket:
     """A connection whose other end sends lines.
 
-    Parameters
-    ----------
-    address : str
-        ``HOST:PORT``.
-    what : str
-        What is at the other end, for messages.
-    longest : int
-        A line of more bytes is thrown away.
-
-    Attributes
-    ----------
-    overlong : int
-        Lines that were thrown away for their length.
+    ``address``: ``HOST:PORT``.
+    ``longest``: a line of more bytes is thrown away.
+    ``overlong``: lines that were thrown away for their length.
     """
 
     def __init__(self, address: str, what: str, longest: int) -> None:
@@ -51,10 +41,7 @@ class LineSocket:
     def open(self) -> None:
         """Connect.
 
-        Raises
-        ------
-        DeviceError
-            When nobody answers.
+        Raises ``DeviceError`` when nobody answers.
         """
         if self._socket is not None:
             return
@@ -68,13 +55,7 @@ class LineSocket:
         self._held = b""
 
     def lines(self, until_s: float) -> list[bytes]:
-        """Return the whole lines that have come, waiting for the first until a monotonic time.
-
-        Raises
-        ------
-        DeviceError
-            When the connection is closed or broken.
-        """
+        """Return the whole lines that have come, waiting for the first until a monotonic time."""
         while True:
             if self._socket is None:
                 raise self.fault("states.closed", f"the {self._what} is not open")
@@ -87,10 +68,7 @@ class LineSocket:
     def send(self, line: bytes) -> None:
         """Send a line, its end included, without waiting.
 
-        Raises
-        ------
-        DeviceError
-            When the other end does not read, or the connection is broken.
+        Raises ``DeviceError`` when the other end does not read, or the connection is broken.
         """
         if self._socket is None:
             raise self.fault("states.closed", f"the {self._what} is not open")

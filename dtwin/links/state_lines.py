@@ -14,17 +14,8 @@ from dtwin.links.opened import OpenAndClose
 class StateLines(OpenAndClose):
     """States over one connection.
 
-    Parameters
-    ----------
-    line : LineSocket
-        The connection.
-    lost_after_s : float
-        Silence after which the other end counts as dead, as behind a half-open connection.
-
-    Attributes
-    ----------
-    received_s : float
-        Monotonic time of the newest state.
+    ``lost_after_s``: silence after which the other end counts as dead, as behind a half-open connection.
+    ``received_s``: monotonic time of the newest state.
     """
 
     def __init__(self, line: LineSocket, lost_after_s: float) -> None:
@@ -47,23 +38,14 @@ class StateLines(OpenAndClose):
     def open(self) -> None:
         """Connect.
 
-        Raises
-        ------
-        DeviceError
-            When nobody answers.
+        Raises ``DeviceError`` when nobody answers.
         """
         if not self._line.connected:
             self._line.open()
             self._heard_s = time.monotonic()
 
     def wait_state(self, timeout_s: float) -> layout.RobotState | None:
-        """Return the newest state that was not returned before, None when none came in time.
-
-        Raises
-        ------
-        DeviceError
-            When the connection ended, or the other end was silent for too long.
-        """
+        """Return the newest state that was not returned before, None when none came in time."""
         until_s = time.monotonic() + timeout_s
         while True:
             if self._take(self._lines(until_s)):

@@ -92,13 +92,7 @@ def read_state(receive: Any, state: layout.RobotState) -> None:
 
 
 def write_correction(io: Any, correction: layout.Floats) -> None:
-    """Write the offset and then the sequence number that makes it count.
-
-    Raises
-    ------
-    Fault
-        When the controller does not take a value.
-    """
+    """Write the offset and then the sequence number that makes it count."""
     taken = True
     for axis in range(3):
         value = float(correction[layout.REGISTER_OFFSET + axis])
@@ -130,10 +124,7 @@ class Worker:
     def connect(self) -> None:
         """Open both interfaces.
 
-        Raises
-        ------
-        Fault
-            When the package is missing or no controller answers.
+        Raises ``Fault`` when the package is missing or no controller answers.
         """
         try:
             from rtde_io import RTDEIOInterface
@@ -158,10 +149,7 @@ class Worker:
     def run(self) -> None:
         """Serve until the life line ends.
 
-        Raises
-        ------
-        Fault
-            When the controller is gone or silent for too long.
+        Raises ``Fault`` when the controller is gone or silent for too long.
         """
         state = layout.empty_state()
         period_s = 1.0 / self._frequency_hz

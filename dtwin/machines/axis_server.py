@@ -86,8 +86,6 @@ class AxisServer:
 
     Parameters
     ----------
-    machine : AxisMachine
-        What is moved.
     prove : callable
         Answers a nonce; see :mod:`dtwin.links.virtual_key`.
     clock : {"wall", "machine"}
@@ -97,8 +95,6 @@ class AxisServer:
 
     Attributes
     ----------
-    port : int
-        Where it listens.
     watchdog_trips : int
         How often the correction went to zero because nothing came.
     """
@@ -137,13 +133,6 @@ class AxisServer:
 
         It begins when the first client has connected. A client that goes leaves no correction
         behind; on the machine clock the program then waits for the next one.
-
-        Parameters
-        ----------
-        announce : callable
-            Takes lines for people.
-        progress : callable
-            Called with (done, total, what).
         """
         self._wait_for_client(announce)
         begun_s = time.monotonic()

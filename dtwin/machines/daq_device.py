@@ -36,14 +36,8 @@ _POLL_S = 0.002
 class DaqFault(Exception):
     """An error of the virtual driver.
 
-    Parameters
-    ----------
-    code : int
-        Number that the real driver uses.
-    message : str
-        In our words.
-    samples : int, optional
-        Samples per channel that were read before it.
+    ``code``: number that the real driver uses.
+    ``samples``: samples per channel that were read before it.
     """
 
     def __init__(self, code: int, message: str, samples: int | None = None) -> None:
@@ -55,16 +49,9 @@ class DaqFault(Exception):
 class Channel:
     """One channel of a task, as the client set it up.
 
-    Attributes
-    ----------
-    name, physical : str
-        Virtual and physical name.
-    sensitivity_v_g : float
-        Sensitivity by which volts are turned into g.
-    powered : bool
-        Whether the module feeds the sensor.
-    ac_coupled : bool
-        Whether the bias is taken off; direct coupling until it is set.
+    ``sensitivity_v_g``: sensitivity by which volts are turned into g.
+    ``powered``: whether the module feeds the sensor.
+    ``ac_coupled``: whether the bias is taken off; direct coupling until it is set.
     """
 
     name: str
@@ -94,14 +81,8 @@ class Task:
 class Chassis:
     """Modules that can be there or not, and the tasks that use them.
 
-    Parameters
-    ----------
-    modules : sequence of str
-        Names such as ``"cDAQ1Mod1"``.
-    sensors : Sensors
-        What is plugged in.
-    clock : callable
-        Monotonic time in s.
+    ``modules``: names such as ``"cDAQ1Mod1"``.
+    ``clock``: monotonic time in s.
     """
 
     def __init__(self, modules: tuple[str, ...], sensors: Sensors, clock: Callable[[], float] = time.monotonic) -> None:
@@ -163,14 +144,8 @@ class Chassis:
     def read(self, task: Task, wanted: int, timeout_s: float) -> Floats:
         """Return samples in g, shape (channels, n), once they are there.
 
-        Parameters
-        ----------
-        task : Task
-            A started task.
-        wanted : int
-            Samples per channel; -1 for all that are there.
-        timeout_s : float
-            Longest wait; negative waits for ever.
+        ``wanted``: samples per channel; -1 for all that are there.
+        ``timeout_s``: longest wait; negative waits for ever.
         """
         task.reads += 1
         first = self._first(task)

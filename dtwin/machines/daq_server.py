@@ -77,13 +77,7 @@ def _answers(work: Callable[..., Any]) -> Callable[..., Any]:
 
 
 class DaqService(stubs.NiDAQmxServicer):
-    """The calls that an accelerometer acquisition needs; the others stay unimplemented.
-
-    Parameters
-    ----------
-    chassis : Chassis
-        Virtual modules.
-    """
+    """The calls that an accelerometer acquisition needs; the others stay unimplemented."""
 
     def __init__(self, chassis: device.Chassis) -> None:
         self.chassis = chassis

@@ -36,20 +36,11 @@ _RADII_MM, _FEEDS_MM_MIN = (10.0, 100.0), (50.0, 12_000.0)
 class HexapodRecording:
     """What the instruments recorded, and what happened.
 
-    Attributes
-    ----------
-    condition : CircleCondition
-        In standard form.
-    t_s, deviation_um : ndarray, shape (n,)
-        Ball bar: time by its clock, length minus nominal radius.
-    angle_deg : ndarray, shape (n,)
-        Commanded path angle of each reading; 0 where the turn begins.
-    window : tuple of (int, int)
-        First and one-past-last reading of the turn between the overshoots.
-    vibration : SignalGroup
-        Accelerometer on the spindle.
-    tool_mm : ndarray, shape (ticks, 3)
-        Where the ball in the spindle really was, at ``RATE_HZ``.
+    ``condition``: in standard form.
+    ``t_s``, ``deviation_um``, (n,): ball bar: time by its clock, length minus nominal radius.
+    ``angle_deg``, (n,): commanded path angle of each reading; 0 where the turn begins.
+    ``window``: first and one-past-last reading of the turn between the overshoots.
+    ``tool_mm``, (ticks, 3): where the ball in the spindle really was, at ``RATE_HZ``.
     """
 
     condition: CircleCondition
@@ -66,8 +57,6 @@ class VirtualHexapod:
 
     Parameters
     ----------
-    parameters : HexapodParameters, optional
-        The machine.
     seed : int
         Which of the machines that share these parameters, its mountings and its noise.
     """
@@ -82,12 +71,8 @@ class VirtualHexapod:
 
         Parameters
         ----------
-        condition : CircleCondition
-            What to run.
         setup : str
             Mounting of the bar; its runs share eccentricity and length error.
-        repeat : int
-            Repeat of the condition.
 
         Raises
         ------
@@ -180,12 +165,8 @@ class VirtualHexapod:
 def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) -> Floats:
     """Return the commanded path angle at ``RATE_HZ``: 0 where the turn begins, signed by direction.
 
-    Parameters
-    ----------
-    condition : CircleCondition
-        In standard form.
-    parameters : HexapodParameters
-        Gives the limits along the path.
+    ``condition``: in standard form.
+    ``parameters``: gives the limits along the path.
     """
     p = parameters
     jerk_s = p.acceleration_mm_s2 / p.jerk_mm_s3
@@ -230,16 +211,10 @@ def leg_lengths_kernel(
 ) -> None:
     """Write the leg lengths of a pose, and by what each changes with the pose.
 
-    Parameters
-    ----------
-    position_mm, turned_rad : ndarray, shape (3,)
-        Centre of the platform; small rotation vector, to first order.
-    joints : ndarray, shape (2, 6, 3)
-        Joint centres on base and platform.
-    length_mm : ndarray, shape (6,)
-        Receives the lengths.
-    rows : ndarray, shape (6, 6)
-        Receives the derivative by position and rotation.
+    ``position_mm``, ``turned_rad``, (3,): centre of the platform; small rotation vector, to first order.
+    ``joints``, (2, 6, 3): joint centres on base and platform.
+    ``length_mm``, (6,): receives the lengths.
+    ``rows``, (6, 6): receives the derivative by position and rotation.
     """
     along = np.empty(3)
     for leg in range(LEGS):
@@ -271,25 +246,15 @@ def follow_kernel(
 ) -> None:
     """Follow a commanded path of the tool ball, tick by tick, and write where it really is.
 
-    Parameters
-    ----------
-    path_mm : ndarray, shape (n, 3)
-        Command.
-    believed, true : ndarray, shape (2, 6, 3)
-        Joint centres.
-    legs : ndarray, shape (3, 6)
-        Zero in mm, relative scale error, feed-forward.
-    constants : ndarray, shape (8,)
-        Gain, play, friction (height, width, recovery), pitch, motor order, vibration.
-    modes : ndarray, shape (m, 10)
-        From ``mode_table``.
-    inverse : ndarray, shape (6, 6)
-        How the pose changes with the leg lengths in the centre; near it every round of the forward
-        kinematics leaves less than a sixth of the error.
-    tool_mm : float
-        Length of the tool along the platform's normal.
-    out_mm : ndarray, shape (n, 3)
-        Receives the positions.
+    ``path_mm``, (n, 3): command.
+    ``believed``, ``true``, (2, 6, 3): joint centres.
+    ``legs``, (3, 6): zero in mm, relative scale error, feed-forward.
+    ``constants``, (8,): gain, play, friction (height, width, recovery), pitch, motor order, vibration.
+    ``modes``, (m, 10): from ``mode_table``.
+    ``inverse``, (6, 6): how the pose changes with the leg lengths in the centre; near it every round of the forward
+    kinematics leaves less than a sixth of the error.
+    ``tool_mm``: length of the tool along the platform's normal.
+    ``out_mm``, (n, 3): receives the positions.
     """
     tick_s = 1.0 / RATE_HZ
     tool = np.array([0.0, 0.0, tool_mm])

@@ -60,16 +60,10 @@ def transmission_table(parameters: JointParameters, rng: np.random.Generator) ->
 def gravity_torque_kernel(q_rad: Floats, dh: Floats, mass_kg: Floats, torque_nm: Floats) -> None:
     """Write the weight's torque on shoulder and elbow, by static balance of point masses.
 
-    Parameters
-    ----------
-    q_rad : ndarray, shape (6,)
-        Joint angles.
-    dh : ndarray, shape (6, 4)
-        Denavit-Hartenberg rows; the two arm lengths are used.
-    mass_kg : ndarray, shape (3,)
-        Upper arm, forearm, and everything beyond the wrist.
-    torque_nm : ndarray, shape (6,)
-        Receives the torques; only entries 1 and 2 change.
+    ``q_rad``, (6,): joint angles.
+    ``dh``, (6, 4): denavit-Hartenberg rows; the two arm lengths are used.
+    ``mass_kg``, (3,): upper arm, forearm, and everything beyond the wrist.
+    ``torque_nm``, (6,): receives the torques; only entries 1 and 2 change.
     """
     upper_m = 1e-3 * dh[1, 0] * np.cos(q_rad[1])
     fore_m = 1e-3 * dh[2, 0] * np.cos(q_rad[1] + q_rad[2])
@@ -85,20 +79,12 @@ def transmission_kernel(
 ) -> float:
     """Return the transmission error of one gear in rad.
 
-    Parameters
-    ----------
-    angle_rad : float
-        Angle on the motor side, referred to the output.
-    flank : float
-        -1 when the reverse flank carries the load, +1 when the forward one does.
-    load_nm : float
-        Torque that the gear carries.
-    orders : ndarray, shape (m,)
-        Periods per turn of the output.
-    joint_orders : ndarray, shape (m, 3)
-        Rows of ``transmission_table``.
-    joint : ndarray, shape (12,)
-        Row of ``joint_table``.
+    ``angle_rad``: angle on the motor side, referred to the output.
+    ``flank``: -1 when the reverse flank carries the load, +1 when the forward one does.
+    ``load_nm``: torque that the gear carries.
+    ``orders``, (m,): periods per turn of the output.
+    ``joint_orders``, (m, 3): rows of ``transmission_table``.
+    ``joint``, (12,): row of ``joint_table``.
     """
     swollen = 1.0 + joint[_FLEXSPLINE] * np.cos(angle_rad - joint[_TURNED])
     swollen *= 1.0 + joint[_LOAD] * np.tanh(abs(load_nm) / joint[_LOAD_NM])

@@ -47,8 +47,6 @@ def run_program(text: str, axis: str) -> Motion:
     text : str
         Moves in machine coordinates with feed, dwells, stops; inch or metric by G70/G20 or
         G71/G21. Anything that would move otherwise is refused.
-    axis : str
-        Letter of the axis.
 
     Raises
     ------

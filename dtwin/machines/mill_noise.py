@@ -47,18 +47,7 @@ def noise_um(
 ) -> Floats:
     """Return the noise of one run, shape (n,).
 
-    Parameters
-    ----------
-    parameters : NoiseParameters
-        Size and kind.
-    angle_rad : ndarray, shape (n,)
-        Path angle of the samples.
-    feed_mm_min : float
-        Programmed feed.
-    rng : numpy.random.Generator
-        Source of randomness.
-    bad : bool
-        Whether this is the bad run.
+    ``angle_rad``, (n,): path angle of the samples.
     """
     per_degree = len(angle_rad) / _GRID
     fast = 0.3 * np.sqrt(max(per_degree, 1.0)) * _draw(parameters, len(angle_rad), rng)

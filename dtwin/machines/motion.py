@@ -27,8 +27,6 @@ class CircleCondition:
     ----------
     plane : str
         XY, YZ or ZX (XZ and the like are converted, which flips the direction).
-    radius_mm, feed_mm_min : float
-        Nominal radius and programmed feed.
     direction : str
         ``"CCW"`` or ``"CW"``, seen from the positive normal of the plane.
     """
@@ -97,19 +95,9 @@ def travelled_kernel(time_s: float, duration_s: float, speed: float, ramp_s: flo
 
     Acceleration is a trapezoid: jerk phases of ``jerk_s`` around a ramp of ``ramp_s``.
 
-    Parameters
-    ----------
-    time_s, duration_s : float
-        Time since the start of the segment, and its whole length.
-    speed : float
-        Speed between the ramps, mm/s.
-    ramp_s, jerk_s : float
-        Speed over acceleration, and acceleration over jerk.
-
-    Returns
-    -------
-    float
-        Way in mm.
+    ``time_s``, ``duration_s``: time since the start of the segment, and its whole length.
+    ``speed``: speed between the ramps, mm/s.
+    ``ramp_s``, ``jerk_s``: speed over acceleration, and acceleration over jerk.
     """
     gain = speed / (6.0 * ramp_s * jerk_s)
     brake_s = duration_s - ramp_s - jerk_s
@@ -125,14 +113,8 @@ def travelled_kernel(time_s: float, duration_s: float, speed: float, ramp_s: flo
 def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Floats) -> int:
     """Write the commanded position at a path time and return the segment number.
 
-    Parameters
-    ----------
-    time_s : float
-        Path time.
-    segments, frame : ndarray
-        As in ``MotionPlan``.
-    position_mm : ndarray, shape (3,)
-        Receives the position in the base frame.
+    ``segments``, ``frame``: as in ``MotionPlan``.
+    ``position_mm``, (3,): receives the position in the base frame.
     """
     current = 0
     while current + 1 < segments.shape[0] and time_s >= segments[current + 1, START_S]:
@@ -174,17 +156,10 @@ def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Flo
 def jolt_kernel(time_s: float, segment: Floats, frame: Floats, jolts: Floats, acceleration: Floats) -> None:
     """Write the jolt with which the drives let go and catch the arm around an arc.
 
-    Parameters
-    ----------
-    time_s : float
-        Path time.
-    segment, frame : ndarray
-        Current row of ``MotionPlan.segments``, and the plan's frame.
-    jolts : ndarray, shape (3,)
-        Share of the path speed that is caught at a stop, part of that at a start, duration
-        of the half-sine pulse in s.
-    acceleration : ndarray, shape (3,)
-        Receives the pulse in mm/s^2, base frame; zero outside a pulse.
+    ``segment``, ``frame``: current row of ``MotionPlan.segments``, and the plan's frame.
+    ``jolts``, (3,): share of the path speed that is caught at a stop, part of that at a start, duration of the
+    half-sine pulse in s.
+    ``acceleration``, (3,): receives the pulse in mm/s^2, base frame; zero outside a pulse.
     """
     acceleration[:] = 0.0
     if segment[KIND] != ARC and segment[KIND] != SPHERE:
@@ -210,16 +185,10 @@ def plan_motion(condition: CircleCondition, centre_mm: Floats, motion: MotionPar
     XY runs are two revolutions of half circles with a stop after each; the middle revolution
     counts. The upright planes are one arc over the top with a run-in and run-out.
 
-    Parameters
-    ----------
-    condition : CircleCondition
-        In standard form.
-    centre_mm : ndarray, shape (3,)
-        Centre of the circle in the base frame.
-    motion : MotionParameters
-        Acceleration, jerk, in-feed and dwell.
-    tick_s : float
-        Controller period; segments start on whole ticks.
+    ``condition``: in standard form.
+    ``centre_mm``, (3,): centre of the circle in the base frame.
+    ``motion``: acceleration, jerk, in-feed and dwell.
+    ``tick_s``: controller period; segments start on whole ticks.
     """
     full = condition.plane == "XY"
     arcs_deg = [180.0] * 4 if full else [180.0 + 2 * motion.arc_overlap_deg]

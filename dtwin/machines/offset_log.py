@@ -10,13 +10,7 @@ _LENGTH = 30_000
 
 
 class OffsetLog:
-    """The newest minute of commanded offsets.
-
-    Parameters
-    ----------
-    period_s : float
-        Period of the controller.
-    """
+    """The newest minute of commanded offsets."""
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
@@ -36,10 +30,7 @@ class OffsetLog:
     def save(self, path: str) -> None:
         """Write ticks, sequence numbers, commanded and received offsets, and the tick of the last cut.
 
-        Parameters
-        ----------
-        path : str
-            File to write, as ``.npz``.
+        ``path``: file to write, as ``.npz``.
         """
         kept = min(self._n, _LENGTH)
         order = np.arange(self._n - kept, self._n)

@@ -80,10 +80,7 @@ class FrameReader:
     def feed(self, received: bytes) -> Iterator[tuple[int, bytes]]:
         """Yield type and payload of every frame that is complete.
 
-        Raises
-        ------
-        ValueError
-            When a length is impossible, after which the stream cannot be followed.
+        Raises ``ValueError`` when a length is impossible, after which the stream cannot be followed.
         """
         self._held += received
         while len(self._held) >= _HEADER.size:
@@ -159,18 +156,11 @@ _READERS: dict[str, Callable[[Floats], tuple[float, ...]]] = {
 class OutputRecipe:
     """What one client wants to receive.
 
-    Attributes
-    ----------
-    number : int
-        Identifier that starts every data frame.
-    types : tuple of str
-        Type of each variable; any ``NOT_FOUND`` makes the recipe unusable.
-    every : int
-        Ticks from one data frame to the next.
-    readers : tuple of callable
-        From a robot state to the numbers of each variable.
-    packer : Struct
-        Format of the data frame.
+    ``number``: identifier that starts every data frame.
+    ``types``: type of each variable; any ``NOT_FOUND`` makes the recipe unusable.
+    ``every``: ticks from one data frame to the next.
+    ``readers``: from a robot state to the numbers of each variable.
+    ``packer``: format of the data frame.
     """
 
     number: int
@@ -188,13 +178,7 @@ class OutputRecipe:
 
 
 def output_recipe(number: int, payload: bytes, rate_hz: float) -> OutputRecipe:
-    """Return the recipe that a client asks for.
-
-    Raises
-    ------
-    ValueError
-        When the request cannot be read.
-    """
+    """Return the recipe that a client asks for."""
     (wanted_hz,) = struct.unpack(">d", payload[:8])
     if not 1.0 <= wanted_hz <= rate_hz:
         raise ValueError("output frequency out of range")
@@ -220,10 +204,7 @@ class InputRecipe:
     def values(self, payload: bytes) -> dict[str, float]:
         """Return the scalar variables of a data frame, without its recipe number.
 
-        Raises
-        ------
-        ValueError
-            When the frame has another length than the recipe.
+        Raises ``ValueError`` when the frame has another length than the recipe.
         """
         if len(payload) != self.packer.size:
             raise ValueError("data frame does not fit its recipe")
@@ -231,13 +212,7 @@ class InputRecipe:
 
 
 def input_recipe(payload: bytes) -> InputRecipe:
-    """Return the input recipe that a client asks for; scalars only.
-
-    Raises
-    ------
-    ValueError
-        When the request cannot be read.
-    """
+    """Return the input recipe that a client asks for; scalars only."""
     names = tuple(name for name in payload.decode("ascii").split(",") if name)
     types = tuple(_type_of(name) for name in names)
     packer = struct.Struct(">" + "".join(_FORMATS.get(kind, "d") for kind in types))

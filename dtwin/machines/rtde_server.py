@@ -60,23 +60,10 @@ _INTRUDED_TICKS = 25
 class RtdeServer:
     """Runs a condition on the virtual cobot in real time and serves it by RTDE.
 
-    Parameters
-    ----------
-    cobot : VirtualCobot
-        The machine.
-    condition : CircleCondition
-        What its program does.
-    host : str
-        Loopback address to listen on.
-    port : int
-        Port, 0 for a free one.
-    repeat_forever : bool
-        Start the program again whenever it ends.
-
-    Raises
-    ------
-    InputError
-        When the host is not a loopback address.
+    ``host``: loopback address to listen on.
+    ``port``: port, 0 for a free one.
+    ``repeat_forever``: start the program again whenever it ends.
+    Raises ``InputError`` when the host is not a loopback address.
     """
 
     def __init__(
@@ -128,10 +115,7 @@ class RtdeServer:
     def run(self, control: int | None = None) -> None:
         """Serve until told to quit, or until a program that is not repeated has ended.
 
-        Parameters
-        ----------
-        control : int, optional
-            Descriptor that JSON commands come from; its end ends the server.
+        ``control``: descriptor that JSON commands come from; its end ends the server.
         """
         gc.collect()
         gc.freeze()

@@ -16,16 +16,9 @@ _BACKLOG_LIMIT = 1 << 20
 class Session:
     """Speaks RTDE over one accepted, non-blocking socket.
 
-    Parameters
-    ----------
-    connection : socket
-        Accepted connection; owned by the session.
-    rate_hz : float
-        Rate of the controller.
-    on_input : callable
-        Receives the name and value of every variable that the client writes, in order.
-    owners : dict of str to Session
-        Who writes which input variable, common to all clients: one may write each.
+    ``connection``: accepted connection; owned by the session.
+    ``on_input``: receives the name and value of every variable that the client writes, in order.
+    ``owners``: who writes which input variable, common to all clients: one may write each.
     """
 
     def __init__(

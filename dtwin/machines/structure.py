@@ -18,17 +18,9 @@ def mode_table(parameters: StructureParameters) -> Floats:
     A mode obeys x'' + 2 z w x' + w^2 x = -s . (g a + h b), with shape s and participations g in the
     arm's acceleration a and h in the jolts b; w falls as the arm reaches out.
 
-    Parameters
-    ----------
-    parameters : StructureParameters
-        Frequencies, damping, shapes.
-
-    Returns
-    -------
-    ndarray, shape (modes, 10)
-        Angular frequency in rad/s, damping ratio, exponent of the posture and reach in mm at which the
-        frequency holds, share seen at the flange, shape vector in the frame that turns with joint 1
-        (3), the two participations.
+    Returns (modes, 10): angular frequency in rad/s, damping ratio, exponent of the posture and reach in mm at which the
+    frequency holds, share seen at the flange, shape vector in the frame that turns with joint 1 (3), the two
+    participations.
     """
     table = np.empty((len(parameters.frequency_hz), _COLUMNS))
     table[:, _OMEGA] = 2.0 * np.pi * np.array(parameters.frequency_hz)
@@ -57,24 +49,13 @@ def modes_kernel(
 
     Force and frequency are held over the tick, so that the step is exact (zero-order hold).
 
-    Parameters
-    ----------
-    modes : ndarray, shape (modes, 10)
-        From ``mode_table``.
-    tick_s : float
-        Period of the controller.
-    joint1_rad : float
-        Angle of joint 1, with which the mode shapes turn.
-    reach_mm : float
-        How far the tool is from the axis of joint 1.
-    acceleration : ndarray, shape (3,)
-        Acceleration of the rigid arm at the tool, mm/s^2.
-    jolt : ndarray, shape (3,)
-        Jolt of the drives, mm/s^2.
-    state : ndarray, shape (2 * modes,)
-        Position and speed of each mode; updated.
-    tcp_mm, flange_mm : ndarray, shape (3,)
-        Points to displace; updated.
+    ``modes``, (modes, 10): from ``mode_table``.
+    ``joint1_rad``: angle of joint 1, with which the mode shapes turn.
+    ``reach_mm``: how far the tool is from the axis of joint 1.
+    ``acceleration``, (3,): acceleration of the rigid arm at the tool, mm/s^2.
+    ``jolt``, (3,): jolt of the drives, mm/s^2.
+    ``state``, (2 * modes,): position and speed of each mode; updated.
+    ``tcp_mm``, ``flange_mm``, (3,): points to displace; updated.
     """
     c, s = np.cos(joint1_rad), np.sin(joint1_rad)
     for m in range(modes.shape[0]):

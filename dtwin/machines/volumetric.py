@@ -88,8 +88,6 @@ class VolumetricParameters:
     seating_um, repeat_um : float
         How far the array stands from its nominal place in a pose, and how well the motor finds
         the pose again.
-    sensor_bias_c, sensor_noise_c, sensor_lag_s : float
-        Of the thermocouples.
     pocket_1 : float
         Of every second thermocouple: the most that it feels of the casting's core, which is what
         deforms. 0 for sensors stuck on the surface; 0.85 for sensors sunk into pockets.
@@ -135,17 +133,7 @@ class BallReadings:
 
 
 class VolumetricMill:
-    """A mill during one campaign.
-
-    Parameters
-    ----------
-    schedule : Schedule
-        What heats it.
-    parameters : VolumetricParameters
-        What it is like.
-    seed : int
-        Of everything random.
-    """
+    """A mill during one campaign."""
 
     def __init__(self, schedule: Schedule, parameters: VolumetricParameters, seed: int) -> None:
         self.schedule, self.parameters = schedule, parameters

@@ -10,14 +10,7 @@ from dtwin.schema import Floats
 def wandering(rng: np.random.Generator, t_s: Floats, time_constant_s: float) -> Floats:
     """Return a stationary Ornstein-Uhlenbeck process of standard deviation 1, shape (n,).
 
-    Parameters
-    ----------
-    rng : Generator
-        Where chance comes from.
-    t_s : ndarray, shape (n,)
-        Ascending times.
-    time_constant_s : float
-        How long it remembers.
+    ``t_s``, (n,): ascending times.
     """
     kept = np.exp(-np.diff(t_s) / time_constant_s)
     pushes = rng.normal(size=len(t_s))

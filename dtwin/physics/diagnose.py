@@ -52,14 +52,10 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     known : sequence of Term
         Effects of the twin, without set-up terms.
     library : mapping of str to Effect
         Effects that may be missing.
-    seed : int
-        Seed of permutations.
     """
     tried, untestable = applicable(library, obs, known)
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]

@@ -18,17 +18,7 @@ _Index = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class Entry:
-    """An effect in one shape.
-
-    Attributes
-    ----------
-    term : Term
-        Effect and shape.
-    columns : slice
-        Where its columns are.
-    free : int
-        Parameters and shapes.
-    """
+    """An effect in one shape."""
 
     term: Term
     columns: slice
@@ -43,12 +33,7 @@ class Entry:
 class Dictionary:
     """Effects in the shapes of their grids, beside what is known.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with what is known.
-    candidates : Candidates
-        The library.
+    ``problem``: whitened campaign with what is known.
     """
 
     def __init__(self, problem: Problem, candidates: Candidates) -> None:

@@ -35,10 +35,6 @@ class Estimate:
 
     Attributes
     ----------
-    effect, axis, name, unit : str
-        Which.
-    value : float
-        Estimate.
     uncertainty : float
         Expanded, k = 2 (95 %); unit of replication: the run, and the condition where laws miss
         more than the noise. NaN without repeats.
@@ -66,8 +62,6 @@ class Alias:
 
     Attributes
     ----------
-    first, second : str
-        Labels.
     correlation : float
         Largest correlation between what they would do, set-up taken out.
     separate_by : str
@@ -141,8 +135,6 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     terms : sequence of Term
         Effects; shape parameters are refined from where they are.
     robust : bool
@@ -199,8 +191,6 @@ def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
     ----------
     obs : Observations
         The runs; what was measured does not matter.
-    terms : sequence of Term
-        Effects.
     """
     problem = unweighted(obs, [])
     seen = [

@@ -27,15 +27,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Condition:
-    """What is set for a circular run; repeats share it.
-
-    Attributes
-    ----------
-    plane, direction : str
-        Plane and sense of motion.
-    radius_mm, feed_mm_min : float
-        As programmed.
-    """
+    """What is set for a circular run; repeats share it."""
 
     plane: Plane
     radius_mm: float
@@ -83,13 +75,7 @@ class Condition:
 
 
 def _condition_of_run(meta: RunMeta) -> Condition:
-    """Return the condition of a circular run.
-
-    Raises
-    ------
-    InputError
-        When something of it is not stated.
-    """
+    """Return the condition of a circular run."""
     radius, feed = meta.radius_mm, meta.feed_mm_min
     if meta.plane is None or meta.direction is None or radius is None or feed is None:
         raise InputError(
@@ -108,8 +94,6 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
     ----------
     run : Run
         With ``angle_deg`` and ``deviation_um``.
-    time_h : float
-        Session time at its start.
 
     Raises
     ------

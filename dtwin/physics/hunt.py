@@ -36,26 +36,10 @@ def best_set(
 ) -> tuple[list[Term], Observations, list[Term]]:
     """Return the effects that explain a campaign best, and the observations that told.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with what the twin knows.
-    candidates : Candidates
-        The library.
-    known : sequence of Term
-        What the twin knows.
-    beside : callable
-        Takes out of a problem what is neither the twin's nor the library's.
-
-    Returns
-    -------
-    terms : list of Term
-        Effects with their shapes.
-    obs : Observations
-        The campaign; without the neighbourhood of reversals when the library's laws do not hold
-        to within the noise, there or everywhere.
-    everywhere : list of Term
-        The effects that explain all of the campaign best.
+    ``problem``: whitened campaign with what the twin knows.
+    ``beside``: takes out of a problem what is neither the twin's nor the library's.
+    Returns ``obs``: the campaign; without the neighbourhood of reversals when the library's laws do not hold to within
+    the noise, there or everywhere.
 
     Notes
     -----
@@ -91,14 +75,8 @@ def best_set(
 class Hunt:
     """Adds, drops and replaces effects until nothing lowers the cost.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with what is known.
-    candidates : Candidates
-        The library.
-    level : float
-        Variance of a whitened coefficient.
+    ``problem``: whitened campaign with what is known.
+    ``level``: variance of a whitened coefficient.
     """
 
     def __init__(self, problem: Problem, candidates: Candidates, level: float) -> None:

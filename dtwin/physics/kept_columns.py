@@ -23,21 +23,8 @@ def kept_columns(instance: Instance, shape: Shape, condition: Hashable, make: Ca
     A diagnosis asks for the same few hundred shapes of every effect each time; machines are
     measured under the same conditions again and again.
 
-    Parameters
-    ----------
-    instance : Instance
-        Effect and axis.
-    shape : dict of str to float
-        Its shape parameters.
-    condition : hashable
-        All that the columns depend on besides; as ``condition_key`` gives it.
-    make : callable
-        Computes them.
-
-    Returns
-    -------
-    ndarray, shape (n, parameters)
-        Read-only.
+    ``condition``: all that the columns depend on besides; as ``condition_key`` gives it.
+    Returns (n, parameters): read-only.
     """
     key = (instance.effect.regressors, instance.label, tuple(sorted(shape.items())), condition)
     with _lock:

@@ -24,20 +24,12 @@ _NEAR = 6.0
 class ScalingLaw:
     """F^a R^b, one harmonic, even or odd in direction.
 
-    Attributes
-    ----------
-    harmonic : int
-        Per turn.
-    odd : bool
-        Changes sign with the direction.
-    feed, radius : float
-        Exponents.
-    p_value : float
-        After Holm over all laws.
-    gain : float
-        Explained sum of squares beyond noise, whitened.
-    amplitude_um : float
-        Amplitude at the mean feed and radius.
+    ``harmonic``: per turn.
+    ``odd``: changes sign with the direction.
+    ``feed``, ``radius``: exponents.
+    ``p_value``: after Holm over all laws.
+    ``gain``: explained sum of squares beyond noise, whitened.
+    ``amplitude_um``: amplitude at the mean feed and radius.
     """
 
     harmonic: int
@@ -65,15 +57,8 @@ class ScalingLaw:
 def search_laws(problem: Problem) -> list[ScalingLaw]:
     """Return the laws that are significant and within noise of the best one.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with everything known.
-
-    Returns
-    -------
-    list of ScalingLaw
-        Best first; empty when nothing is significant after Holm over all laws.
+    ``problem``: whitened campaign with everything known.
+    Best first; empty when nothing is significant after Holm over all laws.
     """
     obs = problem.obs
     feeds = obs.feed_mm_s / np.exp(np.mean(np.log(obs.feed_mm_s)))

@@ -28,19 +28,12 @@ _SLOW = (0.1, 0.3, 1.0)
 class LawTest:
     """Result for one variable.
 
-    Attributes
-    ----------
-    variable : {"feed", "radius", "direction", "time", "delay"}
-        What the amplitude was compared over; "time": what changed between repeats, logged
-        channels among it; "delay": whether it follows its channel at once.
-    p_value : float
-        Of the hypothesis that the law holds.
-    shift : float
-        Change of the exponent that fits best; for the direction, half the relative difference;
-        for time, the relative change over the range of what changed; for delay, the share that
-        comes late.
-    uncertainty : float
-        Standard uncertainty of the shift.
+    ``variable``: what the amplitude was compared over; "time": what changed between repeats, logged channels among it;
+    "delay": whether it follows its channel at once.
+    ``p_value``: of the hypothesis that the law holds.
+    ``shift``: change of the exponent that fits best; for the direction, half the relative difference; for time, the
+    relative change over the range of what changed; for delay, the share that comes late.
+    ``uncertainty``: standard uncertainty of the shift.
     """
 
     variable: str
@@ -71,19 +64,7 @@ class LawTest:
 
 
 def law_tests(problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel) -> list[LawTest]:
-    """Test the law of a candidate over every variable that the campaign changed.
-
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign, without the candidate.
-    candidates : Candidates
-        Evaluated library.
-    candidate : Candidate
-        The effect.
-    level : NoiseLevel
-        Shared noise level.
-    """
+    """Test the law of a candidate over every variable that the campaign changed."""
     term = candidate.term
     law = term.instance.effect.law
     columns = candidates.whitened(problem, term)
@@ -130,17 +111,9 @@ def law_tests(problem: Problem, candidates: Candidates, candidate: Candidate, le
 def share_that_follows(effect: Found, rows: Floats) -> tuple[float, float]:
     """Return the share of an effect whose amplitude follows something else, and its uncertainty.
 
-    Parameters
-    ----------
-    effect : Found
-        The effect, with the campaign without it.
-    rows : ndarray, shape (rows,)
-        How large that other thing is in every row, with the sign of the direction.
-
-    Returns
-    -------
-    share, uncertainty : float
-        By the noise of the repeats; infinite when these runs cannot tell the two.
+    ``effect``: the effect, with the campaign without it.
+    ``rows``, (rows,): how large that other thing is in every row, with the sign of the direction.
+    By the noise of the repeats; infinite when these runs cannot tell the two.
     """
     problem, term = effect.problem, effect.top.term
     columns = effect.candidates.whitened(problem, term)

@@ -65,16 +65,9 @@ def hidden_by_mask(
 ) -> list[Term]:
     """Return the effects that explain much beside those found, and most of it where the search did not look.
 
-    Parameters
-    ----------
-    everywhere : sequence of Term
-        Effects that explain the whole campaign best.
-    found : sequence of Term
-        Effects that were found in a part of it.
-    obs : Observations
-        That part.
-    known, candidates, problem
-        What the twin knows, the library, and the whole campaign.
+    ``everywhere``: effects that explain the whole campaign best.
+    ``found``: effects that were found in a part of it.
+    ``known``, ``candidates``, ``problem``: what the twin knows, the library, and the whole campaign.
     """
     whole = Dictionary(unweighted(problem.obs, known), Candidates(problem.obs, []))
     chosen = whole.add(found)

@@ -24,22 +24,10 @@ def as_if_repeated(obs: Observations, known: Sequence[Term], seed: int) -> tuple
     median, for a spike has some of them. Low harmonics repeat less well than that: what comes out
     looks like an effect, and is not confirmed.
 
-    Parameters
-    ----------
-    obs : Observations
-        Runs, none of which was repeated.
-    known : sequence of Term
-        Effects of the twin.
-    seed : int
-        Seed of the copies.
-
-    Returns
-    -------
-    obs : Observations
-        Three copies of every run. Their mean is the run, and the variance of their mean is that of
-        the noise.
-    floor_um : float
-        RMS of the noise of one run.
+    ``obs``: runs, none of which was repeated.
+    Returns ``obs``: three copies of every run. Their mean is the run, and the variance of their mean is that of the
+    noise.
+    Returns ``floor_um``: RMS of the noise of one run.
     """
     high = harmonic_numbers(obs.n_bins) > HIGHEST_HARMONIC
     if obs.grid.kind != "circular" or not high.any():

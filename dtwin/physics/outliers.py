@@ -18,11 +18,6 @@ _FEWEST_POINTS = 100
 def odd_runs(problem: Problem) -> list[int]:
     """Return the rows that disagree with their repeats far more than these with each other.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign.
-
     Notes
     -----
     Looks at all harmonics together, and at each low one against what the other conditions show

@@ -27,26 +27,14 @@ _SIMPLER_P = 0.01
 class Found:
     """One effect that was found, with its rivals.
 
-    Attributes
-    ----------
-    top : Candidate
-        The effect, tested against what all the others leave.
-    group : tuple of Candidate
-        It, and what these runs cannot tell from it, best first.
-    absorbed : frozenset of str
-        Those of the group that cannot be seen beside the effect: they may be there as well.
-    problem : Problem
-        The campaign with all the other effects that were found.
-    candidates : Candidates
-        The library where it was tested.
-    level : NoiseLevel
-        Shared noise level there.
-    gain : float
-        Gain on conditions that were left out.
-    size_um : float
-        RMS of what it explains beside all the others.
-    fitted_um : ndarray, shape (rows, n)
-        What it does.
+    ``top``: the effect, tested against what all the others leave.
+    ``group``: it, and what these runs cannot tell from it, best first.
+    ``absorbed``: those of the group that cannot be seen beside the effect: they may be there as well.
+    ``problem``: the campaign with all the other effects that were found.
+    ``candidates``: the library where it was tested.
+    ``gain``: gain on conditions that were left out.
+    ``size_um``: RMS of what it explains beside all the others.
+    ``fitted_um``, (rows, n): what it does.
     """
 
     top: Candidate

@@ -22,17 +22,10 @@ _HIGHEST_HARMONIC = 8
 class Channel:
     """A logged channel that moves with the error inside conditions.
 
-    Attributes
-    ----------
-    name : str
-        Column, with unit.
-    p_value : float
-        By permutation of tests inside conditions, or rotation where few can change places; Holm
-        over all channels.
-    share : float
-        Share of the spread between repeats that goes with it.
-    instead : tuple of str
-        Channels that would explain the same.
+    ``p_value``: by permutation of tests inside conditions, or rotation where few can change places; Holm over all
+    channels.
+    ``share``: share of the spread between repeats that goes with it.
+    ``instead``: channels that would explain the same.
     """
 
     name: str
@@ -48,12 +41,7 @@ class Channel:
 def screen_channels(problem: Problem, seed: int) -> list[Channel]:
     """Return the logged channels that explain the spread between repeats.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with everything known.
-    seed : int
-        Seed of the permutations.
+    ``problem``: whitened campaign with everything known.
 
     Notes
     -----
@@ -121,14 +109,7 @@ def _test(spread: Floats, values: Floats, ways: Floats, others: _Others) -> tupl
 class _Others:
     """What a channel might have been, had it nothing to do with the error.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign.
-    of_row : ndarray of int, shape (rows,)
-        Test of each row.
-    rng : Generator
-        Draws.
+    ``of_row``, (rows,): test of each row.
     """
 
     def __init__(self, problem: Problem, of_row: Indices, rng: np.random.Generator) -> None:

@@ -28,18 +28,8 @@ _BEYOND_DOUBT = 1e-6
 class Test:
     """Every effect of the library against what a set of effects leaves.
 
-    Attributes
-    ----------
-    problem : Problem
-        The campaign with the set.
-    level : NoiseLevel
-        Shared noise level.
-    candidates : tuple of Candidate
-        Visible effects.
-    p_values : dict of str to float
-        After Holm, by label.
-    invisible : tuple of str
-        Labels of the effects that nothing here can show.
+    ``p_values``: after Holm, by label.
+    ``invisible``: labels of the effects that nothing here can show.
     """
 
     problem: Problem
@@ -53,18 +43,11 @@ class Test:
 class Search:
     """What a search found.
 
-    Attributes
-    ----------
-    found : tuple of Found
-        Effects, the one that explains most first.
-    first : Test
-        The library against what was known before.
-    last, plain : Problem
-        The campaign with all of them, whitened and without weights.
-    lack_of_fit : tuple of float
-        p-value at the start and at the end.
-    systematic_um : tuple of float
-        RMS of what repeats agree on, at the start and at the end.
+    ``found``: effects, the one that explains most first.
+    ``first``: the library against what was known before.
+    ``last``, ``plain``: the campaign with all of them, whitened and without weights.
+    ``lack_of_fit``: p-value at the start and at the end.
+    ``systematic_um``: RMS of what repeats agree on, at the start and at the end.
     """
 
     found: tuple[Found, ...]
@@ -93,23 +76,11 @@ def search(
 ) -> Search:
     """Find the set of effects that explains a campaign, and test each beside all the others.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with what the twin knows.
-    plain : Problem
-        The same without weights.
-    candidates : Candidates
-        The library.
-    known : sequence of Term
-        What the twin knows.
-    beside : callable
-        Takes out of a problem what is neither the twin's nor the library's.
-    seed : int
-        Seed of permutations.
-    shown_by_channel : bool
-        A logged channel was shown to move with the error: effects that act inside conditions
-        are then compared among themselves only.
+    ``problem``: whitened campaign with what the twin knows.
+    ``plain``: the same without weights.
+    ``beside``: takes out of a problem what is neither the twin's nor the library's.
+    ``shown_by_channel``: a logged channel was shown to move with the error: effects that act inside conditions are then
+    compared among themselves only.
     """
     first = _tested(problem, candidates, shown_by_channel)
     fit = lack_of_fit(problem, problem.residual, seed)

@@ -19,19 +19,8 @@ def answer_to_tone(state: State, axis: str, frequency_hz: float, damping: float)
     With D = s^2 + 2 z w s + w^2 these are s^2 / D and s w / D, at the frequency of the tone. Errors
     of loops and structures in series are sums of such terms (partial fractions).
 
-    Parameters
-    ----------
-    state : State
-        A tone.
-    axis : str
-        Axis that moves.
-    frequency_hz, damping : float
-        Natural frequency, and damping ratio.
-
-    Returns
-    -------
-    ndarray, shape (n, 2)
-        um for a factor of one.
+    ``frequency_hz``, ``damping``: natural frequency, and damping ratio.
+    Returns (n, 2): um for a factor of one.
     """
     if not moves(state, axis):
         return np.zeros((state.n, 2))
@@ -50,18 +39,10 @@ def mode_columns(state: State, axis: str, shape: Shape) -> Floats:
 def answer_to_force(state: State, force: Floats, frequency_hz: float, damping: float) -> Floats:
     """Return how a mode gives way to a force that repeats with the tone.
 
-    Parameters
-    ----------
-    state : State
-        A tone, its points evenly spaced over one period.
-    force : ndarray, shape (n,)
-        As the deflection that it would cause if it stood.
-    frequency_hz, damping : float
-        Natural frequency, and damping ratio.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+    ``state``: a tone, its points evenly spaced over one period.
+    ``force``, (n,): as the deflection that it would cause if it stood.
+    ``frequency_hz``, ``damping``: natural frequency, and damping ratio.
+    Returns (n,).
     """
     s = 1j * _rate_rad_s(state) * np.arange(state.n // 2 + 1)
     mode_rad_s, denominator = _mode(s, frequency_hz, damping)

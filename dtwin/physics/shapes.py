@@ -22,21 +22,11 @@ _STEP = 1e-4
 def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     """Return a term with the shape near its own that leaves least.
 
-    Parameters
-    ----------
-    problem : Problem
-        Campaign with everything else that is known.
-    term : Term
-        Effect and the shape to start from.
-    bounded : bool
-        Stay within the grid of the effect, as diagnosis does. Beyond it many effects turn into
-        others: friction without travel and a spike without end are backlash. Otherwise within
-        what is physically possible.
-
-    Returns
-    -------
-    Term
-        The same when no other shape is better, or when the effect has none.
+    ``problem``: campaign with everything else that is known.
+    ``term``: effect and the shape to start from.
+    ``bounded``: stay within the grid of the effect, as diagnosis does. Beyond it many effects turn into others:
+    friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
+    The same when no other shape is better, or when the effect has none.
     """
     names = [shape.name for shape in term.instance.effect.shapes]
     if not names:
@@ -70,16 +60,9 @@ def refined_together(
 ) -> tuple[Term, ...]:
     """Return terms with the shapes, within their grids, that leave least when all are fitted.
 
-    Parameters
-    ----------
-    problem : Problem
-        Campaign with what is known besides.
-    candidates : Candidates
-        The library.
-    terms : sequence of Term
-        Effects with the shapes to start from.
-    enough : float
-        A step that lowers the sum of squares by less is the last one.
+    ``problem``: campaign with what is known besides.
+    ``terms``: effects with the shapes to start from.
+    ``enough``: a step that lowers the sum of squares by less is the last one.
     """
     shaped = [term for term in terms if term.instance.effect.shapes]
     if not shaped:

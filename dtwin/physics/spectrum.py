@@ -21,10 +21,6 @@ def strongest_lines(
     ----------
     signal_um : ndarray, shape (n,)
         The signal, centre removed.
-    rate_hz : float
-        Sample rate.
-    count : int
-        Number of lines.
 
     Returns
     -------
@@ -48,14 +44,8 @@ def band_rms_um(
 ) -> list[tuple[float, float, float]]:
     """Return (from_hz, to_hz, rms_um) of each band; by Parseval their squares add up.
 
-    Parameters
-    ----------
-    signal_um : ndarray, shape (n,)
-        The signal.
-    rate_hz : float
-        Sample rate.
-    bands_hz : tuple of (float, float)
-        Lower bound included, upper excluded except at half the sample rate; the mean is left out.
+    ``signal_um``, (n,): the signal.
+    ``bands_hz``: lower bound included, upper excluded except at half the sample rate; the mean is left out.
     """
     n = signal_um.size
     power = np.abs(np.fft.rfft(signal_um - signal_um.mean())) ** 2 * 2.0 / n**2

@@ -23,14 +23,8 @@ _MATERIAL_EXPONENT = 0.25
 def spread_of(obs: Observations, residual_um: Floats, library: Mapping[str, Effect]) -> Spread | None:
     """Return what the spread of repeats depends on, None when nothing shows.
 
-    Parameters
-    ----------
-    obs : Observations
-        The runs.
-    residual_um : ndarray, shape (rows, n)
-        Residual of the twin.
-    library : mapping of str to Effect
-        Effects; those that act on the spread are tried.
+    ``residual_um``, (rows, n): residual of the twin.
+    ``library``: effects; those that act on the spread are tried.
     """
     deviation, count = within_condition(residual_um, obs.condition_of)
     rows = np.flatnonzero(count > 1)

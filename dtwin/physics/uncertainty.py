@@ -29,21 +29,10 @@ def expanded(problem: Problem, terms: Sequence[Term], columns: Floats, x: Floats
     widen the interval as Student's t does (GUM, annex G). Where the laws miss more than the noise,
     runs of one condition err alike, and the unit is the condition.
 
-    Parameters
-    ----------
-    problem : Problem
-        The campaign, not whitened by its noise.
-    terms : sequence of Term
-        Effects.
-    columns : ndarray, shape (rows * n, k)
-        Set-up terms and effects.
-    x : ndarray, shape (k,)
-        What was fitted.
-
-    Returns
-    -------
-    ndarray, shape (k,)
-        NaN without repeats.
+    ``problem``: the campaign, not whitened by its noise.
+    ``columns``, (rows * n, k): set-up terms and effects.
+    ``x``, (k,): what was fitted.
+    Returns (k,): NaN without repeats.
     """
     if problem.noise is None:
         return np.full(columns.shape[1], np.nan)

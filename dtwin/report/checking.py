@@ -28,8 +28,6 @@ def check_source(path: Path, progress: Progress | None = None, told: Mapping[str
     ----------
     path : Path
         A ``.b5r`` file, a campaign folder or a table that lies alone.
-    progress : callable, optional
-        Called with (done, total, what).
     told : mapping, optional
         What is told of a table that lies alone.
 
@@ -135,13 +133,7 @@ def _bidirectional(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def render_check(result: dict[str, Any]) -> str:
-    """Return the result of :func:`check_source` as text for a terminal.
-
-    Parameters
-    ----------
-    result : dict
-        What :func:`check_source` returned.
-    """
+    """Return the result of :func:`check_source` as text for a terminal."""
     runs = result["runs"]
     lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
     kind = kind_named(result["kind"])

@@ -16,27 +16,11 @@ from dtwin.serve.tone_watch import ToneWatch
 class AxisInputs:
     """Values, windows and watch of one served bundle.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        What is served.
-    given : collection of str
-        Covariates whose values the user gave.
-    sensors : bool
-        Whether windows come from elsewhere.
-
-    Attributes
-    ----------
-    live : LiveValues
-        The inputs that the control sends.
-    windows : ChannelWindows or None
-        Windows of channels that the control samples.
-    watch : ToneWatch or None
-        For a model of tones.
-    channels : tuple of str
-        Names of those channels.
-    channels_hz : float
-        Their rate.
+    ``given``: covariates whose values the user gave.
+    ``sensors``: whether windows come from elsewhere.
+    ``live``: the inputs that the control sends.
+    ``windows``: windows of channels that the control samples.
+    ``watch``: for a model of tones.
     """
 
     def __init__(self, bundle: Bundle, given: Collection[str], *, sensors: bool) -> None:

@@ -41,22 +41,12 @@ class Bundle:
 
     Attributes
     ----------
-    name, machine, model_version, created : str, str, int, str
-        Identity.
-    inputs, outputs, states : tuple
-        Interface.
     window : WindowContract or None
         How feature inputs are made.
     window_graph : Graph or None
         From feature inputs to intermediate values, evaluated per hop and held.
     tick_graph : Graph
         From tick inputs, intermediate values and feature inputs to outputs, every tick.
-    safety : SafetyLimits
-        Limits.
-    provenance : Provenance
-        Origin and evidence.
-    vectors : TestVectors
-        Proof.
     corrects : str
         Kind of campaign that it was made of; empty in bundles from before 2026-11.
     """
@@ -249,13 +239,7 @@ _OF_THE_VERSION = ("model_version", "provenance")
 
 
 def checksum(body: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of the canonical JSON of a bundle's content.
-
-    Raises
-    ------
-    InputError
-        When the content holds a number that is not finite.
-    """
+    """Return the SHA-256 of the canonical JSON of a bundle's content."""
     try:
         plain = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
     except ValueError as error:

@@ -28,21 +28,10 @@ _TRY_S = 0.2
 class Connection:
     """Opens a link to a robot or a board.
 
-    Parameters
-    ----------
-    request : ServeRequest
-        Which.
-    bundle : Bundle
-        Its evidence decides what may be moved.
-    trial : bool
-        Whether the clamp is tightened.
-
-    Attributes
-    ----------
-    device : {"", "real", "virtual"}
-        What answered.
-    realtime : bool
-        Whether the newest driver was given real-time priority.
+    ``bundle``: its evidence decides what may be moved.
+    ``trial``: whether the clamp is tightened.
+    ``device``: what answered.
+    ``realtime``: whether the newest driver was given real-time priority.
     """
 
     def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool) -> None:
@@ -88,14 +77,8 @@ class Connection:
 class AxisConnection(Connection):
     """Opens a link to a control that takes offsets of its axes.
 
-    Parameters
-    ----------
-    request, bundle, trial
-        As for :class:`Connection`.
-    inputs : AxisInputs
-        What the control must send.
-    home : Home
-        Where the key of virtual machines lies.
+    ``request``, ``bundle``, ``trial``: as for :class:`Connection`.
+    ``home``: where the key of virtual machines lies.
     """
 
     def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home) -> None:
@@ -189,13 +172,7 @@ def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
 
 
 def require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) -> None:
-    """Refuse to move a real device on evidence from a virtual one, outside a trial.
-
-    Raises
-    ------
-    GateRefusal
-        When the bundle has no evidence from a real device.
-    """
+    """Refuse to move a real device on evidence from a virtual one, outside a trial."""
     evidence = bundle.provenance.evidence
     if device == "virtual" or mode != "live" or trial or evidence == "real":
         return

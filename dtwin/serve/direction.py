@@ -18,20 +18,12 @@ def correction_kernel(
 ) -> None:
     """Write the correction vector in the base frame.
 
-    Parameters
-    ----------
-    outputs : ndarray, shape (n_outputs,)
-        In um.
-    frames : ndarray of int64, shape (n_outputs,)
-        Position of each output's frame in ``OUTPUT_FRAMES``.
-    signs : ndarray, shape (n_outputs,)
-        -1 for a predicted error, +1 for a correction.
-    angle_rad : float
-        Path angle, from the plane's first axis towards its second.
-    plane_id : float
-        0, 1, 2 for XY, YZ, ZX; anything else gives NaN.
-    vector_um : ndarray, shape (3,)
-        Receives the correction along base x, y, z.
+    ``outputs``, (n_outputs,): in um.
+    ``frames``, (n_outputs,): position of each output's frame in ``OUTPUT_FRAMES``.
+    ``signs``, (n_outputs,): -1 for a predicted error, +1 for a correction.
+    ``angle_rad``: path angle, from the plane's first axis towards its second.
+    ``plane_id``: 0, 1, 2 for XY, YZ, ZX; anything else gives NaN.
+    ``vector_um``, (3,): receives the correction along base x, y, z.
     """
     vector_um[:] = 0.0
     if not (plane_id == 0.0 or plane_id == 1.0 or plane_id == 2.0):

@@ -23,14 +23,7 @@ _DEVICE = {
 def fault_of(why: str, where: str, got: str) -> DtwinError | None:
     """Return the fault behind an end, None when it is none.
 
-    Parameters
-    ----------
-    why : str
-        ``safety_stop``, ``latched``, ``diverged``, ``withdrawn``, or anything else.
-    where : str
-        The machine's end.
-    got : str
-        What was seen.
+    ``why``: ``safety_stop``, ``latched``, ``diverged``, ``withdrawn``, or anything else.
     """
     if why == "withdrawn":
         return GateRefusal(

@@ -14,10 +14,7 @@ _MAX_TEXT = 4000
 def only_fields(data: object, names: Sequence[str], where: str) -> dict[str, Any]:
     """Return a mapping that has exactly these fields.
 
-    Raises
-    ------
-    InputError
-        When fields are missing or unknown, or it is no mapping.
+    Raises ``InputError`` when fields are missing or unknown, or it is no mapping.
     """
     if not isinstance(data, dict):
         raise InputError(f"{where} is not a mapping", code="bundle.type", got=type(data).__name__)
@@ -33,13 +30,7 @@ def only_fields(data: object, names: Sequence[str], where: str) -> dict[str, Any
 
 
 def number(value: object, where: str) -> float:
-    """Return a finite number.
-
-    Raises
-    ------
-    InputError
-        When it is not one.
-    """
+    """Return a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise _wrong_type(where, value, "a number")
     try:
@@ -52,39 +43,21 @@ def number(value: object, where: str) -> float:
 
 
 def whole(value: object, where: str) -> int:
-    """Return a whole number.
-
-    Raises
-    ------
-    InputError
-        When it is not one.
-    """
+    """Return a whole number."""
     if isinstance(value, bool) or not isinstance(value, int) or abs(value) > 2**53:
         raise _wrong_type(where, value, "a whole number")
     return value
 
 
 def text(value: object, where: str) -> str:
-    """Return text of bounded length.
-
-    Raises
-    ------
-    InputError
-        When it is not text.
-    """
+    """Return text of bounded length."""
     if not isinstance(value, str) or len(value) > _MAX_TEXT:
         raise _wrong_type(where, value, f"text of at most {_MAX_TEXT} characters")
     return value
 
 
 def one_of(value: object, allowed: Sequence[str], where: str) -> str:
-    """Return text that is one of a few.
-
-    Raises
-    ------
-    InputError
-        When it is not.
-    """
+    """Return text that is one of a few."""
     found = text(value, where)
     if found not in allowed:
         raise _wrong_type(where, value, ", ".join(allowed))

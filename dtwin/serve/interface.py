@@ -28,8 +28,6 @@ class Input:
         Name and unit; the unit is part of the contract.
     frame : str
         One of ``_INPUT_FRAMES``.
-    rate_hz : float
-        Rate at which it is renewed.
     source : str
         ``feature`` inputs come from the window graph's sensors, the others every tick.
     low, high : float
@@ -51,8 +49,6 @@ class Output:
 
     Attributes
     ----------
-    name : str
-        Identifier.
     frame : str
         One of ``OUTPUT_FRAMES``.
     role : {"error", "correction"}
@@ -133,8 +129,6 @@ class Provenance:
         Versions of the lake's tables that it was trained on.
     evidence : {"none", "virtual", "real"}
         Closed-loop evidence.
-    gates : dict of str to bool
-        Verdict of each gate.
     valid_days : float
         How long closed-loop evidence holds after it was measured; 0 for ever.
     """
@@ -158,18 +152,11 @@ class Provenance:
 class TestVectors:
     """Inputs over several ticks with the outputs that a slow evaluation gives.
 
-    Attributes
-    ----------
-    inputs : tuple of tuple of float
-        Tick inputs, one row per tick, in the order of ``Bundle.tick_inputs``.
-    features : tuple of tuple of float
-        Feature inputs, one row per tick, in the order of ``Bundle.feature_inputs``.
-    outputs : tuple of tuple of float
-        Outputs, one row per tick.
-    window_seed : int
-        Seed of the made-up window whose features must come out bit for bit.
-    window_features : tuple of float
-        Those features, channel by channel; empty without a window contract.
+    ``inputs``: tick inputs, one row per tick, in the order of ``Bundle.tick_inputs``.
+    ``features``: feature inputs, one row per tick, in the order of ``Bundle.feature_inputs``.
+    ``outputs``: outputs, one row per tick.
+    ``window_seed``: seed of the made-up window whose features must come out bit for bit.
+    ``window_features``: those features, channel by channel; empty without a window contract.
     """
 
     __test__ = False

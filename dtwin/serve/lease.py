@@ -32,10 +32,6 @@ def lease(host: str, machine: str, home: Home) -> Iterator[None]:
     ----------
     host : str
         Address of the robot; names of the same address are the same robot.
-    machine : str
-        Machine that is served.
-    home : Home
-        Where the locks lie.
 
     Raises
     ------

@@ -16,14 +16,7 @@ FARTHEST = 1e12
 class Operator:
     """One operator.
 
-    Attributes
-    ----------
-    code : int
-        Number on the tape.
-    arity : int
-        Count of arguments.
-    evaluate : callable
-        Reference meaning on Python floats; IEEE results instead of exceptions.
+    ``evaluate``: reference meaning on Python floats; IEEE results instead of exceptions.
     """
 
     code: int

@@ -43,8 +43,6 @@ def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> 
 
     Parameters
     ----------
-    folder : Path
-        The machine's folder.
     name : str
         One of ``CHAMPION``, ``TRIAL``, ``MACHINE``, ``BARRED``.
     content : mapping or None

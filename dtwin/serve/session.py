@@ -46,10 +46,6 @@ def serve(request: ServeRequest, home: Home, announce: Announce, open_sensors: O
 
     Parameters
     ----------
-    request : ServeRequest
-        What to serve, where, how long.
-    home : Home
-        Where pointers, locks and logs lie.
     announce : callable
         Receives lines for the user while it goes on.
     open_sensors : callable, optional

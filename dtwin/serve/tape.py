@@ -158,14 +158,9 @@ def _run_of_one(op: int, program: Program, memory: Floats, first: int, count: in
 def run_tape(program: Program, memory: Floats) -> None:
     """Evaluate a tape once on the inputs in its memory, and step its state.
 
-    Parameters
-    ----------
-    program : ndarray of uint64
-        Header (runs, copies, place of outputs), then per run its operator, its number of
-        instructions, and target and three arguments of each, then source and target of the
-        copies.
-    memory : ndarray of float64
-        Inputs, state, constants, intermediate values, tables, outputs, staging.
+    ``program``: header (runs, copies, place of outputs), then per run its operator, its number of instructions, and
+    target and three arguments of each, then source and target of the copies.
+    ``memory``: inputs, state, constants, intermediate values, tables, outputs, staging.
     """
     at = 3
     for _ in range(int(program[0])):
@@ -194,12 +189,8 @@ class Tape:
 
     Parameters
     ----------
-    graph : Graph
-        What to evaluate.
     inputs : sequence of str
         Order of the input vector; inputs that the graph does not use are allowed.
-    states : mapping of str to float
-        Initial values.
     outputs : sequence of str
         Order of the output vector.
 

@@ -30,8 +30,6 @@ def run_circle(
 
     Parameters
     ----------
-    cobot : VirtualCobot
-        The machine.
     bundle : Bundle
         What is served; the oracle takes its limits.
     tcp_mm : ndarray, shape (3,)

@@ -30,14 +30,9 @@ _RELATIVE = 1e-6
 class Record:
     """Evidence of a version, as it was computed once.
 
-    Attributes
-    ----------
-    id : str
-        Twelve digits of its checksum.
-    time : str
-        When it was computed, ISO 8601.
-    content : dict
-        As ``Evidence.as_dict`` gave it, with the ``notes``.
+    ``id``: twelve digits of its checksum.
+    ``time``: when it was computed, ISO 8601.
+    ``content``: as ``Evidence.as_dict`` gave it, with the ``notes``.
     """
 
     id: str
@@ -51,17 +46,7 @@ class Record:
 
 
 def keep(registry: Registry, found: RegisteredVersion, evidence: Evidence) -> Record:
-    """Keep evidence with a version, beside what was kept before.
-
-    Parameters
-    ----------
-    registry : Registry
-        Where the version is.
-    found : RegisteredVersion
-        The version.
-    evidence : Evidence
-        What was computed.
-    """
+    """Keep evidence with a version, beside what was kept before."""
     now = datetime.now(UTC)
     content = evidence.as_dict() | {"notes": dict(evidence.notes), "time": now.isoformat()}
     text = json.dumps(content, indent=1)
@@ -71,13 +56,7 @@ def keep(registry: Registry, found: RegisteredVersion, evidence: Evidence) -> Re
 
 
 def records(registry: Registry, found: RegisteredVersion) -> list[Record]:
-    """Return all evidence that is kept with a version, oldest first.
-
-    Raises
-    ------
-    GateRefusal
-        When a record was changed.
-    """
+    """Return all evidence that is kept with a version, oldest first."""
     out = []
     for path in registry.files(found, FOLDER):
         if not path.endswith(".json"):

@@ -23,16 +23,10 @@ WINDOW_SAMPLES, HOP = 512, 83
 class GenericInputs:
     """Inputs of the comparison models over all rows.
 
-    Attributes
-    ----------
-    values : ndarray, shape (n, k)
-        One row per row of the campaign.
-    names : tuple of str
-        Columns.
-    sensor : ndarray of bool, shape (k,)
-        Which columns come from accelerometers.
-    contract : WindowContract or None
-        How the accelerometer features are made; None without accelerometers.
+    ``values``, (n, k): one row per row of the campaign.
+    ``names``: columns.
+    ``sensor``, (k,): which columns come from accelerometers.
+    ``contract``: how the accelerometer features are made; None without accelerometers.
     """
 
     values: Floats
@@ -42,13 +36,7 @@ class GenericInputs:
 
 
 def generic_inputs(rows: Rows) -> GenericInputs:
-    """Return path inputs, harmonics of the path angle, and accelerometer features.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of a campaign.
-    """
+    """Return path inputs, harmonics of the path angle, and accelerometer features."""
     path = np.concatenate([run.inputs[run.arc] for run in rows.runs]).astype(float)
     angle = path[:, 0]
     columns = [path[:, 1:]]
@@ -95,13 +83,6 @@ def _sensor_features(run: TickRun, contract: WindowContract) -> Floats:
 
     The accelerometers' clock is brought to the controller's by the stops; a row sees the
     newest window that had ended by then, never a later one.
-
-    Parameters
-    ----------
-    run : TickRun
-        A run with accelerometers.
-    contract : WindowContract
-        Window and features.
     """
     found = window_features(run, contract)
     flat = found.values.reshape(len(found.values), -1)

@@ -28,15 +28,7 @@ Action = Literal["trial", "champion", "refused", "rollback"]
 
 
 def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
-    """Return a version's bundle and the verdicts of the offline gates.
-
-    Parameters
-    ----------
-    registry : Registry
-        Where the version is.
-    found : RegisteredVersion
-        The version.
-    """
+    """Return a version's bundle and the verdicts of the offline gates."""
     bundle = Bundle.from_dict(registry.bundle(found))
     if bundle.machine != found.machine:
         raise GateRefusal(
@@ -63,20 +55,12 @@ def promote(
 
     Parameters
     ----------
-    registry : Registry
-        Where the version is.
-    home : Home
-        Where bundles live.
-    found : RegisteredVersion
-        The version.
     geometry : mapping
         The machine's geometry, for the serving host.
     evidence : Evidence or None
         Closed-loop evidence, computed from runs just now; without it nothing becomes champion.
     despite : sequence of str
         Names of the evidence on record that speaks against the version; all of it must be named.
-    comment : str
-        Why; kept in the history.
     valid_days : float
         How long the evidence holds; 0 for ever.
 
@@ -156,10 +140,6 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
     ----------
     registry, home
         As in :func:`promote`.
-    machine : str
-        The machine.
-    comment : str
-        Why; kept in the history.
 
     Raises
     ------
@@ -204,8 +184,6 @@ def withdraw(
     ----------
     registry, home
         As in :func:`promote`.
-    machine : str
-        The machine.
     reason : str
         Why; kept in the history, in the registry and beside the bundles.
 

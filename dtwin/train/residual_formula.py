@@ -38,13 +38,9 @@ class ResidualFormula:
     text : str
         In um; ``c5`` and ``s5`` are cosine and sine of five times the path angle, ``f`` is the feed
         over 50 mm/s, ``r`` the radius over 100 mm, ``d`` +1 counter-clockwise and -1 clockwise.
-    nodes : int
-        Its size.
     gain : float
         Share of the mean square that it takes away on conditions that search and constants never
         saw: a plane, radius and feed at a time.
-    groups : int
-        How many such conditions.
     """
 
     text: str
@@ -63,14 +59,8 @@ def search_residual(obs: Observations, residual_um: Floats, engine: Engine, seed
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     residual_um : ndarray, shape (rows, 360)
         What the twin leaves.
-    engine : Engine
-        Symbolic regression.
-    seed : int
-        Of the search.
 
     Raises
     ------
@@ -107,8 +97,6 @@ def formula_effect(name: str, text: str) -> Effect:
 
     Parameters
     ----------
-    name : str
-        Name of the effect.
     text : str
         The formula; nothing but numbers, the inputs, arithmetic and known functions.
 

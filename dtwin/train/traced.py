@@ -50,8 +50,6 @@ class Traced(NDArrayOperatorsMixin):
 
     Parameters
     ----------
-    columns : sequence of Expression
-        One for each column.
     table : bool
         Whether it stands for shape (1, columns) instead of (1,).
     """
@@ -113,8 +111,6 @@ class TracedAlong(Traced):
 
     Parameters
     ----------
-    point : Expression
-        The point.
     points : ndarray, shape (n,)
         Where the path was measured.
     """
@@ -139,13 +135,7 @@ class TracedAlong(Traced):
 
 
 class TracedComplex(NDArrayOperatorsMixin):
-    """A complex number of two expressions, as the response to a tone is one.
-
-    Parameters
-    ----------
-    real_part, imaginary_part : Expression
-        Its parts.
-    """
+    """A complex number of two expressions, as the response to a tone is one."""
 
     def __init__(self, real_part: Expression, imaginary_part: Expression) -> None:
         self.parts = real_part, imaginary_part
@@ -168,13 +158,7 @@ class TracedComplex(NDArrayOperatorsMixin):
 
 
 class NotTold(Traced):
-    """What serving does not know: whatever is done with it is refused.
-
-    Parameters
-    ----------
-    what : str
-        For the message.
-    """
+    """What serving does not know: whatever is done with it is refused."""
 
     def __init__(self, what: str) -> None:
         super().__init__([])
@@ -192,19 +176,7 @@ class NotTold(Traced):
 def expressions_of(found: Any, builder: GraphBuilder, count: int) -> list[Expression]:
     """Return the columns that an effect returned.
 
-    Parameters
-    ----------
-    found : Traced or ndarray, shape (1, count)
-        What its regressors gave.
-    builder : GraphBuilder
-        Collects the nodes.
-    count : int
-        Number of parameters.
-
-    Raises
-    ------
-    NotTraceable
-        When the shape is another one.
+    ``found``, (1, count): what its regressors gave.
     """
     columns = _columns(found, builder)
     if len(columns) != count:

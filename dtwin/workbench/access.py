@@ -38,17 +38,9 @@ _HEADERS = {
 class Access:
     """What a request needs.
 
-    Attributes
-    ----------
-    host : str
-        Address that the server listens on.
-    port : int
-        Its port.
-    private : bool
-        Whether reading needs the token too: where several people use the computer.
-    token : str
-        Needed for everything that changes something; for everything when others can reach
-        the server.
+    ``host``: address that the server listens on.
+    ``private``: whether reading needs the token too: where several people use the computer.
+    ``token``: needed for everything that changes something; for everything when others can reach the server.
     """
 
     host: str
@@ -91,15 +83,7 @@ def is_loopback(host: str) -> bool:
 
 
 class Guarded:
-    """An application behind the checks of ``Access``.
-
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
-    access : Access
-        What a request needs.
-    """
+    """An application behind the checks of ``Access``."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self.app = app

@@ -40,8 +40,6 @@ def listening(host: str, port: int | None) -> socket.socket:
 
     Parameters
     ----------
-    host : str
-        Address.
     port : int or None
         Port; without, ``USUAL_PORT``, or a free one when that is taken.
 

@@ -37,14 +37,7 @@ _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_
 class Serving:
     """A process that serves a machine now.
 
-    Attributes
-    ----------
-    machine : str
-        Machine.
-    pid : int
-        Process.
-    since : str
-        ISO 8601.
+    ``since``: ISO 8601.
     """
 
     machine: str

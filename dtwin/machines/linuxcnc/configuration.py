@@ -59,13 +59,7 @@ class MillFaults:
     noise: float = 0.2
 
     def hal_lines(self, seed: int) -> list[str]:
-        """Return HAL commands that give the machine its faults.
-
-        Parameters
-        ----------
-        seed : int
-            Of the bar's noise.
-        """
+        """Return HAL commands that give the machine its faults."""
         lines = [f"setp plant.{f.name.replace('_', '-')} {getattr(self, f.name):.9g}" for f in fields(self)]
         # Neighbouring seeds must not begin alike.
         return [*lines, f"setp plant.noise-state {1 + (seed * 2654435761) % (2**32 - 2)}"]
@@ -114,10 +108,7 @@ def read_faults(path: Path) -> MillFaults:
 def ini_text(compensation: Mapping[str, str]) -> str:
     """Return LinuxCNC's ini file.
 
-    Parameters
-    ----------
-    compensation : mapping of str to str
-        Name of a compensation file in the same folder, by axis.
+    ``compensation``: name of a compensation file in the same folder, by axis.
     """
     lines = [
         "[EMC]",

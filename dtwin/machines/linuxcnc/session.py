@@ -83,12 +83,8 @@ class LinuxcncSession(OpenAndClose):
 
     Parameters
     ----------
-    faults : MillFaults
-        What is wrong with the machine.
     compensation : mapping of str to str, optional
         Text of a compensation file, by axis.
-    seed : int
-        Of the bar's noise.
 
     Attributes
     ----------
