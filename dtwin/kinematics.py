@@ -113,7 +113,7 @@ def jacobian_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> Floats:
 
 
 @kernel
-def solve_kernel(matrix: Floats, right: Floats) -> Floats:
+def _solve_kernel(matrix: Floats, right: Floats) -> Floats:
     """Solve a small dense linear system by elimination with row pivoting.
 
     Serving hosts have no LAPACK that numba could call.
@@ -196,7 +196,7 @@ def inverse_kernel(
         damping = 1e-4 * min(1.0, squares) + 1e-15
         for i in range(6):
             normal[i, i] += damping
-        step = solve_kernel(normal, right)
+        step = _solve_kernel(normal, right)
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(step[i]))

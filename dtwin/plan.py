@@ -79,7 +79,7 @@ def arc_deg(plane: Plane) -> float:
     return _FULL_TURNS_DEG if plane == "XY" else _HALF_TURN_DEG
 
 
-def motion_s(test: PlannedTest, n_directions: int = 2) -> float:
+def _motion_s(test: PlannedTest, n_directions: int = 2) -> float:
     """Estimate the time of pure motion of a test."""
     length_mm = math.radians(arc_deg(test.plane)) * test.radius_mm
     stops = arc_deg(test.plane) / 180.0
@@ -88,7 +88,7 @@ def motion_s(test: PlannedTest, n_directions: int = 2) -> float:
 
 def duration_s(plan: Plan) -> tuple[float, float]:
     """Return the time of pure motion, and the time with turnarounds between directions."""
-    moving = sum(motion_s(test, len(plan.directions)) for test in plan.tests)
+    moving = sum(_motion_s(test, len(plan.directions)) for test in plan.tests)
     return moving, moving + plan.n_runs * _TURNAROUND_S
 
 

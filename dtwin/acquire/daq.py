@@ -24,7 +24,7 @@ from dtwin.links.opened import OpenAndClose
 from dtwin.schema import Finding, Floats
 
 _MASTER_HZ = 13_107_200.0 / 256.0
-SLOWEST_DIVISOR = 31
+_SLOWEST_DIVISOR = 31
 FULL_SCALE_MV = 5000.0
 _OVERRUN = "overrun: the host read too slowly (-200279)"
 
@@ -282,12 +282,12 @@ class AccelerometerTask(OpenAndClose):
 
 def module_rates_hz() -> tuple[float, ...]:
     """Return the rates of an NI-9234, fastest first: 51 200 Hz divided by 1 to 31."""
-    return tuple(_MASTER_HZ / divisor for divisor in range(1, SLOWEST_DIVISOR + 1))
+    return tuple(_MASTER_HZ / divisor for divisor in range(1, _SLOWEST_DIVISOR + 1))
 
 
 def _require_sense(channels: Sequence[AccelerometerChannel], rate_hz: float, block_s: float) -> None:
     names = [c.name for c in channels]
-    slowest = _MASTER_HZ / SLOWEST_DIVISOR
+    slowest = _MASTER_HZ / _SLOWEST_DIVISOR
     problem = None
     if not names or len(set(names)) < len(names):
         problem = "no channel, or a name twice"

@@ -23,7 +23,7 @@ from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.features.windows import WindowContract
 from dtwin.schema import Floats
 
-FILTER_SAMPLES = 40.0
+_FILTER_SAMPLES = 40.0
 """About what a delta-sigma converter's filter holds back; NI states no formula for the 9234."""
 
 _CLOSE_S = 3.0
@@ -100,7 +100,7 @@ class DaqWindows:
             if end:
                 self._end, self._read_s = end, read_s
                 window = self._window
-        delay_s = FILTER_SAMPLES / self._contract.rate_hz
+        delay_s = _FILTER_SAMPLES / self._contract.rate_hz
         return window, time.monotonic() - self._read_s + delay_s
 
     def fault(self) -> DeviceError | MissingPart | None:

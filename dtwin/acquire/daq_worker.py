@@ -26,10 +26,10 @@ _LONGEST_BACK_OFF_S = 5.0
 _SAME_RATE = 1e-6
 _FOR_GOOD = ("daq.channel_order", "daq.setting", "daq.channel_absent", "daq.rate")
 
-Say = Callable[[Mapping[str, Any]], None]
+_Say = Callable[[Mapping[str, Any]], None]
 
 
-def fill(task: AccelerometerTask, ring: SampleRing) -> None:
+def _fill(task: AccelerometerTask, ring: SampleRing) -> None:
     """Read blocks into the ring until standard input ends.
 
     Raises ``DeviceError`` when the module or its server fails.
@@ -40,7 +40,7 @@ def fill(task: AccelerometerTask, ring: SampleRing) -> None:
         ring.write(block, lost, time.monotonic())
 
 
-def _keep_filling(task: AccelerometerTask, ring: SampleRing, say: Say) -> None:
+def _keep_filling(task: AccelerometerTask, ring: SampleRing, say: _Say) -> None:
     """Fill the ring, over as many openings as it takes.
 
     ``task``: open; its rate is the one that has to be met again.
@@ -51,7 +51,7 @@ def _keep_filling(task: AccelerometerTask, ring: SampleRing, say: Say) -> None:
     rate_hz = task.rate_hz
     while True:
         try:
-            fill(task, ring)
+            _fill(task, ring)
             return
         except DeviceError as error:
             if error.code in _FOR_GOOD:

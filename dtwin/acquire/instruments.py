@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Entry:
+class _Entry:
     """One kind of instrument or machine.
 
     ``role``: a stream of samples, or a machine with its instruments that runs planned tests.
@@ -95,16 +95,16 @@ def _virtual_cobot(**settings: Any) -> Bench:
 
 
 _ALL = (
-    Entry(
+    _Entry(
         "accelerometers",
         "instrument",
         "acceleration in g, NI-9234 class modules",
         "the extra daq and the NI-DAQmx driver, or an NI gRPC device server",
         _accelerometers,
     ),
-    Entry("serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial),
-    Entry("controller", "instrument", "joints, path and corrections of a UR robot", "the extra serve", _robot),
-    Entry(
+    _Entry("serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial),
+    _Entry("controller", "instrument", "joints, path and corrections of a UR robot", "the extra serve", _robot),
+    _Entry(
         "virtual-cobot",
         "bench",
         "circular tests with ball bar, accelerometers and controller",
@@ -113,7 +113,7 @@ _ALL = (
     ),
 )
 
-ENTRIES: dict[str, Entry] = {entry.name: entry for entry in _ALL}
+ENTRIES: dict[str, _Entry] = {entry.name: entry for entry in _ALL}
 """All instruments and machines by name."""
 
 

@@ -79,7 +79,7 @@ class Recorder:
         self._closed = False
         fields = [pa.field(name, pa.from_numpy_dtype(kind)) for name, kind in self._types.items()]
         head = {"group": group, "rate_hz": self.rate_hz, "start_s": start_s}
-        self._schema = pa.schema(fields, metadata={STREAM_KEY: header(head | {"notes": dict(notes or {})}, fields)})
+        self._schema = pa.schema(fields, metadata={STREAM_KEY: _header(head | {"notes": dict(notes or {})}, fields)})
         self._disk = _Disk(path, durable)
         self._stream = pa.ipc.new_stream(pa.PythonFile(self._disk, "w"), self._schema)
         self._empty = _batch([np.empty(0, kind) for kind in self._types.values()], self._schema)
@@ -294,7 +294,7 @@ def _batch(arrays: Sequence[NDArray[Any]], schema: pa.Schema) -> pa.RecordBatch:
     return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
-def header(head: Mapping[str, Any], fields: Sequence[pa.Field]) -> str:
+def _header(head: Mapping[str, Any], fields: Sequence[pa.Field]) -> str:
     """Return the stream's header: what it tells and a checksum of it and of the fields."""
     content = json.dumps(dict(head))
     return json.dumps({"head": content, "crc": header_checksum(content, fields)})

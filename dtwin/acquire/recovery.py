@@ -24,7 +24,7 @@ _SIGNALS_KEY = b"dtwin.signals"
 
 
 @dataclass(frozen=True)
-class Gap:
+class _Gap:
     """Samples that the device took and nobody read.
 
     ``first_sample``, ``n_lost``: place on the device's clock, and number per channel.
@@ -44,7 +44,7 @@ class Recovered:
     """
 
     group: SignalGroup
-    gaps: tuple[Gap, ...]
+    gaps: tuple[_Gap, ...]
     blocks: int
     complete: bool
     notes: Mapping[str, Any] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class Sealed:
 class _Content:
     head: dict[str, Any]
     table: pa.Table
-    gaps: tuple[Gap, ...]
+    gaps: tuple[_Gap, ...]
     blocks: int
     complete: bool
 
@@ -148,7 +148,7 @@ def signal_findings(path: Path) -> tuple[Finding, ...]:
     try:
         metadata = pq.read_schema(path).metadata or {}
         head = json.loads(metadata.get(_SIGNALS_KEY, b"{}"))
-        gaps = tuple(Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
+        gaps = tuple(_Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
         return _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
         raise StoreError(
@@ -201,13 +201,13 @@ def _open(path: Path) -> tuple[pa.ipc.RecordBatchStreamReader, dict[str, Any]]:
 def _content(path: Path) -> _Content:
     stream, head = _open(path)
     parts: list[pa.RecordBatch] = []
-    gaps: list[Gap] = []
+    gaps: list[_Gap] = []
     blocks, complete, first = 0, False, 0
     for batch, place in _blocks(stream):
         if place["first"] != first:
             break
         if place["lost"]:
-            gaps.append(Gap(first, place["lost"], place["why"]))
+            gaps.append(_Gap(first, place["lost"], place["why"]))
             parts.append(_nothing(stream.schema, place["lost"]))
         elif batch.num_rows:
             parts.append(batch)
@@ -249,7 +249,7 @@ def _unit(name: str) -> dict[str, str] | None:
     return None if unit is None else {"unit": unit}
 
 
-def _findings(complete: bool, gaps: tuple[Gap, ...], rate_hz: float) -> tuple[Finding, ...]:
+def _findings(complete: bool, gaps: tuple[_Gap, ...], rate_hz: float) -> tuple[Finding, ...]:
     found = []
     if not complete:
         found.append(

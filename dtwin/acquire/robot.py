@@ -18,7 +18,7 @@ _GROUP = "controller"
 _LOST_STATES = "states missing by the controller's clock"
 
 _WHOLE = ("segment_id", "applied_sequence", "runtime_running", "safety_ok")
-COLUMNS: dict[str, np.dtype[Any]] = {
+_COLUMNS: dict[str, np.dtype[Any]] = {
     "timestamp_s": np.dtype(np.float64),
     "segment_time_s": np.dtype(np.float64),
     **{
@@ -58,7 +58,7 @@ class RobotRecorder(OpenAndClose):
 
     def describe(self) -> Description:
         """Return the recorded part of a state."""
-        return Description(_GROUP, self._rate_hz, COLUMNS, {"host": self.host})
+        return Description(_GROUP, self._rate_hz, _COLUMNS, {"host": self.host})
 
     def check(self) -> tuple[Finding, ...]:
         """Return whether the controller is stopped or runs slower than programmed."""
@@ -98,7 +98,7 @@ class RobotRecorder(OpenAndClose):
             self._last_s = float(state[layout.TIMESTAMP])
             rows.append(state)
         table = np.array(rows)
-        columns = {n: table[:, layout.INDEX[n]].astype(kind) for n, kind in COLUMNS.items()}
+        columns = {n: table[:, layout.INDEX[n]].astype(kind) for n, kind in _COLUMNS.items()}
         return Reading(columns, lost, _LOST_STATES if lost else "")
 
     def stop(self) -> None:

@@ -15,7 +15,7 @@ from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
 
-MAX_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000
 _MOST_IEPE_MA = 20.0
 _SAME_RATE = 1e-3
 _TOP = {"sensors", "channel"}
@@ -117,9 +117,9 @@ def read_sensors(path: Path) -> SensorSetup:
 def _document(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise ValueError(f"more than {MAX_BYTES} bytes")
+            content = file.read(_MAX_BYTES + 1)
+        if len(content) > _MAX_BYTES:
+            raise ValueError(f"more than {_MAX_BYTES} bytes")
         return tomllib.loads(content.decode("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise _wrong(path, "the channel file cannot be read", "sensors.unreadable", str(error)[:200], None) from error

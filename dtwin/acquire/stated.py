@@ -16,7 +16,7 @@ _LONGEST = 400
 _CORRECTION = re.compile(r"([0-9a-f]{64}|mixed)?")
 
 
-def number(value: object, name: str, where: str) -> float:
+def _number(value: object, name: str, where: str) -> float:
     """Return a finite number; truth values and text are none."""
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
         return float(value)
@@ -25,7 +25,7 @@ def number(value: object, name: str, where: str) -> float:
 
 def positive(value: object, name: str, where: str) -> float:
     """Return a number above 0 and below 10 million."""
-    found = number(value, name, where)
+    found = _number(value, name, where)
     if 0.0 < found < 1e7:
         return found
     raise _refused(name, where, value, "a positive number")
@@ -55,7 +55,7 @@ def covariates(value: object, where: str) -> dict[str, float]:
     if not isinstance(value, Mapping):
         raise _refused("covariates", where, value, "a table of numbers")
     require_units(value, where)
-    return {name: number(v, f"covariates.{name}", where) for name, v in value.items()}
+    return {name: _number(v, f"covariates.{name}", where) for name, v in value.items()}
 
 
 def condition(value: object, where: str) -> dict[str, float | str]:
@@ -67,7 +67,7 @@ def condition(value: object, where: str) -> dict[str, float | str]:
         if isinstance(v, str) and len(v) <= _LONGEST
         else v
         if isinstance(v, int) and not isinstance(v, bool) and abs(v) < 2**53
-        else number(v, f"condition.{name}", where)
+        else _number(v, f"condition.{name}", where)
         for name, v in value.items()
     }
 
@@ -90,7 +90,7 @@ def table(value: object, name: str, where: str) -> dict[str, Any]:
 
 def _plain(value: object, name: str, where: str, deepest: int) -> None:
     if isinstance(value, float | int) and not isinstance(value, bool):
-        number(value, name, where)
+        _number(value, name, where)
     elif isinstance(value, Mapping | list) and deepest:
         parts = value.items() if isinstance(value, Mapping) else enumerate(value)
         for key, part in parts:

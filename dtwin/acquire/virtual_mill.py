@@ -17,9 +17,9 @@ from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run, RunMeta
 
-FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
+_FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
 _RADII_MM = (50.0, 150.0)
-REPEATS = 3
+_REPEATS = 3
 _COOL_DOWN_S = 1800.0
 PERIOD_S = 0.002
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
@@ -93,7 +93,7 @@ def standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[Circu
     out: list[CircularTest] = []
     for plane in planes:
         for radius in _RADII_MM:
-            pairs = [(feed, repeat) for repeat in range(1, REPEATS + 1) for feed in FEEDS_MM_MIN]
+            pairs = [(feed, repeat) for repeat in range(1, _REPEATS + 1) for feed in _FEEDS_MM_MIN]
             for feed, repeat in [pairs[i] for i in rng.permutation(len(pairs))]:
                 for direction in _DIRECTIONS:
                     # One stop in the middle of the session: heat goes back, drift does not.

@@ -62,7 +62,7 @@ def _centre(samples: Floats, mean: float, centred: Floats) -> tuple[float, float
 
 
 @compiled
-def time_features(
+def _time_features(
     flat: Floats, first: int, stride: int, n: int, remove_mean: bool, centred: Floats, values: Floats, codes: Codes
 ) -> None:
     """Fill the time-domain features of every channel of one window.
@@ -106,13 +106,13 @@ def time_features(
 
 
 @compiled
-def spectral_features(
+def _spectral_features(
     spectrum: Floats, n: int, rate_hz: float, first_bin: int, past_bin: int, values: Floats, codes: Codes
 ) -> None:
     """Fill the spectral features of every channel from the transform of the centred samples.
 
     ``spectrum``, (channels, n // 2 + 1, 2): real and imaginary parts of the one-sided transform.
-    ``values``, ``codes``: as in ``time_features``; channels that are not VALID keep zeros.
+    ``values``, ``codes``: as in ``_time_features``; channels that are not VALID keep zeros.
     """
     bins = spectrum.shape[1]
     for c in range(values.shape[0]):
@@ -191,10 +191,10 @@ class WindowKernel:
         ``codes``, (channels,): receives the validity of each channel.
         """
         n = self.n_samples
-        time_features(flat, first, stride, n, self.remove_mean, self._centred, self._all, codes)
+        _time_features(flat, first, stride, n, self.remove_mean, self._centred, self._all, codes)
         if self.spectral:
             np.fft.rfft(self._centred, axis=-1, out=self._spectrum)
-            spectral_features(self._parts, n, self.rate_hz, self.first_bin, self.past_bin, self._all, codes)
+            _spectral_features(self._parts, n, self.rate_hz, self.first_bin, self.past_bin, self._all, codes)
         np.take(self._all, self.columns, axis=1, out=out, mode="clip")
 
 

@@ -36,7 +36,7 @@ def moving_rms(signal: Floats, n: int) -> Floats:
     return np.sqrt(np.convolve(signal * signal, taper, "same") / weight)
 
 
-def segment_spectra(signal: Floats, n: int) -> NDArray[np.complex128]:
+def _segment_spectra(signal: Floats, n: int) -> NDArray[np.complex128]:
     """Return transforms of half-overlapping Hann-windowed segments, shape (segments, bins)."""
     starts = range(0, len(signal) - n + 1, n // 2)
     taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from dtwin.errors import InputError
 
-VERSION = 1
+_VERSION = 1
 SEQUENCES = 1 << 16
 _MAX_PAYLOAD = 1024
 
@@ -53,7 +53,7 @@ def encode(sequence: int, payload: bytes) -> bytes:
             got=f"sequence {sequence}, {len(payload)} bytes",
             allowed=f"sequence below {SEQUENCES}, at most {_MAX_PAYLOAD} bytes",
         )
-    body = _HEAD.pack(VERSION, sequence) + payload
+    body = _HEAD.pack(_VERSION, sequence) + payload
     return _stuffed(body + _CRC.pack(crc16(body))) + b"\x00"
 
 
@@ -107,7 +107,7 @@ class FrameReader:
             return None
         content, (crc,) = body[: -_CRC.size], _CRC.unpack(body[-_CRC.size :])
         version, sequence = _HEAD.unpack_from(content)
-        if crc != crc16(content) or version != VERSION:
+        if crc != crc16(content) or version != _VERSION:
             return None
         return Frame(sequence, content[_HEAD.size :])
 

@@ -27,7 +27,7 @@ WATCHDOG_S = 0.1
 Clock = Literal["wall", "machine"]
 _AXES = ("x", "y", "z")
 _POLL_S = 0.2
-Prove = Callable[[str], str]
+_Prove = Callable[[str], str]
 Announce = Callable[[str], None]
 
 
@@ -99,7 +99,7 @@ class AxisServer:
         How often the correction went to zero because nothing came.
     """
 
-    def __init__(self, machine: AxisMachine, prove: Prove, *, clock: Clock = "machine", port: int = 0) -> None:
+    def __init__(self, machine: AxisMachine, prove: _Prove, *, clock: Clock = "machine", port: int = 0) -> None:
         self._machine, self._prove, self._clock = machine, prove, clock
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -16,7 +16,7 @@ from dtwin.machines.daq_sensors import Sensors, Wiring
 from dtwin.schema import Floats
 
 _FASTEST_HZ = 13_107_200.0 / 256.0
-SLOWEST_DIVISOR = 31
+_SLOWEST_DIVISOR = 31
 CHANNELS_PER_MODULE = 4
 
 _NO_SUCH_DEVICE = -200220
@@ -111,9 +111,9 @@ class Chassis:
 
     def set_clock(self, task: Task, rate_hz: float, buffer_samples: int) -> None:
         """Set the rate, coerced upwards to a divided master clock, and the buffer."""
-        if not _FASTEST_HZ / SLOWEST_DIVISOR * 0.999 <= rate_hz <= _FASTEST_HZ * 1.001:
+        if not _FASTEST_HZ / _SLOWEST_DIVISOR * 0.999 <= rate_hz <= _FASTEST_HZ * 1.001:
             raise DaqFault(BAD_VALUE, f"a rate of {rate_hz} Hz is not supported")
-        divisor = min(max(math.floor(_FASTEST_HZ / rate_hz + 1e-9), 1), SLOWEST_DIVISOR)
+        divisor = min(max(math.floor(_FASTEST_HZ / rate_hz + 1e-9), 1), _SLOWEST_DIVISOR)
         task.rate_hz = _FASTEST_HZ / divisor
         least = 10_000 if task.rate_hz <= 10_000 else 100_000
         task.buffer_samples = max(buffer_samples, least)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dtwin.schema import Floats
 
-SENSITIVITY_V_G = 1.0
+_SENSITIVITY_V_G = 1.0
 """True sensitivity of every virtual sensor."""
 
 _RANGE_V = 5.0
@@ -65,7 +65,7 @@ class Sensors:
         removes the bias.
         """
         if wiring.powered:
-            volts = self.felt_g(channel, first, n, rate_hz) * SENSITIVITY_V_G
+            volts = self.felt_g(channel, first, n, rate_hz) * _SENSITIVITY_V_G
             volts += 0.0 if wiring.ac_coupled else _BIAS_V
         else:
             k = np.arange(first, first + n)

@@ -19,7 +19,7 @@ from dtwin.machines.mill_parameters import HeatParameters, MillParameters
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
-STROKE_MM = {"X": 400.0, "Y": 150.0, "Z": 150.0, "W": 150.0}
+_STROKE_MM = {"X": 400.0, "Y": 150.0, "Z": 150.0, "W": 150.0}
 """Published."""
 _FASTEST_MM_MIN = 3000.0
 _SPINDLE_V = 2.5
@@ -194,7 +194,7 @@ class HybridMill:
     def command(self, corners_mm: Floats, feed_mm_min: float) -> Command:
         """Return the timed program; parameters and errors as in ``run``."""
         corners = np.asarray(corners_mm, dtype=float)
-        reach = np.array([STROKE_MM[a] / 2.0 for a in _AXES])
+        reach = np.array([_STROKE_MM[a] / 2.0 for a in _AXES])
         if corners.ndim != 2 or corners.shape[1] != 2 or not np.all(np.abs(corners) <= reach):
             raise InputError(
                 "the program leaves the strokes of the mill",

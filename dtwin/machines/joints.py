@@ -16,7 +16,7 @@ from dtwin.schema import Floats
 
 PLAY_WIDTH, FRICTION, FRICTION_WIDTH, FRICTION_RECOVERY, COMPLIANCE = range(5)
 FLEXSPLINE, TURNED, LOAD, LOAD_NM, SOFT, HYSTERESIS_NM, GEAR_FROM = range(5, 12)
-AMPLITUDE, _PHASE_FORWARD, _PHASE_REVERSE = range(3)
+_AMPLITUDE, _PHASE_FORWARD, _PHASE_REVERSE = range(3)
 # The kernels' own names, so that numba sees plain integers.
 _COMPLIANCE, _FLEXSPLINE, _TURNED, _LOAD = COMPLIANCE, FLEXSPLINE, TURNED, LOAD
 _LOAD_NM, _SOFT, _GEAR_FROM = LOAD_NM, SOFT, GEAR_FROM
@@ -49,7 +49,7 @@ def transmission_table(parameters: JointParameters, rng: np.random.Generator) ->
     """
     orders = np.array(parameters.orders_per_turn)
     table = np.empty((6, len(orders), 3))
-    table[:, :, AMPLITUDE] = np.array(parameters.order_amplitude_urad) * _URAD
+    table[:, :, _AMPLITUDE] = np.array(parameters.order_amplitude_urad) * _URAD
     table[:, :, _PHASE_FORWARD:] = rng.uniform(0.0, 2.0 * np.pi, (6, len(orders), 2))
     shared = orders < parameters.flank_orders_from
     table[:, shared, _PHASE_REVERSE] = table[:, shared, _PHASE_FORWARD]
@@ -91,7 +91,7 @@ def transmission_kernel(
     forward = 0.5 + 0.5 * flank
     error = 0.0
     for m in range(orders.shape[0]):
-        amplitude = joint_orders[m, AMPLITUDE]
+        amplitude = joint_orders[m, _AMPLITUDE]
         if amplitude != 0.0:
             if orders[m] >= joint[_GEAR_FROM]:
                 amplitude *= swollen

@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-SETTLE_S = 0.3
+_SETTLE_S = 0.3
 # What an operator takes to zero the laser, and to start the machine again: the laser takes its first
 # reading in between.
 _ZEROING_S, _RESUME_S = 20.0, 10.0
@@ -111,7 +111,7 @@ class _State:
         length = abs(target - self.position[-1])
         if length > 0.0:
             self._knot(length / self.feed_mm_s, target)
-        self._knot(SETTLE_S, target)
+        self._knot(_SETTLE_S, target)
 
     def _halt(self, seconds: float) -> None:
         if self.t_s and seconds > 0.0:

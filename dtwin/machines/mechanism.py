@@ -27,7 +27,7 @@ _PLAY_WIDTH, _FRICTION, _FRICTION_WIDTH = j_.PLAY_WIDTH, j_.FRICTION, j_.FRICTIO
 _FRICTION_RECOVERY, _HYSTERESIS_NM = j_.FRICTION_RECOVERY, j_.HYSTERESIS_NM
 
 # Truth row: nominal path, tool, flange, rigid tool, rotation.
-PATH, TCP, FLANGE, RIGID, ROTATION, TRUTH_N = 0, 3, 6, 9, 12, 21
+_PATH, TCP, FLANGE, RIGID, ROTATION, TRUTH_N = 0, 3, 6, 9, 12, 21
 
 # Memory of the mechanism.
 _PATH_TIME, _SPEED_FACTOR, _STARTED, _Q, _PLAY, _PRESS, _RELAXED = 0, 1, 2, 3, 9, 15, 21
@@ -206,7 +206,7 @@ def tick_kernel(
     target = np.empty(3)
     segment = path_kernel(memory[_PATH_TIME], segments, frame, target)
     for i in range(3):
-        truth[PATH + i] = target[i]
+        truth[_PATH + i] = target[i]
         target[i] += memory[_LAGGED + i]
     q, _ = inverse_kernel(target, machine.geometry[2:], machine.dh[0], tcp, memory[_Q : _Q + 6])
     actual, link = np.empty(6), np.empty(6)

@@ -10,7 +10,7 @@ from dtwin.errors import InputError
 from dtwin.schema import Floats
 
 _GRID = 360
-KINDS = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
+_KINDS = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class NoiseParameters:
 
     def __post_init__(self) -> None:
         """Refuse unknown kinds."""
-        if self.kind not in KINDS:
-            raise InputError("unknown kind of noise", code="mill.noise", got=self.kind[:40], allowed=", ".join(KINDS))
+        if self.kind not in _KINDS:
+            raise InputError("unknown kind of noise", code="mill.noise", got=self.kind[:40], allowed=", ".join(_KINDS))
 
 
 def noise_um(

@@ -15,7 +15,7 @@ START_S, DURATION_S, SPEED, RAMP_S, JERK_S, KIND, RADIUS0, ANGLE0, SIGN, LENGTH 
 LINE_FROM, LINE_TOWARDS, COLUMNS = 10, 13, 16
 # Kinds of segment: straight along the radius, on the arc, straight from point to point, and on a
 # sphere, where azimuth and elevation change in proportion.
-_RADIAL, ARC, LINE, SPHERE = 0.0, 1.0, 2.0, 3.0
+_RADIAL, _ARC, LINE, SPHERE = 0.0, 1.0, 2.0, 3.0
 TURN, ELEVATION0, RISE = LINE_FROM, LINE_FROM + 1, LINE_FROM + 2
 
 
@@ -142,7 +142,7 @@ def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Flo
         # Spheres are driven about the vertical axis only.
         position_mm[2] += height
         return current
-    if segment[KIND] == ARC:
+    if segment[KIND] == _ARC:
         angle += way / radius
     else:
         radius += way
@@ -162,14 +162,14 @@ def jolt_kernel(time_s: float, segment: Floats, frame: Floats, jolts: Floats, ac
     ``acceleration``, (3,): receives the pulse in mm/s^2, base frame; zero outside a pulse.
     """
     acceleration[:] = 0.0
-    if segment[KIND] != ARC and segment[KIND] != SPHERE:
+    if segment[KIND] != _ARC and segment[KIND] != SPHERE:
         return
     since = time_s - segment[START_S]
     share, angle = jolts[0] * jolts[1], segment[ANGLE0]
     if since >= segment[DURATION_S]:
         since -= segment[DURATION_S]
         share = -jolts[0]
-        turned = segment[LENGTH] / segment[RADIUS0] if segment[KIND] == ARC else segment[TURN]
+        turned = segment[LENGTH] / segment[RADIUS0] if segment[KIND] == _ARC else segment[TURN]
         angle += segment[SIGN] * turned
     if not 0.0 <= since < jolts[2]:
         return
@@ -244,5 +244,5 @@ def _segment(
     ramp_s = speed_mm_s / motion.acceleration_mm_s2
     duration_s = length_mm / speed_mm_s + ramp_s + jerk_s
     shape = [0.0, duration_s, speed_mm_s, ramp_s, jerk_s]
-    path = [ARC if is_arc else _RADIAL, radius0_mm, angle0_rad, sign, length_mm]
+    path = [_ARC if is_arc else _RADIAL, radius0_mm, angle0_rad, sign, length_mm]
     return np.array([*shape, *path, *np.zeros(COLUMNS - LINE_FROM)])

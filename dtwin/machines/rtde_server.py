@@ -57,7 +57,7 @@ _PRIORITY = 70
 _INTRUDED_TICKS = 25
 
 
-class RtdeServer:
+class _RtdeServer:
     """Runs a condition on the virtual cobot in real time and serves it by RTDE.
 
     ``host``: loopback address to listen on.
@@ -335,7 +335,7 @@ def main() -> int:
     chosen = _arguments()
     condition = CircleCondition(chosen.plane, chosen.radius_mm, chosen.feed_mm_min, chosen.direction)
     try:
-        server = RtdeServer(
+        server = _RtdeServer(
             _cobot(chosen.seed, chosen.watchdog_s),
             condition,
             host=chosen.host,

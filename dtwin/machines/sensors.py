@@ -58,7 +58,7 @@ def couple_kernel(signal: Floats, corner_hz: float, rate_hz: float) -> None:
 
 
 @kernel
-def felt_kernel(flange_mm: Floats, rotation: Floats, rate_hz: float, felt_g: Floats) -> None:
+def _felt_kernel(flange_mm: Floats, rotation: Floats, rate_hz: float, felt_g: Floats) -> None:
     """Write the specific force at the flange, in the tool's axes, in g.
 
     ``flange_mm``, (n, 3): position of the flange in the base frame.
@@ -107,7 +107,7 @@ def accelerometer_group(
     """
     flange_mm, rotation, rate_hz = motion
     felt_g = np.empty((len(flange_mm), 6))
-    felt_kernel(flange_mm, rotation, rate_hz, felt_g)
+    _felt_kernel(flange_mm, rotation, rate_hz, felt_g)
     wrist_matrix, base_matrix = matrices
     felt_g[:, :3] = felt_g[:, :3] @ wrist_matrix.T
     felt_g[:, 3:] = base_share * felt_g[:, 3:] @ base_matrix.T

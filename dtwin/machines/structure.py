@@ -8,7 +8,7 @@ from dtwin.kinematics import kernel
 from dtwin.machines.parameters import StructureParameters
 from dtwin.schema import Floats
 
-_OMEGA, _DAMPING, _POSTURE, REACH_MM, _FLANGE_SHARE, SHAPE, _DRIVEN, _JOLTED = (0, 1, 2, 3, 4, 5, 8, 9)
+_OMEGA, _DAMPING, _POSTURE, _REACH_MM, _FLANGE_SHARE, SHAPE, _DRIVEN, _JOLTED = (0, 1, 2, 3, 4, 5, 8, 9)
 _COLUMNS = 10
 
 
@@ -25,7 +25,7 @@ def mode_table(parameters: StructureParameters) -> Floats:
     table = np.empty((len(parameters.frequency_hz), _COLUMNS))
     table[:, _OMEGA] = 2.0 * np.pi * np.array(parameters.frequency_hz)
     table[:, _DAMPING] = parameters.damping_ratio
-    table[:, _POSTURE], table[:, REACH_MM] = parameters.posture_1, parameters.posture_reach_mm
+    table[:, _POSTURE], table[:, _REACH_MM] = parameters.posture_1, parameters.posture_reach_mm
     table[:, _FLANGE_SHARE] = parameters.flange_share
     shape = np.array(parameters.shape)
     table[:, SHAPE:_DRIVEN] = shape / np.linalg.norm(shape, axis=1)[:, None]
@@ -61,7 +61,7 @@ def modes_kernel(
     for m in range(modes.shape[0]):
         omega, damping = modes[m, _OMEGA], modes[m, _DAMPING]
         if modes[m, _POSTURE] != 0.0:
-            omega *= (modes[m, REACH_MM] / max(reach_mm, 1.0)) ** modes[m, _POSTURE]
+            omega *= (modes[m, _REACH_MM] / max(reach_mm, 1.0)) ** modes[m, _POSTURE]
         root = np.sqrt(1.0 - damping**2)
         decay = np.exp(-damping * omega * tick_s)
         cosine = decay * np.cos(root * omega * tick_s)

@@ -207,7 +207,7 @@ def fine_angle_rad() -> Floats:
     return np.asarray((np.arange(n) + 0.5) * (2.0 * np.pi / n), dtype=np.float64)
 
 
-def averaged(fine: Floats) -> Floats:
+def _averaged(fine: Floats) -> Floats:
     """Return bin means, shape (360, k), of values at the fine angles, shape (n, k)."""
     first = np.arange(0, len(fine), _POINTS_PER_BIN)
     return np.asarray(np.add.reduceat(fine, first, axis=0) / _POINTS_PER_BIN)
@@ -231,7 +231,7 @@ def _circle() -> Grid:
         setup=np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1),
         setup_names=("radius_um", "centre_first_um", "centre_second_um"),
         fine=_POINTS_PER_BIN,
-        averaged=averaged,
+        averaged=_averaged,
         state=_state,
         described=_DESCRIBED_HARMONICS,
         wave="harmonic {}".format,

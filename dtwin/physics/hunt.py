@@ -51,7 +51,7 @@ def best_set(
     assert noise is not None
     level = float(np.nanmean(noise.variance))
     obs = problem.obs
-    hunt = Hunt(problem, candidates, level)
+    hunt = _Hunt(problem, candidates, level)
     chosen = hunt.run([])
     everywhere = [entry.term for entry in chosen]
     for number in range(_ROUNDS - 1):
@@ -64,7 +64,7 @@ def best_set(
         before = beside(weighted_like(obs, known, noise))
         weights, level = _misfit_as_noise(before, terms)
         problem = beside(weighted_like(obs, known, replace(noise, weights=weights)))
-        hunt = Hunt(problem, candidates, level)
+        hunt = _Hunt(problem, candidates, level)
         chosen = hunt.run(hunt.dictionary.add(terms))
     terms = [entry.term for entry in chosen]
     if obs is problem.obs and obs.grid.kind == "circular" and _is_sharp(problem, terms):
@@ -72,7 +72,7 @@ def best_set(
     return terms, obs, everywhere
 
 
-class Hunt:
+class _Hunt:
     """Adds, drops and replaces effects until nothing lowers the cost.
 
     ``problem``: whitened campaign with what is known.

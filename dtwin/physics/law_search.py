@@ -15,7 +15,7 @@ from dtwin.statistics import f_tail, holm
 
 _FEED_EXPONENTS = (-1.0, 0.0, 0.5, 1.0, 2.0)
 _RADIUS_EXPONENTS = (-1.0, 0.0, 1.0, 2.0, 3.0)
-HARMONICS = range(9)
+_HARMONICS = range(9)
 _ALPHA = 0.005
 _NEAR = 6.0
 
@@ -67,7 +67,7 @@ def search_laws(problem: Problem) -> list[ScalingLaw]:
     feed_laws = _FEED_EXPONENTS if np.ptp(np.log(feeds)) > 0.05 else (0.0,)
     radius_laws = _RADIUS_EXPONENTS if np.ptp(np.log(radii)) > 0.05 else (0.0,)
     odds = (False, True) if np.ptp(sign) > 0.0 else (False,)
-    harmonics = [h for h in HARMONICS if h <= (obs.n_bins - 1) // 2]
+    harmonics = [h for h in _HARMONICS if h <= (obs.n_bins - 1) // 2]
     keys = list(itertools.product(harmonics, odds, feed_laws, radius_laws))
     scale = {key: feeds ** key[2] * radii ** key[3] * (sign if key[1] else 1.0) for key in keys}
     tester = _Tester(problem)

@@ -15,7 +15,7 @@ from dtwin.physics.score import NoiseLevel, Score, score_test
 from dtwin.physics.whitening import to_harmonics, within_condition
 from dtwin.schema import Floats
 
-MATERIAL = 0.35
+_MATERIAL = 0.35
 _CONFIRMED = 0.3
 _ALPHA = 0.002
 _ALPHA_MEASURED_WELL = 0.005
@@ -45,7 +45,7 @@ class LawTest:
     def broken(self) -> bool:
         """Whether the law is rejected by a material amount."""
         alpha = _ALPHA_MEASURED_WELL if self.uncertainty < _CONFIRMED else _ALPHA
-        return self.p_value < alpha and abs(self.shift) > MATERIAL
+        return self.p_value < alpha and abs(self.shift) > _MATERIAL
 
     @property
     def confirmed(self) -> bool:

@@ -13,7 +13,7 @@ from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import harmonic_numbers, within_condition
 from dtwin.schema import Floats
 
-ALPHA = 0.004
+_ALPHA = 0.004
 _DRAWS = 4999
 _HIGHEST_HARMONIC = 8
 
@@ -73,7 +73,7 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
         ranked = sorted(tested, key=lambda name: (tested[name][0], -tested[name][1]))
         best = max((n for n in ranked if tested[n][0] == tested[ranked[0]][0]), key=lambda name: tested[name][1])
         p_value = min(1.0, tested[best][0] * len(channels))
-        if p_value > ALPHA:
+        if p_value > _ALPHA:
             break
         chosen = channels.pop(best)
         instead = tuple(name for name, values in channels.items() if _alike(values, chosen))

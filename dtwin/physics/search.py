@@ -17,7 +17,7 @@ from dtwin.physics.rivals import Found, described, refined_candidate
 from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level
 from dtwin.statistics import holm
 
-ALPHA = 0.03
+_ALPHA = 0.03
 _LEADING = 6
 _FIT_IS_FINE = 0.05
 # p-values so small stay significant whatever the number of tests.
@@ -168,7 +168,7 @@ def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | 
     significant = [
         c
         for c in test.candidates
-        if test.p_values[c.term.label] <= ALPHA and _is_material(plain, candidates, c.term, problem)
+        if test.p_values[c.term.label] <= _ALPHA and _is_material(plain, candidates, c.term, problem)
     ]
     runs = int(problem.obs.run_of.max()) + 1
     for found in sorted(significant, key=lambda c: -_worth(c, runs))[:_LEADING]:
@@ -206,12 +206,12 @@ def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates
             level = replace(noise_level(given, probes(given)), misfit=beyond)
             candidate = candidates.tested_term(given, term, level)
             p_value = 1.0 if candidate is None else candidate.score.p_value
-            if _BEYOND_DOUBT < p_value < ALPHA:
+            if _BEYOND_DOUBT < p_value < _ALPHA:
                 shapes = candidates.tested_instance(given, term.instance, level)
                 p_value = min(1.0, many * (1.0 if shapes is None else shapes.score.p_value))
             p_values.append(p_value)
         worst = int(np.argmax(p_values))
-        if p_values[worst] <= ALPHA:
+        if p_values[worst] <= _ALPHA:
             break
         del terms[worst]
     return terms

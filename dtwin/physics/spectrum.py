@@ -6,7 +6,7 @@ import numpy as np
 
 from dtwin.schema import Floats
 
-BANDS_HZ = ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 20.0), (20.0, 40.0), (40.0, 100.0))
+_BANDS_HZ = ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 20.0), (20.0, 40.0), (40.0, 100.0))
 
 
 def strongest_lines(
@@ -40,7 +40,7 @@ def strongest_lines(
 
 
 def band_rms_um(
-    signal_um: Floats, rate_hz: float, bands_hz: tuple[tuple[float, float], ...] = BANDS_HZ
+    signal_um: Floats, rate_hz: float, bands_hz: tuple[tuple[float, float], ...] = _BANDS_HZ
 ) -> list[tuple[float, float, float]]:
     """Return (from_hz, to_hz, rms_um) of each band; by Parseval their squares add up.
 

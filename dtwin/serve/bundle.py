@@ -31,8 +31,8 @@ from dtwin.serve.interface import (
     wrong,
 )
 
-FORMAT = "dtwin-bundle"
-VERSION = 1
+_FORMAT = "dtwin-bundle"
+_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -132,8 +132,8 @@ class Bundle:
         # Left away where it is not known, so that the checksum of an older bundle still holds.
         told = {"corrects": self.corrects} if self.corrects else {}
         return told | {
-            "format": FORMAT,
-            "version": VERSION,
+            "format": _FORMAT,
+            "version": _VERSION,
             "name": self.name,
             "machine": self.machine,
             "model_version": self.model_version,
@@ -177,14 +177,14 @@ class Bundle:
         InputError
             When it is no bundle, was changed, or holds what cannot be served.
         """
-        if not isinstance(data, dict) or data.get("format") != FORMAT:
-            raise InputError("not a bundle", code="bundle.format", allowed=f'"format": "{FORMAT}"')
-        if data.get("version") != VERSION:
+        if not isinstance(data, dict) or data.get("format") != _FORMAT:
+            raise InputError("not a bundle", code="bundle.format", allowed=f'"format": "{_FORMAT}"')
+        if data.get("version") != _VERSION:
             raise InputError(
                 "a bundle of another version",
                 code="bundle.version",
                 got=repr(data.get("version"))[:40],
-                allowed=str(VERSION),
+                allowed=str(_VERSION),
             )
         told = ("corrects",) if "corrects" in data else ()
         fields = only_fields(data, (*_BODY_FIELDS, *told, "sha256"), "bundle")

@@ -19,7 +19,7 @@ from dtwin.serve.machine_serving import RATE_HZ, OpenLink
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.serve_request import ServeRequest
 
-TRIAL_SHARE = 0.25
+_TRIAL_SHARE = 0.25
 """Share of a bundle's clamp that a trial may use."""
 
 _TRY_S = 0.2
@@ -167,7 +167,7 @@ def _axis_of(frame: str) -> str:
 def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
     """Return the model with a quarter of its clamp."""
     bundle = compiled.bundle
-    safety = dataclasses.replace(bundle.safety, clamp_um=TRIAL_SHARE * bundle.safety.clamp_um)
+    safety = dataclasses.replace(bundle.safety, clamp_um=_TRIAL_SHARE * bundle.safety.clamp_um)
     return CompiledBundle(dataclasses.replace(bundle, safety=safety))
 
 

@@ -13,7 +13,7 @@ _ERROR_SIGN = {"error": -1.0, "correction": 1.0}
 
 
 @compiled
-def correction_kernel(
+def _correction_kernel(
     outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: float, plane_id: float, vector_um: Floats
 ) -> None:
     """Write the correction vector in the base frame.
@@ -53,7 +53,7 @@ def _kernel_many(
 ) -> None:
     """Write the correction vectors of successive ticks, shape (n, 3)."""
     for tick in range(outputs.shape[0]):
-        correction_kernel(outputs[tick], frames, signs, angle_rad[tick], plane_id, vectors_um[tick])
+        _correction_kernel(outputs[tick], frames, signs, angle_rad[tick], plane_id, vectors_um[tick])
 
 
 class Direction:
@@ -75,7 +75,7 @@ class Direction:
 
     def apply(self, outputs: Floats, angle_rad: float, plane_id: float) -> Floats:
         """Return the correction vector (3,) in um; the next call overwrites it."""
-        correction_kernel(outputs, self._frames, self._signs, angle_rad, plane_id, self.vector_um)
+        _correction_kernel(outputs, self._frames, self._signs, angle_rad, plane_id, self.vector_um)
         return self.vector_um
 
     def run(self, outputs: Floats, angle_rad: Floats, plane_id: float) -> Floats:
@@ -88,7 +88,7 @@ class Direction:
         angle_rad : ndarray, shape (n,)
             Path angles.
         plane_id : float
-            As in ``correction_kernel``.
+            As in ``_correction_kernel``.
         """
         vectors = np.empty((len(outputs), 3))
         _kernel_many(outputs, self._frames, self._signs, angle_rad, plane_id, vectors)

@@ -12,7 +12,7 @@ from dtwin.serve.fields import number, only_fields, text, whole
 from dtwin.serve.operators import LEAVES, MAX_POWER, OPERATORS, lookup, power
 
 _MAX_NODES = 4096
-MAX_DEPTH = 256
+_MAX_DEPTH = 256
 _MAX_TABLE_VALUES = 65536
 
 
@@ -159,8 +159,8 @@ def _check_graph(graph: Graph) -> None:
     for i, node in enumerate(graph.nodes):
         _check_node(graph, node, i)
         depths.append(1 + max((depths[a] for a in node.args), default=0))
-    if max(depths) > MAX_DEPTH:
-        raise _wrong("the graph is too deep", str(max(depths)), f"{MAX_DEPTH}")
+    if max(depths) > _MAX_DEPTH:
+        raise _wrong("the graph is too deep", str(max(depths)), f"{_MAX_DEPTH}")
     targets = [*graph.outputs.values(), *graph.updates.values()]
     if not graph.outputs or not all(0 <= i < len(graph.nodes) for i in targets):
         raise _wrong("an output or update names no node", str(targets)[:80], "a node's number")

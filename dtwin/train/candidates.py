@@ -26,7 +26,7 @@ from dtwin.train.rows import Rows
 _FIT_ROWS = 6000
 # Share of an input's size below which its spread is that of rounding and of numerical derivatives.
 _ROUNDING = 1e-4
-HELD_OUT = ("feed_mm_min", "radius_mm")
+_HELD_OUT = ("feed_mm_min", "radius_mm")
 _PENALTIES = np.logspace(0.0, 5.0, 6)
 _SPLITS = 4
 _Splits = list[tuple[NDArray[Any], NDArray[Any]]]
@@ -114,8 +114,8 @@ def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, g
 
 
 def held_out_groups(rows: Rows) -> list[str]:
-    """Return the fields of ``HELD_OUT`` that have at least two values: one cannot be left out."""
-    return [group for group in HELD_OUT if np.unique(rows.label(group)).size > 1]
+    """Return the fields of ``_HELD_OUT`` that have at least two values: one cannot be left out."""
+    return [group for group in _HELD_OUT if np.unique(rows.label(group)).size > 1]
 
 
 def score(rows: Rows, predicted: Floats, group: str) -> Scores:

@@ -19,8 +19,8 @@ from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.oracle import best_offsets, follow
 
-DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
-Way = Literal["uncompensated", "compensated", "oracle"]
+_DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
+_Way = Literal["uncompensated", "compensated", "oracle"]
 
 
 def run_circle(
@@ -55,7 +55,7 @@ def run_circle(
 def _best_of_both(cobot: VirtualCobot, condition: CircleCondition, safety: SafetyLimits) -> list[Floats]:
     """Return the oracle's offsets of both directions; the same for every mounting and repeat."""
     begun = [
-        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1) for way in DIRECTIONS
+        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1) for way in _DIRECTIONS
     ]
     centre = cobot.centre_mm(condition.radius_mm)
     return best_offsets(begun, centre, cobot.parameters.controller, safety)

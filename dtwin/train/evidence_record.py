@@ -19,7 +19,7 @@ from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import condition_name
 
-FOLDER = "evidence"
+_FOLDER = "evidence"
 _SAME = ("kind", "machine", "model_sha256", "campaigns", "runs")
 _FIGURES = ("before_um", "after_um", "before_ci_um", "after_ci_um", "floor_um")
 # Another processor sums in another order.
@@ -51,14 +51,14 @@ def keep(registry: Registry, found: RegisteredVersion, evidence: Evidence) -> Re
     content = evidence.as_dict() | {"notes": dict(evidence.notes), "time": now.isoformat()}
     text = json.dumps(content, indent=1)
     name = hashlib.sha256(text.encode()).hexdigest()[:12]
-    registry.attach(found, {f"{FOLDER}/{now:%Y%m%dT%H%M%S%f}-{name}.json": text})
+    registry.attach(found, {f"{_FOLDER}/{now:%Y%m%dT%H%M%S%f}-{name}.json": text})
     return Record(name, content["time"], content)
 
 
 def records(registry: Registry, found: RegisteredVersion) -> list[Record]:
     """Return all evidence that is kept with a version, oldest first."""
     out = []
-    for path in registry.files(found, FOLDER):
+    for path in registry.files(found, _FOLDER):
         if not path.endswith(".json"):
             continue
         content = registry.read_json(found, path)

@@ -70,7 +70,7 @@ def _contract_of(rows: Rows) -> WindowContract | None:
     )
 
 
-def window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
+def _window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
     """Return the features of every window of a run's accelerometers."""
     if run.accelerometers is None:
         raise InputError("the run has no accelerometers", code="train.signals", where=run.meta.run_id)
@@ -84,7 +84,7 @@ def _sensor_features(run: TickRun, contract: WindowContract) -> Floats:
     The accelerometers' clock is brought to the controller's by the stops; a row sees the
     newest window that had ended by then, never a later one.
     """
-    found = window_features(run, contract)
+    found = _window_features(run, contract)
     flat = found.values.reshape(len(found.values), -1)
     ends_s = np.asarray(found.end_s) + _accelerometer_lag_s(run, contract)
     newest = np.clip(np.searchsorted(ends_s, run.arc / TICK_HZ, side="right") - 1, 0, None)

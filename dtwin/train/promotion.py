@@ -24,7 +24,7 @@ from dtwin.train.registry import RegisteredVersion, Registry, model_name
 _HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
 TRIAL_ONLY = "trial_only"
-Action = Literal["trial", "champion", "refused", "rollback"]
+_Action = Literal["trial", "champion", "refused", "rollback"]
 
 
 def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
@@ -317,7 +317,7 @@ def _now() -> str:
 def _remember(
     home: Home,
     found: RegisteredVersion,
-    action: Action,
+    action: _Action,
     comment: str,
     verdicts: Sequence[Verdict],
     despite: Sequence[str] = (),

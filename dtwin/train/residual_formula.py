@@ -22,8 +22,8 @@ from dtwin.train.symbolic import Engine, FittedFormula, refit
 # Harmonics instead of the angle itself, so that every formula closes on itself after a turn.
 _HARMONICS = range(1, 9)
 INPUTS = (*(f"{w}{h}" for h in _HARMONICS for w in "cs"), "f", "r", "d")
-REFERENCE_FEED_MM_S = 50.0
-REFERENCE_RADIUS_MM = 100.0
+_REFERENCE_FEED_MM_S = 50.0
+_REFERENCE_RADIUS_MM = 100.0
 _BINS_TOGETHER = 3
 _NEAR = 1.02
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -169,7 +169,7 @@ def _inputs(theta: Floats, feed_mm_s: float, radius_mm: float, sign: float) -> d
     waves = {f"{word}{h}": wave(h * theta) for h in _HARMONICS for word, wave in (("c", np.cos), ("s", np.sin))}
     return {
         **waves,
-        "f": ones * (feed_mm_s / REFERENCE_FEED_MM_S),
-        "r": ones * (radius_mm / REFERENCE_RADIUS_MM),
+        "f": ones * (feed_mm_s / _REFERENCE_FEED_MM_S),
+        "r": ones * (radius_mm / _REFERENCE_RADIUS_MM),
         "d": ones * sign,
     }

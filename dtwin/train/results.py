@@ -20,7 +20,7 @@ _SAME = 1.0 + 1e-6
 
 
 @runtime_checkable
-class Predictor(Protocol):
+class _Predictor(Protocol):
     """Anything that maps input rows to a radial error."""
 
     def predict(self, inputs: Floats) -> Floats:

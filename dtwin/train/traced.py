@@ -134,7 +134,7 @@ class TracedAlong(Traced):
         return super().__array_function__(func, types, args, kwargs)
 
 
-class TracedComplex(NDArrayOperatorsMixin):
+class _TracedComplex(NDArrayOperatorsMixin):
     """A complex number of two expressions, as the response to a tone is one."""
 
     def __init__(self, real_part: Expression, imaginary_part: Expression) -> None:
@@ -201,18 +201,18 @@ def _apply(ufunc: Any, args: Sequence[Expression]) -> Expression:
 
 
 def _is_complex(item: Any) -> bool:
-    return not isinstance(item, Traced) and (isinstance(item, TracedComplex) or np.iscomplexobj(item))
+    return not isinstance(item, Traced) and (isinstance(item, _TracedComplex) or np.iscomplexobj(item))
 
 
-def _complex(ufunc: Any, inputs: Sequence[Any], builder: GraphBuilder) -> TracedComplex:
+def _complex(ufunc: Any, inputs: Sequence[Any], builder: GraphBuilder) -> _TracedComplex:
     made = _OF_COMPLEX.get(ufunc)
     if made is None:
         raise NotTraceable(f"{ufunc.__name__} of complex numbers")
-    return TracedComplex(*made(*(_parts(item, builder) for item in inputs)))
+    return _TracedComplex(*made(*(_parts(item, builder) for item in inputs)))
 
 
 def _parts(item: Any, builder: GraphBuilder) -> _Parts:
-    if isinstance(item, TracedComplex):
+    if isinstance(item, _TracedComplex):
         return item.parts
     if isinstance(item, Traced):
         if len(item.columns) != 1:

@@ -60,7 +60,7 @@ def overview(name: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
     ``rows``: its rows, at least one.
     """
     severities = Counter(f["severity"] for row in rows for f in findings_of(row))
-    severities.update(f.severity for f in campaign_findings(rows))
+    severities.update(f.severity for f in _campaign_findings(rows))
     return Overview(
         name=name,
         machine=rows[0]["machine"],
@@ -84,7 +84,7 @@ def findings_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
+def _campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
     """Return what is noteworthy about a campaign as a whole."""
     used = [Run(meta_of(row), {}) for row in rows if row["left_out"] is None]
     return [*judge_campaign(used), *amendment_findings(rows)]
@@ -97,7 +97,7 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """
     by_code: dict[str, dict[str, Any]] = {
         f"{f.code} {f.message}": {"severity": f.severity, "code": f.code, "message": f.message, "runs": []}
-        for f in campaign_findings(rows)
+        for f in _campaign_findings(rows)
     }
     for row in rows:
         for f in findings_of(row):

@@ -34,7 +34,7 @@ _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_
 
 
 @dataclass(frozen=True)
-class Serving:
+class _Serving:
     """A process that serves a machine now.
 
     ``since``: ISO 8601.
@@ -49,7 +49,7 @@ class Serving:
 def live_page(request: Request) -> Response:
     """Show what is served now, and the sessions that ended."""
     home = bench_of(request).home
-    serving = servings(home)
+    serving = _servings(home)
     return rendered(
         request,
         "live.html",
@@ -65,7 +65,7 @@ def live(request: Request) -> dict[str, Any]:
     """Return what is served now, and the newest session of every machine."""
     home = bench_of(request).home
     return {
-        "serving": [vars(s) for s in servings(home)],
+        "serving": [vars(s) for s in _servings(home)],
         "sessions": [{k: s[k] for k in ("machine", "started", "ended")} for s in sessions(home)],
     }
 
@@ -133,14 +133,14 @@ def jitter(request: Request, machine: str, number: int) -> Response:
 @router.post("/api/live/{machine}/stop")
 def stop(request: Request, machine: str) -> JSONResponse:
     """Ask the server of a machine to release its correction and end, as Ctrl-C does."""
-    for found in servings(bench_of(request).home):
+    for found in _servings(bench_of(request).home):
         if found.machine == machine:
             os.kill(found.pid, signal.SIGINT)
             return JSONResponse({"stopped": found.pid})
     raise InputError("nothing serves this machine now", code="live.none", got=machine[:80], hint="reload the page")
 
 
-def servings(home: Home) -> list[Serving]:
+def _servings(home: Home) -> list[_Serving]:
     """Return the processes that hold a machine's lease.
 
     The lock itself is not touched: taking it even for a moment could refuse a server that
@@ -156,7 +156,7 @@ def servings(home: Home) -> list[Serving]:
         except (OSError, ValueError, KeyError, TypeError):
             continue
         if holder == pid and pid > 1:
-            found.append(Serving(path.stem.removeprefix("machine-"), pid, since))
+            found.append(_Serving(path.stem.removeprefix("machine-"), pid, since))
     return found
 
 

@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 
 MAX_TRAY_BYTES = 512 * 1024 * 1024
 MAX_UNPACKED_BYTES = 1024 * 1024 * 1024
-MAX_FILES = 5000
+_MAX_FILES = 5000
 _MAX_RATIO = 300
 _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH = 4
@@ -57,8 +57,8 @@ class Trays:
         path = folder / safe_path(name)
         present = [p for p in folder.rglob("*") if p.is_file()]
         left = MAX_TRAY_BYTES - sum(p.stat().st_size for p in present)
-        if len(present) >= MAX_FILES:
-            raise _too_much("files", str(len(present) + 1), str(MAX_FILES))
+        if len(present) >= _MAX_FILES:
+            raise _too_much("files", str(len(present) + 1), str(_MAX_FILES))
         path.parent.mkdir(parents=True, exist_ok=True)
         size = 0
         with path.open("wb") as file:
@@ -96,7 +96,7 @@ def sources(folder: Path) -> list[Path]:
     """Return what a tray holds that can be ingested; archives are unpacked first."""
     for archive in sorted(folder.rglob("*.[zZ][iI][pP]")):
         target = archive.with_name(f"{archive.stem}-unpacked")
-        unpack(archive, target)
+        _unpack(archive, target)
         archive.unlink()
     found = sorted(folder.rglob("campaign.toml"))
     homes = [toml.parent for toml in found]
@@ -118,13 +118,13 @@ def sources(folder: Path) -> list[Path]:
     )
 
 
-def unpack(archive: Path, target: Path) -> None:
+def _unpack(archive: Path, target: Path) -> None:
     """Unpack an archive that nobody vouches for."""
     try:
         with zipfile.ZipFile(archive) as opened:
             members = [m for m in opened.infolist() if not m.is_dir()]
-            if len(members) > MAX_FILES:
-                raise _too_much("files", str(len(members)), str(MAX_FILES))
+            if len(members) > _MAX_FILES:
+                raise _too_much("files", str(len(members)), str(_MAX_FILES))
             left = MAX_UNPACKED_BYTES
             for member in members:
                 left -= _extract(opened, member, target, left)

@@ -24,7 +24,7 @@ _POLL_S = 1e-4
 _CONTEXT = range(8)
 
 
-class Control:
+class _Control:
     """LinuxCNC's task: power, homing, programs, messages."""
 
     def __init__(self, folder: pathlib.Path) -> None:
@@ -129,7 +129,7 @@ class Control:
         return {}
 
 
-class Registers:
+class _Registers:
     """The correction component and the state that serving needs; HAL's shared memory only."""
 
     def __init__(self) -> None:
@@ -170,7 +170,7 @@ class Registers:
         }
 
 
-def answer(request: dict[str, Any], control: Control, registers: Registers) -> "dict[str, Any] | None":
+def _answer(request: dict[str, Any], control: _Control, registers: _Registers) -> "dict[str, Any] | None":
     """Do what a line asks for; a correction is not answered."""
     what = request["do"]
     if what == "send":
@@ -194,13 +194,13 @@ def answer(request: dict[str, Any], control: Control, registers: Registers) -> "
     raise ValueError(f"no such request: {what}")
 
 
-def serve(connection: socket.socket, control: Control) -> None:
+def _serve(connection: socket.socket, control: _Control) -> None:
     """Answer one client until it goes away."""
-    registers = Registers()
+    registers = _Registers()
     with connection, connection.makefile("rwb") as stream, contextlib.suppress(OSError):
         for line in stream:
             try:
-                said = answer(json.loads(line), control, registers)
+                said = _answer(json.loads(line), control, registers)
             except Exception as error:
                 said = {"error": f"{type(error).__name__}: {error}"}
             if said is not None:
@@ -208,7 +208,7 @@ def serve(connection: socket.socket, control: Control) -> None:
                 stream.flush()
 
 
-def attach() -> Any:
+def _attach() -> Any:
     """Join HAL, which a process does once and in its main thread."""
     import hal
 
@@ -234,9 +234,9 @@ def main() -> None:
         os.dup2(log.fileno(), 2)
     subprocess.Popen(["linuxcnc", "-r", "mill.ini"], stdin=subprocess.DEVNULL)
     try:
-        control = Control(folder)
+        control = _Control(folder)
         control.begin()
-        component = attach()
+        component = _attach()
         listener = socket.socket(socket.AF_UNIX)
         listener.bind("bridge.sock")
         listener.listen(4)
@@ -247,7 +247,7 @@ def main() -> None:
     # The component has no pins and counts as false; it must outlive the loop.
     while component is not None:
         connection, _ = listener.accept()
-        threading.Thread(target=serve, args=(connection, control), daemon=True).start()
+        threading.Thread(target=_serve, args=(connection, control), daemon=True).start()
 
 
 if __name__ == "__main__":
