@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -18,6 +17,7 @@ from dtwin.delta import DeltaFiles
 from dtwin.delta_columns import content_hash
 from dtwin.errors import InputError, StoreError
 from dtwin.file_batch import Batch
+from dtwin.locks import take
 from dtwin.parquet import columns_of, table_of
 from dtwin.run_rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, meta_of, sealed, unsealed
 from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
@@ -340,14 +340,14 @@ class Lake:
 
     def _lock(self) -> AbstractContextManager[None]:
         """Return the lock that one writer holds while it commits."""
-        return self._locked(".lock", fcntl.LOCK_EX)
+        return self._locked(".lock")
 
     def _writing(self, *, alone: bool = False) -> AbstractContextManager[None]:
         """Return the lock that writers of data files share, and a sweep holds alone."""
-        return self._locked(".writing", fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        return self._locked(".writing", shared=not alone)
 
     @contextmanager
-    def _locked(self, name: str, how: int) -> Iterator[None]:
+    def _locked(self, name: str, *, shared: bool = False) -> Iterator[None]:
         try:
             make_folder(self.root, private=True)
             handle = (self.root / name).open("w")
@@ -360,5 +360,5 @@ class Lake:
                 hint="check free space and permissions; nothing was committed",
             ) from error
         with handle:
-            fcntl.flock(handle, how)
+            take(handle, shared=shared, wait=True)
             yield

@@ -8,7 +8,6 @@ back and seals them into Parquet.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import zlib
@@ -22,6 +21,7 @@ import pyarrow as pa
 from numpy.typing import DTypeLike, NDArray
 
 from dtwin.errors import InputError, StoreError
+from dtwin.locks import take
 from dtwin.schema import require_name
 from dtwin.units import require_units
 
@@ -246,7 +246,7 @@ class _Disk:
                 hint="recover or remove an earlier recording of this name; check permissions",
             ) from error
         # Released by the kernel when this process dies: tells a live recording from a dead one.
-        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        take(self._file)
 
     def write(self, data: bytes) -> int:
         """Take bytes of the block in the making."""

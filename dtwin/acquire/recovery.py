@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ import pyarrow.parquet as pq
 
 from dtwin.acquire.recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
 from dtwin.errors import StoreError
+from dtwin.locks import take
 from dtwin.parquet import columns_of, write_parquet
 from dtwin.schema import Finding, SignalGroup
 from dtwin.units import unit_of
@@ -161,15 +161,13 @@ def _read(path: Path) -> Iterator[_Content]:
     """Hold the stream against writers and yield its content, mapped rather than copied."""
     try:
         with path.open("rb") as held:
-            try:
-                fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError as error:
+            if not take(held, shared=True):
                 raise StoreError(
                     "the recording is still being written",
                     code="recording.live",
                     where=str(path),
                     hint="end the recording first",
-                ) from error
+                )
             yield _content(path)
     except OSError as error:
         raise StoreError(
