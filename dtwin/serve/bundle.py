@@ -11,7 +11,7 @@ from typing import Any
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
-from dtwin.serve.fields import only_fields, text, whole
+from dtwin.serve.fields import only_fields, record, text, whole
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import (
     Input,
@@ -25,7 +25,6 @@ from dtwin.serve.interface import (
     read_output,
     read_provenance,
     read_safety,
-    read_state,
     read_vectors,
     sequence,
     wrong,
@@ -201,9 +200,9 @@ class Bundle:
             machine=text(body["machine"], "machine"),
             model_version=whole(body["model_version"], "model_version"),
             created=text(body["created"], "created"),
-            inputs=tuple(read_input(i) for i in sequence(body["inputs"], "inputs")),
-            outputs=tuple(read_output(o) for o in sequence(body["outputs"], "outputs")),
-            states=tuple(read_state(s) for s in sequence(body["states"], "states")),
+            inputs=tuple(read_input(v, f"inputs[{i}]") for i, v in enumerate(sequence(body["inputs"], "inputs"))),
+            outputs=tuple(read_output(v, f"outputs[{i}]") for i, v in enumerate(sequence(body["outputs"], "outputs"))),
+            states=tuple(record(State, v, f"states[{i}]") for i, v in enumerate(sequence(body["states"], "states"))),
             window=None if body["window"] is None else WindowContract.from_dict(mapping(body["window"], "window")),
             window_graph=None
             if body["window_graph"] is None

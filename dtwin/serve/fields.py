@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from dtwin.errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    T = TypeVar("T", bound=DataclassInstance)
 
 _MAX_TEXT = 4000
 
@@ -27,6 +33,22 @@ def only_fields(data: object, names: Sequence[str], where: str) -> dict[str, Any
             allowed=", ".join(names),
         )
     return data
+
+
+def record(kind: type[T], data: object, where: str, words: Mapping[str, Sequence[str]] | None = None) -> T:
+    """Return a dataclass of text and numbers from a mapping that states each of its fields.
+
+    ``words``: what a field of that name may say.
+    """
+    given = only_fields(data, [field.name for field in dataclasses.fields(kind)], where)
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(kind):
+        value, place = given[field.name], f"{where}.{field.name}"
+        if words and field.name in words:
+            found[field.name] = one_of(value, words[field.name], place)
+        else:
+            found[field.name] = _READERS[str(field.type)](value, place)
+    return kind(**found)
 
 
 def number(value: object, where: str) -> float:
@@ -62,6 +84,9 @@ def one_of(value: object, allowed: Sequence[str], where: str) -> str:
     if found not in allowed:
         raise _wrong_type(where, value, ", ".join(allowed))
     return found
+
+
+_READERS: Mapping[str, Callable[[object, str], Any]] = {"str": text, "float": number, "int": whole}
 
 
 def _wrong_type(where: str, value: object, allowed: str) -> InputError:
