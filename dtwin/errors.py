@@ -4,7 +4,6 @@ from __future__ import annotations
 
 EXIT_DONE = 0
 EXIT_USER = 1
-EXIT_USAGE = 2
 EXIT_GATE = 3
 EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130

@@ -29,6 +29,22 @@ def kernel(function: _Function) -> _Function:
 
 
 @kernel
+def _past_joint(q_rad: float, dh: Floats, rotation: Floats, position: Floats) -> None:
+    """Carry a frame, rotation (3, 3) and position (3,), past one joint; ``dh`` is its row."""
+    a, d, alpha = dh[0], dh[1], dh[2]
+    c, s = np.cos(q_rad + dh[3]), np.sin(q_rad + dh[3])
+    ca, sa = np.cos(alpha), np.sin(alpha)
+    for i in range(3):
+        x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+        along = c * x + s * y
+        across = c * y - s * x
+        position[i] += a * along + d * z
+        rotation[i, 0] = along
+        rotation[i, 1] = ca * across + sa * z
+        rotation[i, 2] = ca * z - sa * across
+
+
+@kernel
 def forward_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> tuple[Floats, Floats]:
     """Return the tool centre point and the tool's rotation for one joint vector.
 
@@ -49,17 +65,7 @@ def forward_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> tuple[Floats, F
     rotation = np.eye(3)
     position = np.zeros(3)
     for j in range(6):
-        a, d, alpha = dh[j, 0], dh[j, 1], dh[j, 2]
-        c, s = np.cos(q_rad[j] + dh[j, 3]), np.sin(q_rad[j] + dh[j, 3])
-        ca, sa = np.cos(alpha), np.sin(alpha)
-        for i in range(3):
-            x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
-            along = c * x + s * y
-            across = c * y - s * x
-            position[i] += a * along + d * z
-            rotation[i, 0] = along
-            rotation[i, 1] = ca * across + sa * z
-            rotation[i, 2] = ca * z - sa * across
+        _past_joint(q_rad[j], dh[j], rotation, position)
     for i in range(3):
         for k in range(3):
             position[i] += rotation[i, k] * tcp_mm[k]
@@ -85,17 +91,7 @@ def jacobian_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> Floats:
         for i in range(3):
             axes[j, i] = rotation[i, 2]
             origins[j, i] = position[i]
-        a, d, alpha = dh[j, 0], dh[j, 1], dh[j, 2]
-        c, s = np.cos(q_rad[j] + dh[j, 3]), np.sin(q_rad[j] + dh[j, 3])
-        ca, sa = np.cos(alpha), np.sin(alpha)
-        for i in range(3):
-            x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
-            along = c * x + s * y
-            across = c * y - s * x
-            position[i] += a * along + d * z
-            rotation[i, 0] = along
-            rotation[i, 1] = ca * across + sa * z
-            rotation[i, 2] = ca * z - sa * across
+        _past_joint(q_rad[j], dh[j], rotation, position)
     for i in range(3):
         for k in range(3):
             position[i] += rotation[i, k] * tcp_mm[k]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dtwin.schema import Floats
 
@@ -34,11 +33,3 @@ def moving_rms(signal: Floats, n: int) -> Floats:
     taper = np.hanning(n + 2)[1:-1]
     weight = np.convolve(np.ones(len(signal)), taper, "same")
     return np.sqrt(np.convolve(signal * signal, taper, "same") / weight)
-
-
-def _segment_spectra(signal: Floats, n: int) -> NDArray[np.complex128]:
-    """Return transforms of half-overlapping Hann-windowed segments, shape (segments, bins)."""
-    starts = range(0, len(signal) - n + 1, n // 2)
-    taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(n) / n)
-    segments = np.array([signal[i : i + n] for i in starts])
-    return np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * taper, axis=1)

@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 from dtwin.serve.graph import Graph, Node, Table
 
-_Render = Callable[..., str]
-
 
 @dataclass(frozen=True)
 class Style:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,6 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.oracle import best_offsets, follow
 
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
-_Way = Literal["uncompensated", "compensated", "oracle"]
 
 
 def run_circle(

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal
 
-from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
 
 if TYPE_CHECKING:
@@ -17,15 +16,6 @@ FRESH_RUN = "fresh_run.rms_um"
 """Metric: RMS error on runs that only the coefficients were fitted without, in um."""
 # Rounding is no harm.
 _SAME = 1.0 + 1e-6
-
-
-@runtime_checkable
-class _Predictor(Protocol):
-    """Anything that maps input rows to a radial error."""
-
-    def predict(self, inputs: Floats) -> Floats:
-        """Return predictions in um, shape (n,), for inputs of shape (n, k)."""
-        ...
 
 
 @dataclass(frozen=True)

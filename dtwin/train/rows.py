@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun
 
-_GROUPS = ("feed_mm_min", "radius_mm", "plane", "repeat")
-
 
 @dataclass(frozen=True)
 class Rows:

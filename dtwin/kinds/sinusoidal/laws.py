@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,9 +67,6 @@ class Law:
         """Return the equation with what its features are divided by."""
         units = ", ".join(f"{n} / {self.scales[n]:.4g}" for n in self.features)
         return f"{self.text()}   with {units}" if units else self.text()
-
-
-_Fitter = Callable[[ToneGroups], tuple[Law, Law]]
 
 
 def _given_form(groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[str]) -> tuple[Law, Law]:
