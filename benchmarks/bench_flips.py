@@ -22,14 +22,14 @@ import numpy as np
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.config import Home
 from dtwin.errors import DtwinError
-from dtwin.pipeline.twins import Twins
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
 from dtwin.serve.barred import bar, barred_why
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
 from dtwin.serve.pointer import machine_folder, on_trial, read_machine, resolve, write_machine, write_pointer
-from dtwin.store import Lake
+from dtwin.twins.verbs import Twins
 
 FLIPS, SEED = 10_000, 1
 

@@ -29,9 +29,9 @@ from dtwin.acquire.recording import Recorder
 from dtwin.acquire.recovery import seal
 from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import StoreError
-from dtwin.parquet import read_parquet
+from dtwin.lake.parquet import read_parquet
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
-from dtwin.store import Lake
 
 RATE_HZ, SECONDS, BLOCK_S = 25_600.0, 60, 0.1
 CHANNELS = tuple(f"{place}_{axis}_g" for place in ("wrist", "base") for axis in "xyz")

@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 from dtwin.config import Home
-from dtwin.pipeline.twin_registration import waiting
+from dtwin.twins.registration import waiting
 
 KNOWN = "scale_mismatch,squareness"
 VERBS = {

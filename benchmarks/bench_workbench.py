@@ -24,9 +24,9 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.config import Home
-from dtwin.pipeline.twins import Twins
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta
-from dtwin.store import Lake
+from dtwin.twins.verbs import Twins
 
 NAME = "bench"
 PAGES = (

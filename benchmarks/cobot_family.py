@@ -23,11 +23,11 @@ import numpy as np
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
+from dtwin.lifecycle.train import train
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.machines.parameters import CobotParameters, load_parameters
 from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
-from dtwin.pipeline.model_training import train
 from dtwin.report.text import table
 from dtwin.serve.bundle import Bundle
 from dtwin.train.circle_evidence import WAYS

@@ -23,6 +23,7 @@ from dtwin.commands import evidence as evidence_command
 from dtwin.commands import exporting as exporting_command
 from dtwin.commands import lathe as lathe_commands
 from dtwin.commands import linuxcnc as linuxcnc_commands
+from dtwin.commands import machine as machine_commands
 from dtwin.commands import models as modelling_commands
 from dtwin.commands import papers as papers_command
 from dtwin.commands import rechecking as rechecking_command
@@ -68,6 +69,7 @@ evidence_command.register(app)
 rechecking_command.register(app)
 serving_commands.register(app)
 twin_commands.register(app)
+machine_commands.register(app)
 analogue_commands.register(app)
 linuxcnc_commands.register(app)
 cell_commands.register(app)

@@ -94,6 +94,11 @@ class Home:
         return self.root / "campaigns"
 
     @property
+    def machines(self) -> Path:
+        """Records of machines: axes, tolerances, events."""
+        return self.root / "machines"
+
+    @property
     def bundles(self) -> Path:
         """Promoted models, frozen for serving."""
         return self.root / "bundles"

@@ -19,15 +19,15 @@ from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import home
 from dtwin.errors import DeviceError, StoreError
+from dtwin.lifecycle import drift, schedule
+from dtwin.lifecycle import evidence as closed_loop
+from dtwin.lifecycle import recheck as rechecking
+from dtwin.lifecycle import train as modelling
 from dtwin.pipeline import campaign_figures as figures
-from dtwin.pipeline import cell, drift, measuring, rechecking
-from dtwin.pipeline import evidence as closed_loop
-from dtwin.pipeline import model_training as modelling
-from dtwin.pipeline import scheduled as schedule
+from dtwin.pipeline import cell, measuring
 from dtwin.pipeline.campaign_job import CampaignRequest, run_request
 from dtwin.pipeline.demo_steps import ProgressOf
 from dtwin.pipeline.desk import Desk
-from dtwin.pipeline.twin_watch import TwinView, look_at
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import Plan
 from dtwin.progress import Progress, StageProgress
@@ -35,6 +35,7 @@ from dtwin.report.checking import check_source
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.twins.on_campaign import TwinView, look_at
 from studies import papers
 
 _LOGGED_SHARE = 0.2

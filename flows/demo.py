@@ -12,9 +12,9 @@ from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import Home
 from dtwin.errors import DtwinError
+from dtwin.lifecycle.train import Registered
 from dtwin.pipeline.demo_steps import PlainSteps, ProgressOf, Result, Work
 from dtwin.pipeline.measuring import FeatureReport
-from dtwin.pipeline.model_training import Registered
 from dtwin.pipeline.wall_clock import Circle, serving_numbers
 from dtwin.plan import Plan
 from dtwin.train.circle_evidence import EvidencePlan

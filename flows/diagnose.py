@@ -8,8 +8,8 @@ from typing import Any
 from prefect import flow
 
 from dtwin.kinds.registry import kind_named
-from dtwin.pipeline.drift import DriftCheck
-from dtwin.pipeline.twin_watch import TwinView
+from dtwin.lifecycle.drift import DriftCheck
+from dtwin.twins.on_campaign import TwinView
 from flows import _artifacts, _plots, _tasks
 
 WHAT_IT_IS = (

@@ -10,7 +10,7 @@ from prefect.states import Completed
 
 from dtwin.config import home
 from dtwin.errors import InputError
-from dtwin.pipeline.rechecking import Rechecked
+from dtwin.lifecycle.recheck import Rechecked
 from dtwin.train.registry import Registry
 from flows import _artifacts, _tasks
 

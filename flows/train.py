@@ -6,7 +6,7 @@ from typing import Any
 
 from prefect import flow
 
-from dtwin.pipeline.model_training import Registered
+from dtwin.lifecycle.train import Registered
 from dtwin.report.campaign import comparison_table
 from flows import _artifacts, _tasks
 

@@ -11,21 +11,21 @@ import numpy as np
 
 from dtwin.acquire.linuxcnc import DIRECTIONS, MACHINE, CirclePlan, run_circles, run_of, write_circles
 from dtwin.config import Home
+from dtwin.lifecycle.evidence import compute_measured, make_champion
+from dtwin.lifecycle.export import Request, export, source_of
+from dtwin.lifecycle.train import put_on_trial
 from dtwin.machines.linuxcnc.circles import Circle, Trace
 from dtwin.machines.linuxcnc.configuration import MillFaults
 from dtwin.machines.linuxcnc.session import LinuxcncSession, require_linuxcnc
-from dtwin.pipeline.evidence import compute_measured, make_champion
-from dtwin.pipeline.exports import Request, export, source_of
 from dtwin.pipeline.linuxcnc import LiveCorrection, LiveTrace, named, served_figures
-from dtwin.pipeline.model_training import put_on_trial
-from dtwin.pipeline.twin_correction import Correction, correct
-from dtwin.pipeline.twins import Twins
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import t_quantile
 from dtwin.train.evidence_runs import corrected
 from dtwin.train.measured_ways import MeasuredWays, numbered
+from dtwin.twins.correct import Correction, correct
+from dtwin.twins.verbs import Twins
 
 KNOWN = ("scale_mismatch", "squareness", "servo_mismatch")
 CLOCK = "LinuxCNC's servo thread in simulated real time (1 kHz), serving on the wall clock"

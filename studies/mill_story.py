@@ -10,16 +10,16 @@ import numpy as np
 
 from dtwin.acquire.virtual_mill import write_campaign
 from dtwin.config import Home
-from dtwin.pipeline.evidence import compute_measured, make_champion
-from dtwin.pipeline.model_training import put_on_trial
-from dtwin.pipeline.twin_correction import Correction, correct
-from dtwin.pipeline.twins import Twins
+from dtwin.lifecycle.evidence import compute_measured, make_champion
+from dtwin.lifecycle.train import put_on_trial
 from dtwin.progress import Progress
 from dtwin.schema import Campaign
 from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays
 from dtwin.train.promotion import check_version
 from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.twins.correct import Correction, correct
+from dtwin.twins.verbs import Twins
 from studies.mill_story_defects import NOT_DONE, defects, uncaught
 from studies.mill_story_map import LearnedSession, learn_session, register_map
 from studies.mill_story_session import NONE, LaterSession, Way, later_session

@@ -11,7 +11,6 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.config import Home
-from dtwin.pipeline.model_training import CONDITIONS_FILE
 from dtwin.schema import Floats, Run
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -22,7 +21,7 @@ from dtwin.statistics import rms
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.latency import bundle_latency
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.results import Candidate, Scores, TrainingReport
+from dtwin.train.results import CONDITIONS_FILE, Candidate, Scores, TrainingReport
 from studies.position_map import HARMONICS, fit_position_map, position_waves
 from studies.thesis_mill import DIRECTIONS, FEEDS_MM_MIN, MACHINE, PLANE, RADIUS_MM, RUNS_OF_A_FEED
 

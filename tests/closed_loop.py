@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 
 from dtwin.config import Home
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Direction, Run, RunMeta
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.served_time import events_path
-from dtwin.store import Lake
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import Candidate, Latency, Scores, TrainingReport
 

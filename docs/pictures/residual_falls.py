@@ -15,10 +15,10 @@ import numpy as np
 from dtwin.config import home
 from dtwin.physics.localise import condition_means
 from dtwin.physics.twin import frozen_residual_um
-from dtwin.pipeline.twin_data import load
-from dtwin.pipeline.twins import Twins
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
+from dtwin.twins.measured import load
+from dtwin.twins.verbs import Twins
 
 PANEL, RADIUS, PX_PER_UM = 300, 88, 11.0
 HEADER, FOOTER = 62, 50

@@ -13,9 +13,9 @@ from typing import Any
 from dtwin.acquire import stated
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
-from dtwin.run_rows import findings_fields
+from dtwin.lake.rows import findings_fields
+from dtwin.lake.store import Lake
 from dtwin.schema import Finding, require_name, standard_plane
-from dtwin.store import Lake
 
 # Tables of a row, by the name that a setting begins with; the first two are of the campaign.
 _TABLES = {

@@ -279,6 +279,10 @@ def _instrument(root: Element, bar: Element, where: str) -> dict[str, str | floa
     if ballbar is not None:
         found["model"] = _text(ballbar, "MODEL")
         found["serial"] = _text(ballbar, "SERIAL_NUMBER")
+        found["certificate"] = _text(ballbar, "CERTIFICATE_NUMBER")
+        found["calibrated_on"] = _text(ballbar, "LAST_CALIBRATED")
+    found["operator"] = _text(root, "OPERATOR")
+    found = {name: value for name, value in found.items() if value}
     for key, element, tag in (
         ("nominal_mm", bar, "NOMINAL_LENGTH"),
         ("calibrated_mm", calibrator, "CALIBRATED_LENGTH"),

@@ -19,6 +19,7 @@ from dtwin.acquire.trace_json import read_trace_json
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kind_names
+from dtwin.lake.store import RejectedRows
 from dtwin.schema import (
     DEFAULT_KIND,
     MIXED_CORRECTION,
@@ -30,7 +31,6 @@ from dtwin.schema import (
     require_name,
     standard_plane,
 )
-from dtwin.store import RejectedRows
 
 MAX_TOML_BYTES = 16 * 1024 * 1024
 RUN_KEYS = frozenset(

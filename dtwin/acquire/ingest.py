@@ -12,10 +12,10 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.lone_table import open_table, safe_name
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.errors import InputError
+from dtwin.lake.rows import columns_sha256
+from dtwin.lake.store import Lake, RejectedRows
 from dtwin.progress import Progress
-from dtwin.run_rows import columns_sha256
 from dtwin.schema import Campaign, Finding, Run
-from dtwin.store import Lake, RejectedRows
 
 _BATCH_RUNS = 24
 

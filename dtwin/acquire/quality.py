@@ -92,10 +92,10 @@ def judge_flagged(run: Run) -> list[Finding]:
     ]
 
 
-def without_samples(run: Run) -> Run:
-    """Return what ``judge_campaign`` needs of a run."""
-    kept = kind_named(run.meta.kind).kept_for_campaign(run)
-    return replace(run, samples=run.samples if kept else {}, signals=())
+def without_samples(run: Run, columns: Sequence[str] = ()) -> Run:
+    """Return what ``judge_campaign`` needs of a run, and further columns."""
+    needed = {*kind_named(run.meta.kind).campaign_columns, *columns}
+    return replace(run, samples={k: v for k, v in run.samples.items() if k in needed}, signals=())
 
 
 def judge_clock(run: Run) -> list[Finding]:

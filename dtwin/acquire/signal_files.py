@@ -11,7 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError, StoreError
-from dtwin.parquet import columns_of, read_encoded, table_of, write_parquet
+from dtwin.lake.parquet import columns_of, read_encoded, table_of, write_parquet
 from dtwin.schema import Encoded, SignalGroup, require_name
 from dtwin.units import require_units
 

@@ -39,7 +39,7 @@ def amend(
     from dtwin.acquire.amending import amend as state_anew
     from dtwin.config import home
     from dtwin.errors import InputError
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
     if not settings and (run or because or who):
@@ -67,7 +67,7 @@ def restore(
 def _left_out(campaign: str, runs: list[str], because: str, who: str, *, out: bool, as_json: bool) -> None:
     from dtwin.acquire.amending import leave_out as set_out
     from dtwin.config import home
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
     set_out(lake, campaign, runs, because, out=out, who=who)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -92,16 +93,18 @@ def check(
 ) -> None:
     """Say what the data are, and what is wrong with them. Changes nothing."""
     from dtwin.config import home
+    from dtwin.lake.store import Lake
+    from dtwin.machine_record import tolerances_of
     from dtwin.report.checking import check_campaign, check_source, render_check
-    from dtwin.store import Lake
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
     told = _told(plane, radius, feed, direction, axis, setup, repeat, machine)
+    limits = partial(tolerances_of, home())
     alone = any(value is not None for value in told.values())
     if not alone and not source.exists() and str(source) in lake.campaigns():
-        result = check_campaign(lake, str(source), line)
+        result = check_campaign(lake, str(source), line, limits)
     else:
-        result = check_source(source, line, told)
+        result = check_source(source, line, told, limits)
     emit(result, lambda: render_check(result), as_json=as_json)
 
 
@@ -123,7 +126,7 @@ def ingest(
     """Bring measurements into the lake. Safe to repeat."""
     from dtwin.acquire.ingest import ingest as ingest_one
     from dtwin.config import home
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
     told = _told(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
@@ -137,7 +140,7 @@ def runs(
 ) -> None:
     """List the runs in the lake."""
     from dtwin.config import home
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
 
     rows = Lake(home().lake).runs(campaign, left_out=True)
     shown = (
@@ -204,8 +207,8 @@ def repair(
 ) -> None:
     """Drop what kills left behind, tell MLflow of twins that wait; recover a folder's killed recordings."""
     from dtwin.config import home
-    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
-    from dtwin.store import Lake
+    from dtwin.lake.store import Lake
+    from dtwin.twins.registration import log_waiting, waiting_text
 
     found = _recovered(folder) if folder is not None else []
     dropped = Lake(home().lake).repair()

@@ -33,7 +33,7 @@ def evidence(
     Conditions are paired, the run is the unit, and the two ways must have taken turns.
     """
     from dtwin.config import home
-    from dtwin.pipeline.evidence import compute
+    from dtwin.lifecycle.evidence import compute
     from dtwin.report.campaign import evidence_table
     from dtwin.train.evidence_record import newest
     from dtwin.train.registry import Registry

@@ -40,9 +40,9 @@ def export(
     """Write a registered correction as code, table or compensated program."""
     from dtwin.atomic import write_text
     from dtwin.config import home
+    from dtwin.lifecycle.export import FORMATS, Request, source_of
+    from dtwin.lifecycle.export import export as write
     from dtwin.physics.library import Library
-    from dtwin.pipeline.exports import FORMATS, Request, source_of
-    from dtwin.pipeline.exports import export as write
 
     if form not in FORMATS:
         raise InputError("no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS))

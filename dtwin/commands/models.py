@@ -52,7 +52,7 @@ def train(
 ) -> None:
     """Train every candidate, compare on conditions left out, register the best equation."""
     from dtwin.config import home
-    from dtwin.pipeline.model_training import train as train_and_register
+    from dtwin.lifecycle.train import train as train_and_register
     from dtwin.report.campaign import comparison_table
     from dtwin.train.promotion import verdict_lines
 
@@ -107,9 +107,9 @@ def train(
 def models(machine: Machine = None, as_json: Json = False) -> None:
     """List registered versions, what they are, and the history of promotions."""
     from dtwin.config import home
-    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
     from dtwin.train.promotion import history
     from dtwin.train.registry import Registry
+    from dtwin.twins.registration import log_waiting, waiting_text
 
     left = log_waiting(home())
     registry = Registry(home())
@@ -171,8 +171,8 @@ def promote(
     virtual machine that the campaign came from is measured first.
     """
     from dtwin.config import home
-    from dtwin.pipeline.evidence import make_champion, proven_or_measured
-    from dtwin.pipeline.model_training import put_on_trial
+    from dtwin.lifecycle.evidence import make_champion, proven_or_measured
+    from dtwin.lifecycle.train import put_on_trial
     from dtwin.report.campaign import evidence_table
     from dtwin.train.registry import Registry
 

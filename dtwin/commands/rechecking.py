@@ -27,7 +27,7 @@ def recheck(
 ) -> None:
     """Measure with and without the champion again; when it harms, release and roll back (exit 3)."""
     from dtwin.config import home
-    from dtwin.pipeline.rechecking import recheck as check_again
+    from dtwin.lifecycle.recheck import recheck as check_again
     from dtwin.train.registry import Registry
 
     done = check_again(

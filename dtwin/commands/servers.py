@@ -35,7 +35,7 @@ def up(
 ) -> None:
     """Start the Prefect and MLflow pages on this computer; Ctrl-C stops them."""
     from dtwin.config import home
-    from dtwin.pipeline.twin_registration import log_waiting, waiting_text
+    from dtwin.twins.registration import log_waiting, waiting_text
     from flows.servers import UpRequest, servers
 
     times = None if no_schedule else _checked(cron)

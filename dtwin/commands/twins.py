@@ -16,7 +16,7 @@ from dtwin.commands.tasks import TwinCommands
 
 if TYPE_CHECKING:
     from dtwin.kinds.volumetric.twins import HeatTwins
-    from dtwin.pipeline.twins import Twins
+    from dtwin.twins.verbs import Twins
 
 Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
@@ -49,8 +49,8 @@ def fit_twin(
 ) -> None:
     """Fit effects to a campaign."""
     from dtwin.config import home
-    from dtwin.pipeline.twins_of_kind import twins_for
     from dtwin.report.twin_of_kind import twin_text
+    from dtwin.twins.of_kind import twins_for
 
     names = [part.strip() for part in wanted.split(",") if part.strip()]
     twins, known = twins_for(home(), library_with(effects_path), campaign)
@@ -77,8 +77,8 @@ def compare_twin(
     controller saw, quasi-static and dynamic error.
     """
     from dtwin.kinds.volumetric.twins import HeatComparison
-    from dtwin.pipeline.encoder_comparison import cutoff_of, no_controller_columns
     from dtwin.report.twin_of_kind import comparison_sections, comparison_text
+    from dtwin.twins.encoder_comparison import cutoff_of, no_controller_columns
 
     asked = split_cycles is not None or split_hz is not None
     cutoff = cutoff_of(split_cycles, split_hz)
@@ -200,8 +200,8 @@ def correct_machine(
     as_json: Json = False,
 ) -> None:
     """Register the correction that a confirmed twin stands for, or say why not (exit 3)."""
-    from dtwin.pipeline.twin_correction import correct
     from dtwin.report.correction import correction_text
+    from dtwin.twins.correct import correct
 
     found = correct(_twins(effects_path), name, trial=trial, seed=seed).as_dict()
     emit(found, lambda: correction_text(found), as_json=as_json)
@@ -217,7 +217,7 @@ def confirm_effect(
     as_json: Json = False,
 ) -> None:
     """Compare an effect before and after its cause was mended: intervention-confirmed or not."""
-    from dtwin.pipeline.twin_intervention import confirm
+    from dtwin.twins.confirm import confirm
 
     found = confirm(_twins(effects_path), name, effect, after, what)
     said = "went away: intervention-confirmed" if found.confirmed else "did not certainly go away"
@@ -232,8 +232,8 @@ def confirm_effect(
 def show_history(name: Name, as_json: Json = False, effects_path: Paths = None) -> None:
     """Every rung of a twin, with error before and after."""
     from dtwin.config import home
-    from dtwin.pipeline.twin_registration import waiting, waiting_text
     from dtwin.report.twins import history_text
+    from dtwin.twins.registration import waiting, waiting_text
 
     rungs = _twins_with(name, effects_path).history(name)
     left = waiting(home(), name)
@@ -253,7 +253,6 @@ def show_twin(
     as_json: Json = False,
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
-    from dtwin.pipeline.twin_intervention import interventions
     from dtwin.report.twin_of_kind import (
         comparison_sections,
         diagnosis_section,
@@ -261,6 +260,7 @@ def show_twin(
         twin_section,
         twin_text,
     )
+    from dtwin.twins.confirm import interventions
 
     twins = _twins_with(name, effects_path)
     twin = twins.newest(name, version)
@@ -306,7 +306,7 @@ def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None
 def _tell_failed(name: str) -> None:
     """Say on stderr when MLflow did not take an earlier version."""
     from dtwin.config import home
-    from dtwin.pipeline.twin_registration import waiting, waiting_text
+    from dtwin.twins.registration import waiting, waiting_text
 
     found = waiting(home(), name)
     if any(item.failed for item in found):
@@ -315,14 +315,14 @@ def _tell_failed(name: str) -> None:
 
 def _twins(paths: list[Path] | None) -> Twins:
     from dtwin.config import home
-    from dtwin.pipeline.twins import Twins
+    from dtwin.twins.verbs import Twins
 
     return Twins(home(), library_with(paths))
 
 
 def _twins_with(name: str, paths: list[Path] | None) -> Twins | HeatTwins:
     from dtwin.config import home
-    from dtwin.pipeline.twins_of_kind import twins_with
+    from dtwin.twins.of_kind import twins_with
 
     return twins_with(home(), library_with(paths), name)
 

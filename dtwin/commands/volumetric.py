@@ -111,8 +111,8 @@ def _write(out: Path, training: Session, other: Session) -> list[str]:
     from dtwin.config import home
     from dtwin.kinds.volumetric.judging import judged, models_of
     from dtwin.kinds.volumetric.training import serving_bundle
+    from dtwin.lake.store import Lake
     from dtwin.serve.bundle_file import save_bundle
-    from dtwin.store import Lake
 
     models: list[ThermalModel] = models_of(training, static=True)[0]
     worse: list[str] = judged(models, other)["worse"]

@@ -20,14 +20,15 @@ if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twin_correction import TwinWay
-    from dtwin.pipeline.twins import Twins
     from dtwin.report.html import Section
+    from dtwin.report.sheet import Sheet
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.correct import TwinWay
+    from dtwin.twins.verbs import Twins
 
 
 class NotOffered(InputError):
@@ -53,6 +54,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "programs": ("writing motion programs", "motion that a control runs by itself"),
     "detectable": ("telling what a plan could detect", "a grid on which runs are compared"),
     "judge_run": ("a check of runs", "a judgement of one run"),
+    "sheet": ("a test sheet", "figures of a standard"),
     "drawings": ("a picture of a run", "a figure of one run"),
     "twins": ("a twin", "effects, and a fit of them"),
     "rows": ("a twin of paths", "a grid on which runs are compared"),
@@ -181,6 +183,10 @@ class Kind:
         Whether a check tells the figures of all runs in one table, not run by run.
     laws : bool
         Whether a law is searched for what a twin leaves.
+    campaign_columns : tuple of str
+        Columns of samples that a judgement of the whole campaign needs.
+    sheet_columns : tuple of str
+        Columns of samples that a test sheet needs.
     always_fitted : str
         What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str
@@ -195,6 +201,8 @@ class Kind:
     goes_round: ClassVar[bool] = False
     in_one_table: ClassVar[bool] = False
     laws: ClassVar[bool] = False
+    campaign_columns: ClassVar[tuple[str, ...]] = ()
+    sheet_columns: ClassVar[tuple[str, ...]] = ()
     always_fitted: ClassVar[str] = ""
     controls: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
@@ -234,12 +242,16 @@ class Kind:
         raise self.lacks("judge_run")
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        """Return what the runs lack as a whole; ``kept_for_campaign`` says what of them is there."""
+        """Return what the runs lack as a whole; of their samples, ``campaign_columns`` are there."""
         return []
 
-    def kept_for_campaign(self, run: Run) -> bool:
-        """Tell whether a judgement of the whole campaign needs the samples of a run."""
-        return False
+    def sheet(self, runs: Sequence[Run]) -> Sheet:
+        """Return the figures of the standard by condition; of the samples, ``sheet_columns`` are there."""
+        raise self.lacks("sheet")
+
+    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
+        """Return the picture beside the figures of one condition."""
+        raise self.lacks("sheet")
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
         """Return the figures of one sound run, JSON-ready."""

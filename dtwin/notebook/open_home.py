@@ -18,6 +18,7 @@ from dtwin.config import Home, home, quiet_environment
 from dtwin.errors import InputError
 from dtwin.kinds.machine import Request
 from dtwin.kinds.registry import kind_named, machine_named
+from dtwin.lake.store import Lake
 from dtwin.notebook.results import (
     ComparisonResult,
     DiagnosisResult,
@@ -29,16 +30,15 @@ from dtwin.notebook.results import (
 )
 from dtwin.physics import localise
 from dtwin.physics.library import Library
-from dtwin.pipeline.twin_data import load, pure_rms_um
-from dtwin.pipeline.twins_of_kind import twins_for, twins_with
 from dtwin.schema import Run
-from dtwin.store import Lake
+from dtwin.twins.measured import load, pure_rms_um
+from dtwin.twins.of_kind import twins_for, twins_with
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
     from dtwin.kinds.volumetric.twins import HeatTwins
-    from dtwin.pipeline.twins import Twins
+    from dtwin.twins.verbs import Twins
 
 _TOLD = ("plane", "radius_mm", "feed_mm_min", "direction", "axis", "setup", "repeat", "machine", "campaign")
 _RUN_COLUMNS = (

@@ -14,7 +14,7 @@ from dtwin.report import twin_of_kind as report
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from dtwin.pipeline.twin_shelf import TwinShelf
+    from dtwin.twins.shelf import TwinShelf
 
 
 @dataclass(frozen=True, repr=False, eq=False)

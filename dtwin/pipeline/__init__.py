@@ -1,3 +1,3 @@
-"""The steps of the main job, as plain functions: for commands, flows, tests and laptops."""
+"""What drives machines: measuring, campaigns, the cell, the demo; as plain functions for commands and flows."""
 
-__all__ = ["twins"]
+__all__: list[str] = []

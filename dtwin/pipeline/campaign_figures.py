@@ -8,11 +8,11 @@ from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.quality import judge_campaign, without_samples
 from dtwin.config import Home
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.progress import Progress
 from dtwin.report.checking import run_result
 from dtwin.schema import Floats, Run
-from dtwin.store import Lake
 
 
 def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:

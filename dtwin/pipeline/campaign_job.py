@@ -12,17 +12,17 @@ from dtwin.acquire.ingest import ingest
 from dtwin.acquire.instruments import recorders
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.lake.store import Lake
+from dtwin.lifecycle.evidence import compute
+from dtwin.lifecycle.train import geometry_of
 from dtwin.pipeline.campaign_steps import Step, by_turns, circle_steps
 from dtwin.pipeline.desk import Desk, enter_desk
-from dtwin.pipeline.evidence import compute
 from dtwin.pipeline.machine_campaign import Job, measure_campaign
-from dtwin.pipeline.model_training import geometry_of
 from dtwin.plan import Plan
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.controller_kind import is_virtual
 from dtwin.serve.pointer import on_trial
 from dtwin.serve.served_time import correction_in_force, serving_now
-from dtwin.store import Lake
 from dtwin.train.registry import RegisteredVersion, Registry
 
 

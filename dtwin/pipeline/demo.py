@@ -10,9 +10,9 @@ from typing import Any, Protocol
 
 from dtwin.atomic import write_text
 from dtwin.config import Home, sample_recording
+from dtwin.lifecycle.train import Registered
 from dtwin.pipeline.demo_steps import PlainSteps, Result, Steps, Work
 from dtwin.pipeline.integration_check import sample_check
-from dtwin.pipeline.model_training import Registered
 from dtwin.pipeline.wall_clock import serving_numbers
 from dtwin.plan import Plan, training_plan
 from dtwin.progress import Progress

@@ -12,8 +12,9 @@ from typing import Any, Protocol, TypeVar
 from dtwin.acquire.ingest import IngestReport
 from dtwin.acquire.runner import CampaignRun
 from dtwin.config import Home
-from dtwin.pipeline import evidence, measuring
-from dtwin.pipeline import model_training as modelling
+from dtwin.lifecycle import evidence
+from dtwin.lifecycle import train as modelling
+from dtwin.pipeline import measuring
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
 from dtwin.plan import Plan
 from dtwin.progress import Progress

@@ -18,10 +18,10 @@ from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract, batch_features
-from dtwin.parquet import table_of
+from dtwin.lake.parquet import table_of
+from dtwin.lake.store import Lake
 from dtwin.plan import Plan
 from dtwin.progress import Progress
-from dtwin.store import Lake
 from dtwin.train.inputs import BAND_HZ, HOP, WINDOW_FEATURES, WINDOW_SAMPLES
 
 

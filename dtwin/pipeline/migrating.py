@@ -15,17 +15,17 @@ import pyarrow as pa
 
 from dtwin.atomic import sync
 from dtwin.config import Home
-from dtwin.delta import DeltaFiles
+from dtwin.documents import write_document
 from dtwin.errors import InputError, StoreError
-from dtwin.parquet import columns_of, read_parquet
-from dtwin.pipeline.documents import write_document
+from dtwin.lake.delta import DeltaFiles
+from dtwin.lake.parquet import columns_of, read_parquet
+from dtwin.lake.rows import RUN_SCHEMA, meta_of
+from dtwin.lake.store import Lake, RejectedRows
 from dtwin.progress import Progress
-from dtwin.run_rows import RUN_SCHEMA, meta_of
 from dtwin.schema import Campaign, Finding, Run, SignalGroup
 from dtwin.serve.bundle_file import parse_json, read_bytes
 from dtwin.serve.interface import mapping
 from dtwin.serve.sealed import CHAMPION, SEALED, TRIAL, is_sealed, write_sealed
-from dtwin.store import Lake, RejectedRows
 
 BEFORE, MADE = "lake.before-migration", "lake.migrating"
 _LARGEST = 100_000

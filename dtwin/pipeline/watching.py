@@ -15,8 +15,8 @@ from dtwin.acquire.ingest import ingest, open_source, worst
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
+from dtwin.lake.store import Lake
 from dtwin.locks import locked
-from dtwin.store import Lake
 
 Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
 SETTLE_S = 10.0

@@ -2,26 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
+from dtwin.errors import InputError
+from dtwin.kinds.kind import Kind
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import columns_sha256
+from dtwin.lake.store import Lake, RejectedRows
 from dtwin.physics.circular import bidirectional_figures
 from dtwin.progress import Progress
+from dtwin.report.sheet import judged, sheet_lines
 from dtwin.report.text import table
-from dtwin.run_rows import columns_sha256
-from dtwin.schema import Campaign, Floats, Run
-from dtwin.store import Lake, RejectedRows
+from dtwin.schema import Campaign, Finding, Floats, Run
+from dtwin.tolerances import Limits
 
-_MAX_DETAILED = 12
+_MAX_DETAILED = 2
+"""A file of both directions is told run by run; more runs as a table."""
+Tolerances = Callable[[str], Mapping[str, Limits]]
 
 
-def check_source(path: Path, progress: Progress | None = None, told: Mapping[str, Any] | None = None) -> dict[str, Any]:
+def no_tolerances(machine: str) -> Mapping[str, Limits]:
+    """Return no limits."""
+    return {}
+
+
+def sheet_of(kind: Kind, campaign: Campaign, runs: Sequence[Run], limits: Mapping[str, Limits]) -> dict[str, Any]:
+    """Return the test sheet of runs with their findings, JSON-ready.
+
+    Raises
+    ------
+    InputError
+        When the instrument's ``uncertainty_um`` is no size.
+    """
+    stated = campaign.instrument.get("uncertainty_um")
+    if stated is not None and not (isinstance(stated, int | float) and 0.0 <= stated < 1e6):
+        raise InputError(
+            "the uncertainty of the instrument is not usable",
+            code="sheet.uncertainty",
+            where=f"{campaign.name}: instrument.uncertainty_um",
+            got=str(stated)[:60],
+            allowed="an expanded uncertainty (k = 2) in µm",
+        )
+    return judged(kind.sheet(runs), stated, limits).as_dict()
+
+
+def check_source(
+    path: Path,
+    progress: Progress | None = None,
+    told: Mapping[str, Any] | None = None,
+    tolerances: Tolerances = no_tolerances,
+) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
 
     Parameters
@@ -30,6 +66,8 @@ def check_source(path: Path, progress: Progress | None = None, told: Mapping[str
         A ``.b5r`` file, a campaign folder or a table that lies alone.
     told : mapping, optional
         What is told of a table that lies alone.
+    tolerances : callable
+        Returns the limits of a machine by symbol.
 
     Returns
     -------
@@ -38,18 +76,30 @@ def check_source(path: Path, progress: Progress | None = None, told: Mapping[str
         figures, spectrum, findings), ``bidirectional`` and ``findings`` of the whole.
     """
     campaign, sources, total = open_source(path, told)
-    return _checked(str(path), campaign, sources, total, progress)
+    return _checked(str(path), campaign, sources, total, progress, tolerances)
 
 
-def check_campaign(lake: Lake, name: str, progress: Progress | None = None) -> dict[str, Any]:
+def check_campaign(
+    lake: Lake, name: str, progress: Progress | None = None, tolerances: Tolerances = no_tolerances
+) -> dict[str, Any]:
     """Evaluate the runs of a campaign in the lake as :func:`check_source` does those of a file."""
     campaign = lake.campaign(name)
     rows = lake.runs(name)
     sources = (([lake.load(row, signals=False)], list[RejectedRows]()) for row in rows)
-    result = _checked(f"campaign {name}", campaign, sources, len(rows), progress)
+    result = _checked(f"campaign {name}", campaign, sources, len(rows), progress, tolerances)
     told = amendment_findings(lake.runs(name, left_out=True))
     result["findings"] += [finding.as_dict() for finding in told]
     return result
+
+
+def campaign_sheet(lake: Lake, name: str, limits: Mapping[str, Limits]) -> dict[str, Any]:
+    """Return the test sheet of a campaign in the lake, JSON-ready; its kind must have one."""
+    campaign = lake.campaign(name)
+    kind = kind_named(campaign.kind)
+    kind.require("sheet")
+    runs = (lake.load(row, signals=False) for row in lake.runs(name))
+    kept = [without_samples(replace(run, findings=tuple(findings_of(run))), kind.sheet_columns) for run in runs]
+    return sheet_of(kind, campaign, kept, limits)
 
 
 def _checked(
@@ -58,16 +108,19 @@ def _checked(
     sources: Iterable[tuple[list[Run], list[RejectedRows]]],
     total: int,
     progress: Progress | None,
+    tolerances: Tolerances,
 ) -> dict[str, Any]:
     results: list[dict[str, Any]] = []
     pairs: list[dict[str, Any]] = []
+    kind = kind_named(campaign.kind)
     light: list[Run] = []
     samples: dict[str, str] = {}
     for done, (runs, rejected) in enumerate(sources, start=1):
         samples |= {run.meta.run_id: columns_sha256(run.samples) for run in runs}
-        results += [run_result(run) for run in runs]
+        checked = [replace(run, findings=tuple(findings_of(run))) for run in runs]
+        results += map(_run_result, checked)
         pairs += _bidirectional(runs)
-        light += map(without_samples, runs)
+        light += [without_samples(run, kind.sheet_columns) for run in checked]
         if rejected:
             results[-1]["rejected_rows"] = sum(len(part.rows) for part in rejected)
         if progress is not None:
@@ -77,7 +130,8 @@ def _checked(
         if result["run"] in copies:
             result["findings"].append(copies[result["run"]].as_dict())
     return {
-        **kind_named(campaign.kind).campaign_figures(light),
+        **kind.campaign_figures(light),
+        **({"sheet": sheet_of(kind, campaign, light, tolerances(campaign.machine))} if kind.offers("sheet") else {}),
         "source": source,
         "campaign": campaign.name,
         "machine": campaign.machine,
@@ -96,9 +150,16 @@ def run_result(run: Run) -> dict[str, Any]:
     run : Run
         Any run; circular ones get circular-test figures.
     """
-    # Runs of the lake were judged when they came in.
-    found = {(f.code, f.message): f for f in [*run.findings, *judge_run(run)]}
-    findings = list(found.values())
+    return _run_result(replace(run, findings=tuple(findings_of(run))))
+
+
+def findings_of(run: Run) -> list[Finding]:
+    """Return what is wrong with a run; runs of the lake were judged when they came in, too."""
+    return list({(f.code, f.message): f for f in [*run.findings, *judge_run(run)]}.values())
+
+
+def _run_result(run: Run) -> dict[str, Any]:
+    findings = run.findings
     result: dict[str, Any] = {
         "run": run.meta.run_id,
         "condition": {
@@ -136,12 +197,12 @@ def render_check(result: dict[str, Any]) -> str:
     """Return the result of :func:`check_source` as text for a terminal."""
     runs = result["runs"]
     lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
+    lines += ["", *sheet_lines(result["sheet"])] if "sheet" in result else []
     kind = kind_named(result["kind"])
-    detailed = [] if kind.in_one_table else runs[:_MAX_DETAILED]
-    for run in detailed:
-        lines += ["", *_render_run(run)]
-    if len(runs) > _MAX_DETAILED and detailed:
-        lines += ["", *_render_rest(runs[_MAX_DETAILED:])]
+    if len(runs) <= _MAX_DETAILED and not kind.in_one_table:
+        lines += [line for run in runs for line in ("", *_render_run(run))]
+    elif not kind.in_one_table:
+        lines += ["", *_render_table(runs)]
     for pair in result["bidirectional"][:_MAX_DETAILED]:
         lines.append(
             f"\n{' and '.join(pair['runs'])}: circular deviation G(b) of both directions "
@@ -197,7 +258,7 @@ def _render_run(run: dict[str, Any]) -> list[str]:
     return lines + [f"  {f['severity']}: {f['message']}" for f in run["findings"]]
 
 
-def _render_rest(runs: Sequence[dict[str, Any]]) -> list[str]:
+def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
     rows = [
         [
             run["run"],

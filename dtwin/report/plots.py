@@ -13,6 +13,9 @@ from dtwin.schema import Floats
 # Okabe and Ito: told apart by every kind of colour vision.
 COLOURS = {"measured": "#0072B2", "second": "#D55E00", "third": "#009E73", "fourth": "#CC79A7", "floor": "#999999"}
 BEHIND_TEXT = "rgba(255,255,255,0.75)"
+_REACH = 0.4
+"""Part of the radius that the largest error may take in a polar plot."""
+_ARROW_DEG = 8.0
 _PALETTE = ["#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"]
 
 
@@ -23,6 +26,7 @@ def polar_figure(
     title: str,
     magnification: float | None = None,
     floor_um: float | None = None,
+    plane: str | None = None,
 ) -> go.Figure:
     """Return a polar plot as ball-bar people draw it: error magnified about the nominal circle.
 
@@ -34,6 +38,8 @@ def polar_figure(
         Drawn millimetres per millimetre of error; chosen from the largest error when left out.
     floor_um : float, optional
         Noise floor, drawn as a ring; NaN says that it is not known.
+    plane : str, optional
+        Two axes, the first of which lies at 0 degrees.
     """
     largest = max((float(np.max(np.abs(d))) for _, d in traces.values()), default=1.0)
     factor = magnification or magnification_for(largest, radius_mm)
@@ -55,6 +61,7 @@ def polar_figure(
         )
     )
     for colour, (name, (angle, deviation)) in zip(_PALETTE * 4, traces.items(), strict=False):
+        figure.add_trace(_start(angle, radius_mm + deviation * factor / 1000.0, colour))
         figure.add_trace(
             go.Scatterpolar(
                 theta=_short(angle),
@@ -63,17 +70,47 @@ def polar_figure(
                 name=name,
                 line={"color": colour, "width": 1.5},
                 customdata=_short(deviation),
-                hovertemplate="%{theta:z.1f} deg<br>%{customdata:z.1f} um<extra>" + name + "</extra>",
+                hovertemplate="%{theta:z.1f}°<br>%{customdata:z.1f} µm<extra>" + name + "</extra>",
             )
         )
+    division = _round_factor(0.15 * radius_mm * 1000.0 / factor)
+    steps = np.arange(-3, 4) * division
+    rings = [step for step in steps if abs(step) * factor / 1000.0 <= _REACH * radius_mm]
+    corners = {"tickmode": "array", "tickvals": [0, 90, 180, 270]} if plane else {}
+    named = {"ticktext": [f"+{plane[0]}", f"+{plane[1]}", f"-{plane[0]}", f"-{plane[1]}"]} if plane else {}
     figure.update_layout(
-        title=f"{title} ({factor:g} x)",
+        title=f"{title}, {division:g} µm per division",
         polar={
-            "radialaxis": {"range": [0.0, 1.4 * radius_mm], "showticklabels": False, "ticks": ""},
-            "angularaxis": {"rotation": 0, "direction": "counterclockwise"},
+            "radialaxis": {
+                "range": [0.0, (1.0 + _REACH) * radius_mm],
+                "tickmode": "array",
+                "tickvals": [radius_mm + ring * factor / 1000.0 for ring in rings],
+                "ticktext": [f"{ring:+g}" if ring else "0" for ring in rings],
+                "tickfont": {"size": 10, "color": "#666666"},
+                "angle": 45,
+                "tickangle": 45,
+                "ticks": "",
+                "showline": False,
+            },
+            "angularaxis": {"rotation": 0, "direction": "counterclockwise", **corners, **named},
         },
     )
-    return styled(figure)
+    # Above the plot the legend would hide what stands at 90 degrees.
+    return styled(figure).update_layout(legend={"y": -0.08, "yanchor": "top"})
+
+
+def _start(angle_deg: Floats, drawn: Floats, colour: str) -> go.Scatterpolar:
+    """Return where a run starts and which way it goes, as a dot and an arrow; radii in drawn millimetres."""
+    ahead = int(np.argmax(np.abs(angle_deg - angle_deg[0]) > _ARROW_DEG))
+    places = [0, ahead] if ahead else [0]
+    return go.Scatterpolar(
+        theta=[float(angle_deg[p]) for p in places],
+        r=[float(drawn[p]) for p in places],
+        mode="markers",
+        marker={"color": colour, "size": [7, 13], "symbol": ["circle", "arrow"], "angleref": "previous"},
+        showlegend=False,
+        hoverinfo="skip",
+    )
 
 
 def error_figure(

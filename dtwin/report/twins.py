@@ -22,7 +22,7 @@ from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
 
 if TYPE_CHECKING:
-    from dtwin.pipeline.twin_data import Comparison
+    from dtwin.twins.measured import Comparison
 
 _OVERLAYS = 4
 _COORDINATES = ("angle_deg", "position_mm", "phase_deg")

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.features.infeed import align_infeed
 from dtwin.features.motion import PATH_INPUTS, STATE_FIELDS, PathInputs
+from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Floats, Run, RunMeta, SignalGroup
-from dtwin.store import Lake
 
 TICK_HZ = 500.0
 _ROW_EVERY = 10
@@ -215,3 +215,26 @@ def _commanded_deviation_um(states: Floats, meta: RunMeta) -> Floats:
 def input_column(name: str) -> int:
     """Return the column of a path input."""
     return PATH_INPUTS.index(name)
+
+
+def require_uncorrected(campaign: Campaign) -> None:
+    """Refuse a campaign that was measured under a correction.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What an equation would be made of.
+
+    Raises
+    ------
+    InputError
+        When its geometry says so.
+    """
+    if campaign.machine_geometry.get("corrected", False):
+        raise InputError(
+            "a correction was in force during this campaign: it shows what that left, not the machine",
+            code="train.corrected",
+            where=campaign.name,
+            got="corrected = true",
+            hint="use a campaign without; dtwin twin fit shows what is left of this one",
+        )

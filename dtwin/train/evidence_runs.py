@@ -9,9 +9,9 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.lake.store import Lake
 from dtwin.schema import Run
 from dtwin.serve.served_time import ServedStretch, served_during, served_stretches
-from dtwin.store import Lake
 from dtwin.train.evidence import WITH, WITHOUT, EvidenceRun, Way, started_at
 
 

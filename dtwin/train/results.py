@@ -12,6 +12,8 @@ from dtwin.statistics import deviation_interval
 if TYPE_CHECKING:
     from dtwin.kinds.circular.physics_fit import PhysicsFit
 
+CONDITIONS_FILE = "conditions.json"
+"""Artifact of a version: the conditions that it was trained on."""
 FRESH_RUN = "fresh_run.rms_um"
 """Metric: RMS error on runs that only the coefficients were fitted without, in um."""
 # Rounding is no harm.

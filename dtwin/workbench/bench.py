@@ -13,11 +13,11 @@ from fastapi import Request
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric.twins import HeatTwins
+from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
-from dtwin.pipeline.twins import Twins
-from dtwin.pipeline.twins_of_kind import every_shelf, twins_with
-from dtwin.store import Lake
+from dtwin.twins.of_kind import every_shelf, twins_with
+from dtwin.twins.verbs import Twins
 from dtwin.workbench.access import Access
 from dtwin.workbench.cache import Cache
 from dtwin.workbench.jobs import Jobs

@@ -10,10 +10,10 @@ from typing import Any
 
 from dtwin.acquire.amending import amendment_findings
 from dtwin.acquire.quality import judge_campaign
+from dtwin.lake.rows import meta_of
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.state import AXES_OF
-from dtwin.run_rows import meta_of
 from dtwin.schema import Finding, Run
 
 _SEVERITIES = ("error", "warning", "info")

@@ -85,8 +85,8 @@ def promote(request: Request, machine: str, version: str, why: _Comment) -> JSON
     found = registry.version(machine, version)
 
     def work(tell: Tell) -> str:
-        from dtwin.pipeline.evidence import promote_proven, proven_or_measured
-        from dtwin.pipeline.model_training import put_on_trial as on_trial
+        from dtwin.lifecycle.evidence import promote_proven, proven_or_measured
+        from dtwin.lifecycle.train import put_on_trial as on_trial
 
         address = f"/models/{machine}/{found.version}"
         if why.trial:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError, StoreError
 from dtwin.physics import localise
 from dtwin.physics.effect import Instance
@@ -17,10 +18,9 @@ from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, data_lines, frozen_residual_um
-from dtwin.pipeline.documents import read_document, write_document
-from dtwin.pipeline.twin_data import Comparison, Loaded, load, pure_rms_um
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
+from dtwin.twins.measured import Comparison, Loaded, load, pure_rms_um
 from dtwin.workbench.bench import Bench
 
 FLOOR_WORDS = {

@@ -10,8 +10,8 @@ from starlette.responses import JSONResponse
 
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.twins_of_kind import twins_for
 from dtwin.schema import require_name
+from dtwin.twins.of_kind import twins_for
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.jobs import Tell
@@ -150,7 +150,7 @@ def correct(request: Request, name: str, wanted: _CorrectionRequest) -> JSONResp
     bench.twins.newest(name)
 
     def work(tell: Tell) -> str:
-        from dtwin.pipeline.twin_correction import correct as register
+        from dtwin.twins.correct import correct as register
 
         tell("diagnose, grade every effect, freeze and register")
         found = register(bench.twins, name, trial=wanted.trial).as_dict()

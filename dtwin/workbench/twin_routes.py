@@ -10,7 +10,6 @@ from starlette.responses import Response
 
 from dtwin.errors import InputError
 from dtwin.physics.gridding import CIRCLE
-from dtwin.pipeline.twin_registration import waiting, waiting_text
 from dtwin.report.encoder_split import encoder_section
 from dtwin.report.html import Section, page
 from dtwin.report.twin_plots import (
@@ -29,6 +28,7 @@ from dtwin.report.twins import (
     parameter_table,
     twin_section,
 )
+from dtwin.twins.registration import waiting, waiting_text
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.campaigns import possible_effects

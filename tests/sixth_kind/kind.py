@@ -18,16 +18,17 @@ if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twins import Twins
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.verbs import Twins
 
 
 class Rotary(Kind):
     name = "rotary"
     columns = ("t_s", "angle_deg", "error_um")
+    campaign_columns = columns
     always_fitted = "The zero of every set-up is always fitted."
     instead: ClassVar[Mapping[str, str]] = {"programs": "the table turns by hand"}
 
@@ -45,9 +46,6 @@ class Rotary(Kind):
         if len(run.samples["angle_deg"]) >= 36:
             return []
         return [Finding("rotary.short", "error", "fewer than 36 places of the turn")]
-
-    def kept_for_campaign(self, run: Run) -> bool:
-        return True
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         spans = {run.meta.run_id: float(np.ptp(run.samples["error_um"])) for run in runs}
@@ -67,7 +65,7 @@ class Rotary(Kind):
         return (Drawing("turn", "Error over the turn", 460, turn),)
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.pipeline.twins import Twins
+        from dtwin.twins.verbs import Twins
 
         return Twins(home, library)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.lake.store import Lake
 from dtwin.physics.grid import Grid, Row
 from dtwin.physics.state import State
 from dtwin.schema import Floats, Run, RunMeta
@@ -16,7 +17,6 @@ from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 from dtwin.statistics import rms
-from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.run_errors import RunError

@@ -19,12 +19,12 @@ from dtwin.acquire.b5r import write_b5r
 from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.lifecycle.evidence import make_champion, measure
+from dtwin.lifecycle.train import put_on_trial
 from dtwin.pipeline.desk import open_question
-from dtwin.pipeline.evidence import make_champion, measure
-from dtwin.pipeline.model_training import put_on_trial
-from dtwin.pipeline.twins import Twins
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.registry import Registry
+from dtwin.twins.verbs import Twins
 from flows import _plots
 from flows._artifacts import slug
 from flows._runtime import run, running_server

@@ -18,10 +18,10 @@ from dtwin.errors import InputError, StoreError
 from dtwin.kinds.volumetric.simulate import TRUTHS, simulate_volumetric
 from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.machines.volumetric import SENSITIVITY, VolumetricParameters
-from dtwin.pipeline.twin_watch import look_at
-from dtwin.pipeline.twins import Twins
 from dtwin.plan_file import planned_campaign
 from dtwin.train.registry import Registry
+from dtwin.twins.on_campaign import look_at
+from dtwin.twins.verbs import Twins
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 

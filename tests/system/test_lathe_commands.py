@@ -22,7 +22,7 @@ from dtwin.kinds.linear.fit import fitted
 from dtwin.kinds.linear.gates import registered_positioning_gates
 from dtwin.kinds.linear.loop import campaign_test
 from dtwin.kinds.linear.simulate import mapping_plan, simulate_lathe, verification_plan
-from dtwin.pipeline.scheduled import scheduled_training
+from dtwin.lifecycle.schedule import scheduled_training
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle, load_bundle, save_bundle

@@ -25,10 +25,10 @@ from virtual_robot import virtual_robot
 from dtwin.acquire.b5r import write_b5r
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.config import Home
+from dtwin.lake.store import Lake
 from dtwin.pipeline.desk import REPEAT, give_answer, open_question
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import resolve
-from dtwin.store import Lake
 from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(900)]

@@ -24,7 +24,7 @@ NOTEBOOK = json.loads(run_notebook.NOTEBOOK.read_text(encoding="utf-8"))
 
 @pytest.fixture(autouse=True)
 def _without_mlflow(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("dtwin.pipeline.twin_shelf.log_soon", lambda *args, **settings: None)
+    monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
 
 
 def test_the_notebook_shows_what_it_showed(tmp_path: Path) -> None:

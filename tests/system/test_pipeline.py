@@ -22,10 +22,10 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.circular.physics_fit import predicted_left_out
 from dtwin.kinds.circular.term_columns import TermColumns
-from dtwin.pipeline.evidence import make_champion, measure, proven
-from dtwin.pipeline.model_training import put_on_trial, train
+from dtwin.lake.store import Lake
+from dtwin.lifecycle.evidence import make_champion, measure, proven
+from dtwin.lifecycle.train import put_on_trial, train
 from dtwin.serve.pointer import resolve
-from dtwin.store import Lake
 from dtwin.train.candidate_runs import training_candidates
 from dtwin.train.circle_evidence import EvidencePlan, measured_circles
 from dtwin.train.dataset import load_ticks

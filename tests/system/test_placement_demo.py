@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from dtwin.acquire.ingest import ingest
+from dtwin.lake.store import Lake
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.serve.interface import Output
-from dtwin.store import Lake
 from studies import placement_campaign as placing
 
 pytestmark = pytest.mark.system

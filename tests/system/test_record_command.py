@@ -21,13 +21,13 @@ from virtual_robot import VirtualRobot, virtual_robot
 from dtwin.acquire.signal_files import read_signals
 from dtwin.config import home as dtwin_home
 from dtwin.features.windows import WindowContract
+from dtwin.lake.store import Lake
 from dtwin.machines.daq_sensors import Sensors
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.machine_file import write_machine
 from dtwin.serve.pointer import machine_folder, write_pointer
-from dtwin.store import Lake
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]
 PHYSICAL = tuple(f"cDAQ1Mod{m}/ai{n}" for m in (1, 2) for n in range(4))

@@ -10,10 +10,10 @@ import pytest
 
 from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
+from dtwin.lake.store import Lake
 from dtwin.pipeline.measuring import ingest
-from dtwin.pipeline.reduced_runs import read_reduced, stamp_of
-from dtwin.pipeline.twin_data import Loaded, load
-from dtwin.store import Lake
+from dtwin.twins.measured import Loaded, load
+from dtwin.twins.reduced_runs import read_reduced, stamp_of
 
 pytestmark = pytest.mark.system
 

@@ -14,16 +14,16 @@ from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.lake.store import Lake
+from dtwin.lifecycle.drift import champion_of, check_drift, trained_rows
+from dtwin.lifecycle.evidence import make_champion, measure
+from dtwin.lifecycle.recheck import recheck
+from dtwin.lifecycle.schedule import news, scheduled_training
+from dtwin.lifecycle.train import put_on_trial, train
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.pipeline.drift import champion_of, check_drift, trained_rows
-from dtwin.pipeline.evidence import make_champion, measure
 from dtwin.pipeline.measuring import ingest
-from dtwin.pipeline.model_training import put_on_trial, train
-from dtwin.pipeline.rechecking import recheck
-from dtwin.pipeline.scheduled import news, scheduled_training
 from dtwin.plan import training_plan
 from dtwin.serve.pointer import resolve
-from dtwin.store import Lake
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.promotion import check_version, history
 from dtwin.train.registry import Registry

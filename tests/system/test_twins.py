@@ -16,13 +16,13 @@ import pytest
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.lake.store import Lake
 from dtwin.physics.library import Library
-from dtwin.pipeline.twin_data import load
-from dtwin.pipeline.twin_intervention import confirm, interventions
-from dtwin.pipeline.twins import Twins
 from dtwin.report.twins import twin_text
-from dtwin.store import Lake
 from dtwin.train.symbolic import OperonEngine
+from dtwin.twins.confirm import confirm, interventions
+from dtwin.twins.measured import load
+from dtwin.twins.verbs import Twins
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
 
@@ -165,8 +165,8 @@ def test_every_rung_is_a_child_run_and_a_version_in_mlflow(twins: Twins) -> None
 
 
 def test_mlflow_follows_in_the_background_and_in_order(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
-    from dtwin.pipeline import twin_registration
     from dtwin.train.registry import Registry
+    from dtwin.twins import registration as twin_registration
 
     monkeypatch.setenv("DTWIN_MLFLOW", "later")
     twins.fit("mill-march", KNOWN, "fast")

@@ -16,7 +16,7 @@ from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning
 from dtwin.kinds.volumetric.plan import BallPlan
 from dtwin.kinds.volumetric.simulate import TRUTHS, simulate_volumetric
 from dtwin.kinds.volumetric.twins import HeatTwins
-from dtwin.pipeline.twins import Twins
+from dtwin.twins.verbs import Twins
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 

@@ -14,7 +14,7 @@ from test_ui import PATIENCE_MS
 from workbench_server import Workbench, running_workbench
 
 from dtwin.config import Home
-from dtwin.pipeline.evidence import compute
+from dtwin.lifecycle.evidence import compute
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 

@@ -25,12 +25,12 @@ from dtwin.kinds.volumetric.plan import BallPlan
 from dtwin.kinds.volumetric.served import ServedMill
 from dtwin.kinds.volumetric.session import session, session_in
 from dtwin.kinds.volumetric.simulate import simulate_volumetric
+from dtwin.lake.store import Lake
 from dtwin.machines.thermal_network import TRAINING
 from dtwin.machines.volumetric import HELD_OUT_POSES, STROKES_MM, VolumetricMill, VolumetricParameters
 from dtwin.schema import Run, RunMeta, SignalGroup
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
-from dtwin.store import Lake
 from dtwin.train.registry import Registry
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]

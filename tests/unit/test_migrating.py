@@ -9,10 +9,10 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, StoreError
+from dtwin.lake.store import Lake
 from dtwin.pipeline.migrating import BEFORE, MADE, migrate
-from dtwin.pipeline.twin_shelf import PATHS, TwinShelf
 from dtwin.serve.pointer import resolve
-from dtwin.store import Lake
+from dtwin.twins.shelf import PATHS, TwinShelf
 
 EARLIER = Path(__file__).parents[1] / "home_before_hashes.zip"
 

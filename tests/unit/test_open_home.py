@@ -10,9 +10,9 @@ import pytest
 
 import dtwin
 from dtwin.kinds.kind import NotOffered
+from dtwin.lake.store import Lake
 from dtwin.notebook.open_home import OpenHome
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
-from dtwin.store import Lake
 
 T_S = np.arange(200) / 100.0
 

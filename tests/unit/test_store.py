@@ -17,9 +17,9 @@ import pytest
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import InputError, StoreError
-from dtwin.parquet import read_parquet, table_of, write_parquet
+from dtwin.lake.parquet import read_parquet, table_of, write_parquet
+from dtwin.lake.store import Lake, RejectedRows
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
-from dtwin.store import Lake, RejectedRows
 
 CAMPAIGN = Campaign("c", "mill-a", machine_geometry={"type": "ur10e"}, instrument={"nominal_mm": 100.0})
 
@@ -198,7 +198,7 @@ import sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from test_store import CAMPAIGN, make_run
-from dtwin.store import Lake
+from dtwin.lake.store import Lake
 lake = Lake(Path({root!r}))
 print("ready", flush=True)
 for i in range(40):

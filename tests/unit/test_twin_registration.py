@@ -15,13 +15,13 @@ import pytest
 from mlflow import MlflowClient
 
 from dtwin.config import Home
+from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError, StoreError
 from dtwin.locks import locked
-from dtwin.pipeline import twin_registration
-from dtwin.pipeline.documents import read_document, write_document
-from dtwin.pipeline.twin_registration import log_waiting, place_of, waiting, waiting_text
-from dtwin.pipeline.twin_shelf import PATHS, TwinShelf
 from dtwin.train.registry import Registry
+from dtwin.twins import registration as twin_registration
+from dtwin.twins.registration import log_waiting, place_of, waiting, waiting_text
+from dtwin.twins.shelf import PATHS, TwinShelf
 
 FIGURES = {"rms_before_um": 2.0, "rms_after_um": 1.0, "noise_floor_um": math.nan}
 DATA = {"runs": 4, "left_out": {}}

@@ -14,8 +14,8 @@ from dtwin.acquire.arrivals import Arrivals
 from dtwin.acquire.b5r import write_b5r
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.lake.store import Lake
 from dtwin.pipeline.watching import FolderWatch, WatchEvent, watch
-from dtwin.store import Lake
 
 
 @pytest.fixture

@@ -12,13 +12,13 @@ from dtwin.kinds.circular.freeze import OUTPUT, twin_bundle
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, frozen_residual_um, twin_of
-from dtwin.pipeline.judged_twin import NAME, Judged
-from dtwin.pipeline.twin_data import pure_rms_um
 from dtwin.serve.export import to_c, to_latex, to_python, to_text
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores
 from dtwin.train.twin_terms import TwinBundle
+from dtwin.twins.judged import NAME, Judged
+from dtwin.twins.measured import pure_rms_um
 
 _VISIBLE_SHARE = 0.1
 

@@ -22,7 +22,7 @@ _NOISE_QUANTILE = 3.0
 def _polar(run: Run, floor_um: Callable[[], float]) -> go.Figure:
     radius = float(run.meta.radius_mm or 100.0)
     curves = {run.meta.run_id: _centred(run)}
-    return polar_figure(curves, radius, title=_title(run), floor_um=floor_um())
+    return polar_figure(curves, radius, title=_title(run), floor_um=floor_um(), plane=run.meta.plane)
 
 
 def _over_angle(run: Run, floor_um: Callable[[], float]) -> go.Figure:

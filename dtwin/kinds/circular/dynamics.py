@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.dynamics.figures import DynamicComponents, dynamic_components, relative_difference
@@ -23,10 +24,9 @@ from dtwin.kinds.circular.dynamics_ways import (
     twin_static_um,
 )
 from dtwin.kinds.circular.filter_tuning import Tuning, log_tuning, tune
+from dtwin.lake.store import Lake
 from dtwin.physics.observations import observe
-from dtwin.pipeline.campaign_name import in_lake
 from dtwin.schema import Campaign, Floats, Run, SignalGroup
-from dtwin.store import Lake
 from dtwin.train.registry import Registry
 
 

@@ -114,8 +114,8 @@ def _on_bench(bench: Bench, plan: Plan, request: Request, progress: Progress) ->
 
 
 def _trained_circles(request: EvidenceRequest) -> EvidencePlan:
-    from dtwin.pipeline.model_training import CONDITIONS_FILE
     from dtwin.train.circle_evidence import plan_within
+    from dtwin.train.results import CONDITIONS_FILE
 
     trained = request.registry.read_json(request.version, CONDITIONS_FILE)
     return plan_within([(p, float(r), float(f)) for p, r, f in trained])

@@ -9,19 +9,22 @@ from typing import TYPE_CHECKING, Any
 from dtwin.kinds.kind import Drawing, Kind, Planned
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twin_correction import TwinWay
-    from dtwin.pipeline.twins import Twins
+    from dtwin.report.sheet import Sheet
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.correct import TwinWay
+    from dtwin.twins.verbs import Twins
 
 
 class _Circular(Kind):
@@ -29,6 +32,7 @@ class _Circular(Kind):
     columns = ("t_s", "angle_deg", "deviation_um")
     stated = ("plane", "radius_mm", "feed_mm_min")
     goes_round = True
+    sheet_columns = ("angle_deg", "deviation_um")
     laws = True
     always_fitted = "Centre and radius of every set-up are always fitted."
 
@@ -70,6 +74,16 @@ class _Circular(Kind):
 
         return judge_circular_campaign(runs)
 
+    def sheet(self, runs: Sequence[Run]) -> Sheet:
+        from dtwin.kinds.circular.sheet import circular_sheet
+
+        return circular_sheet(runs)
+
+    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
+        from dtwin.kinds.circular.sheet import both_ways_figure
+
+        return both_ways_figure(runs)
+
     def run_figures(self, run: Run) -> Mapping[str, Any]:
         from dtwin.kinds.circular.report import circular_result
 
@@ -82,7 +96,7 @@ class _Circular(Kind):
         return DRAWINGS
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.pipeline.twins import Twins
+        from dtwin.twins.verbs import Twins
 
         return Twins(home, library)
 
@@ -115,7 +129,7 @@ class _Circular(Kind):
 
     def twin_correction(self) -> TwinWay:
         from dtwin.kinds.circular.correction import freeze_circles, judge_circles
-        from dtwin.pipeline.twin_correction import BY_LAW, TwinWay
+        from dtwin.twins.correct import BY_LAW, TwinWay
 
         return TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)
 

@@ -13,8 +13,8 @@ from dtwin.kinds.circular.physics_candidate import physics_candidate
 from dtwin.kinds.circular.physics_fit import fit_physics, predicted_fresh, predicted_left_out
 from dtwin.kinds.circular.symbolic_candidate import symbolic_candidate
 from dtwin.kinds.circular.term_columns import TermColumns
+from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
-from dtwin.store import Lake
 from dtwin.train.candidates import RECIPES, Recipe, baselines, held_out_groups, score, train_recipe
 from dtwin.train.dataset import load_ticks
 from dtwin.train.inputs import generic_inputs

@@ -24,13 +24,13 @@ from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
-from dtwin.pipeline.judged_twin import NAME, Judged
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.twin_terms import TwinBundle
+from dtwin.twins.judged import NAME, Judged
 
 _FEWEST_RUNS = 2
 

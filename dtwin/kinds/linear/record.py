@@ -8,25 +8,30 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
 
 if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
-    from dtwin.pipeline.twin_correction import TwinWay
-    from dtwin.pipeline.twins import Twins
+    from dtwin.report.sheet import Sheet
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
+    from dtwin.twins.correct import TwinWay
+    from dtwin.twins.verbs import Twins
 
 
 class _Linear(Kind):
     name = "linear"
     columns = ("t_s", "position_mm", "direction", "error_um")
     stated = ("axis",)
+    campaign_columns = columns
+    sheet_columns = columns
     always_fitted = "The zero of every set-up is always fitted."
     controls = ("opencnc", "iso")
     instead: ClassVar[Mapping[str, str]] = {
@@ -77,8 +82,15 @@ class _Linear(Kind):
         whole = [run for run in runs if run.samples]
         return judge_linear_campaign(whole) if whole else []
 
-    def kept_for_campaign(self, run: Run) -> bool:
-        return True
+    def sheet(self, runs: Sequence[Run]) -> Sheet:
+        from dtwin.kinds.linear.sheet import positioning_sheet
+
+        return positioning_sheet(runs)
+
+    def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
+        from dtwin.kinds.linear.sheet import positioning_figure
+
+        return positioning_figure(runs)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
         from dtwin.kinds.linear.report import positioning_result
@@ -97,7 +109,7 @@ class _Linear(Kind):
         return DRAWINGS
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.pipeline.twins import Twins
+        from dtwin.twins.verbs import Twins
 
         return Twins(home, library)
 
@@ -134,7 +146,7 @@ class _Linear(Kind):
 
     def twin_correction(self) -> TwinWay:
         from dtwin.kinds.linear.correction import freeze_axis, judge_axis
-        from dtwin.pipeline.twin_correction import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
+        from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
 

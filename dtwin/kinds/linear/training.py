@@ -26,12 +26,12 @@ from dtwin.kinds.linear.models import (
     averages_of,
     fit_dual,
 )
+from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms
-from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Training, TrainingReport
 from dtwin.train.symbolic import Engine

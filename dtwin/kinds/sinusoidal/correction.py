@@ -13,19 +13,19 @@ from dtwin.kinds.sinusoidal.candidates import Predicted, judged
 from dtwin.kinds.sinusoidal.freeze import tone_of, tone_twin_bundle
 from dtwin.kinds.sinusoidal.gates import correction_radius, dead_terms
 from dtwin.kinds.sinusoidal.groups import HELD_OUT, ToneGroups, load_tone_groups
+from dtwin.lake.store import Lake
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
 from dtwin.physics.tone_grid import ToneCondition
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
-from dtwin.pipeline.judged_twin import NAME, Judged
-from dtwin.pipeline.twin_data import pure_rms_um
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms
-from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate
 from dtwin.train.twin_terms import TwinBundle
+from dtwin.twins.judged import NAME, Judged
+from dtwin.twins.measured import pure_rms_um
 
 _FEWEST_FREQUENCIES, _FEWEST_AMPLITUDES = 3, 2
 

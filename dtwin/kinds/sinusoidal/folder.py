@@ -9,8 +9,8 @@ from typing import Any
 from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.signal_files import write_signals
 from dtwin.atomic import write_toml
+from dtwin.lake.parquet import table_of, write_parquet
 from dtwin.machines.turning import AnaloguePath
-from dtwin.parquet import table_of, write_parquet
 from dtwin.progress import Progress
 from dtwin.schema import Run, RunMeta
 

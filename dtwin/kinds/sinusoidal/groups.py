@@ -16,8 +16,8 @@ from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import HORIZON_S, SENT, TONE_FEATURES, tone_columns, tone_contract, tone_features
 from dtwin.features.windows import WindowContract
 from dtwin.kinds.sinusoidal.check import HEARD, commanded, followed, heard
+from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run
-from dtwin.store import Lake
 from dtwin.units import UM_PER_MM
 
 SENT_RMS, SENT_FREQUENCY, SENT_CREST = (

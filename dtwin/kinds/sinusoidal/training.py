@@ -16,9 +16,9 @@ from dtwin.kinds.sinusoidal.groups import (
     load_tone_groups,
     noise_floor_um,
 )
+from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.statistics import rms
-from dtwin.store import Lake
 from dtwin.train.results import Training, TrainingReport
 from dtwin.train.symbolic import Engine
 

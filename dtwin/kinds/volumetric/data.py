@@ -9,16 +9,16 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric.chain import COEFFICIENTS, design
 from dtwin.kinds.volumetric.heat_series import HeatSeries
 from dtwin.kinds.volumetric.identify import FIXED_POSE, Artefact, Balls, Settled
 from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
-from dtwin.pipeline.campaign_name import in_lake
+from dtwin.lake.store import Lake
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail
-from dtwin.store import Lake
 
 _ORDERS = (1, 2)
 _MOST_MORE = 3

@@ -12,13 +12,13 @@ from dtwin.errors import GateRefusal
 from dtwin.kinds.volumetric.judging import distance_changes_um
 from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
 from dtwin.kinds.volumetric.thermal_model import independent
+from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import box_factor
 from dtwin.statistics import rms, t_quantile
-from dtwin.store import Lake
 from dtwin.train.evidence import WITH, WITHOUT, Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 

@@ -13,6 +13,7 @@ from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric.plan import BallPlan
+from dtwin.lake.parquet import table_of, write_parquet
 from dtwin.machines.thermal_network import SCHEDULES
 from dtwin.machines.volumetric import (
     AZIMUTHS_DEG,
@@ -26,7 +27,6 @@ from dtwin.machines.volumetric import (
     VolumetricParameters,
     array_balls,
 )
-from dtwin.parquet import table_of, write_parquet
 from dtwin.progress import Progress
 from dtwin.schema import SignalGroup
 

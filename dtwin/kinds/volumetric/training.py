@@ -12,11 +12,11 @@ from dtwin.kinds.volumetric.bundle import volumetric_bundle
 from dtwin.kinds.volumetric.judging import distance_changes_um
 from dtwin.kinds.volumetric.session import Session, session_in
 from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal
+from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.statistics import rms
-from dtwin.store import Lake
 from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine

@@ -1,6 +1,6 @@
 """Twins of ball-array campaigns: fit, compare, diagnose, add, remove, discover, history.
 
-The verbs of :class:`dtwin.pipeline.twins.Twins`, for errors that heat makes in a volume.
+The verbs of :class:`dtwin.twins.verbs.Twins`, for errors that heat makes in a volume.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from dtwin.kinds.volumetric.heat_twin import (
     heat_twin_of,
 )
 from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
-from dtwin.pipeline.twin_shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 from dtwin.schema import Floats, require_name
+from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 30
 

@@ -9,8 +9,8 @@ import pytest
 
 from dtwin.acquire.amending import amend, amendment_findings, leave_out
 from dtwin.errors import InputError
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta, SignalGroup
-from dtwin.store import Lake
 
 CAMPAIGN = Campaign("c", "mill-a", instrument={"calibrated_mm": 100.0, "model": "bar"})
 

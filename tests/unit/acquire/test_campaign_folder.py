@@ -11,9 +11,9 @@ from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.ingest import ingest
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import InputError
-from dtwin.parquet import table_of, write_parquet
+from dtwin.lake.parquet import table_of, write_parquet
+from dtwin.lake.store import Lake
 from dtwin.schema import SignalGroup
-from dtwin.store import Lake
 
 HEAD = '[campaign]\nname = "c"\nmachine = "m"\nkind = "circular"\n'
 

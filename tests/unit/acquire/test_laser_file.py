@@ -12,9 +12,9 @@ from dtwin.acquire.ingest import ingest
 from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
 from dtwin.kinds.linear.laser_file import LaserTest, linear_error, read_laser_file, sign_rule, sweeps, write_laser_file
+from dtwin.lake.store import Lake
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
-from dtwin.store import Lake
 
 # The ten rows that the source thesis prints: its table 2-3 and figure 4.4.
 PRINTED_X = """Position\tLasRead\tLinearError\tStatus\tAirTemp\tAirPress\tMatTemp

@@ -13,8 +13,8 @@ from starlette.testclient import TestClient
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Floats, Run, RunMeta
-from dtwin.store import Lake
 from dtwin.workbench.access import Access
 from dtwin.workbench.bench import Bench
 from dtwin.workbench.server import application

@@ -11,9 +11,9 @@ from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.kinds.linear.plan import linear_plan
 from dtwin.kinds.linear.simulate import simulate_lathe
-from dtwin.pipeline.twin_watch import look_at
-from dtwin.pipeline.twins import Twins
-from dtwin.store import Lake
+from dtwin.lake.store import Lake
+from dtwin.twins.on_campaign import look_at
+from dtwin.twins.verbs import Twins
 
 AXIS = {
     "name": "axis",

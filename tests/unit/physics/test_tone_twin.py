@@ -12,15 +12,15 @@ import pytest
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_runs, virtual_slide
-from dtwin.parquet import write_parquet
+from dtwin.lake.parquet import write_parquet
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import chosen_terms
 from dtwin.physics.whitening import from_harmonics, to_harmonics
-from dtwin.pipeline.twin_data import load
 from dtwin.schema import Campaign, Run
+from dtwin.twins.measured import load
 
 LIBRARY = Library()
 TONES = Grid((5.0, 10.0, 20.0, 30.0, 40.0), (2.0, 5.0, 10.0))

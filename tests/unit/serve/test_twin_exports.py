@@ -19,6 +19,9 @@ from emitted import StructuredText, URScript
 
 from dtwin.errors import InputError
 from dtwin.kinds.circular.freeze import twin_bundle
+from dtwin.lifecycle.axis_tables import axis_table, compensation_file, csv_table
+from dtwin.lifecycle.export import Request, Source, export
+from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.machines.mill import VirtualMill
 from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.physics.effect import Instance
@@ -27,9 +30,6 @@ from dtwin.physics.library import Library
 from dtwin.physics.observations import observe
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, ValidityBox
-from dtwin.pipeline.axis_tables import axis_table, compensation_file, csv_table
-from dtwin.pipeline.exports import Request, Source, export
-from dtwin.pipeline.gcode_compensation import compensate
 
 LIBRARY = Library()
 EFFECTS: tuple[tuple[str, str, tuple[float, ...], dict[str, float]], ...] = (

@@ -11,8 +11,8 @@ from closed_loop import BEGIN, MACHINE, WITHOUT, circles, copied, in_lake, serve
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, GateRefusal, InputError
+from dtwin.lake.store import Lake
 from dtwin.schema import Campaign, Run, RunMeta
-from dtwin.store import Lake
 from dtwin.train.evidence import Evidence, EvidenceRun, evidence_of_runs
 from dtwin.train.evidence_runs import Gathered, gathered
 from dtwin.train.measured_ways import MeasuredWays

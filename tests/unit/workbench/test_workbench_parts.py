@@ -13,8 +13,8 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
-from dtwin.pipeline.twin_data import pure_rms_um
 from dtwin.plan import expand, training_plan
+from dtwin.twins.measured import pure_rms_um
 from dtwin.workbench.access import Access
 from dtwin.workbench.cache import Cache
 from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml

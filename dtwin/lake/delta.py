@@ -16,9 +16,9 @@ from deltalake.schema import Schema as DeltaSchema
 from deltalake.transaction import AddAction, CommitProperties, PostCommitHookProperties, RemoveAction
 
 from dtwin.atomic import make_folder, sync
-from dtwin.delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
 from dtwin.errors import StoreError
-from dtwin.parquet import encoded, read_encoded, write_bytes
+from dtwin.lake.delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
+from dtwin.lake.parquet import encoded, read_encoded, write_bytes
 
 _COMMIT_TRIES = 20
 # Log entries stay: repair reads in them which files were ever committed.

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.pipeline.twins_of_kind import every_shelf
+from dtwin.lake.store import Lake
 from dtwin.report.twin_of_kind import comparison_text, diagnosis_text
-from dtwin.store import Lake
+from dtwin.twins.of_kind import every_shelf
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from dtwin.physics.effect import Instance
 from dtwin.physics.learned import learned_effect, learned_name
 from dtwin.physics.problem import set_up
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.twin_data import load
 from dtwin.train.residual_formula import ResidualFormula, search_residual
 from dtwin.train.symbolic import Engine
+from dtwin.twins.measured import load
 
 if TYPE_CHECKING:
-    from dtwin.pipeline.twins import Twins
+    from dtwin.twins.verbs import Twins
 
 
 def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:

@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home, quiet_environment
+from dtwin.documents import read_document, write_document
 from dtwin.errors import StoreError
 from dtwin.locks import locked
-from dtwin.pipeline.documents import read_document, write_document
 
 if TYPE_CHECKING:
     from dtwin.train.registry import Registry
@@ -153,7 +153,7 @@ def log_soon(home: Home, name: str, *, at_once: bool) -> None:
     _children[:] = [child for child in _children if child.poll() is None]
     _children.append(
         subprocess.Popen(
-            [sys.executable, "-m", "dtwin.pipeline.twin_registration", str(home.root)],
+            [sys.executable, "-m", "dtwin.twins.registration", str(home.root)],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

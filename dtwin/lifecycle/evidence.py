@@ -10,13 +10,13 @@ from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.kinds.machine import FROM_THE_LAKE, EvidenceRequest, VirtualMachine
 from dtwin.kinds.registry import machine_of_type, machines
-from dtwin.pipeline.model_training import geometry_of, markdown_table
+from dtwin.lake.store import Lake
+from dtwin.lifecycle.train import geometry_of, markdown_table
 from dtwin.progress import Progress
 from dtwin.report.campaign import evidence_section, evidence_table
 from dtwin.report.html import page
 from dtwin.schema import Campaign
 from dtwin.serve.bundle import Bundle
-from dtwin.store import Lake
 from dtwin.train.evidence import WITH, WITHOUT, Evidence, evidence_of_runs
 from dtwin.train.evidence_record import keep, newest, require_same
 from dtwin.train.evidence_runs import gathered

@@ -12,9 +12,9 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.lifecycle.evidence import compute
+from dtwin.lifecycle.train import geometry_of
 from dtwin.machines.cobot import VirtualCobot
-from dtwin.pipeline.evidence import compute
-from dtwin.pipeline.model_training import CONDITIONS_FILE, geometry_of
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.machine_file import MACHINE_TYPES
@@ -24,6 +24,7 @@ from dtwin.train.evidence_record import newest
 from dtwin.train.promotion import withdraw
 from dtwin.train.recheck import CheckedRun, Recheck, interleaved_runs, judge, judge_evidence
 from dtwin.train.registry import RegisteredVersion, Registry
+from dtwin.train.results import CONDITIONS_FILE
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from dtwin.delta import DeltaFiles, Written
-from dtwin.parquet import table_of
+from dtwin.lake.delta import DeltaFiles, Written
+from dtwin.lake.parquet import table_of
 from dtwin.schema import Encoded
 
 

@@ -11,15 +11,14 @@ from typing import Any
 
 import pyarrow as pa
 
-from dtwin.admission import accepted, fresh
 from dtwin.atomic import make_folder
-from dtwin.delta import DeltaFiles
-from dtwin.delta_columns import content_hash
 from dtwin.errors import InputError, StoreError
-from dtwin.file_batch import Batch
-from dtwin.locks import take
-from dtwin.parquet import columns_of, table_of
-from dtwin.run_rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, meta_of, sealed, unsealed
+from dtwin.lake.admission import accepted, fresh
+from dtwin.lake.delta import DeltaFiles
+from dtwin.lake.delta_columns import content_hash
+from dtwin.lake.file_batch import Batch
+from dtwin.lake.parquet import columns_of, table_of
+from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, meta_of, sealed, unsealed
 from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
 TABLES = ("runs", "samples", "signals", "features", "rejects", "amendments")

@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dtwin.config import Home
+from dtwin.documents import read_document, write_document
 from dtwin.errors import InputError
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.documents import read_document, write_document
-from dtwin.pipeline.twin_registration import VERSIONS, log_soon, place_of
 from dtwin.schema import DEFAULT_KIND, require_name
+from dtwin.twins.registration import VERSIONS, log_soon, place_of
 
 if TYPE_CHECKING:
     from dtwin.kinds.volumetric.heat_twin import HeatTwin

@@ -9,20 +9,20 @@ from dataclasses import dataclass
 from typing import Any
 
 from dtwin.acquire.amending import AMENDED, amendment_findings
+from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.encoder_split import Cutoff
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
 from dtwin.physics import localise
 from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
-from dtwin.pipeline.campaign_name import in_lake
-from dtwin.pipeline.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
-from dtwin.pipeline.reduced_runs import keep_reduced, read_reduced, stamp_of
 from dtwin.schema import Campaign, Floats
-from dtwin.store import Lake
+from dtwin.twins.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
+from dtwin.twins.reduced_runs import keep_reduced, read_reduced, stamp_of
 
 
 @dataclass(frozen=True)

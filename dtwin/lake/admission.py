@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dtwin.errors import InputError
-from dtwin.run_rows import OF_CAMPAIGN, differences, run_row
+from dtwin.lake.rows import OF_CAMPAIGN, differences, run_row
 from dtwin.schema import Campaign, Run, require_name
 
 Rows = Mapping[str, dict[str, Any]]

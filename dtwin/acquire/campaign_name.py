@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from dtwin.config import Home
-from dtwin.store import Lake
+from dtwin.lake.store import Lake
 
 
 def in_lake(home: Home, campaign: str) -> str:
@@ -20,7 +20,7 @@ def in_lake(home: Home, campaign: str) -> str:
     """
     if campaign not in Lake(home.lake).campaigns() and Path(campaign).exists():
         # Readers of every kind, and numba: not for a campaign that is there.
-        from dtwin.pipeline.measuring import ingest
+        from dtwin.acquire.ingest import ingest
 
-        return ingest(Path(campaign), home).campaign
+        return ingest(Path(campaign), Lake(home.lake)).campaign
     return campaign

@@ -8,10 +8,10 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.pipeline.drift import champion_error, champion_of, trained_rows
-from dtwin.pipeline.model_training import Registered
+from dtwin.lake.store import Lake
+from dtwin.lifecycle.drift import champion_error, champion_of, trained_rows
+from dtwin.lifecycle.train import Registered
 from dtwin.report.html import Section, Table, page
-from dtwin.store import Lake
 from dtwin.train.promotion import verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
 

@@ -15,13 +15,13 @@ from typing import Any, Literal
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
+from dtwin.lifecycle.against_champion import Comparison, compare_with_champion
+from dtwin.lifecycle.drift import DriftCheck, campaign_of, champion_of, check_drift, trained_rows, usable
+from dtwin.lifecycle.train import Registered, train
 from dtwin.locks import locked
-from dtwin.pipeline.against_champion import Comparison, compare_with_champion
-from dtwin.pipeline.drift import DriftCheck, campaign_of, champion_of, check_drift, trained_rows, usable
-from dtwin.pipeline.model_training import Registered, train
 from dtwin.progress import StageProgress
 from dtwin.schema import Campaign
-from dtwin.store import Lake
 from dtwin.train.registry import Registry
 
 Outcome = Literal["trained", "checked", "skipped"]

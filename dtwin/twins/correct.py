@@ -16,16 +16,16 @@ from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um
-from dtwin.pipeline.judged_twin import Judged
-from dtwin.pipeline.model_training import CONDITIONS_FILE, require_uncorrected
-from dtwin.pipeline.twin_data import load
-from dtwin.pipeline.twins import Twins
 from dtwin.statistics import rms
+from dtwin.train.dataset import require_uncorrected
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import TRIAL_ONLY, check_version
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.results import TrainingReport
+from dtwin.train.results import CONDITIONS_FILE, TrainingReport
 from dtwin.train.twin_terms import TwinBundle
+from dtwin.twins.judged import Judged
+from dtwin.twins.measured import load
+from dtwin.twins.verbs import Twins
 
 BY_LAW = ("law-confirmed", "intervention-confirmed")
 # Served inside of what was measured only, nothing is carried on by a law: the shape must hold there.

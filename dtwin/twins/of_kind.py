@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
+from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.kinds.registry import kind_named, kinds
+from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
-from dtwin.pipeline.campaign_name import in_lake
-from dtwin.pipeline.twin_shelf import kind_of
-from dtwin.store import Lake
+from dtwin.twins.shelf import kind_of
 
 if TYPE_CHECKING:
     from dtwin.kinds.volumetric.twins import HeatTwins
-    from dtwin.pipeline.twins import Twins
+    from dtwin.twins.verbs import Twins
 
 
 def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> Twins | HeatTwins:

@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.lifecycle.gcode_program import Move, Passed, read_program
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.gcode_program import Move, Passed, read_program
 from dtwin.schema import Floats
 from dtwin.train.twin_axes import Motion, axis_errors_um
 from dtwin.units import UM_PER_MM

@@ -6,12 +6,12 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from dtwin.documents import finite, read_document, write_document
 from dtwin.errors import InputError
 from dtwin.physics.fit import Estimate, fit
-from dtwin.pipeline.documents import finite, read_document, write_document
-from dtwin.pipeline.twin_data import load
-from dtwin.pipeline.twin_shelf import TwinShelf
-from dtwin.pipeline.twins import Twins
+from dtwin.twins.measured import load
+from dtwin.twins.shelf import TwinShelf
+from dtwin.twins.verbs import Twins
 
 _GRADE = "intervention-confirmed"
 # Less than this share of what was there before must be left.

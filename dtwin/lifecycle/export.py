@@ -12,12 +12,11 @@ import numpy as np
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.lifecycle.axis_tables import MOST_TRIPLETS, TOLERANCE_UM, AxisTable, axis_table, compensation_file, csv_table
+from dtwin.lifecycle.export_heads import c_header, commented, said_of
+from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
-from dtwin.pipeline.axis_tables import MOST_TRIPLETS, TOLERANCE_UM, AxisTable, axis_table, compensation_file, csv_table
-from dtwin.pipeline.export_heads import c_header, commented, said_of
-from dtwin.pipeline.gcode_compensation import compensate
-from dtwin.pipeline.twins import Twins
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, read_json
 from dtwin.serve.export import identifier, to_c, to_latex, to_python
@@ -26,6 +25,7 @@ from dtwin.serve.pointer import resolve
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.twin_axes import AXES, own_axis_only
 from dtwin.train.twin_terms import choose
+from dtwin.twins.verbs import Twins
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
 TABLES = ("comp", "csv", "gcode")

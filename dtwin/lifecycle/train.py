@@ -9,23 +9,20 @@ from typing import TYPE_CHECKING, Any
 
 from dtwin.acquire.amending import amendment_findings
 from dtwin.config import Home
-from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.report.campaign import comparison_table, training_section
 from dtwin.report.html import page
-from dtwin.schema import Campaign
-from dtwin.store import Lake
+from dtwin.train.dataset import require_uncorrected
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import check_version, trial, verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.results import worse_in_sample
+from dtwin.train.results import CONDITIONS_FILE, worse_in_sample
 
 if TYPE_CHECKING:
     from dtwin.train.results import Training
     from dtwin.train.symbolic import Engine
-
-CONDITIONS_FILE = "conditions.json"
 
 
 @dataclass(frozen=True)
@@ -98,29 +95,6 @@ def train(
     if progress is not None:
         progress("log and register", 1, 1, f"version {version.version}")
     return Registered(training, registry.version(report.machine, version.version), verdicts)
-
-
-def require_uncorrected(campaign: Campaign) -> None:
-    """Refuse a campaign that was measured under a correction.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What an equation would be made of.
-
-    Raises
-    ------
-    InputError
-        When its geometry says so.
-    """
-    if campaign.machine_geometry.get("corrected", False):
-        raise InputError(
-            "a correction was in force during this campaign: it shows what that left, not the machine",
-            code="train.corrected",
-            where=campaign.name,
-            got="corrected = true",
-            hint="use a campaign without; dtwin twin fit shows what is left of this one",
-        )
 
 
 def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> Path:

@@ -25,8 +25,8 @@ from dtwin.errors import StoreError
 from dtwin.physics import grid, gridding, observations
 from dtwin.physics.gridding import CIRCLE, N_BINS, Condition
 from dtwin.physics.observations import Observations
-from dtwin.pipeline import encoder_comparison
 from dtwin.schema import Campaign, Floats, RunMeta, require_name
+from dtwin.twins import encoder_comparison
 
 _ARRAYS = ("y_um", "mask", "condition_of", "setup_of", "run_of", "feed_mm_s")
 _COLUMN, _CONTROLLER, _WORDS = "column:", "controller_um", "words"

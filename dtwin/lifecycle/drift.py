@@ -11,11 +11,11 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.motion import PATH_INPUTS
+from dtwin.lake.store import TABLES, Lake
 from dtwin.progress import Progress
 from dtwin.schema import Finding, Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.store import TABLES, Lake
 from dtwin.train.candidates import score
 from dtwin.train.dataset import TICK_HZ, TickRun, load_ticks
 from dtwin.train.registry import RegisteredVersion, Registry

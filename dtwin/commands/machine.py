@@ -1,0 +1,147 @@
+"""Commands about machines: what is known of one, its tests, twins and models."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from dtwin.commands.output import emit
+from dtwin.errors import InputError
+
+if TYPE_CHECKING:
+    from dtwin.machine_record import MachineRecord
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+Name = Annotated[str, typer.Argument(help="The machine, as campaigns name it.")]
+
+app_machine = typer.Typer(no_args_is_help=True, help="What is known of a machine, and what happened to it.")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the application."""
+    app.add_typer(app_machine, name="machine")
+
+
+@app_machine.command()
+def add(
+    name: Name,
+    type: Annotated[str | None, typer.Option(help="What it is, such as a 3-axis mill.")] = None,
+    serial: Annotated[str | None, typer.Option(help="Serial number.")] = None,
+    controller: Annotated[str | None, typer.Option(help="Control and its version.")] = None,
+    instruments: Annotated[str | None, typer.Option(help="What measures it.")] = None,
+    notes: Annotated[str | None, typer.Option(help="Anything else.")] = None,
+    axis: Annotated[list[str] | None, typer.Option(help="AXIS:travel_mm=500,pitch_mm=10; may be repeated.")] = None,
+    tolerance: Annotated[
+        list[str] | None, typer.Option(help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10'.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """State what is known of a machine, or state it anew; what is not given stays."""
+    from dtwin.config import home
+    from dtwin.machine_record import MachineRecord, read_record, record_from, write_record
+
+    known = read_record(home(), name) or MachineRecord(name)
+    stated = {"type": type, "serial": serial, "controller": controller, "instruments": instruments, "notes": notes}
+    facts = {key: value for key, value in stated.items() if value is not None}
+    document = known.as_dict() | facts
+    document["axes"] |= dict(map(_axis, axis or []))
+    document["tolerances"] |= dict(map(_tolerance, tolerance or []))
+    record = record_from(name, document, name)
+    file = write_record(home(), record)
+    emit({"machine": name, **record.as_dict()}, lambda: f"{_record_text(record)}\nkept in {file}", as_json=as_json)
+
+
+@app_machine.command()
+def event(
+    name: Name,
+    what: Annotated[str, typer.Argument(help="repair, crash, moved, compensated or other.")],
+    on: Annotated[str, typer.Option(help="Day, such as 2026-11-02; else today.")] = "",
+    note: Annotated[str, typer.Option(help="What was done or seen.")] = "",
+    as_json: Json = False,
+) -> None:
+    """Note what happened to a machine, so that its history can be read."""
+    from dtwin.config import home
+    from dtwin.machine_record import with_event
+
+    record = with_event(home(), name, what, on, note)
+    emit({"machine": name, **record.as_dict()}, lambda: _record_text(record), as_json=as_json)
+
+
+@app_machine.command("list")
+def list_machines(as_json: Json = False) -> None:
+    """List machines that have a record or a campaign."""
+    from dtwin.config import home
+    from dtwin.pipeline.machine_history import machine_overviews
+    from dtwin.report.text import table
+
+    found = machine_overviews(home())
+    rows = [
+        [m["machine"], m["type"] or "-", len(m["campaigns"]), m["last_test"] or "-", len(m["twins"])] for m in found
+    ]
+    head = ("machine", "type", "campaigns", "last test", "twins")
+    emit({"machines": found}, lambda: table(head, rows) if rows else "no machine yet", as_json=as_json)
+
+
+@app_machine.command()
+def show(name: Name, as_json: Json = False) -> None:
+    """Show a machine: what is known of it, its tests in their order with the figures of the standard."""
+    from dtwin.commands.output import ProgressLine
+    from dtwin.config import home
+    from dtwin.pipeline.machine_history import machine_history
+
+    found = machine_history(home(), name, ProgressLine("figures", quiet=as_json))
+    emit(found, lambda: _history_text(found), as_json=as_json)
+
+
+def _axis(text: str) -> tuple[str, dict[str, float]]:
+    axis, _, rest = text.partition(":")
+    pairs = [part.partition("=") for part in rest.split(",") if part]
+    return axis, {key.strip(): _number(value, text) for key, _, value in pairs}
+
+
+def _tolerance(text: str) -> tuple[str, Any]:
+    symbol, _, bounds = text.rpartition("=")
+    low, colon, high = bounds.partition(":")
+    if not colon:
+        return symbol, _number(low, text)
+    pairs = (("low", low), ("high", high))
+    return symbol, {name: _number(value, text) for name, value in pairs if value.strip()}
+
+
+def _number(text: str, where: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            "not a number",
+            code="machine.number",
+            where=where,
+            got=text[:40],
+            allowed="SYMBOL=10, SYMBOL=-5:5, X:travel_mm=500,pitch_mm=10",
+        ) from None
+
+
+def _record_text(record: MachineRecord) -> str:
+    lines = [record.name, *(f"  {name}: {value}" for name, value in record.facts.items())]
+    for axis, known in record.axes.items():
+        lines.append(f"  axis {axis}: " + ", ".join(f"{name} {value:g}" for name, value in known.items()))
+    lines += [f"  {symbol} {limits} µm" for symbol, limits in record.tolerances.items()]
+    lines += [f"  {e.on.isoformat()} {e.what}" + (f": {e.note}" if e.note else "") for e in record.events]
+    return "\n".join(lines)
+
+
+def _history_text(found: Mapping[str, Any]) -> str:
+    from dtwin.report.text import table
+
+    lines = [found["machine"], *(f"  {key}: {value}" for key, value in found["facts"].items())]
+    rows = [
+        [t["started"][:10], t["campaign"], t["kind"], t["figure"] or "-", t["shown"] or "-", t["decision"] or "-"]
+        for t in found["tests"]
+    ]
+    rows += [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in found["events"]]
+    if rows:
+        lines += ["", table(("day", "test or note", "kind", "figure", "µm", "decision"), sorted(rows))]
+    lines += ["", f"twins: {', '.join(found['twins']) or 'none'}", f"champion: {found['champion'] or 'none'}"]
+    return "\n".join(lines)

@@ -1,0 +1,116 @@
+"""Test sheet of circular tests after ISO 230-4: both directions, their figures and their picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.physics.circular import bidirectional_figures, circular_figures, fit_circle, residual_um
+from dtwin.report.plots import polar_figure
+from dtwin.report.sheet import Characteristic, Part, Sheet, pooled, repeated, sound_runs
+from dtwin.schema import Floats, Run
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+_WAYS = ("CCW", "CW")
+Arc = tuple[Floats, Floats]
+
+
+def circular_sheet(runs: Sequence[Run]) -> Sheet:
+    """Evaluate every condition of a campaign.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        With ``angle_deg`` and ``deviation_um``; runs with an error of quality are left out where there are others, and named.
+    """
+    conditions: dict[tuple[str, float, float], list[Run]] = {}
+    notes = []
+    for run in runs:
+        m = run.meta
+        if m.radius_mm is None or m.direction is None:
+            notes.append(f"{m.run_id} is not evaluated: it has no radius or direction.")
+        else:
+            conditions.setdefault((m.plane or "", m.radius_mm, m.feed_mm_min or 0.0), []).append(run)
+    parts = []
+    for (plane, radius_mm, feed), members in sorted(conditions.items()):
+        title = f"{plane} R{radius_mm:g}" + (f" F{feed:g}" if feed else "")
+        kept: list[Run] = []
+        for way in _WAYS:
+            evaluated, said = sound_runs([r for r in members if r.meta.direction == way])
+            kept += evaluated
+            notes += said
+        sound = not any(f.severity == "error" for run in kept for f in run.findings)
+        try:
+            parts.append(Part(title, tuple(r.meta.run_id for r in kept), _figures(kept, radius_mm), sound))
+        except InputError as error:
+            notes.append(f"{title} is not evaluated: {error.message}.")
+    basis = "repeatability of the runs (unit of replication: the run, pooled over conditions)"
+    return Sheet("ISO 230-4, circular test", "G(b)", pooled(parts), basis, tuple(notes))
+
+
+def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...]:
+    found: list[Characteristic] = []
+    for way in _WAYS:
+        each = [circular_figures(*_arc(run), radius_mm) for run in runs if run.meta.direction == way]
+        if each:
+            words = "counter-clockwise" if way == "CCW" else "clockwise"
+            found += [
+                repeated(f"G({way})", f"circular deviation, {words}", [e.circular_deviation_um for e in each]),
+                repeated(f"Fmax({way})", "largest radial deviation", [e.radial_deviation_max_um for e in each]),
+                repeated(f"Fmin({way})", "smallest radial deviation", [e.radial_deviation_min_um for e in each]),
+            ]
+    pairs = [bidirectional_figures(_arc(up), _arc(down), radius_mm) for up, down in _pairs(runs)]
+    if pairs:
+        found += [
+            repeated(
+                "G(b)", "bi-directional circular deviation", [p.circular_deviation_common_centre_um for p in pairs]
+            ),
+            repeated("H", "radial hysteresis", [p.hysteresis_um for p in pairs]),
+            repeated("D", "mean bi-directional radial deviation", [p.mean_bidirectional_radius_um for p in pairs]),
+        ]
+    return tuple(found)
+
+
+def _pairs(runs: Sequence[Run]) -> list[tuple[Run, Run]]:
+    """Return the runs of both directions that belong together: same set-up, in their order."""
+    found = []
+    for setup in dict.fromkeys(run.meta.setup for run in runs):
+        ways = [[r for r in runs if r.meta.setup == setup and r.meta.direction == way] for way in _WAYS]
+        ordered = [sorted(way, key=lambda r: r.meta.repeat) for way in ways]
+        found += list(zip(*ordered, strict=False))
+    return found
+
+
+def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
+    """Draw the first run of each direction about one centre.
+
+    Parameters
+    ----------
+    runs : sequence of Run
+        Of one condition.
+    """
+    pairs = _pairs(runs)
+    shown = list(pairs[0]) if pairs else list(runs[:1])
+    radius = float(shown[0].meta.radius_mm or 0.0)
+    arcs = [_arc(run) for run in shown]
+    angle, deviation = (np.concatenate(part) for part in zip(*arcs, strict=True))
+    circle = fit_circle(angle, deviation, radius)
+    curves = {
+        f"{run.meta.direction} ({run.meta.run_id})": (
+            arc[0],
+            residual_um(*arc, radius, circle) + circle.radius_change_um,
+        )
+        for run, arc in zip(shown, arcs, strict=True)
+    }
+    title = "Radial deviation about one centre" if len(shown) == 2 else "Radial deviation, centre removed"
+    return polar_figure(curves, radius, title=title, plane=shown[0].meta.plane)
+
+
+def _arc(run: Run) -> Arc:
+    part = slice(*run.window) if run.window is not None else slice(None)
+    return run.samples["angle_deg"][part], run.samples["deviation_um"][part]

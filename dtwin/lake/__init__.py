@@ -1,0 +1,3 @@
+"""The lake: Parquet tables of runs, samples and signals, with a log of commits."""
+
+__all__: list[str] = []

@@ -1,0 +1,182 @@
+"""What is known of a machine besides its tests: axes, controller, tolerances, and what happened to it."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Any
+
+from dtwin.atomic import make_folder, write_toml
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.schema import require_name
+from dtwin.tolerances import Limits, limits_from
+
+FACTS = ("type", "serial", "controller", "instruments", "notes")
+EVENTS = ("repair", "crash", "moved", "compensated", "other")
+_AXIS = ("travel_mm", "pitch_mm")
+_LONGEST = 2000
+_MAX_BYTES = 1_000_000
+_FIELDS = (*FACTS, "axes", "tolerances", "events")
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened to a machine, on a day; ``what`` is one of ``EVENTS``."""
+
+    on: date
+    what: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class MachineRecord:
+    """What a user stated of a machine.
+
+    Attributes
+    ----------
+    name : str
+        As campaigns name it.
+    facts : mapping of str to str
+        Some of ``FACTS``.
+    axes : mapping of str to mapping
+        ``travel_mm`` and ``pitch_mm`` of an axis, where they are known.
+    tolerances : mapping of str to Limits
+        By the symbol of a test sheet, such as ``G(b)`` or ``A``.
+    events : tuple of Event
+        In the order of their days.
+    """
+
+    name: str
+    facts: Mapping[str, str] = field(default_factory=dict)
+    axes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    tolerances: Mapping[str, Limits] = field(default_factory=dict)
+    events: tuple[Event, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what the file holds; days are ISO 8601 text."""
+        return {
+            **self.facts,
+            "axes": {axis: dict(known) for axis, known in self.axes.items()},
+            "tolerances": {symbol: limits.stated() for symbol, limits in self.tolerances.items()},
+            "events": [{"on": e.on.isoformat(), "what": e.what, "note": e.note} for e in self.events],
+        }
+
+
+def read_record(home: Home, machine: str) -> MachineRecord | None:
+    """Return the record of a machine, None when there is none.
+
+    Raises
+    ------
+    InputError
+        When the name is not usable, or the file is not a record.
+    """
+    path = _path(home, machine)
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"more than {_MAX_BYTES} bytes")
+        stated = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise _refused(str(path), str(error)[:120], "a TOML file") from error
+    return record_from(machine, stated, str(path))
+
+
+def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineRecord:
+    """Check what is stated of a machine, and return its record.
+
+    Raises
+    ------
+    InputError
+        When a field is unknown or not usable.
+    """
+    unknown = sorted(set(stated) - set(_FIELDS))
+    if unknown:
+        raise _refused(where, ", ".join(unknown)[:120], ", ".join(_FIELDS))
+    facts = {name: _text(stated[name], f"{where}: {name}") for name in FACTS if stated.get(name)}
+    axes = {axis: _axis(known, f"{where}: axes.{axis}") for axis, known in _table(stated, "axes", where).items()}
+    tolerances = limits_from(_table(stated, "tolerances", where), f"{where}: tolerances")
+    events = stated.get("events", [])
+    if not isinstance(events, list):
+        raise _refused(f"{where}: events", str(events)[:60], "a list of tables")
+    made = [_event(event, f"{where}: events") for event in events]
+    return MachineRecord(machine, facts, axes, tolerances, tuple(sorted(made, key=lambda e: e.on)))
+
+
+def write_record(home: Home, record: MachineRecord) -> Path:
+    """Write a record whole, and return its file."""
+    path = _path(home, record.name)
+    make_folder(path.parent)
+    return write_toml(path, record.as_dict(), "the record of a machine")
+
+
+def with_event(home: Home, machine: str, what: str, on: str, note: str) -> MachineRecord:
+    """Add an event to a record, which is made when there is none; an empty day is today."""
+    known = read_record(home, machine) or MachineRecord(machine)
+    day = on or datetime.now(UTC).date().isoformat()
+    event = _event({"on": day, "what": what, "note": note}, "the event")
+    record = replace(known, events=tuple(sorted([*known.events, event], key=lambda e: e.on)))
+    write_record(home, record)
+    return record
+
+
+def tolerances_of(home: Home, machine: str) -> Mapping[str, Limits]:
+    """Return the limits that the record of a machine states, by symbol."""
+    known = read_record(home, machine)
+    return {} if known is None else known.tolerances
+
+
+def recorded(home: Home) -> list[str]:
+    """Return the machines that have a record."""
+    return sorted(path.stem for path in home.machines.glob("*.toml"))
+
+
+def _path(home: Home, machine: str) -> Path:
+    return home.machines / f"{require_name(machine, 'the machine')}.toml"
+
+
+def _table(stated: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
+    value = stated.get(name, {})
+    if not isinstance(value, Mapping):
+        raise _refused(f"{where}: {name}", str(value)[:60], "a table")
+    return value
+
+
+def _text(value: object, where: str) -> str:
+    if not isinstance(value, str) or len(value) > _LONGEST:
+        raise _refused(where, str(value)[:60], f"text of at most {_LONGEST} characters")
+    return value
+
+
+def _axis(value: object, where: str) -> dict[str, float]:
+    if not isinstance(value, Mapping) or not set(value) <= set(_AXIS):
+        raise _refused(where, str(value)[:60], ", ".join(_AXIS))
+    for name, number in value.items():
+        good = isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number) and number > 0
+        if not good:
+            raise _refused(f"{where}.{name}", str(number)[:60], "a positive number")
+    return {name: float(number) for name, number in value.items()}
+
+
+def _event(value: object, where: str) -> Event:
+    if not isinstance(value, Mapping) or not {"on", "what"} <= set(value) <= {"on", "what", "note"}:
+        raise _refused(where, str(value)[:60], "on, what, note")
+    if value["what"] not in EVENTS:
+        raise _refused(f"{where}: what", str(value["what"])[:60], ", ".join(EVENTS))
+    on = value["on"]
+    try:
+        day = on if type(on) is date else date.fromisoformat(on)
+    except (TypeError, ValueError):
+        raise _refused(f"{where}: on", str(on)[:60], "a day such as 2026-11-02") from None
+    return Event(day, value["what"], _text(value.get("note", ""), f"{where}: note"))
+
+
+def _refused(where: str, got: str, allowed: str) -> InputError:
+    return InputError(
+        "the record of a machine is not usable", code="machine.record", where=where, got=got, allowed=allowed
+    )
