@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from dtwin.acquire.recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
 from dtwin.errors import StoreError
 from dtwin.lake.parquet import columns_of, write_parquet
+from dtwin.locks import take
 from dtwin.schema import Finding, SignalGroup
 from dtwin.units import unit_of
 

@@ -19,6 +19,7 @@ from dtwin.lake.delta_columns import content_hash
 from dtwin.lake.file_batch import Batch
 from dtwin.lake.parquet import columns_of, table_of
 from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, meta_of, sealed, unsealed
+from dtwin.locks import take
 from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
 TABLES = ("runs", "samples", "signals", "features", "rejects", "amendments")
