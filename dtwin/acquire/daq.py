@@ -280,11 +280,6 @@ class AccelerometerTask(OpenAndClose):
             )
 
 
-def module_rates_hz() -> tuple[float, ...]:
-    """Return the rates of an NI-9234, fastest first: 51 200 Hz divided by 1 to 31."""
-    return tuple(_MASTER_HZ / divisor for divisor in range(1, _SLOWEST_DIVISOR + 1))
-
-
 def _require_sense(channels: Sequence[AccelerometerChannel], rate_hz: float, block_s: float) -> None:
     names = [c.name for c in channels]
     slowest = _MASTER_HZ / _SLOWEST_DIVISOR
