@@ -280,7 +280,7 @@ def _instrument(root: Element, bar: Element, where: str) -> dict[str, str | floa
         found["model"] = _text(ballbar, "MODEL")
         found["serial"] = _text(ballbar, "SERIAL_NUMBER")
         found["certificate"] = _text(ballbar, "CERTIFICATE_NUMBER")
-        found["calibrated_on"] = _text(ballbar, "LAST_CALIBRATED")
+        found["calibrated_on"] = _day(_text(ballbar, "LAST_CALIBRATED"))
     found["operator"] = _text(root, "OPERATOR")
     found = {name: value for name, value in found.items() if value}
     for key, element, tag in (
@@ -312,6 +312,11 @@ def _temperature(element: Element, where: str) -> dict[str, float]:
 
 def _text(element: Element, tag: str) -> str:
     return (element.findtext(tag) or "").strip()
+
+
+def _day(text: str) -> str:
+    """Return a day as ISO 8601; what is none stays as it is."""
+    return f"{text[:4]}-{text[4:6]}-{text[6:]}" if len(text) == 8 and text.isdigit() else text
 
 
 def _maybe_float(text: str) -> float | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from dtwin.config import Home
@@ -15,6 +15,8 @@ from dtwin.report.checking import campaign_sheet
 from dtwin.serve.pointer import resolve
 from dtwin.twins.of_kind import every_shelf
 
+SheetOf = Callable[[str], dict[str, Any]]
+
 
 def machine_overviews(home: Home) -> list[dict[str, Any]]:
     """Return every machine that has a record or a campaign, JSON-ready, by name."""
@@ -24,7 +26,9 @@ def machine_overviews(home: Home) -> list[dict[str, Any]]:
     return [_overview(home, name, [r for r in rows if r["machine"] == name], twins.get(name, [])) for name in names]
 
 
-def machine_history(home: Home, machine: str, progress: Progress | None = None) -> dict[str, Any]:
+def machine_history(
+    home: Home, machine: str, progress: Progress | None = None, sheet_of: SheetOf | None = None
+) -> dict[str, Any]:
     """Return what is known of a machine, with the test sheet of each of its campaigns, JSON-ready.
 
     Parameters
@@ -35,6 +39,8 @@ def machine_history(home: Home, machine: str, progress: Progress | None = None) 
         As campaigns name it.
     progress : callable, optional
         Called with (done, total, what).
+    sheet_of : callable, optional
+        Returns the test sheet of a campaign where it is kept; else it is made of the runs.
 
     Raises
     ------
@@ -53,7 +59,7 @@ def machine_history(home: Home, machine: str, progress: Progress | None = None) 
     for done, (name, (started, kind)) in enumerate(sorted(starts.items(), key=lambda item: item[1]), start=1):
         test: dict[str, Any] = {"campaign": name, "kind": kind, "started": started, "sheet": None}
         if kind_named(kind).offers("sheet"):
-            test["sheet"] = campaign_sheet(lake, name, record.tolerances)
+            test["sheet"] = campaign_sheet(lake, name, record.tolerances) if sheet_of is None else sheet_of(name)
         tests.append(test | _headline(test["sheet"]))
         if progress is not None:
             progress(done, len(starts), name)
@@ -83,7 +89,15 @@ def _headline(sheet: dict[str, Any] | None) -> dict[str, Any]:
     """Return the first figure of the condition where it is largest, and the decision of the whole sheet."""
     parts = [part for part in (sheet or {"parts": []})["parts"] if part["characteristics"]]
     if sheet is None or not parts:
-        return {"figure": "", "condition": "", "value_um": None, "shown": "", "decision": ""}
+        return {
+            "figure": "",
+            "condition": "",
+            "value_um": None,
+            "expanded_um": None,
+            "limit_um": None,
+            "shown": "",
+            "decision": "",
+        }
     symbol = sheet["headline"]
     told = [(c, p) for p in parts for c in p["characteristics"] if c["symbol"] == symbol]
     told = told or [(p["characteristics"][0], p) for p in parts]
@@ -93,6 +107,8 @@ def _headline(sheet: dict[str, Any] | None) -> dict[str, Any]:
         "figure": largest["symbol"],
         "condition": part["title"],
         "value_um": largest["value_um"],
+        "expanded_um": largest["expanded_um"],
+        "limit_um": largest["high_um"],
         "shown": shown,
         "decision": sheet["verdict"],
     }

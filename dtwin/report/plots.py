@@ -102,12 +102,20 @@ def polar_figure(
 def _start(angle_deg: Floats, drawn: Floats, colour: str) -> go.Scatterpolar:
     """Return where a run starts and which way it goes, as a dot and an arrow; radii in drawn millimetres."""
     ahead = int(np.argmax(np.abs(angle_deg - angle_deg[0]) > _ARROW_DEG))
-    places = [0, ahead] if ahead else [0]
+    places = [0, ahead]
+    # A triangle points up; along the path it leans to the left by the angle, and is turned over clockwise.
+    backwards = angle_deg[ahead] < angle_deg[0]
+    marker = {
+        "color": colour,
+        "size": [8, 12 if ahead else 0],
+        "symbol": ["circle", "triangle-up"],
+        "angle": [0.0, float((180.0 if backwards else 0.0) - angle_deg[ahead])],
+    }
     return go.Scatterpolar(
         theta=[float(angle_deg[p]) for p in places],
         r=[float(drawn[p]) for p in places],
         mode="markers",
-        marker={"color": colour, "size": [7, 13], "symbol": ["circle", "arrow"], "angleref": "previous"},
+        marker=marker,
         showlegend=False,
         hoverinfo="skip",
     )

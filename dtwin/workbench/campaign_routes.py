@@ -20,7 +20,7 @@ from dtwin.workbench import campaigns
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.jobs import Tell
 from dtwin.workbench.pages import accepted, drawn, rendered
-from dtwin.workbench.reading import campaign_floor
+from dtwin.workbench.reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
 
 router = APIRouter()
@@ -68,8 +68,8 @@ def campaign_list(request: Request) -> Response:
 
 
 @router.get("/campaigns/{name}")
-def campaign_page(request: Request, name: str) -> Response:
-    """Show a campaign with its runs, and what can be done with it."""
+def campaign_page(request: Request, name: str, part: int = 0) -> Response:
+    """Show a campaign: its test sheet, its runs, and what can be done with it."""
     bench = bench_of(request)
     rows = _rows(bench, name)
     version = bench.lake_version
@@ -79,6 +79,8 @@ def campaign_page(request: Request, name: str) -> Response:
     fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
     kind = kind_named(overview.kind)
     paths = kind.offers("rows")
+    sheet = campaign_sheet_of(bench, name, overview.machine) if kind.offers("sheet") else None
+    shown = sheet["parts"][part] if sheet and 0 <= part < len(sheet["parts"]) else None
     return rendered(
         request,
         "campaign.html",
@@ -87,12 +89,30 @@ def campaign_page(request: Request, name: str) -> Response:
         runs=rows,
         findings=findings,
         kind=kind,
+        instrument=bench.lake.campaign(name).instrument,
+        sheet=sheet,
+        part=part,
+        shown=shown,
         paths=paths,
         effects=campaigns.possible_effects(rows, bench.library) if paths else FAMILIES.values(),
         with_twins=[known.name for known in kinds() if known.always_fitted],
         suggested=_free_name(list(rungs), overview.machine),
         fitted=fitted,
     )
+
+
+@router.get("/api/campaigns/{name}/sheet/{part}")
+def sheet_figure(request: Request, name: str, part: int) -> Response:
+    """Return the picture of one condition of the test sheet."""
+    bench = bench_of(request)
+    rows = _rows(bench, name)
+    kind = kind_named(rows[0]["kind"])
+    parts = campaign_sheet_of(bench, name, rows[0]["machine"])["parts"]
+    if not 0 <= part < len(parts):
+        raise InputError("there is no such condition", code="page.unknown", where=name, got=str(part))
+    wanted = set(parts[part]["runs"])
+    runs = [bench.lake.load(row, signals=False) for row in rows if row["run_id"] in wanted]
+    return drawn(kind.sheet_figure(runs))
 
 
 @router.get("/campaigns/{name}/runs/{run_id}")
@@ -205,6 +225,9 @@ def _ingested(bench: Bench, folder: Path, told: Mapping[str, Any], tell: Tell) -
     for name in dict.fromkeys(names):
         tell(f"prepare the pages of {name}")
         campaign_floor(bench, name)
+        known = bench.lake.campaign(name)
+        if kind_named(known.kind).offers("sheet"):
+            campaign_sheet_of(bench, name, known.machine)
     return f"/campaigns/{names[0]}" if len(set(names)) == 1 else "/campaigns"
 
 

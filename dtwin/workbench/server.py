@@ -24,6 +24,7 @@ from dtwin.workbench import (
     heat_pages,
     job_routes,
     live_routes,
+    machine_routes,
     measuring_routes,
     model_routes,
     models,
@@ -45,6 +46,7 @@ def application(bench: Bench) -> Guarded:
     app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
     app.state.bench = bench
     for part in (
+        machine_routes,
         campaign_routes,
         twin_routes,
         heat_pages,
@@ -56,7 +58,7 @@ def application(bench: Bench) -> Guarded:
         job_routes,
     ):
         app.include_router(part.router)
-    app.add_api_route("/", lambda: RedirectResponse("/campaigns", 303), include_in_schema=False)
+    app.add_api_route("/", lambda: RedirectResponse("/machines", 303), include_in_schema=False)
     app.add_api_route("/static/{name}", _static, include_in_schema=False)
     app.add_exception_handler(DtwinError, _said)
     app.add_exception_handler(ModuleNotFoundError, _absent)

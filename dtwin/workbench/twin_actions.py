@@ -29,7 +29,13 @@ class _FitRequest(BaseModel):
     robust: bool = False
 
 
-class _EffectRequest(BaseModel):
+class NameRequest(BaseModel):
+    """Name of a twin that is to be made."""
+
+    name: str = Field(max_length=100)
+
+
+class EffectRequest(BaseModel):
     """An effect, perhaps on one axis."""
 
     effect: str = Field(max_length=120)
@@ -125,6 +131,25 @@ def diagnose(request: Request, name: str) -> JSONResponse:
         return f"/twins/{name}/diagnose"
 
     return accepted(bench.jobs.start(f"Diagnose {name}", work))
+
+
+@router.post("/api/campaigns/{campaign}/find")
+def find(request: Request, campaign: str, wanted: NameRequest) -> JSONResponse:
+    """Fit a twin of nothing but the set-ups, and add every effect that the runs can tell."""
+    bench = bench_of(request)
+    require_name(wanted.name, "the twin")
+    bench.lake.campaign(campaign)
+    twins, known = twins_for(bench.home, bench.library, campaign)
+
+    def work(tell: Tell) -> str:
+        tell("fit the set-ups")
+        twins.fit(known, [], wanted.name)
+        tell("search for the effects, add each, and diagnose what is left")
+        made = twins.discover(wanted.name)[0]
+        tell(f"{len(made)} effects were added")
+        return f"/twins/{wanted.name}/diagnose"
+
+    return accepted(bench.jobs.start(f"Find what {campaign} can tell", work))
 
 
 @router.post("/api/twins/{name}/discover")

@@ -419,6 +419,51 @@ function watchDrop() {
   }
 }
 
+// ---- machines: what the last test of each says ----------------------------------------------------------
+const WORST = ["outside", "cannot say", "inside"];
+
+function sparkline(values) {
+  const [low, high] = [Math.min(...values), Math.max(...values)];
+  const place = (value, n) => `${(n * 96) / Math.max(values.length - 1, 1) + 2},${22 - ((value - low) / (high - low || 1)) * 20}`;
+  const points = values.map(place);
+  const ns = "http://www.w3.org/2000/svg";
+  const picture = document.createElementNS(ns, "svg");
+  picture.setAttribute("viewBox", "0 0 100 24");
+  picture.setAttribute("class", "spark");
+  picture.setAttribute("role", "img");
+  picture.setAttribute("aria-label", `${values.length} values from ${values[0].toFixed(1)} to ${values[values.length - 1].toFixed(1)} µm`);
+  const line = document.createElementNS(ns, "polyline");
+  line.setAttribute("points", (points.length > 1 ? points : [points[0], points[0]]).join(" "));
+  picture.append(line);
+  return picture;
+}
+
+async function fillMachine(row) {
+  const cell = (name) => row.querySelector(`[data-cell=${name}]`);
+  try {
+    const found = await ask(`/api/machines/${encodeURIComponent(row.dataset.machine)}/summary`);
+    if (!found.last) return;
+    cell("figure").textContent = `${found.last.figure} ${found.last.shown}`;
+    if (found.values_um.length > 1) cell("values").append(sparkline(found.values_um));
+    if (found.last.decision) {
+      const tag = document.createElement("span");
+      tag.className = `tag ${{ inside: "good", outside: "error" }[found.last.decision] || "warning"}`;
+      tag.textContent = found.last.decision;
+      cell("decision").append(tag);
+      row.dataset.order = WORST.indexOf(found.last.decision);
+    }
+  } catch (error) {
+    cell("decision").textContent = error.message.split("\n")[0];
+  }
+}
+
+async function fillMachines() {
+  const rows = all("[data-machine]");
+  for (const row of rows) await fillMachine(row);
+  const order = (row) => Number(row.dataset.order || WORST.length);
+  rows.sort((one, other) => order(one) - order(other)).forEach((row) => row.parentElement.append(row));
+}
+
 document.addEventListener("DOMContentLoaded", async () => {
   watchForms();
   watchDrop();
@@ -426,8 +471,9 @@ document.addEventListener("DOMContentLoaded", async () => {
   watchLive();
   watchMagnification();
   watchChooser();
+  all("select[data-submit]").forEach((select) => select.addEventListener("change", () => select.form.submit()));
   if (byId("signature")) byId("signature").addEventListener("change", () => draw(byId("signature-plot")));
   if (byId("chooser")) await listRuns().catch(() => {});
-  await Promise.all(all("[data-figure]").map(draw));
+  await Promise.all([...all("[data-figure]").map(draw), fillMachines()]);
   document.body.dataset.drawn = "yes";
 });
