@@ -14,6 +14,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.plan_file import read_plan_file
 from dtwin.schema import Direction, Finding, Plane, require_name, standard_plane
+from dtwin.units import is_number
 
 _MAX_TESTS = 100_000
 # A ball-bar mount lets a bar swing through half a turn in a vertical plane.
@@ -254,7 +255,7 @@ def _listed(grid: Mapping[str, Any], name: str, where: str) -> list[Any]:
 
 def _numbers(grid: Mapping[str, Any], name: str, where: str) -> list[float]:
     values = _listed(grid, name, where)
-    if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
+    if not all(is_number(v) for v in values):
         raise InputError(
             f"{name} must be numbers", code="plan.grid", where=f"{where} grid.{name}", got=repr(values)[:80]
         )

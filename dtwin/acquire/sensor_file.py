@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from dtwin.acquire.daq_windows import DaqWindows
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
+from dtwin.units import is_number
 
 _MAX_BYTES = 1_000_000
 _MOST_IEPE_MA = 20.0
@@ -153,8 +153,7 @@ def _number(
     table: Mapping[str, Any], name: str, where: str, low: float, high: float, default: float | None = None
 ) -> float:
     value = table.get(name, default)
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not good or not low <= float(value) <= high:
+    if not is_number(value) or not low <= value <= high:
         raise InputError(
             f"{name} is out of range",
             code="sensors.value",

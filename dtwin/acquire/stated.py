@@ -9,7 +9,7 @@ from datetime import date, datetime
 from typing import Any
 
 from dtwin.errors import InputError
-from dtwin.units import require_units
+from dtwin.units import is_number, require_units
 
 _DEEPEST = 6
 _LONGEST = 400
@@ -18,7 +18,7 @@ _CORRECTION = re.compile(r"([0-9a-f]{64}|mixed)?")
 
 def _number(value: object, name: str, where: str) -> float:
     """Return a finite number; truth values and text are none."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300:
+    if is_number(value):
         return float(value)
     raise _refused(name, where, value, "a finite number")
 

@@ -9,7 +9,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
-from dtwin.lifecycle.drift import champion_error, champion_of, trained_rows
+from dtwin.lifecycle.drift import champion_error, trained_rows
 from dtwin.lifecycle.train import Registered
 from dtwin.report.html import Section, Table, page
 from dtwin.train.promotion import verdict_lines
@@ -87,7 +87,7 @@ def compare_with_champion(home: Home, registered: Registered, rows: Sequence[dic
     """
     registry = Registry(home)
     report = registered.training.report
-    champion = champion_of(registry, report.machine)
+    champion = registry.champion(report.machine)
     tags = {"trained_by": "schedule"}
     if champion is None:
         registry.mark(registered.version, tags | {"against_champion": "there is no champion"})

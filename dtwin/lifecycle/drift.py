@@ -101,14 +101,6 @@ class DriftCheck:
         }
 
 
-def champion_of(registry: Registry, machine: str) -> RegisteredVersion | None:
-    """Return the machine's champion, None when nothing was promoted."""
-    try:
-        return registry.version(machine, "champion")
-    except InputError:
-        return None
-
-
 def campaign_of(registry: Registry, version: RegisteredVersion) -> str:
     """Return the campaign that a version was trained on."""
     return str(registry.client.get_run(version.run_id).data.params.get("campaign", ""))

@@ -17,7 +17,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.against_champion import Comparison, compare_with_champion
-from dtwin.lifecycle.drift import DriftCheck, campaign_of, champion_of, check_drift, trained_rows, usable
+from dtwin.lifecycle.drift import DriftCheck, campaign_of, check_drift, trained_rows, usable
 from dtwin.lifecycle.train import Registered, train
 from dtwin.locks import locked
 from dtwin.progress import StageProgress
@@ -188,7 +188,7 @@ def _obstacle(rows: list[dict[str, Any]], campaign: Campaign) -> str:
 
 def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
     """Judge the champion on a newer campaign unless the same runs were judged before."""
-    champion = champion_of(registry, item.machine)
+    champion = registry.champion(item.machine)
     plain = item.rows and not any(row["correction"] for row in item.rows)
     if champion is None or not plain:
         return None

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from dtwin.errors import InputError
+from dtwin.units import is_number
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -53,15 +53,9 @@ def record(kind: type[T], data: object, where: str, words: Mapping[str, Sequence
 
 def number(value: object, where: str) -> float:
     """Return a finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise _wrong_type(where, value, "a number")
-    try:
-        result = float(value)
-    except OverflowError:
-        result = math.inf
-    if not math.isfinite(result):
+    if not is_number(value):
         raise _wrong_type(where, value, "a finite number")
-    return result
+    return float(value)
 
 
 def whole(value: object, where: str) -> int:

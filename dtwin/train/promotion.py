@@ -90,7 +90,7 @@ def promote(
     kind = evidence.kind if evidence else "none"
     path = _freeze(home, found, bundle, verdicts, kind, valid_days)
     proved = _proved(evidence)
-    previous = _champion(registry, found.machine)
+    previous = registry.champion(found.machine)
     _write_machine(found.machine, home, geometry)
     allow(found.machine, home, int(found.version))
     write_pointer(found.machine, home, path, int(found.version), "champion", proved)
@@ -146,7 +146,7 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
     InputError
         When there is no previous champion.
     """
-    present = _champion(registry, machine)
+    present = registry.champion(machine)
     try:
         previous = registry.version(machine, "previous")
     except InputError as error:
@@ -250,13 +250,6 @@ def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Non
     known = machine_of_type(geometry.get("type"))
     if known is None or known.robot:
         write_machine(machine, home, dict(geometry))
-
-
-def _champion(registry: Registry, machine: str) -> RegisteredVersion | None:
-    try:
-        return registry.version(machine, "champion")
-    except InputError:
-        return None
 
 
 def _bundle_path(home: Home, found: RegisteredVersion) -> Path:

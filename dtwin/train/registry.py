@@ -198,6 +198,13 @@ class Registry:
             created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
         )
 
+    def champion(self, machine: str) -> RegisteredVersion | None:
+        """Return the machine's champion, None when nothing was promoted."""
+        try:
+            return self.version(machine, "champion")
+        except InputError:
+            return None
+
     def versions(self, machine: str) -> list[RegisteredVersion]:
         """Return all versions of a machine's model, newest first."""
         found = self.client.search_model_versions(f"name='{model_name(machine)}'")

@@ -35,7 +35,7 @@ class NameRequest(BaseModel):
     name: str = Field(max_length=100)
 
 
-class EffectRequest(BaseModel):
+class _EffectRequest(BaseModel):
     """An effect, perhaps on one axis."""
 
     effect: str = Field(max_length=120)

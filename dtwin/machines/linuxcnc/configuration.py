@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from dtwin.errors import InputError
+from dtwin.units import is_number
 
 AXES = "XYZ"
 TRAVEL_MM = 150.0
@@ -92,9 +93,8 @@ def read_faults(path: Path) -> MillFaults:
             "the faults cannot be read", code="linuxcnc.faults", where=str(path), got=str(error)[:120]
         ) from error
     for name, value in given.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool)
         low, high = _RANGES.get(name, (-1.0, 1.0))
-        if name not in names or not number or not low <= value <= high:
+        if name not in names or not is_number(value) or not low <= value <= high:
             raise InputError(
                 "this is no fault of the simulated mill",
                 code="linuxcnc.faults",
