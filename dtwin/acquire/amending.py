@@ -10,7 +10,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
-from dtwin.acquire import stated
+from dtwin.acquire import _stated as stated
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.lake.rows import findings_fields

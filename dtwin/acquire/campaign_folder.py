@@ -10,12 +10,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from dtwin.acquire import stated
+from dtwin.acquire import _stated as stated
+from dtwin.acquire._tabular import read_columns
+from dtwin.acquire._trace_json import read_trace_json
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.recovery import signal_findings
 from dtwin.acquire.signal_files import read_signals
-from dtwin.acquire.tabular import read_columns
-from dtwin.acquire.trace_json import read_trace_json
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kind_names

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.daq_faults import daq_faults
+from dtwin.acquire._daq_faults import daq_faults
+from dtwin.acquire._sample_ring import SampleRing
 from dtwin.acquire.instrument import Description, Reading
-from dtwin.acquire.sample_ring import SampleRing
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.opened import OpenAndClose
 from dtwin.schema import Finding, Floats

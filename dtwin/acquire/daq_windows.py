@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire._sample_ring import SampleRing
 from dtwin.acquire.daq import AccelerometerChannel
-from dtwin.acquire.sample_ring import SampleRing
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.features.windows import WindowContract
 from dtwin.schema import Floats
@@ -132,7 +132,7 @@ class DaqWindows:
         self._messages, theirs = os.pipe2(os.O_CLOEXEC)
         options = [f"--memory={memory}", f"--messages={theirs}", f"--capacity={capacity}"]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "dtwin.acquire.daq_worker", *options, f"--setup={setup}"],
+            [sys.executable, "-m", "dtwin.acquire._daq_worker", *options, f"--setup={setup}"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             pass_fds=(memory, theirs),

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.lone_table import open_table, safe_name
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256

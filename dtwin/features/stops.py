@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.features.spectrum import above, moving_rms
+from dtwin.features._spectrum import above, moving_rms
 from dtwin.schema import Floats
 
 

@@ -11,10 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
+from dtwin.machines._wandering import wandering
 from dtwin.machines.laser_trigger import LaserSetup, Triggered, watch
 from dtwin.machines.lathe_control import Motion
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork
-from dtwin.machines.wandering import wandering
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 

@@ -43,12 +43,12 @@ import numpy as np
 from dtwin.errors import DtwinError, InputError
 from dtwin.links import state as layout
 from dtwin.links import ur_registers as registers
+from dtwin.machines._offset_log import OffsetLog
+from dtwin.machines._rtde_session import Session
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CircleController
 from dtwin.machines.motion import CircleCondition
-from dtwin.machines.offset_log import OffsetLog
 from dtwin.machines.parameters import load_parameters
-from dtwin.machines.rtde_session import Session
 
 _LOG_LENGTH = 500_000
 _CATCH_UP_TICKS = 250

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.machines._wandering import wandering
 from dtwin.machines.turning import Slide
-from dtwin.machines.wandering import wandering
 from dtwin.schema import Floats
 
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from dtwin.physics._law_search import ScalingLaw
+from dtwin.physics._laws import LawTest
+from dtwin.physics._screen import Channel
 from dtwin.physics.fit import Estimate
-from dtwin.physics.law_search import ScalingLaw
-from dtwin.physics.laws import LawTest
-from dtwin.physics.screen import Channel
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats", "variance_effect"]
 Grade = Literal["shape-consistent", "law-confirmed", "intervention-confirmed"]

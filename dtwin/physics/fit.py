@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
+from dtwin.physics._shapes import refined
+from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Problem, Term, least_visible, set_up, setup_columns, unweighted
-from dtwin.physics.shapes import refined
 from dtwin.physics.solve import in_blocks, solve_blocks
-from dtwin.physics.uncertainty import expanded
 from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 

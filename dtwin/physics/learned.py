@@ -7,8 +7,8 @@ import re
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.physics._law_search import ScalingLaw
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
-from dtwin.physics.law_search import ScalingLaw
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.physics._kept_columns import condition_key, kept_columns
 from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.grid import Grid, PathCondition
 from dtwin.physics.gridding import CIRCLE, Indices
-from dtwin.physics.kept_columns import condition_key, kept_columns
 from dtwin.physics.state import State
 from dtwin.physics.whitening import to_harmonics
 from dtwin.schema import Campaign, Floats, Run, RunMeta

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
-from dtwin.physics.few_runs import along, inside, smooth_share
+from dtwin.physics._few_runs import along, inside, smooth_share
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import condition_sums, from_harmonics, harmonic_numbers, smoothed, within_condition

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.physics._hunt import best_set
+from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
+from dtwin.physics._rivals import Found, described, refined_candidate
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
-from dtwin.physics.hunt import best_set
 from dtwin.physics.localise import in_angle, systematic_rms_um
-from dtwin.physics.material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics.problem import Problem, Term, weighted_like
-from dtwin.physics.rivals import Found, described, refined_candidate
 from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level
 from dtwin.statistics import holm
 

@@ -10,9 +10,9 @@ from dtwin.errors import DeviceError
 from dtwin.links import state as layout
 from dtwin.links.axis_link import AxisLink
 from dtwin.schema import Floats
-from dtwin.serve.axis_inputs import AxisInputs
+from dtwin.serve._axis_inputs import AxisInputs
+from dtwin.serve._end_of_serving import fault_of
 from dtwin.serve.decision import Decision
-from dtwin.serve.end_of_serving import fault_of
 from dtwin.serve.journal import LINK_LOST, Note, Sparing
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.lockstep import serve_lockstep

@@ -10,8 +10,8 @@ from dtwin.errors import DeviceError, GateRefusal, InputError
 from dtwin.links.axis_link import AxisLink, Clock, Greeting
 from dtwin.links.ur import UrLink
 from dtwin.links.virtual_key import proves
+from dtwin.serve._axis_inputs import AxisInputs
 from dtwin.serve.analogue_link import AnalogueLink
-from dtwin.serve.axis_inputs import AxisInputs
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.controller_kind import is_loopback, is_virtual
 from dtwin.serve.loop import Mode

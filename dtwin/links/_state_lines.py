@@ -7,7 +7,7 @@ import time
 from abc import abstractmethod
 
 from dtwin.links import state as layout
-from dtwin.links.line_socket import LineSocket
+from dtwin.links._line_socket import LineSocket
 from dtwin.links.opened import OpenAndClose
 
 

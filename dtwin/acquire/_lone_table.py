@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from dtwin.acquire._tabular import kind_of_table, read_columns
 from dtwin.acquire.campaign_folder import RUN_KEYS, CampaignFolder, campaign_from, entry_from
-from dtwin.acquire.tabular import kind_of_table, read_columns
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from dtwin.physics._laws import LawTest, law_tests
+from dtwin.physics._rivals import Found
 from dtwin.physics.candidates import Candidate
 from dtwin.physics.diagnosis import Grade
-from dtwin.physics.laws import LawTest, law_tests
-from dtwin.physics.rivals import Found
 
 SHOWN = 8
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.physics._dictionary import Dictionary, Entry
+from dtwin.physics._shapes import refined
 from dtwin.physics.candidates import Candidate, Candidates, probes
 from dtwin.physics.cross_validation import left_out_gain
-from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.physics.score import NoiseLevel, misfit, noise_level, score_test
-from dtwin.physics.shapes import refined
 from dtwin.schema import Floats
 
 _GROUP_GAIN = 0.5

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dtwin.physics._dictionary import Dictionary, Entry
 from dtwin.physics.candidates import Candidates
-from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
 from dtwin.physics.whitening import from_harmonics, harmonic_numbers

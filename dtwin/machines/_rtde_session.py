@@ -7,7 +7,7 @@ import socket
 import struct
 from collections.abc import Callable
 
-from dtwin.machines import rtde_protocol as rtde
+from dtwin.machines import _rtde_protocol as rtde
 from dtwin.schema import Floats
 
 _BACKLOG_LIMIT = 1 << 20

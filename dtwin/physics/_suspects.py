@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from dtwin.physics import localise
+from dtwin.physics._grading import SHOWN, grade_of, survivors, variables
+from dtwin.physics._laws import LawTest
+from dtwin.physics._rivals import Found
 from dtwin.physics.candidates import Candidate, Candidates
 from dtwin.physics.cross_validation import left_out_gain
 from dtwin.physics.diagnosis import Suspect
 from dtwin.physics.fit import fit
-from dtwin.physics.grading import SHOWN, grade_of, survivors, variables
-from dtwin.physics.laws import LawTest
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, unweighted
-from dtwin.physics.rivals import Found
 from dtwin.physics.search import Search
 
 

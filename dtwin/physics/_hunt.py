@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.physics._dictionary import Dictionary, Entry
+from dtwin.physics._shapes import refined_together
 from dtwin.physics.candidates import Candidates
-from dtwin.physics.dictionary import Dictionary, Entry
 from dtwin.physics.localise import condition_means
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, weighted_like
-from dtwin.physics.shapes import refined_together
 from dtwin.physics.whitening import from_harmonics, inverse_root, smoothed
 from dtwin.schema import Floats
 
