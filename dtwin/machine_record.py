@@ -39,8 +39,6 @@ class MachineRecord:
 
     Attributes
     ----------
-    name : str
-        As campaigns name it.
     facts : mapping of str to str
         Some of ``FACTS``.
     axes : mapping of str to mapping

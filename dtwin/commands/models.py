@@ -249,13 +249,7 @@ def report(
 
 
 def machine_named(registry: Registry, named: str | None) -> str:
-    """Return the machine that was named, or the only one that has a model.
-
-    Raises
-    ------
-    InputError
-        When none has a model, or several have and none was named.
-    """
+    """Return the machine that was named, or the only one that has a model."""
     known = registry.machines()
     if named is not None:
         return named

@@ -13,14 +13,7 @@ from typing import Any
 def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:
     """Print a result.
 
-    Parameters
-    ----------
-    payload : mapping
-        Machine-readable form.
-    text : callable
-        Makes the readable form; called only when it is wanted.
-    as_json : bool
-        Which of the two.
+    ``text``: makes the readable form; called only when it is wanted.
     """
     if as_json:
         print(json.dumps(clean(payload), indent=2, default=str))
@@ -44,12 +37,7 @@ def clean(value: Any) -> Any:
 class ProgressLine:
     """One line on stderr that counts; silent when short, when piped, and with ``--json``.
 
-    Parameters
-    ----------
-    title : str
-        What is being done.
-    quiet : bool
-        Never print.
+    ``quiet``: never print.
     """
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:

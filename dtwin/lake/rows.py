@@ -113,13 +113,7 @@ def sealed(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.Table:
 
 
 def unsealed(rows: pa.Table, schema: pa.Schema, where: str) -> list[dict[str, Any]]:
-    """Return the rows of a table after comparing its columns and every row's hash.
-
-    Raises
-    ------
-    StoreError
-        When the columns are not those of ``schema``, or a row is not what was written.
-    """
+    """Return the rows of a table after comparing its columns and every row's hash."""
     found: list[dict[str, Any]] = rows.to_pylist()
     names = {field.name: field.type for field in schema}
     if found and {field.name: field.type for field in rows.schema} != names:

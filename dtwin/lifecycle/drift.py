@@ -29,16 +29,9 @@ DRIFT = "champion.drift"
 class ChampionError:
     """The champion's error on runs, as if it had been served to them.
 
-    Attributes
-    ----------
-    rms_um, before_um : float
-        Set-up-corrected error with the champion, and without any model.
-    noise_floor_um : float
-        What repeats disagree by; NaN without repeats.
-    outside_box_share : float
-        Share of the rows at which serving would have sent no correction.
-    n_runs : int
-        Number of runs.
+    ``rms_um``, ``before_um``: set-up-corrected error with the champion, and without any model.
+    ``noise_floor_um``: what repeats disagree by; NaN without repeats.
+    ``outside_box_share``: share of the rows at which serving would have sent no correction.
     """
 
     rms_um: float
@@ -109,14 +102,7 @@ def campaign_of(registry: Registry, version: RegisteredVersion) -> str:
 def trained_rows(registry: Registry, lake: Lake, version: RegisteredVersion) -> list[dict[str, Any]]:
     """Return the rows of ``runs`` that a version was trained on, by its table version.
 
-    Parameters
-    ----------
-    registry : Registry
-        Says which campaign.
-    lake : Lake
-        Says what the campaign held then.
-    version : RegisteredVersion
-        The version.
+    ``lake``: says what the campaign held then.
     """
     params = registry.client.get_run(version.run_id).data.params
     at = {name: int(params.get(f"table_version.{name}", -1)) for name in TABLES}
@@ -137,17 +123,6 @@ def check_drift(home: Home, champion: RegisteredVersion, campaign: str, progress
     of a trained condition, or, for radii or feeds that it was never trained on, with these left
     out. It has drifted when that exceeds what repeats of the same condition disagree by. Planes
     that it was never trained on say nothing about drift.
-
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    champion : RegisteredVersion
-        The served version.
-    campaign : str
-        Campaign in the lake.
-    progress : callable, optional
-        Called with (done, total, what).
     """
     lake, registry = Lake(home.lake), Registry(home)
     known = trained_rows(registry, lake, champion)
@@ -192,23 +167,8 @@ def champion_error(
 ) -> ChampionError:
     """Return a version's error on runs in the lake, with its frozen bundle.
 
-    Parameters
-    ----------
-    registry : Registry
-        Holds the bundle.
-    champion : RegisteredVersion
-        The version.
-    lake : Lake
-        Holds the runs.
-    rows : sequence of dict
-        Rows of the table ``runs``, of one campaign.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Raises
-    ------
-    InputError
-        When the bundle needs more than the path says, or predicts no radial error.
+    ``rows``: rows of the table ``runs``, of one campaign.
+    Raises ``InputError`` when the bundle needs more than the path says, or predicts no radial error.
     """
     bundle = Bundle.from_dict(registry.bundle(champion))
     _require_path_only(bundle)
@@ -229,19 +189,9 @@ def champion_error(
 def predicted_um(bundle: Bundle, run: TickRun, horizon_s: float) -> tuple[Floats, Any]:
     """Return a bundle's radial error at the rows of a run, and where it lies outside its box.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        A bundle over path inputs.
-    run : TickRun
-        The run.
-    horizon_s : float
-        How far the equation looks ahead: its output at a tick is for that much later.
-
-    Returns
-    -------
-    predicted, outside : tuple of ndarray, shape (rows,)
-        Clamped, and zero outside the validity box, as served.
+    ``bundle``: a bundle over path inputs.
+    ``horizon_s``: how far the equation looks ahead: its output at a tick is for that much later.
+    Returns (rows,): clamped, and zero outside the validity box, as served.
     """
     columns = [PATH_INPUTS.index(name) for name in bundle.tick_inputs]
     inputs = run.inputs[:, columns].astype(float)

@@ -29,18 +29,9 @@ _CREEP_MM_S = 1e-9
 class Compensated:
     """A compensated program.
 
-    Attributes
-    ----------
-    text : str
-        The program.
-    points : int
-        Motions that were written.
-    largest_um : float
-        Largest shift of a point.
-    interpolation_um : float
-        Largest distance between the written chords and the compensated path, at their middles.
-    outside : int
-        Evaluated points outside of the positions that were measured.
+    ``largest_um``: largest shift of a point.
+    ``interpolation_um``: largest distance between the written chords and the compensated path, at their middles.
+    ``outside``: evaluated points outside of the positions that were measured.
     """
 
     text: str
@@ -60,8 +51,6 @@ def compensate(
 
     Parameters
     ----------
-    text : str
-        The program.
     twin : Twin
         The twin, reduced to what offsets can correct.
     origin_mm : ndarray, shape (3,)

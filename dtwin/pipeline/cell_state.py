@@ -30,15 +30,7 @@ _MOST_PARTS = 100
 
 
 class CellFile:
-    """The state of one cell below ``DTWIN_HOME/cells``.
-
-    Parameters
-    ----------
-    home : Home
-        Where it is.
-    name : str
-        Name of the cell.
-    """
+    """The state of one cell below ``DTWIN_HOME/cells``."""
 
     def __init__(self, home: Home, name: str) -> None:
         self.folder = home.root / "cells" / require_name(name, "the cell")

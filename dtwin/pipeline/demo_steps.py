@@ -79,10 +79,6 @@ class Steps(Protocol):
 
         Parameters
         ----------
-        name : str
-            One word.
-        title : str
-            For people.
         do : callable
             The step; calls the methods of the work that it is given.
         """
@@ -94,8 +90,6 @@ class PlainSteps:
 
     Parameters
     ----------
-    home : Home
-        Where everything is kept.
     progress : callable
         Returns a progress callback for a title.
     """
@@ -111,12 +105,7 @@ class PlainSteps:
 class PlainWork:
     """``Work`` by the functions of ``dtwin.pipeline``.
 
-    Parameters
-    ----------
-    home : Home
-        Where everything is kept.
-    progress : callable
-        Returns a progress callback for a title.
+    ``progress``: returns a progress callback for a title.
     """
 
     def __init__(self, home: Home, progress: ProgressOf) -> None:

@@ -21,19 +21,10 @@ WINDOW_S = 800 / 1651.6
 class IntegrationCheck:
     """What double integration answers for a known error, with ideal sensors.
 
-    Attributes
-    ----------
-    run : str
-        Which run's error was sent through the chain.
-    error_um : float
-        RMS of that error.
-    answer_um : float
-        RMS of what the chain answers: every restart begins with an unknown velocity.
-    filtered_um, filtered_correlation : float
-        The same with the spectral threshold at which a particle swarm found least loss, and
-        how that answer correlates with the error.
-    cutoff_g2 : float
-        That threshold.
+    ``run``: which run's error was sent through the chain.
+    ``answer_um``: RMS of what the chain answers: every restart begins with an unknown velocity.
+    ``filtered_um``, ``filtered_correlation``: the same with the spectral threshold at which a particle swarm found
+    least loss, and how that answer correlates with the error.
     """
 
     run: str
@@ -61,10 +52,7 @@ class IntegrationCheck:
 def _check_integration(run: Run) -> IntegrationCheck:
     """Send a run's measured error through coupling, threshold and restarted integration.
 
-    Parameters
-    ----------
-    run : Run
-        A circular run; the error is what remains after its centre and radius.
+    ``run``: a circular run; the error is what remains after its centre and radius.
     """
     error_mm = _error_mm(run)
     rate_hz = run.meta.sample_rate_hz

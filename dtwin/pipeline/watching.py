@@ -29,13 +29,9 @@ class WatchEvent:
 
     Attributes
     ----------
-    path : str
-        What arrived.
     outcome : str
         ``ingested``, ``unchanged`` (the same content was there), ``unknown machine`` (left where it
         is), ``not accepted`` (the reader says no), ``not reachable`` (the folder cannot be read).
-    message : str
-        For people.
     campaign : str
         Campaign in the lake, empty when nothing was ingested.
     """
@@ -55,8 +51,6 @@ class FolderWatch:
 
     Parameters
     ----------
-    folder : Path
-        What is watched.
     home : Home
         Lake, and what is known of the folder's files.
     machines : collection of str
@@ -174,14 +168,10 @@ def watch(
 
     Parameters
     ----------
-    folder_watch : FolderWatch
-        What is watched.
     tell : callable
         Is told of everything that happened.
     wait : callable
         Waits so many seconds; true ends the watch.
-    every_s : float
-        Time between two looks.
     once : bool
         End when everything that is there has been taken or refused.
     """

@@ -33,13 +33,7 @@ def no_tolerances(machine: str) -> Mapping[str, Limits]:
 
 
 def sheet_of(kind: Kind, campaign: Campaign, runs: Sequence[Run], limits: Mapping[str, Limits]) -> dict[str, Any]:
-    """Return the test sheet of runs with their findings, JSON-ready.
-
-    Raises
-    ------
-    InputError
-        When the instrument's ``uncertainty_um`` is no size.
-    """
+    """Return the test sheet of runs with their findings, JSON-ready."""
     stated = campaign.instrument.get("uncertainty_um")
     if stated is not None and not (isinstance(stated, int | float) and 0.0 <= stated < 1e6):
         raise InputError(

@@ -23,14 +23,7 @@ _FILE = "interventions.json"
 class Change:
     """One parameter before and after.
 
-    Attributes
-    ----------
-    name, unit : str
-        Parameter.
-    before, after : float
-        Estimates.
-    before_uncertainty, after_uncertainty : float
-        Expanded, k = 2; unit of replication: the run.
+    ``before_uncertainty``, ``after_uncertainty``: expanded, k = 2; unit of replication: the run.
     """
 
     name: str
@@ -64,18 +57,7 @@ class Change:
 class Intervention:
     """One effect before and after somebody mended its cause.
 
-    Attributes
-    ----------
-    effect : str
-        Label, with axis.
-    what : str
-        What was done.
-    before_campaign, after_campaign : str
-        Measurements.
-    changes : tuple of Change
-        Its parameters.
-    confirmed : bool
-        Whether every parameter that was there went.
+    ``confirmed``: whether every parameter that was there went.
     """
 
     effect: str
@@ -95,14 +77,10 @@ def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Inte
 
     Parameters
     ----------
-    twins : Twins
-        Where the twin is.
     name, effect : str
         The twin, and the label of one of its effects: ``backlash:X``.
     after : str
         Campaign on the same machine after the cause was mended.
-    what : str
-        What was done, for the record.
 
     Returns
     -------

@@ -16,15 +16,7 @@ PREFIX = "learned_formula_"
 
 
 class WithFormulas(Mapping[str, Effect]):
-    """A library and the formulas of a folder.
-
-    Parameters
-    ----------
-    library : mapping of str to Effect
-        Other effects.
-    folder : Path
-        Where formulas are kept.
-    """
+    """A library and the formulas of a folder."""
 
     def __init__(self, library: Mapping[str, Effect], folder: Path) -> None:
         self.library, self.folder = library, folder

@@ -39,16 +39,10 @@ class DynamicsRequest:
         Readings per revolution after resampling by angle.
     q_um2, r_um2 : float, optional
         Variances of the Kalman filters; the published ones without.
-    cutoff_upr : float
-        Of the low-pass.
     alpha : float
         Of the unscented filters.
     tuned, fitness : str
         What the swarm varies (``ratio``, ``alpha``, empty for nothing), and how it judges.
-    swarm : SwarmSettings
-        Size and seed of the swarm.
-    effects : tuple of str
-        Of the twin.
     """
 
     how: str = "twin"
@@ -65,20 +59,7 @@ class DynamicsRequest:
 
 
 def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
-    """Return the filter that is asked for, None for the twin and for the slow reference.
-
-    Parameters
-    ----------
-    request : DynamicsRequest
-        What is wanted.
-    radius_mm : float
-        Nominal radius.
-
-    Raises
-    ------
-    InputError
-        When there is no such filter.
-    """
+    """Return the filter that is asked for, None for the twin and for the slow reference."""
     given = {"q_um2": request.q_um2, "r_um2": request.r_um2}
     variances = {k: v for k, v in given.items() if v is not None}
     if request.how in ("twin", "reference"):
@@ -96,15 +77,7 @@ def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
 
 
 def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
-    """Return the radial error about the least-squares circle, shape (n,).
-
-    Parameters
-    ----------
-    turn : Turn
-        One revolution.
-    radius_mm : float
-        Nominal radius.
-    """
+    """Return the radial error about the least-squares circle, shape (n,)."""
     circle = fit_circle(turn.angle_deg, turn.deviation_um, radius_mm)
     return residual_um(turn.angle_deg, turn.deviation_um, radius_mm, circle)
 
@@ -114,10 +87,6 @@ def twin_static_um(obs: Observations, effects: Sequence[str], library: Library |
 
     Parameters
     ----------
-    obs : Observations
-        Runs.
-    effects : sequence of str
-        Names.
     library : Library, optional
         Effects; the built-in ones without.
     """
@@ -136,8 +105,6 @@ def alpha_sensitivity(turn: Turn, chosen: Filter | None) -> dict[str, list[float
 
     Parameters
     ----------
-    turn : Turn
-        One revolution.
     chosen : Filter or None
         Anything but an unscented filter gives None.
 

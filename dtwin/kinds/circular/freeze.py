@@ -40,8 +40,6 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
 
     Parameters
     ----------
-    twin : Twin
-        The twin.
     obs : Observations
         The runs that it was fitted to: logged channels and their means come from there.
     horizon_s : float
@@ -234,21 +232,10 @@ def radial_error_um(
 ) -> Floats:
     """Evaluate a bundle's radial error over path angles, slowly, for tables and checks.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        From ``twin_bundle``.
-    angle_rad : ndarray, shape (n,)
-        Path angles.
-    plane, direction, radius_mm, feed_mm_min
-        The circle.
-    covariates : mapping of str to float
-        Logged channels that the bundle asks for.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        um, positive outwards.
+    ``bundle``: from ``twin_bundle``.
+    ``angle_rad``, (n,): path angles.
+    ``covariates``: logged channels that the bundle asks for.
+    Returns (n,): um, positive outwards.
     """
     fixed = {
         DIRECTION: 1.0 if direction == "CCW" else -1.0,

@@ -44,8 +44,6 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
     ----------
     result : dict
         ``Study.result``.
-    curves : mapping of str to (angle_deg, error_um)
-        Measured and left, by name.
     """
     steps = [_step(step) for step in result["plan"]]
     return [
@@ -70,10 +68,7 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
 def waterfall(result: Mapping[str, Any]) -> go.Figure:
     """Return how the error on the pass not fitted fell, down to the look-up and the floor.
 
-    Parameters
-    ----------
-    result : dict
-        ``Study.result``.
+    ``result``: ``Study.result``.
     """
     rungs = result["ladders"][result["best"]]
     names = ["set-up only", *(f"{n}. {r['label']}" for n, r in enumerate(rungs, 1))]

@@ -23,10 +23,8 @@ Arc = tuple[Floats, Floats]
 def circular_sheet(runs: Sequence[Run]) -> Sheet:
     """Evaluate every condition of a campaign.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With ``angle_deg`` and ``deviation_um``; runs with an error of quality are left out where there are others, and named.
+    ``runs``: with ``angle_deg`` and ``deviation_um``; runs with an error of quality are left out where there are
+    others, and named.
     """
     conditions: dict[tuple[str, float, float], list[Run]] = {}
     notes = []
@@ -87,13 +85,7 @@ def _pairs(runs: Sequence[Run]) -> list[tuple[Run, Run]]:
 
 
 def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
-    """Draw the first run of each direction about one centre.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Of one condition.
-    """
+    """Draw the first run of each direction about one centre."""
     pairs = _pairs(runs)
     shown = list(pairs[0]) if pairs else list(runs[:1])
     radius = float(shown[0].meta.radius_mm or 0.0)

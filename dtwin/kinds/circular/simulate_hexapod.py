@@ -22,12 +22,7 @@ _BETWEEN = timedelta(minutes=5)
 def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
     """Return the published sweep: YZ, 50 mm, nine feeds, twice, both directions.
 
-    Parameters
-    ----------
-    quick : bool
-        Three of the feeds.
-    seed : int
-        Of the order.
+    ``quick``: three of the feeds.
     """
     grid = {
         "plane": ["YZ"],
@@ -43,10 +38,7 @@ def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
 class VirtualHexapodBench:
     """A hexapod that exists only as legs and equations, with ball bar and accelerometer.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the machine, its mountings and its noise.
+    ``seed``: seed of the machine, its mountings and its noise.
     """
 
     name = "virtual-hexapod"

@@ -53,19 +53,6 @@ def symbolic_candidate(
 
     The scores are those of formulas that were searched, chosen and refitted without what they
     predict.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of a campaign.
-    engine : Engine
-        Search engine.
-    machine : str
-        Machine that the bundle is for.
-    seed : int
-        Seed of search and subsample.
-    table_versions : dict of str to int
-        Versions of the lake's tables.
     """
     columns = _columns(rows)
     fitted = _searched(rows, columns, np.ones(rows.n, dtype=bool), engine, seed)

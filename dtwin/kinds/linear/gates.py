@@ -27,10 +27,7 @@ _PLACES = 41
 class PathAnswers:
     """Answers of one bundle along paths; each path begins with a fresh memory.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Takes ``position_mm`` and perhaps ``direction_1``.
+    ``bundle``: takes ``position_mm`` and perhaps ``direction_1``.
     """
 
     def __init__(self, bundle: Bundle) -> None:
@@ -43,12 +40,8 @@ class PathAnswers:
         A bundle that asks for a direction gets the sign of the newest motion, as the published
         program computes it.
 
-        Parameters
-        ----------
-        position_in : ndarray, shape (n,)
-            Positions, tick by tick; the axis is taken to come from below.
-        standing : float, optional
-            Direction that is told while the axis stands still; that of the newest motion without.
+        ``position_in``, (n,): positions, tick by tick; the axis is taken to come from below.
+        ``standing``: direction that is told while the axis stands still; that of the newest motion without.
         """
         step = np.sign(np.diff(position_in, prepend=position_in[0] - 1.0))
         if standing is None:
@@ -66,12 +59,8 @@ class PathAnswers:
 def along(bundle: Bundle, position_in: Floats) -> Floats:
     """Return the predicted error in um of a bundle along successive positions, shape (n,).
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Takes ``position_mm`` and perhaps ``direction_1``.
-    position_in : ndarray, shape (n,)
-        Positions, tick by tick.
+    ``bundle``: takes ``position_mm`` and perhaps ``direction_1``.
+    ``position_in``, (n,): positions, tick by tick.
     """
     return PathAnswers(bundle).along(position_in)
 
@@ -79,14 +68,7 @@ def along(bundle: Bundle, position_in: Floats) -> Floats:
 def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> list[Verdict]:
     """Judge the equation of a positioning error by everything that needs no machine.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The equation.
-    pitch_in : float
-        Travel in one turn of the screw.
-    reach_in : tuple of float
-        Mapped travel.
+    ``pitch_in``: travel in one turn of the screw.
     """
     places = np.linspace(reach_in[0] + 0.3 * pitch_in, reach_in[1] - 0.3 * pitch_in, _PLACES)
     answers = PathAnswers(bundle)
@@ -101,12 +83,7 @@ def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, fl
 def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     """Judge a registered equation by everything that needs no motion.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The equation.
-    metrics : mapping of str to float
-        What training logged: scores of runs left out, the screw, latency.
+    ``metrics``: what training logged: scores of runs left out, the screw, latency.
     """
     known = {name: metrics.get(name, float("nan")) for name in _LOGGED}
     pitch, low, high, share, rms, table, worst = known.values()

@@ -27,13 +27,9 @@ def without_run(test: LinearTest, run: int) -> LinearTest:
 def runs_left_out(test: LinearTest, expected_um: Callable[[int], Floats]) -> Floats:
     """Leave out every run in turn; return what is left of it, shape (2 targets, runs).
 
-    Parameters
-    ----------
-    test : LinearTest
-        Two runs or more.
-    expected_um : callable
-        Given the number of the run that is left out, returns the errors in both directions that the
-        others let expect, shape (2 targets,).
+    ``test``: two runs or more.
+    ``expected_um``: given the number of the run that is left out, returns the errors in both directions that the others
+    let expect, shape (2 targets,).
     """
     error = stacked(test)[2]
     return np.column_stack([error[:, k] - expected_um(k) for k in range(error.shape[1])])
@@ -53,10 +49,7 @@ def table_rms_um(test: LinearTest) -> float:
 def noise_floor_um(test: LinearTest) -> float:
     """Return what runs disagree by at the same target and direction: pooled standard deviation.
 
-    Parameters
-    ----------
-    test : LinearTest
-        Two runs or more; drift between the runs counts.
+    ``test``: two runs or more; drift between the runs counts.
     """
     return spread_um(np.vstack([test.forward_um, test.reverse_um]))
 

@@ -30,15 +30,10 @@ _SENSES: tuple[Sense, ...] = ("decrease", "increase")
 class LaserTest:
     """Content of a laser file.
 
-    Attributes
-    ----------
-    raw : ndarray, shape (n, 7)
-        ``COLUMNS`` in the order of measurement; lengths in the file's unit, temperatures in
-        degrees Fahrenheit, pressure in inches of mercury.
-    averages : ndarray, shape (m, 2)
-        Mean error at each target, forward sweep first; empty for a single run.
-    rejects : list of dict
-        Lines that hold no row: ``row`` (line number from 1), ``reason``, ``values``.
+    ``raw``, (n, 7): ``COLUMNS`` in the order of measurement; lengths in the file's unit, temperatures in degrees
+    Fahrenheit, pressure in inches of mercury.
+    ``averages``, (m, 2): mean error at each target, forward sweep first; empty for a single run.
+    ``rejects``: lines that hold no row: ``row`` (line number from 1), ``reason``, ``values``.
     """
 
     raw: Floats
@@ -55,11 +50,6 @@ def read_laser_file(path: Path) -> LaserTest:
     """Read a laser file.
 
     The header may be broken over two lines and columns parted by tabs or blanks, as exports do.
-
-    Parameters
-    ----------
-    path : Path
-        Text file.
 
     Raises
     ------
@@ -97,15 +87,7 @@ def read_laser_file(path: Path) -> LaserTest:
 
 
 def write_laser_file(path: Path, test: LaserTest) -> Path:
-    """Write a laser file in one step.
-
-    Parameters
-    ----------
-    path : Path
-        File to write or replace.
-    test : LaserTest
-        What was measured.
-    """
+    """Write a laser file in one step."""
     lines = ["\t".join(COLUMNS)]
     lines += [
         f"{p:z.5f}\t{reading:z.6f}\t{error:z.6f}\t{status:z.0f}\t{air:z.2f}\t{press:z.2f}\t{mat:z.2f}"
@@ -140,17 +122,8 @@ def linear_error(position: Floats, reading: Floats, start: float, sense: Sense) 
 def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:
     """Return the sense that explains the file's own errors, and whether their sign is the rule's.
 
-    Parameters
-    ----------
-    test : LaserTest
-        The file.
-
-    Returns
-    -------
-    sense : str or None
-        None when neither sense explains the errors, with either sign.
-    right : bool
-        False when the errors are commanded minus actual.
+    Returns ``sense``: none when neither sense explains the errors, with either sign.
+    Returns ``right``: false when the errors are commanded minus actual.
     """
     position, reading = test.column("Position"), test.column("LasRead")
     stated = test.column("LinearError")
@@ -170,15 +143,8 @@ def sweeps(position: Floats) -> list[tuple[slice, int]]:
     At a turn the same target is read twice, from one side and from the other; where one of the
     two is missing, the other belongs to the sweep before.
 
-    Parameters
-    ----------
-    position : ndarray, shape (n,)
-        Targets in the order of measurement.
-
-    Returns
-    -------
-    list of (slice, int)
-        Rows of each sweep, and +1 or -1 for its direction.
+    ``position``, (n,): targets in the order of measurement.
+    Rows of each sweep, and +1 or -1 for its direction.
     """
     found: list[tuple[slice, int]] = []
     begun, sign = 0, 0

@@ -52,8 +52,6 @@ class LinearPlan:
         How far the axis goes beyond both ends before it turns.
     axis_low, axis_high : float
         Travel limits of the axis.
-    axes : str
-        Letters of the machine's axes.
     pitch : float
         Travel in one turn of the screw; 0 when unknown.
     laser_dwell_s, window : float
@@ -118,17 +116,7 @@ def read_linear_plan(path: Path) -> LinearPlan:
 def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
     """Return a plan whose numbers obey every rule.
 
-    Parameters
-    ----------
-    stated : mapping
-        Attributes of a plan.
-    where : str
-        Where they come from, for error messages.
-
-    Raises
-    ------
-    InputError
-        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    ``where``: where they come from, for error messages.
     """
     plan = filled(LinearPlan, stated, where)
     _check_linear(plan, where)
@@ -136,13 +124,7 @@ def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
 
 
 def _check_linear(plan: LinearPlan, where: str) -> None:
-    """Refuse a plan that breaks one of the thirteen rules of the published macro.
-
-    Raises
-    ------
-    InputError
-        With the rule, what was given and what is allowed.
-    """
+    """Refuse a plan that breaks one of the thirteen rules of the published macro."""
     require_name(plan.name, "plan.name")
     require_name(plan.machine, "plan.machine")
     if plan.unit not in MM_PER:
@@ -231,12 +213,8 @@ def duration_s(plan: LinearPlan) -> float:
 def phases(step: float, span: float, pitch: float, grain: float) -> int:
     """Return at how many angles of the screw targets lie.
 
-    Parameters
-    ----------
-    step, span, pitch : float
-        Of the targets, of the whole test, and of the screw, in one unit.
-    grain : float
-        Smallest length that is told apart.
+    ``step``, ``span``, ``pitch``: of the targets, of the whole test, and of the screw, in one unit.
+    ``grain``: smallest length that is told apart.
     """
     whole_step, whole_pitch = round(step / grain), round(pitch / grain)
     repeats = whole_pitch // math.gcd(whole_step, whole_pitch)
@@ -246,12 +224,7 @@ def phases(step: float, span: float, pitch: float, grain: float) -> int:
 def better_step(plan: LinearPlan, longest: float) -> float | None:
     """Return the step nearest to the planned one that divides the range and meets the screw often.
 
-    Parameters
-    ----------
-    plan : LinearPlan
-        Has a pitch.
-    longest : float
-        Longest step that may be advised.
+    ``plan``: has a pitch.
     """
     grain, span = _GRAIN[plan.unit], plan.end - plan.start
     whole = round(span / grain)
@@ -269,10 +242,7 @@ def better_step(plan: LinearPlan, longest: float) -> float | None:
 def linear_advice(plan: LinearPlan) -> list[Finding]:
     """Say what the test cannot tell, and where laser and machine will miss each other.
 
-    Parameters
-    ----------
-    plan : LinearPlan
-        A plan that breaks no rule.
+    ``plan``: a plan that breaks no rule.
     """
     return [*_pitch_advice(plan), *_trigger_advice(plan), *_size_advice(plan)]
 

@@ -27,14 +27,8 @@ PERIOD_S = 0.01
 class ServedLathe:
     """One axis on its way through a positioning program; the laser looks on.
 
-    Parameters
-    ----------
-    plan : LinearPlan or None
-        What the laser measures; one run of the published verification without.
-    truth : str
-        As for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
-    seed : int
-        Of the day.
+    ``plan``: what the laser measures; one run of the published verification without.
+    ``truth``: as for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
     """
 
     period_s = PERIOD_S

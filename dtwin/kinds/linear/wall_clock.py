@@ -27,10 +27,7 @@ Send = Callable[[int, float], None]
 class Cycles:
     """What happened to each cycle.
 
-    Parameters
-    ----------
-    n : int
-        Cycles that are due.
+    ``n``: cycles that are due.
     """
 
     def __init__(self, n: int) -> None:
@@ -55,8 +52,6 @@ def paced(
         Predicts the error from the commanded position ``position_mm``.
     plan : LinearPlan
         The motion; it begins again when it has ended.
-    seconds : float
-        How long.
     priority : int
         As for :func:`dtwin.serve.realtime.realtime`; 0 leaves the scheduler alone.
     send : callable, optional

@@ -52,18 +52,8 @@ def tone_bundle(
     one, so it must be iterated, and may diverge. ``printed`` is the source's equation, amplitude error times
     a sine with the phase error, which is not the error vector.
 
-    Parameters
-    ----------
-    amplitude, phase : Law
-        Amplitude error in um and lag in degrees, from features.
-    groups : ToneGroups
-        What they were fitted to; gives the validity box.
-    name, machine : str
-        Of the bundle.
-    action : {"inverse", "subtract", "printed"}
-        What is done with the prediction.
-    table_versions : dict of str to int, optional
-        Versions of the lake's tables.
+    ``amplitude``, ``phase``: amplitude error in um and lag in degrees, from features.
+    ``groups``: what they were fitted to; gives the validity box.
     """
     inputs = _inputs(amplitude, phase, groups)
     boxes = {i.name: (i.low, i.high) for i in inputs}
@@ -86,18 +76,11 @@ def two_rate_bundle(
 ) -> Bundle:
     """Freeze a window that tells gain and lag with the tick that makes the sine of them.
 
-    Parameters
-    ----------
-    window_graph : Graph
-        From features to ``amplitude_error_um``, ``phase_error_rad`` and ``gain_1``.
-    inputs : sequence of Input
-        Of both graphs: the validity box.
-    groups : ToneGroups
-        Give the window and the highest frequency.
-    reach_um : float
-        Largest correction that is expected, um.
-    name, machine, action, table_versions
-        As for :func:`tone_bundle`.
+    ``window_graph``: from features to ``amplitude_error_um``, ``phase_error_rad`` and ``gain_1``.
+    ``inputs``: of both graphs: the validity box.
+    ``groups``: give the window and the highest frequency.
+    ``reach_um``: largest correction that is expected, um.
+    ``name``, ``machine``, ``action``, ``table_versions``: as for :func:`tone_bundle`.
     """
     clamp = max(1.0, ROOM * reach_um)
     return create_bundle(
@@ -124,10 +107,7 @@ def two_rate_bundle(
 def command_inputs(groups: ToneGroups) -> list[Input]:
     """Return what a tick and a window must know of the command, whatever tells the error.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        Give the validity box. A sent tone is smaller than the commanded one where the slide overshoots.
+    ``groups``: give the validity box. A sent tone is smaller than the commanded one where the slide overshoots.
     """
     rate = groups.contract.rate_hz / groups.contract.hop
     smallest, largest = float(groups.amplitude_um.min()), float(groups.amplitude_um.max())

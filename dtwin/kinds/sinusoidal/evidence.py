@@ -26,19 +26,7 @@ _AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
 
 
 def measured_tones(bundle: Bundle, truth: str, *, seed: int, progress: Progress | None = None) -> MeasuredWays:
-    """Swing the tool at each frequency several times with and without a bundle, by turns.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects tones.
-    truth : str
-        Mechanism of the virtual slide.
-    seed : int
-        Of noise.
-    progress : callable, optional
-        Called with (done, total, what).
-    """
+    """Swing the tool at each frequency several times with and without a bundle, by turns."""
     slide = virtual_slide(truth)
     runs: list[Run] = []
     counts: dict[str, list[Mapping[str, int]]] = defaultdict(list)

@@ -30,19 +30,8 @@ def tone_check(*, quick: bool) -> TonePlan:
 class ServedSlide:
     """The slide at 8 kHz; probe, encoder and accelerometer look on.
 
-    Parameters
-    ----------
-    plan : TonePlan
-        Tones, one after the other; each swings for seven seconds before it is recorded.
-    truth : str
-        As for :func:`dtwin.kinds.sinusoidal.simulate.virtual_slide`.
-    seed : int
-        Of all noise.
-
-    Raises
-    ------
-    InputError
-        When the plan's axis or rate is not that of the slide.
+    ``plan``: tones, one after the other; each swings for seven seconds before it is recorded.
+    ``truth``: as for :func:`dtwin.kinds.sinusoidal.simulate.virtual_slide`.
     """
 
     name = "virtual slow tool servo, axis Z"

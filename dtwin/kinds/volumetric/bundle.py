@@ -34,25 +34,11 @@ def volumetric_bundle(
 ) -> Bundle:
     """Return the error of the tool point from what thermocouples and scales read.
 
-    Parameters
-    ----------
-    models : sequence of ThermalModel
-        One for each error motion, without memory: the previous cycle is not there in serving.
-    strokes_mm : mapping of str to tuple of float
-        Ends of the strokes, the validity box of the positions.
-    begun_c : mapping of str to float
-        What each thermocouple read in the reference: the correction is zero there.
-    seen_c : mapping of str to tuple of float
-        What each read in training; 2 degC more are allowed.
-    name, machine : str
-        Of the bundle.
-    switched_off : collection of str
-        Error motions that are worse than none.
-
-    Raises
-    ------
-    InputError
-        When a model has a memory, or nothing is left to correct.
+    ``models``: one for each error motion, without memory: the previous cycle is not there in serving.
+    ``strokes_mm``: ends of the strokes, the validity box of the positions.
+    ``begun_c``: what each thermocouple read in the reference: the correction is zero there.
+    ``seen_c``: what each read in training; 2 degC more are allowed.
+    ``switched_off``: error motions that are worse than none.
     """
     remembering = [model.name for model in models if model.memory]
     kept = [model for model in models if model.name not in switched_off]

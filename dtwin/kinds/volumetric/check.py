@@ -16,10 +16,7 @@ _PLAUSIBLE_C = (-20.0, 90.0)
 def judge_volumetric_run(run: Run) -> list[Finding]:
     """Return the findings of one cycle.
 
-    Parameters
-    ----------
-    run : Run
-        With ``x_mm`` ... ``error_z_um``, ``pose_1`` and ``ball_1``; pose 0 are the balls on the table.
+    ``run``: with ``x_mm`` ... ``error_z_um``, ``pose_1`` and ``ball_1``; pose 0 are the balls on the table.
     """
     if "pose_1" not in run.samples or "ball_1" not in run.samples:
         return [

@@ -36,20 +36,6 @@ def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Pro
     A correction of micrometres does not change the heat, so that it is taken off what was measured. Where a
     temperature lies outside of the validity box it fades, as in serving. Nothing was served: only a
     virtual machine is judged so.
-
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    version : RegisteredVersion
-        The version.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Raises
-    ------
-    GateRefusal
-        When the lake holds no other campaign.
     """
     registry, lake = Registry(home), Lake(home.lake)
     bundle = Bundle.from_dict(registry.bundle(version))
@@ -99,12 +85,8 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
 
     Where cycles are far apart, several days are taken together.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects the tool point by temperatures.
-    measured : Session
-        Another campaign than that of its fit.
+    ``bundle``: corrects the tool point by temperatures.
+    ``measured``: another campaign than that of its fit.
     """
     correction, trusted = _corrections(bundle, measured)
     was, left, noise = [], [], []

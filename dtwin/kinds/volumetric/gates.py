@@ -13,12 +13,7 @@ LEAST_R2 = 0.5
 def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     """Judge a bundle for heat by everything that needs no other campaign.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The equation.
-    metrics : mapping of str to float
-        What training logged: scores of hours left out, latency.
+    ``metrics``: what training logged: scores of hours left out, latency.
     """
     r2 = metrics.get("leave_hours_out.r2", float("nan"))
     worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))

@@ -29,8 +29,6 @@ def models_of(
 
     Parameters
     ----------
-    training : Session
-        Where they are fitted.
     offered : sequence of str
         Other logged temperatures that may be used, too.
     static : bool
@@ -55,8 +53,6 @@ def judged(models: Sequence[ThermalModel], measured: Session, training: Session 
 
     Parameters
     ----------
-    models : sequence of ThermalModel
-        One for each coefficient.
     measured : Session
         Another campaign than that of the fit, when the figures shall say anything.
     training : Session, optional
@@ -139,12 +135,7 @@ def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> d
 def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
     """Return how the distances between balls of the same pose change, shape (pairs,).
 
-    Parameters
-    ----------
-    where : Balls
-        Where the balls are.
-    moved_um : ndarray, shape (n, 3)
-        How the tool point moves there.
+    ``moved_um``, (n, 3): how the tool point moves there.
     """
     found = []
     for pose in sorted(set(where.pose.tolist()) - {0}):

@@ -23,22 +23,11 @@ _FEWEST_CYCLES = 20
 class BallPlan:
     """Cycles of a ball array over days.
 
-    Attributes
-    ----------
-    name, machine : str
-        Names of the campaign and of the machine.
-    hours : float
-        Length of the campaign.
-    every_h : float
-        From the begin of a cycle to that of the next.
-    balls, poses : int
-        Balls of the array, and how often it is put elsewhere in a cycle.
-    table_balls : int
-        Balls that stand on the table, touched at both ends of a cycle.
-    ball_s : float
-        Time for one ball.
-    drift_um_h : float
-        How fast the error of the machine changes when it changes fastest; 0 when unknown.
+    ``name``, ``machine``: names of the campaign and of the machine.
+    ``every_h``: from the begin of a cycle to that of the next.
+    ``balls``, ``poses``: balls of the array, and how often it is put elsewhere in a cycle.
+    ``table_balls``: balls that stand on the table, touched at both ends of a cycle.
+    ``drift_um_h``: how fast the error of the machine changes when it changes fastest; 0 when unknown.
     """
 
     name: str
@@ -70,17 +59,7 @@ class BallPlan:
 def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
     """Return a plan whose numbers obey every rule.
 
-    Parameters
-    ----------
-    stated : mapping
-        Attributes of a plan.
-    where : str
-        Where they come from, for error messages.
-
-    Raises
-    ------
-    InputError
-        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    ``where``: where they come from, for error messages.
     """
     plan = filled(BallPlan, stated, where)
     rules = (
@@ -104,10 +83,7 @@ def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
 def ball_advice(plan: BallPlan) -> list[Finding]:
     """Say what the campaign cannot tell.
 
-    Parameters
-    ----------
-    plan : BallPlan
-        A plan that breaks no rule.
+    ``plan``: a plan that breaks no rule.
     """
     return [*_drift_advice(plan), *_ball_advice(plan), *_length_advice(plan)]
 

@@ -26,18 +26,10 @@ class ServedMill:
 
     States are sent while the mill goes to a ball and rests there; the time between is left out.
 
-    Parameters
-    ----------
-    plan : BallPlan or None
-        Hours, and how often; three days, every third hour, without.
-    truth : {"surface", "pockets"}
-        Where its thermocouples sit.
-    schedule : str
-        As for :func:`dtwin.kinds.volumetric.simulate.simulate_volumetric`.
-    seed : int
-        Of the machine.
-    quick : bool
-        Six cycles, where there is no plan.
+    ``plan``: hours, and how often; three days, every third hour, without.
+    ``truth``: where its thermocouples sit.
+    ``schedule``: as for :func:`dtwin.kinds.volumetric.simulate.simulate_volumetric`.
+    ``quick``: six cycles, where there is no plan.
     """
 
     name = "virtual three-axis mill"

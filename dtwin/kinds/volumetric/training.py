@@ -34,23 +34,8 @@ def train_volumetric(
     Heat lasts: neighbouring cycles are no replicates. Five spans of hours are left out in turn, each as
     a whole; another campaign of the machine, under another schedule, is the judge of a promotion.
 
-    Parameters
-    ----------
-    lake : Lake
-        Where the campaign is.
-    name : str
-        Campaign.
-    seed : int
-        Logged; nothing here is random.
-    engine : Engine, optional
-        Not used: no equation is searched for.
-    progress : callable, optional
-        Called with (stage, done, total, what).
-
-    Raises
-    ------
-    InputError
-        When too few cycles can be used, or the balls cannot tell the error motions.
+    ``seed``: logged; nothing here is random.
+    ``engine``: not used: no equation is searched for.
     """
     tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
@@ -88,12 +73,8 @@ def serving_bundle(
 
     Parameters
     ----------
-    models : sequence of ThermalModel
-        One for each error motion.
     training : Session
         Gives what the thermocouples read, in the reference and in all.
-    machine : str
-        That the bundle is for.
     switched_off : collection of str
         Error motions that are worse than none.
     """
