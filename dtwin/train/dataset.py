@@ -142,7 +142,7 @@ def _controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, 
 
     ``group``: the controller's record at any rate that divides its motion finely.
     ``meta``: gives plane, direction and radius.
-    Returns (ticks, len(STATE_FIELDS).
+    Returns (ticks, len(STATE_FIELDS)).
     """
     t_log = np.arange(group.n_samples) / group.rate_hz
     t = np.arange(int(t_log[-1] * TICK_HZ) + 1) / TICK_HZ

@@ -101,7 +101,7 @@ def design(
 
     ``position_mm``, (n, 3): positions x, y, z of the axes.
     ``strokes_mm``: ends of the stroke of ``x``, ``y`` and ``z``.
-    Returns (n, 3, len(names): um per unit.
+    Returns (n, 3, len(names)): um per unit.
     """
     position = np.asarray(position_mm, float)
     out = np.zeros((len(position), 3, len(names)))
