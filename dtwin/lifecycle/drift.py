@@ -22,7 +22,7 @@ from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import FRESH_RUN
 from dtwin.train.rows import gather, noise_floor_um
 
-DRIFT = "champion.drift"
+_DRIFT = "champion.drift"
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class DriftCheck:
             "excess_um": self.excess_um,
             "noise_floor_um": self.error.noise_floor_um,
         }
-        return Finding(DRIFT, "warning", self.reason, numbers)
+        return Finding(_DRIFT, "warning", self.reason, numbers)
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -175,7 +175,7 @@ def champion_error(
     horizon_s = registry.metrics(champion).get("horizon_ms", 0.0) / 1000.0
     campaign = lake.campaign(rows[0]["campaign"])
     found = gather(load_ticks(lake, campaign, rows, progress))
-    parts = [predicted_um(bundle, run, horizon_s) for run in found.runs]
+    parts = [_predicted_um(bundle, run, horizon_s) for run in found.runs]
     predicted = np.concatenate([values for values, _ in parts])
     return ChampionError(
         rms_um=score(found, predicted, "run_id").rms_um,
@@ -186,7 +186,7 @@ def champion_error(
     )
 
 
-def predicted_um(bundle: Bundle, run: TickRun, horizon_s: float) -> tuple[Floats, Any]:
+def _predicted_um(bundle: Bundle, run: TickRun, horizon_s: float) -> tuple[Floats, Any]:
     """Return a bundle's radial error at the rows of a run, and where it lies outside its box.
 
     ``bundle``: a bundle over path inputs.

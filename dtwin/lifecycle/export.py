@@ -28,8 +28,8 @@ from dtwin.train.twin_terms import choose
 from dtwin.twins.verbs import Twins
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
-TABLES = ("comp", "csv", "gcode")
-FORMATS = (*_EQUATIONS, *TABLES)
+_TABLES = ("comp", "csv", "gcode")
+FORMATS = (*_EQUATIONS, *_TABLES)
 _MAX_PROGRAM_BYTES = 20_000_000
 
 

@@ -15,7 +15,7 @@ from dtwin.schema import Floats
 from dtwin.train.twin_axes import Motion, axis_errors_um
 from dtwin.units import UM_PER_MM
 
-TOLERANCE_UM = 0.1
+_TOLERANCE_UM = 0.1
 _MOST_CHORDS = 2**16
 _JUMP_MM = 1e-5
 # No wave of a screw hides between two points.
@@ -42,7 +42,7 @@ class Compensated:
 
 
 def compensate(
-    text: str, twin: Twin, *, origin_mm: Floats, where: str, tolerance_um: float = TOLERANCE_UM
+    text: str, twin: Twin, *, origin_mm: Floats, where: str, tolerance_um: float = _TOLERANCE_UM
 ) -> Compensated:
     """Move every point of a program against the predicted error.
 

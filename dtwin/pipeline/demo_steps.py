@@ -95,14 +95,14 @@ class PlainSteps:
     """
 
     def __init__(self, home: Home, progress: ProgressOf) -> None:
-        self._work = PlainWork(home, progress)
+        self._work = _PlainWork(home, progress)
 
     def step(self, name: str, title: str, do: Callable[[Work], Result]) -> Result:
         """Do one step; see ``Steps``."""
         return do(self._work)
 
 
-class PlainWork:
+class _PlainWork:
     """``Work`` by the functions of ``dtwin.pipeline``.
 
     ``progress``: returns a progress callback for a title.

@@ -14,7 +14,7 @@ from dtwin.schema import Floats, Run
 
 # The sensor's coupling, and the usual window: 800 samples at 1651.6 Hz.
 _COUPLING_HZ = 0.5
-WINDOW_S = 800 / 1651.6
+_WINDOW_S = 800 / 1651.6
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class IntegrationCheck:
         """Return one sentence."""
         return (
             f"double integration of ideal accelerations ({_COUPLING_HZ:g} Hz coupling, restarted "
-            f"every {1000 * WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} um RMS for this "
+            f"every {1000 * _WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} um RMS for this "
             f"error of {self.error_um:z.0f} um; with the spectral threshold that a particle swarm "
             f"finds best, {self.filtered_um:z.1f} um that correlate {self.filtered_correlation:z.2f} "
             "with it"
@@ -56,7 +56,7 @@ def _check_integration(run: Run) -> IntegrationCheck:
     """
     error_mm = _error_mm(run)
     rate_hz = run.meta.sample_rate_hz
-    window = max(2, round(WINDOW_S * rate_hz))
+    window = max(2, round(_WINDOW_S * rate_hz))
 
     def seen(cutoff_g2: float) -> Visibility:
         return displacement_visibility(error_mm, rate_hz, window, corner_hz=_COUPLING_HZ, cutoff_power=cutoff_g2)

@@ -29,7 +29,7 @@ from dtwin.pipeline.desk import DONE, KEEP, REPEAT, Desk, Question
 from dtwin.schema import Finding, Run
 
 _STATE = "campaign-state.json"
-SUFFIX = ".b5r"
+_SUFFIX = ".b5r"
 _POLL_S = 0.5
 _CLOSE = 1e-3
 
@@ -147,7 +147,7 @@ class _Campaign:
             ]
         )
         question = Question(step.run_id, told, (DONE,), tuple(map(str, programs)), number, len(job.steps))
-        reference = f"{step.run_id}{SUFFIX}"
+        reference = f"{step.run_id}{_SUFFIX}"
         request = RunRequest(
             job.folder, job.name, job.machine, step.run_id, None, reference, step.stated, job.head, job.in_force
         )
@@ -338,7 +338,7 @@ def _differ(one: object, other: object) -> bool:
 
 
 def _is_reference(path: Path) -> bool:
-    return path.suffix.lower() == SUFFIX
+    return path.suffix.lower() == _SUFFIX
 
 
 def _written(folder: Path, step: Step) -> list[Path]:

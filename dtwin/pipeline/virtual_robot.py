@@ -18,7 +18,7 @@ from dtwin.links.ur_worker import RTDE_PORT
 _START_S = 60.0
 
 
-def free_address() -> str:
+def _free_address() -> str:
     """Return a loopback address whose RTDE port is free; UR clients cannot choose the port."""
     start = os.getpid()
     for count in range(100):
@@ -38,7 +38,7 @@ def virtual_controller(
 
     ``plane``, ``radius_mm``, ``feed_mm_min``: circle that it runs again and again.
     """
-    host = free_address()
+    host = _free_address()
     command = [
         sys.executable,
         "-m",

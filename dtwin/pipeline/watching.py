@@ -19,7 +19,7 @@ from dtwin.lake.store import Lake
 from dtwin.locks import locked
 
 Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
-SETTLE_S = 10.0
+_SETTLE_S = 10.0
 _ALONE = (".b5r",)
 
 
@@ -59,7 +59,7 @@ class FolderWatch:
         Time for which a file must stand still before it is read.
     """
 
-    def __init__(self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = SETTLE_S) -> None:
+    def __init__(self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = _SETTLE_S) -> None:
         self._arrivals = Arrivals(folder, settle_s, lambda path: path.suffix.lower() in _ALONE)
         self._home, self._named = home, frozenset(machines)
         self._file = _state_file(home, folder)

@@ -20,7 +20,7 @@ _FILE = "interventions.json"
 
 
 @dataclass(frozen=True)
-class Change:
+class _Change:
     """One parameter before and after.
 
     ``before_uncertainty``, ``after_uncertainty``: expanded, k = 2; unit of replication: the run.
@@ -64,7 +64,7 @@ class Intervention:
     what: str
     before_campaign: str
     after_campaign: str
-    changes: tuple[Change, ...]
+    changes: tuple[_Change, ...]
     confirmed: bool
 
     def as_dict(self) -> dict[str, Any]:
@@ -138,8 +138,8 @@ def interventions(twins: TwinShelf, name: str) -> list[dict[str, Any]]:
     return list(read_document(path)["interventions"]) if path.exists() else []
 
 
-def _change(before: Estimate, after: Estimate) -> Change:
-    return Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
+def _change(before: Estimate, after: Estimate) -> _Change:
+    return _Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
 
 
 def _keep(twins: Twins, name: str, found: Intervention) -> None:

@@ -29,7 +29,7 @@ class _FitRequest(BaseModel):
     robust: bool = False
 
 
-class NameRequest(BaseModel):
+class _NameRequest(BaseModel):
     """Name of a twin that is to be made."""
 
     name: str = Field(max_length=100)
@@ -134,7 +134,7 @@ def diagnose(request: Request, name: str) -> JSONResponse:
 
 
 @router.post("/api/campaigns/{campaign}/find")
-def find(request: Request, campaign: str, wanted: NameRequest) -> JSONResponse:
+def find(request: Request, campaign: str, wanted: _NameRequest) -> JSONResponse:
     """Fit a twin of nothing but the set-ups, and add every effect that the runs can tell."""
     bench = bench_of(request)
     require_name(wanted.name, "the twin")

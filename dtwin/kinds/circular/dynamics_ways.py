@@ -20,7 +20,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.twin import chosen_terms
 from dtwin.schema import Floats
 
-FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
+_FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
 """Ways to part static from dynamic: what a fitted twin says, the slow runs themselves, filters."""
 TWIN_EFFECTS = ("scale_mismatch", "squareness", "straightness", "servo_mismatch", "backlash", "reversal_spike")
 
@@ -32,7 +32,7 @@ class DynamicsRequest:
     Attributes
     ----------
     how : str
-        One of ``FILTERS``.
+        One of ``_FILTERS``.
     reference_feed_mm_min : float, optional
         Feed of the slow reference; the slowest of the campaign without.
     readings : int
@@ -73,7 +73,7 @@ def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
     if request.how in ("ukf", "ukf-circle"):
         model = "circle" if request.how == "ukf-circle" else "random-walk"
         return UnscentedFilter(model, request.alpha, radius_mm=radius_mm, **variances)
-    raise InputError("no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(FILTERS))
+    raise InputError("no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(_FILTERS))
 
 
 def radial_error_um(turn: Turn, radius_mm: float) -> Floats:

@@ -14,7 +14,7 @@ from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.tape import Tape
 from dtwin.train.dataset import TICK_HZ, TickRun
 
-JOINTS = range(1, 7)
+_JOINTS = range(1, 7)
 # Wider than any play worth modelling, far narrower than any motion: gives the loaded flank.
 FLANK_RAD = 1e-4
 _MOVING_MM_S = 0.5
@@ -43,7 +43,7 @@ class Mode:
 
 
 @dataclass(frozen=True)
-class Atom:
+class _Atom:
     """One term of the library, before it gets a coefficient.
 
     ``unit``: unit of the term; a coefficient has um over it.
@@ -66,13 +66,13 @@ class Library:
         self.gears = tuple(dict.fromkeys(gears))
         self.modes, self.horizon_s = tuple(modes), horizon_s
         self.builder = GraphBuilder()
-        self.atoms: dict[Atom, tuple[Expression, ...]] = {}
+        self.atoms: dict[_Atom, tuple[Expression, ...]] = {}
         self.initial: dict[str, float] = {}
         self.updates: dict[str, Expression] = {}
-        self._q = {j: self._ahead(j) for j in JOINTS}
-        self._lever = {j: self.builder.input(f"lever_{j}_mm_rad") for j in JOINTS}
-        self._flank = {j: self._loaded_flank(j) for j in JOINTS}
-        self._orders = {(j, order) for j in JOINTS for order in _ECCENTRICITIES}
+        self._q = {j: self._ahead(j) for j in _JOINTS}
+        self._lever = {j: self.builder.input(f"lever_{j}_mm_rad") for j in _JOINTS}
+        self._flank = {j: self._loaded_flank(j) for j in _JOINTS}
+        self._orders = {(j, order) for j in _JOINTS for order in _ECCENTRICITIES}
         self._orders |= {(gear.joint, gear.order) for gear in gears}
         self._waves: dict[tuple[int, float], tuple[Expression, Expression]] = {}
         self._calibration()
@@ -157,7 +157,7 @@ class Library:
         return self.builder.apply("cos", angle), self.builder.apply("sin", angle)
 
     def _calibration(self) -> None:
-        for j in JOINTS:
+        for j in _JOINTS:
             lever, flank = self._lever[j], self._flank[j]
             self._atom(f"lever{j}", "mm/rad", "zero error", lever)
             self._atom(f"lever{j}*flank{j}", "mm/rad", "joint backlash", lever, flank)
@@ -228,7 +228,7 @@ class Library:
         return {"start": moving * (1.0 - before), "stop": before * (1.0 - moving)}
 
     def _atom(self, name: str, unit: str, cause: str, *factors: Expression) -> None:
-        self.atoms[Atom(name, unit, cause)] = factors
+        self.atoms[_Atom(name, unit, cause)] = factors
 
 
 def weighted_sum(builder: GraphBuilder, terms: Sequence[tuple[float, tuple[Expression, ...]]]) -> Expression:

@@ -24,7 +24,7 @@ _SEARCH_EVERY = 4
 _NEVER_MOVES = 1e-9
 DEAD_SHARE = 1e-3
 _LAG_RANGE_S, _LAG_STEP_S, _LAG_ROUNDS = 0.040, 0.002, 2
-Cells = Mapping[tuple[float, float], Sums]
+_Cells = Mapping[tuple[float, float], Sums]
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def predicted_fresh(fit: PhysicsFit) -> Floats:
     return predicted
 
 
-def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> Cells:
+def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> _Cells:
     """Return sums over the scored rows by (feed, radius), by run where there is one such pair."""
     labels = rows.label("feed_mm_min"), rows.label("radius_mm")
     if all(np.unique(label).size == 1 for label in labels):
@@ -137,7 +137,7 @@ def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> Cells:
     return cells
 
 
-def _coefficients_out_rms(cells: Cells, axis: int, chosen: Sequence[int]) -> float:
+def _coefficients_out_rms(cells: _Cells, axis: int, chosen: Sequence[int]) -> float:
     """Return the RMS error over feeds (axis 0) or radii (1) that coefficients are fitted without."""
     squares, rows = 0.0, 0
     for value in sorted({key[axis] for key in cells}):
@@ -182,7 +182,7 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
     return rows, float(np.sqrt(np.mean((lags - start) ** 2)))
 
 
-def _front(library: Library, cells: Cells) -> tuple[list[int], list[FrontPoint]]:
+def _front(library: Library, cells: _Cells) -> tuple[list[int], list[FrontPoint]]:
     if len(cells) < 2:
         raise InputError(
             "the size of an equation cannot be chosen from a single run",

@@ -84,7 +84,7 @@ def align(run: Run, geometry: Mapping[str, Any]) -> Aligned:
             got=f"{len(motion.stops)} stops and {'a' if run.window else 'no'} marked window",
             allowed="two or more stops half a turn apart, and a marked window",
         )
-    stretches = repeated(run, motion)
+    stretches = _repeated(run, motion)
     if not stretches:
         raise InputError(
             "the recording repeats nothing, so nothing can be held out",
@@ -101,7 +101,7 @@ def align(run: Run, geometry: Mapping[str, Any]) -> Aligned:
     )
 
 
-def repeated(run: Run, motion: Motion) -> tuple[Stretch, ...]:
+def _repeated(run: Run, motion: Motion) -> tuple[Stretch, ...]:
     """Return the parts of half turns that are seen again, each with a lag of its own."""
     deviation = run.samples["deviation_um"]
     margin = round(_STOP_S * run.meta.sample_rate_hz)

@@ -52,7 +52,7 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
         Section(
             "From set-up to floor",
             tables=[Table(_RUNG_HEAD, _rungs(result["ladders"][result["best"]]))],
-            figures=[waterfall(result)],
+            figures=[_waterfall(result)],
         ),
         Section(
             "Models side by side",
@@ -65,7 +65,7 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
     ]
 
 
-def waterfall(result: Mapping[str, Any]) -> go.Figure:
+def _waterfall(result: Mapping[str, Any]) -> go.Figure:
     """Return how the error on the pass not fitted fell, down to the look-up and the floor.
 
     ``result``: ``Study.result``.

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _WAYS = ("CCW", "CW")
-Arc = tuple[Floats, Floats]
+_Arc = tuple[Floats, Floats]
 
 
 def circular_sheet(runs: Sequence[Run]) -> Sheet:
@@ -103,6 +103,6 @@ def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
     return polar_figure(curves, radius, title=title, plane=shown[0].meta.plane)
 
 
-def _arc(run: Run) -> Arc:
+def _arc(run: Run) -> _Arc:
     part = slice(*run.window) if run.window is not None else slice(None)
     return run.samples["angle_deg"][part], run.samples["deviation_um"][part]

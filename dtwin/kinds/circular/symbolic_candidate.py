@@ -25,7 +25,7 @@ from dtwin.train.symbolic import SUBSAMPLE, Engine, FittedFormula, refit
 
 # What a short formula could use: angles, senses, speed, time. Levers and unit vectors are left
 # to the physics library.
-INPUTS = (
+_INPUTS = (
     "path_angle_rad",
     "direction_sign",
     "q1_rad",
@@ -105,7 +105,7 @@ def _searched(
 
 def _columns(rows: Rows) -> dict[str, Floats]:
     table = np.concatenate([run.inputs[run.arc] for run in rows.runs]).astype(float)
-    return {name: table[:, PATH_INPUTS.index(name)] for name in INPUTS}
+    return {name: table[:, PATH_INPUTS.index(name)] for name in _INPUTS}
 
 
 def _elbow(fitted: list[FittedFormula]) -> FittedFormula:

@@ -26,7 +26,7 @@ RATE_HZ = 100.0
 ROOM_IN = 1.0
 # Below every place that an axis can start from.
 _FAR_IN = 100.0
-POSITION, DIRECTION = "position_mm", "direction_1"
+POSITION, _DIRECTION = "position_mm", "direction_1"
 # What bundles from before 2026-12 ask for.
 _INCHES = "position_in"
 SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=2000.0, stale_s=0.025)
@@ -39,7 +39,7 @@ def is_positioning_bundle(bundle: Bundle) -> bool:
 
 def told(position_mm: Floats, direction: Floats) -> dict[str, Floats]:
     """Return what the loop of an axis tells a bundle, by name of the input, shape (n,) each."""
-    return {POSITION: position_mm, _INCHES: position_mm / MM_PER_IN, DIRECTION: direction}
+    return {POSITION: position_mm, _INCHES: position_mm / MM_PER_IN, _DIRECTION: direction}
 
 
 def axis_number(bundle: Bundle) -> int:
@@ -76,7 +76,7 @@ def deployed_bundle(
         Validity box of the position.
     """
     builder = GraphBuilder()
-    direction, position = builder.input(DIRECTION), builder.input(POSITION) / MM_PER_IN
+    direction, position = builder.input(_DIRECTION), builder.input(POSITION) / MM_PER_IN
     reverse = builder.apply("step", direction - 0.5)
     turned = _remainder(builder, position, pair.pitch_in, reach_in[1])
     slow = pair.full.expression(builder, (reverse, position))
@@ -88,7 +88,7 @@ def deployed_bundle(
         name=name,
         machine=machine,
         model_version=1,
-        inputs=(Input(DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0), _position(reach_in)),
+        inputs=(Input(_DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0), _position(reach_in)),
         outputs=(output,),
         tick_graph=graph,
         safety=SAFETY,

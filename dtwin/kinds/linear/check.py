@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.schema import Finding, Floats, Run
 
 # A slide that is further off than this has lost steps, or the unit is wrong.
-MAX_ERROR_UM = 5_000.0
+_MAX_ERROR_UM = 5_000.0
 # Positions closer than this are one target.
 TARGET_MM = 1e-3
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
@@ -43,7 +43,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
     position, error = run.samples["position_mm"], run.samples["error_um"]
     findings = _missed(run)
     largest = float(np.max(np.abs(error)))
-    if largest > MAX_ERROR_UM:
+    if largest > _MAX_ERROR_UM:
         findings.append(
             Finding(
                 "reading.out_of_range",

@@ -21,7 +21,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 
 _DAYS = 3
-CLOCK = "machine clock, 10 ms cycle, one cycle late"
+_CLOCK = "machine clock, 10 ms cycle, one cycle late"
 _TARGETS = 60
 
 
@@ -56,7 +56,7 @@ def measured_days(
     shares = guard_shares(guards)
     return MeasuredWays(
         numbered(runs),
-        CLOCK,
+        _CLOCK,
         {"one cycle of the loop": PERIOD_S},
         tuple(oracle),
         {f"{plan.axis} {way}": shares for way in ("forward", "reverse")},

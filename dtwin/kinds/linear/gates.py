@@ -24,7 +24,7 @@ _UM_PER_IN = 25_400.0
 _PLACES = 41
 
 
-class PathAnswers:
+class _PathAnswers:
     """Answers of one bundle along paths; each path begins with a fresh memory.
 
     ``bundle``: takes ``position_mm`` and perhaps ``direction_1``.
@@ -62,7 +62,7 @@ def along(bundle: Bundle, position_in: Floats) -> Floats:
     ``bundle``: takes ``position_mm`` and perhaps ``direction_1``.
     ``position_in``, (n,): positions, tick by tick.
     """
-    return PathAnswers(bundle).along(position_in)
+    return _PathAnswers(bundle).along(position_in)
 
 
 def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> list[Verdict]:
@@ -71,7 +71,7 @@ def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, fl
     ``pitch_in``: travel in one turn of the screw.
     """
     places = np.linspace(reach_in[0] + 0.3 * pitch_in, reach_in[1] - 0.3 * pitch_in, _PLACES)
-    answers = PathAnswers(bundle)
+    answers = _PathAnswers(bundle)
     return [
         _seam(answers, pitch_in, reach_in),
         _outside(answers, reach_in),
@@ -127,7 +127,7 @@ _LOGGED = (
 )
 
 
-def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
+def _seam(served: _PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
     turns = np.arange(np.ceil(reach_in[0] / pitch_in) + 1, np.floor(reach_in[1] / pitch_in))
     worst = {}
     for name, sign in (("forward", 1.0), ("reverse", -1.0)):
@@ -143,7 +143,7 @@ def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -
     return Verdict("no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} um")
 
 
-def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
+def _outside(served: _PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     low, high = reach_in
     beyond = {low - 0.3: low, -0.1: low, -1.0: low, high + 0.3: high, high + 5.0: high}
     off: dict[float, float] = {}
@@ -160,7 +160,7 @@ def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     )
 
 
-def _reversal(served: PathAnswers, places: Floats) -> Verdict:
+def _reversal(served: _PathAnswers, places: Floats) -> Verdict:
     worst, where = 0.0, float(places[0])
     for place in places.tolist():
         answers = served.along(np.array([place - 0.05, place, place - _COUNT_IN]))
@@ -175,7 +175,7 @@ def _reversal(served: PathAnswers, places: Floats) -> Verdict:
     )
 
 
-def _standstill(served: PathAnswers, places: Floats) -> Verdict:
+def _standstill(served: _PathAnswers, places: Floats) -> Verdict:
     worst = 0.0
     for place in places.tolist():
         jitter = place + _COUNT_IN * np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0])

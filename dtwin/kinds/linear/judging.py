@@ -51,7 +51,7 @@ def noise_floor_um(test: LinearTest) -> float:
 
     ``test``: two runs or more; drift between the runs counts.
     """
-    return spread_um(np.vstack([test.forward_um, test.reverse_um]))
+    return _spread_um(np.vstack([test.forward_um, test.reverse_um]))
 
 
 def scores_of(test: LinearTest, left: Floats) -> Scores:
@@ -62,7 +62,7 @@ def scores_of(test: LinearTest, left: Floats) -> Scores:
     ratios = {}
     for k in np.unique(part):
         # The laser was zeroed at the first target: near it there is nothing but noise to take away.
-        without = np.hypot(rms(error[part == k]), spread_um(error[part == k]))
+        without = np.hypot(rms(error[part == k]), _spread_um(error[part == k]))
         inside = position[part == k] * MM_PER_IN
         where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():z.0f} to {inside.max():z.0f} mm"
         ratios[where] = rms(left[part == k]) / without
@@ -90,6 +90,6 @@ def stacked(test: LinearTest) -> tuple[Floats, Floats, Floats]:
     return direction, position, np.vstack([test.forward_um, test.reverse_um])
 
 
-def spread_um(errors: Floats) -> float:
+def _spread_um(errors: Floats) -> float:
     """Return the pooled standard deviation over runs of errors, (targets, runs)."""
     return rms(errors.std(axis=1, ddof=1))

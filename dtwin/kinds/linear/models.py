@@ -153,7 +153,7 @@ def whole_turns(averages: Averages, pitch_in: float) -> tuple[Floats, Floats]:
     return np.column_stack([direction, position]), error
 
 
-def one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floats, Floats]:
+def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floats, Floats]:
     """Return inputs (n, 2) and what a slow network leaves over a turn (n,), averaged over all turns.
 
     ``averages``: several targets in each turn.
@@ -190,7 +190,7 @@ def fit_dual(
     inputs, target = whole_turns(averages, pitch_in)
     reach = (float(averages.position_in[0]), float(averages.position_in[-1]))
     slow = train_net(new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=goals[0])
-    cells, rest = one_turn(averages, slow.net, pitch_in)
+    cells, rest = _one_turn(averages, slow.net, pitch_in)
     fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=goals[1])
     return DualNet(slow.net, fast.net, pitch_in, (slow, fast))
 

@@ -36,7 +36,7 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
-TABLE = "table and backlash"
+_TABLE = "table and backlash"
 _FEWEST_RUNS = 2
 _FEWEST_PHASES, _FEWEST_TURNS = 5, 8
 _MOST_ORDERS = 5
@@ -171,7 +171,7 @@ def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionMo
     pair = fit_pair(averages, screw, seed)
     return {
         "zero": Uncorrected(),
-        TABLE: Unidirectional(averages),
+        _TABLE: Unidirectional(averages),
         "two tables": Bidirectional(averages),
         "pair": pair,
         "flanks": flanks_from(pair, averages, screw),
@@ -224,7 +224,7 @@ def _candidate(
 
 def _with_table_score(found: Sequence[Candidate]) -> list[Candidate]:
     """Give every candidate the held-out error of the table that a control can do by itself."""
-    table = next(c for c in found if c.name == TABLE).held_out.rms_um
+    table = next(c for c in found if c.name == _TABLE).held_out.rms_um
     return [Candidate(**{**vars(c), "numbers": {**c.numbers, "table_rms_um": table}}) for c in found]
 
 

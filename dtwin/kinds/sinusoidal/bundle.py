@@ -20,7 +20,7 @@ from dtwin.units import unit_of
 
 SERVO_HZ = 8000.0
 PHASE, AMPLITUDE = COMMAND_PHASE, COMMAND_AMPLITUDE
-OUTPUT = "correction_z_um"
+_OUTPUT = "correction_z_um"
 # The sine follows a new window over this time: no step.
 _FOLLOW_S = 0.25
 Action = Literal["inverse", "subtract", "printed"]
@@ -89,7 +89,7 @@ def two_rate_bundle(
         machine=machine,
         model_version=0,
         inputs=inputs,
-        outputs=[Output(OUTPUT, "base_z", "correction")],
+        outputs=[Output(_OUTPUT, "base_z", "correction")],
         states=[State("sent_re_1", "1", 1.0), State("sent_im_1", "1", 0.0)],
         window=groups.contract,
         window_graph=window_graph,
@@ -161,7 +161,7 @@ def _tick_graph(action: Action) -> Graph:
     if action == "printed":
         wave = builder.apply("sin", angle - lag)
         memory = {name: builder.state(name) for name in ("sent_re_1", "sent_im_1")}
-        return builder.graph({OUTPUT: -builder.input("amplitude_error_um") * wave}, memory)
+        return builder.graph({_OUTPUT: -builder.input("amplitude_error_um") * wave}, memory)
     cosine, sine = builder.apply("cos", lag), builder.apply("sin", lag)
     if action == "inverse":
         real, imaginary = cosine / gain, sine / gain
@@ -175,4 +175,4 @@ def _tick_graph(action: Action) -> Graph:
         updates[name] = before + share * (wanted - before)
     waves = builder.apply("sin", angle), builder.apply("cos", angle)
     added = (updates["sent_re_1"] - 1.0) * waves[0] + updates["sent_im_1"] * waves[1]
-    return builder.graph({OUTPUT: size * added}, updates)
+    return builder.graph({_OUTPUT: size * added}, updates)

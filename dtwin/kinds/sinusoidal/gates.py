@@ -16,7 +16,7 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 from dtwin.train.gates import Verdict, vectors_proved
 
-LEAST_R2 = {"r2": 0.98, "phase_r2": 0.95}
+_LEAST_R2 = {"r2": 0.98, "phase_r2": 0.95}
 MOST_ERROR_UM = 0.1
 # What is wrong falls to a tenth within six windows.
 MOST_RADIUS = 0.68
@@ -140,7 +140,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
 
 def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
     found = []
-    for name, least in LEAST_R2.items():
+    for name, least in _LEAST_R2.items():
         values = {g: metrics.get(f"leave_{g}_out.{name}", float("nan")) for g in HELD_OUT}
         told = ", ".join(f"{group} out: {value:z.4f}" for group, value in values.items())
         what = "amplitude" if name == "r2" else "phase"

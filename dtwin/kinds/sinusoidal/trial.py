@@ -30,7 +30,7 @@ _SWELL_S = 1.0
 _RIM_SHARE = 0.9
 
 
-def bicuspid(frequency_hz: float) -> ToneCommand:
+def _bicuspid(frequency_hz: float) -> ToneCommand:
     """Return the command of the surface at a tool frequency of twice the spindle's."""
     per_s = _FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
     cut_s = RIM_MM / per_s
@@ -43,7 +43,7 @@ def bicuspid(frequency_hz: float) -> ToneCommand:
 
 
 def _surface_of(record: LoopRecord, frequency_hz: float) -> Surface:
-    """Return what the tool left of a run of :func:`bicuspid`."""
+    """Return what the tool left of a run of :func:`_bicuspid`."""
     per_s = _FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
     x = RIM_MM - per_s * (record.t_s - AIR_S)
     cut = (record.t_s >= AIR_S) & (x > 0.0)
@@ -104,7 +104,7 @@ def trial(
     mechanism = slide or virtual_slide(truth)
     rows, surfaces = [], {}
     for done, frequency in enumerate(frequencies_hz, start=1):
-        command = bicuspid(frequency)
+        command = _bicuspid(frequency)
         records = [run_loop(mechanism, command, given, seed=seed + done) for given in (None, bundle)]
         cut = _surface_of(records[0], frequency), _surface_of(records[1], frequency)
         surfaces[float(frequency)] = cut

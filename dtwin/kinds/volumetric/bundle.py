@@ -18,8 +18,8 @@ from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 _POSITION_HZ, _TEMPERATURE_HZ = 100.0, 1.0 / 30.0
 # Heat moves slowly, axes at rapid traverse do not: 100 um over a second's way. Dropped at the edge of the
 # box, the correction of a whole season would jump; it fades instead.
-SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=100.0, stale_s=0.1, outside="shrink", shrink_span=0.25)
-BEYOND_C = 2.0
+_SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=100.0, stale_s=0.1, outside="shrink", shrink_span=0.25)
+_BEYOND_C = 2.0
 _LINEAR = {"X": ("y", "z"), "Z": ("y",), "0": ("x", "y", "z"), "Y": ()}
 
 
@@ -64,7 +64,7 @@ def volumetric_bundle(
     graph = builder.graph({f"error_{axis}_um": builder.total(parts[axis] or [0.0]) for axis in "xyz"})
     inputs = [Input(f"{axis}_mm", "mm", "base", _POSITION_HZ, "controller", *strokes_mm[axis]) for axis in "xyz"]
     inputs += [
-        Input(s, "degC", "none", _TEMPERATURE_HZ, "covariate", seen_c[s][0] - BEYOND_C, seen_c[s][1] + BEYOND_C)
+        Input(s, "degC", "none", _TEMPERATURE_HZ, "covariate", seen_c[s][0] - _BEYOND_C, seen_c[s][1] + _BEYOND_C)
         for s in sensors
     ]
     return create_bundle(
@@ -75,7 +75,7 @@ def volumetric_bundle(
         inputs=tuple(inputs),
         outputs=tuple(Output(f"error_{axis}_um", f"base_{axis}") for axis in "xyz"),
         tick_graph=graph,
-        safety=SAFETY,
+        safety=_SAFETY,
         provenance=Provenance(code_version=__version__, evidence="none"),
     )
 

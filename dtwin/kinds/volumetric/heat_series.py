@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal
 from dtwin.schema import Floats
 
-SPANS = 5
+_SPANS = 5
 FEWEST_CYCLES = 15
 _NUMBERED = re.compile(r"_?\d*_c$")
 
@@ -111,7 +111,7 @@ class HeatSeries:
 
     def spans(self) -> list[NDArray[np.int64]]:
         """Return spans of neighbouring cycles, which are left out of a fit as a whole."""
-        return [np.asarray(s, np.int64) for s in np.array_split(np.arange(len(self.hour)), SPANS)]
+        return [np.asarray(s, np.int64) for s in np.array_split(np.arange(len(self.hour)), _SPANS)]
 
     def rises(self, names: Sequence[str]) -> Floats:
         """Return temperatures by name, shape (n, names)."""

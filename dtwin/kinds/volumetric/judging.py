@@ -43,7 +43,7 @@ def models_of(
     return made, whole
 
 
-def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
+def _predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
     """Return the error motions that the models expect, in free run, shape (cycles, coefficients)."""
     return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
 
@@ -64,7 +64,7 @@ def judged(models: Sequence[ThermalModel], measured: Session, training: Session 
         ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how
         long), ``slots``, ``unexplained`` and ``worse``.
     """
-    expected = predicted(models, measured)
+    expected = _predicted(models, measured)
     left = measured.values - expected
     rows = [_row(model, measured, i, left[:, i]) for i, model in enumerate(models)]
     lines = _lines(measured, left)

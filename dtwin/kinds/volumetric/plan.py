@@ -12,7 +12,7 @@ from dtwin.schema import Finding
 # Beyond this a ball moves too far while the others are touched.
 MOST_DRIFT_UM = 6.0
 # Error motions of the chain XZY, and the place of the array in each pose.
-MOTIONS, PLACE = 24, 6
+_MOTIONS, _PLACE = 24, 6
 FEWEST_TABLE_BALLS = 3
 _FEWEST_BALLS, _FEWEST_POSES = 3, 4
 _REDUNDANCY = 3.0
@@ -127,7 +127,7 @@ def _ball_advice(plan: BallPlan) -> list[Finding]:
             )
         )
     told = 3 * (plan.balls * plan.poses + plan.table_balls)
-    unknown = MOTIONS + PLACE * plan.poses
+    unknown = _MOTIONS + _PLACE * plan.poses
     short = plan.balls < _FEWEST_BALLS or plan.poses < _FEWEST_POSES
     if short or told < _REDUNDANCY * unknown:
         found.append(
@@ -135,7 +135,7 @@ def _ball_advice(plan: BallPlan) -> list[Finding]:
                 "plan.too_few_balls",
                 "warning",
                 f"{plan.balls} balls in {plan.poses} poses give {told} readings for {unknown} unknowns "
-                f"({MOTIONS} error motions and the place of the array in each pose); {_REDUNDANCY:g} for "
+                f"({_MOTIONS} error motions and the place of the array in each pose); {_REDUNDANCY:g} for "
                 f"each unknown, {_FEWEST_BALLS} balls and {_FEWEST_POSES} poses are needed to hold poses "
                 "out as a check",
                 {"readings_1": float(told), "unknowns_1": float(unknown)},

@@ -14,7 +14,7 @@ from dtwin.machines.thermal_network import SCHEDULES
 from dtwin.machines.volumetric import CYCLE_S, READING_S, VolumetricMill
 from dtwin.schema import Floats
 
-PERIOD_S = 0.02
+_PERIOD_S = 0.02
 # From one ball to the next, and at rest before the probe touches; nothing moves between.
 _TRAVEL, _REST = 50, 50
 _BALL = _TRAVEL + _REST
@@ -33,7 +33,7 @@ class ServedMill:
     """
 
     name = "virtual three-axis mill"
-    period_s = PERIOD_S
+    period_s = _PERIOD_S
     axes = ("x", "y", "z")
     channels_hz = 0.0
 
@@ -64,7 +64,7 @@ class ServedMill:
         ball, within = divmod(tick, _BALL)
         share = min((within + 1) / _TRAVEL, 1.0)
         x, y, z = (self._from_mm[ball] + share * (self._to_mm[ball] - self._from_mm[ball])).tolist()
-        now_s = float(self._at_s[ball]) - (_BALL - 1 - within) * PERIOD_S
+        now_s = float(self._at_s[ball]) - (_BALL - 1 - within) * _PERIOD_S
         found = {"timestamp_s": now_s, "x_mm": x, "y_mm": y, "z_mm": z}
         if within == 0:
             number = ball // self._per_cycle
