@@ -18,7 +18,7 @@ from dtwin.workbench.reading import campaign_sheet_of
 router = APIRouter()
 
 
-class _EventTold(BaseModel):
+class EventTold(BaseModel):
     """What happened; an empty day is today."""
 
     what: str = Field(max_length=40)
@@ -26,7 +26,7 @@ class _EventTold(BaseModel):
     note: str = Field("", max_length=400)
 
 
-class _ToleranceTold(BaseModel):
+class ToleranceTold(BaseModel):
     """The largest value that a figure may have, in µm."""
 
     symbol: str = Field(max_length=40)
@@ -63,7 +63,7 @@ def history(request: Request, name: str) -> Response:
 
 
 @router.post("/api/machines/{name}/event")
-def tell_event(request: Request, name: str, told: _EventTold) -> JSONResponse:
+def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
     """Note what happened to a machine."""
     bench = bench_of(request)
     _history(bench, name)
@@ -76,7 +76,7 @@ def tell_event(request: Request, name: str, told: _EventTold) -> JSONResponse:
 
 
 @router.post("/api/machines/{name}/tolerance")
-def tell_tolerance(request: Request, name: str, told: _ToleranceTold) -> JSONResponse:
+def tell_tolerance(request: Request, name: str, told: ToleranceTold) -> JSONResponse:
     """State the largest value that a figure may have."""
     bench = bench_of(request)
     known = read_record(bench.home, name) or MachineRecord(name)
