@@ -9,6 +9,7 @@ from typer.core import TyperGroup
 TASKS: dict[str, tuple[str, ...]] = {
     "Begin": ("demo", "ui", "examples", "simulate"),
     "Measure": (
+        "machine",
         "plan",
         "campaign",
         "record",

@@ -76,7 +76,7 @@ class Characteristic:
             "decision": self.decision,
             "shown": {
                 "value": f"{self.value_um:z.{decimals}f}",
-                "expanded": f"± {self.expanded_um:.{decimals}f}" if known else "-",
+                "expanded": f"± {self.expanded_um:z.{decimals}f}" if known else "-",
                 "limit": str(self.limits or "-"),
             },
         }
@@ -152,8 +152,8 @@ def sound_runs(runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     """
     errors = {run.meta.run_id: [f for f in run.findings if f.severity == "error"] for run in runs}
     sound = [run for run in runs if not errors[run.meta.run_id]]
-    what = "is not evaluated" if sound else "is evaluated although it is not sound"
-    notes = [f"{name} {what}: {found[0].message}." for name, found in errors.items() if found]
+    what = "is not evaluated" if sound else "is evaluated, though not sound"
+    notes = [f"{name} {what}: {found[0].code}." for name, found in errors.items() if found]
     return sound or list(runs), notes
 
 

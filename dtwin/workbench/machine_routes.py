@@ -14,6 +14,7 @@ from dtwin.report.history_plots import history_figure
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.pages import accepted, drawn, rendered
 from dtwin.workbench.reading import campaign_sheet_of
+from dtwin.workbench.uploads import MAX_TRAY_BYTES
 
 router = APIRouter()
 
@@ -36,7 +37,8 @@ class ToleranceTold(BaseModel):
 @router.get("/machines")
 def machine_list(request: Request) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
-    return rendered(request, "machines.html", title="Machines", machines=machine_overviews(bench_of(request).home))
+    found = machine_overviews(bench_of(request).home)
+    return rendered(request, "machines.html", title="Machines", machines=found, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 
 @router.get("/machines/{name}")

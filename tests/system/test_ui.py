@@ -69,7 +69,7 @@ def page(context: BrowserContext, bench: Workbench) -> Iterator[Page]:
     opened.on("pageerror", lambda error: errors.append(str(error)))
     opened.on("request", lambda r: elsewhere.add(r.url) if not _own(r.url, bench) else None)
     opened.goto(bench.address)
-    opened.wait_for_url("**/campaigns")
+    opened.wait_for_url("**/machines")
     yield opened
     opened.close()
     assert not errors
@@ -132,6 +132,10 @@ def test_from_a_dropped_file_to_an_error_that_falls(
     expect(page.locator("input[value=joint_reversal]")).to_have_count(0)
     assert not list((bench.home / "workbench" / "uploads").glob("*")), "the tray is emptied"
 
+    expect(page.get_by_text("ISO 230-4, circular test")).to_be_visible()
+    expect(page.get_by_role("row", name="G(b)").first).to_contain_text("±")
+    expect(page.locator(".sheet [data-figure]")).to_contain_text("µm per division")
+    page.get_by_text("Fit a twin with chosen effects").click()
     page.get_by_label("Name of the twin").fill("mill")
     page.locator("input[value=squareness]").check()
     page.locator("input[value=scale_mismatch]").check()
@@ -205,11 +209,13 @@ def test_every_page_is_reached_by_keyboard_fits_a_phone_and_passes_axe(browser: 
     phone = browser.new_page(viewport={"width": 390, "height": 800})
     phone.set_default_timeout(PATIENCE_MS)
     phone.goto(bench.address)
-    phone.wait_for_url("**/campaigns")
+    phone.wait_for_url("**/machines")
     barriers: dict[str, str] = {}
     phone.keyboard.press("Tab")
     assert phone.evaluate("document.activeElement.textContent") == "Skip to the content"
     for path in (
+        "/machines",
+        "/machines/virtual-mill",
         "/campaigns",
         "/campaigns/mill-backlash",
         "/twins",
@@ -303,7 +309,34 @@ def test_an_own_effect_is_checked_saved_and_used(page: Page, bench: Workbench) -
     page.get_by_role("button", name="Check and save").click()
     expect(page.locator("#saved")).to_contain_text("saved, and it can be fitted")
     page.goto(f"{bench.base}/campaigns/mill-backlash")
+    page.get_by_text("Fit a twin with chosen effects").click()
     expect(page.locator("input[value=four_lobes]")).to_have_count(1)
+
+
+def test_a_machine_is_given_a_tolerance_and_an_event_and_its_tests_are_decided(page: Page, bench: Workbench) -> None:
+    page.goto(f"{bench.base}/machines/virtual-mill")
+    page.get_by_label("Figure").fill("G(b)")
+    page.get_by_label("at most, µm").fill("1,5")
+    page.get_by_role("button", name="State it").click()
+    expect(page.get_by_text("G(b): ≤ 1.5 µm")).to_be_visible()
+    page.locator("select[name=what]").select_option("crash")
+    page.get_by_label("note").fill("the vice")
+    page.get_by_role("button", name="Note it").click()
+    expect(page.get_by_text("crash: the vice")).to_be_visible()
+    _settled(page)
+    expect(page.locator("[data-figure]")).to_contain_text("Largest figure of each test")
+    page.goto(f"{bench.base}/machines")
+    expect(page.locator("[data-machine=virtual-mill]")).to_contain_text("outside")
+    page.get_by_role("link", name="virtual-mill", exact=True).click()
+    page.get_by_role("link", name="mill-backlash").click()
+    expect(page.locator("#sheet")).to_contain_text("outside")
+
+
+def test_one_button_finds_what_the_runs_can_tell(page: Page, bench: Workbench) -> None:
+    page.goto(f"{bench.base}/campaigns/mill-backlash")
+    page.get_by_role("button", name="Find what these runs can tell").click()
+    page.wait_for_url("**/diagnose")
+    expect(page.get_by_role("heading", name="Nothing is missing")).to_be_visible()
 
 
 def test_a_twin_is_held_against_other_measurements_of_its_machine(page: Page, bench: Workbench, folder: Path) -> None:

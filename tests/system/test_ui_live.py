@@ -121,7 +121,7 @@ def test_a_loop_that_runs_is_followed_and_stopped_in_the_browser(
         server = Server(f"--host={robot.host}")
         wait_until_corrected(robot)
         page.goto(workbench.address)
-        page.wait_for_url("**/campaigns")
+        page.wait_for_url("**/machines")
         page.goto(f"{workbench.base}/live")
         now = page.locator("[data-now]")
         expect(now.locator("[data-key=rate]")).not_to_have_text("\u2013")

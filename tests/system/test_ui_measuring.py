@@ -45,7 +45,7 @@ def test_what_is_asked_is_shown_and_answered(bench: Workbench, tmp_path: Path) -
         page = browser.new_page()
         page.set_default_timeout(PATIENCE_MS)
         page.goto(bench.address)
-        page.wait_for_url("**/campaigns")
+        page.wait_for_url("**/machines")
         page.goto(f"{bench.base}/measuring")
         expect(page.locator("main")).to_contain_text("t001: run <b>the program</b>")
         page.get_by_role("button", name="Done").click()

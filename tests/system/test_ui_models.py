@@ -41,7 +41,7 @@ def page(bench: Workbench) -> Iterator[Page]:
         opened = browser.new_page(viewport={"width": 1280, "height": 900})
         opened.set_default_timeout(PATIENCE_MS)
         opened.goto(bench.address)
-        opened.wait_for_url("**/campaigns")
+        opened.wait_for_url("**/machines")
         yield opened
 
 

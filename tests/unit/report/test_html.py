@@ -30,8 +30,10 @@ def test_a_page_fetches_nothing_and_escapes_everything() -> None:
 def test_magnification_is_round_and_drawn() -> None:
     angle = np.linspace(0, 360, 100)
     figure = polar_figure({"a": (angle, 40 * np.cos(np.radians(2 * angle)))}, 100.0, title="x")
-    assert "(500 x)" in figure.layout.title.text
-    drawn = np.array(figure.data[1].r)
+    assert "20 µm per division" in figure.layout.title.text
+    rings = np.array(figure.layout.polar.radialaxis.tickvals) - 100.0
+    assert np.allclose(rings * 1000.0 / 500.0, [float(text) for text in figure.layout.polar.radialaxis.ticktext])
+    drawn = np.array(next(trace for trace in figure.data if trace.name == "a").r)
     assert drawn.max() == pytest.approx(100 + 40 * 500 / 1000, rel=1e-3)
 
 

@@ -1,0 +1,153 @@
+"""Test sheets: the standard's figures, what their uncertainty covers, and what is decided."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dtwin.errors import InputError
+from dtwin.kinds.circular.sheet import circular_sheet
+from dtwin.kinds.registry import kind_named
+from dtwin.report.checking import check_source, sheet_of
+from dtwin.report.sheet import Characteristic, Limits, judged, sheet_lines
+from dtwin.schema import Campaign, Finding, Run, RunMeta
+from dtwin.tolerances import limits_from
+
+ROOT = Path(__file__).parents[3]
+ANGLE = np.arange(0.5, 360.0, 1.0)
+
+
+def circle(
+    direction: str, repeat: int, noise: np.ndarray, *, oval_um: float = 4.0, play_um: float = 1.0, feed: float = 2000.0
+) -> Run:
+    """One run of a circle of 100 mm with an oval and a step between directions."""
+    sign = 1.0 if direction == "CCW" else -1.0
+    error = oval_um * np.cos(np.radians(2 * ANGLE)) / 2 + sign * play_um / 2 * np.sign(np.sin(np.radians(ANGLE)))
+    samples = {"angle_deg": sign * ANGLE, "deviation_um": np.interp(sign * ANGLE % 360.0, ANGLE, error) + noise}
+    meta = RunMeta(
+        f"{direction}{feed:g}-{repeat}",
+        plane="XY",
+        direction=direction,
+        radius_mm=100.0,
+        feed_mm_min=feed,
+        repeat=repeat,
+    )
+    return Run(meta=meta, samples=samples)
+
+
+def test_the_figures_of_a_circle_are_those_of_its_shape() -> None:
+    nothing = np.zeros(ANGLE.size)
+    (part,) = circular_sheet([circle("CCW", 1, nothing), circle("CW", 1, nothing)]).parts
+    figures = {c.symbol: c.value_um for c in part.characteristics}
+    assert part.title == "XY R100 F2000"
+    assert figures["H"] == pytest.approx(1.0, abs=0.05)
+    assert figures["G(b)"] == pytest.approx(5.0, abs=0.1)
+    assert figures["G(CCW)"] == pytest.approx(figures["G(CW)"], abs=0.05)
+    assert figures["Fmax(CCW)"] - figures["Fmin(CCW)"] == pytest.approx(figures["G(CCW)"])
+
+
+def test_the_uncertainty_covers_what_the_figure_is_on_average() -> None:
+    """100 campaigns of 2 feeds and 3 repeats: U of D must cover its true value in about 95 of 100."""
+    rng = np.random.default_rng(1)
+    covered = 0
+    for _ in range(100):
+        offset = rng.normal(0.0, 0.3, (2, 3, 2))
+        runs = [
+            circle(way, n + 1, np.full(ANGLE.size, offset[f, n, w]), feed=feed)
+            for f, feed in enumerate((1000.0, 2000.0))
+            for n in range(3)
+            for w, way in enumerate(("CCW", "CW"))
+        ]
+        sheet = judged(circular_sheet(runs), None, {})
+        found = next(c for c in sheet.parts[0].characteristics if c.symbol == "D")
+        covered += abs(found.value_um) <= found.expanded_um
+    assert 89 <= covered <= 99
+
+
+def test_a_decision_needs_its_uncertainty() -> None:
+    limits = Limits(high_um=10.0)
+    known = Characteristic("G(b)", "x", 8.0, 3, 1.0, 2.0, 1.5, limits)
+    assert known.decision == "inside"
+    assert replace(known, value_um=9.0).decision == "cannot say"
+    assert replace(known, value_um=12.0).decision == "outside"
+    assert replace(known, expanded_um=float("nan")).decision == "cannot say"
+    assert replace(known, limits=None).decision == ""
+    both = replace(known, value_um=-6.0, limits=Limits(-5.0, 5.0), expanded_um=0.5)
+    assert both.decision == "outside"
+
+
+def test_without_repeats_nothing_is_decided() -> None:
+    nothing = np.zeros(ANGLE.size)
+    sheet = judged(circular_sheet([circle("CCW", 1, nothing), circle("CW", 1, nothing)]), 0.1, {"H": Limits(None, 9.0)})
+    found = {c.symbol: c.decision for c in sheet.parts[0].characteristics}
+    assert found["H"] == "cannot say"
+    assert "not known" in sheet.basis
+
+
+def test_a_spoilt_run_is_left_out_where_there_are_others() -> None:
+    rng = np.random.default_rng(2)
+    runs = [circle(way, n, rng.normal(0, 0.1, ANGLE.size)) for n in (1, 2, 3) for way in ("CCW", "CW")]
+    spoilt = replace(
+        circle("CCW", 4, np.full(ANGLE.size, 0.0), oval_um=80.0), findings=(Finding("x.y", "error", "it slipped"),)
+    )
+    sheet = circular_sheet([*runs, spoilt])
+    assert sheet.notes == ("CCW2000-4 is not evaluated: x.y.",)
+    assert sheet.parts[0].characteristics[0].value_um < 10.0
+    alone = judged(circular_sheet([spoilt, runs[1], runs[3]]), None, {"G(CW)": Limits(None, 99.0)})
+    assert "though not sound" in alone.notes[0]
+    assert {c.decision for c in alone.parts[0].characteristics} == {"", "cannot say"}
+
+
+def test_an_axis_is_told_after_iso_230_2() -> None:
+    """Sixty tests of an axis whose mean and scatter are known: U covers the mean of each figure."""
+    rng = np.random.default_rng(3)
+    targets = np.arange(0.0, 501.0, 50.0)
+    told: dict[str, list[tuple[float, float]]] = {}
+    for _ in range(60):
+        runs = []
+        for n in range(5):
+            way = np.repeat(["forward", "reverse"], targets.size)
+            place = np.concatenate([targets, targets[::-1]])
+            error = 0.01 * place + np.where(way == "reverse", -2.0, 0.0) + rng.normal(0.0, 0.5, place.size)
+            samples = {"t_s": np.arange(place.size) * 1.0, "position_mm": place, "direction": way, "error_um": error}
+            runs.append(Run(RunMeta(f"r{n}", kind="linear", condition={"axis": "X"}, repeat=n + 1), samples))
+        sheet = judged(kind_named("linear").sheet(runs), None, {})
+        for c in sheet.parts[0].characteristics:
+            told.setdefault(c.symbol, []).append((c.value_um, c.expanded_um))
+    assert np.mean([v for v, _ in told["B̄"]]) == pytest.approx(2.0, abs=0.1)
+    for symbol in ("B̄", "M", "E↑"):
+        values, expanded = np.array(told[symbol]).T
+        assert np.mean(np.abs(values - values.mean()) <= expanded) >= 0.87, symbol
+        assert expanded.mean() == pytest.approx(2.0 * values.std(), rel=0.5), symbol
+
+
+def test_a_check_begins_with_the_sheet_of_its_campaign() -> None:
+    result = check_source(
+        ROOT / "data/examples/spoilt-run", tolerances=lambda machine: limits_from({"G(b)": 2.0}, machine)
+    )
+    lines = sheet_lines(result["sheet"])
+    assert lines[0].startswith("ISO 230-4, circular test: outside")
+    assert len(result["sheet"]["parts"]) == len({line.split("  ")[0] for line in lines if line.startswith("XY R")})
+
+
+@pytest.mark.parametrize(
+    "stated", [{"G": "ten"}, {"G": {"low": 3.0, "high": 1.0}}, {"G": {}}, {"G": True}, {"G": {"x": 1}}]
+)
+def test_a_tolerance_that_is_none_is_refused(stated: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="tolerance"):
+        limits_from(stated, "here")
+
+
+def test_the_uncertainty_of_the_instrument_is_added_and_checked() -> None:
+    runs = [circle(way, n, np.full(ANGLE.size, 0.01 * n)) for n in (1, 2, 3) for way in ("CCW", "CW")]
+    kind = kind_named("circular")
+    plain, stated = (
+        sheet_of(kind, Campaign("c", "m", instrument=instrument), runs, {})["parts"][0]["characteristics"][0]
+        for instrument in ({}, {"uncertainty_um": 3.0})
+    )
+    assert stated["expanded_um"] == pytest.approx(np.hypot(plain["expanded_um"], 3.0))
+    with pytest.raises(InputError, match="uncertainty of the instrument"):
+        sheet_of(kind, Campaign("c", "m", instrument={"uncertainty_um": "small"}), runs, {})
