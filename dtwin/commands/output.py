@@ -7,7 +7,14 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+"""Option of every command that has figures to tell."""
+Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
 
 
 def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:
