@@ -21,8 +21,6 @@ def write_document(path: Path, document: Mapping[str, Any], what: str) -> None:
 
     Parameters
     ----------
-    path : Path
-        File to write or replace.
     document : mapping
         JSON-ready but for NaN.
     what : str
@@ -39,8 +37,6 @@ def read_document(path: Path, hint: str = _HINT) -> dict[str, Any]:
 
     Parameters
     ----------
-    path : Path
-        Its file.
     hint : str
         What to do when it is damaged.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 EXIT_DONE = 0
 EXIT_USER = 1
-EXIT_USAGE = 2
 EXIT_GATE = 3
 EXIT_DEVICE = 4
 EXIT_INTERRUPTED = 130
@@ -15,16 +14,10 @@ class DtwinError(Exception):
 
     Parameters
     ----------
-    message : str
-        What is wrong, in one line.
     code : str
         Stable dotted identifier, for example ``"b5r.truncated"``.
     where : str, optional
         File, line, column, run or setting that is wrong.
-    got : str, optional
-        The offending value.
-    allowed : str, optional
-        What would have been accepted.
     hint : str, optional
         What to try next; may be a command.
     """

@@ -29,6 +29,22 @@ def kernel(function: _Function) -> _Function:
 
 
 @kernel
+def _past_joint(q_rad: float, dh: Floats, rotation: Floats, position: Floats) -> None:
+    """Carry a frame, rotation (3, 3) and position (3,), past one joint; ``dh`` is its row."""
+    a, d, alpha = dh[0], dh[1], dh[2]
+    c, s = np.cos(q_rad + dh[3]), np.sin(q_rad + dh[3])
+    ca, sa = np.cos(alpha), np.sin(alpha)
+    for i in range(3):
+        x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
+        along = c * x + s * y
+        across = c * y - s * x
+        position[i] += a * along + d * z
+        rotation[i, 0] = along
+        rotation[i, 1] = ca * across + sa * z
+        rotation[i, 2] = ca * z - sa * across
+
+
+@kernel
 def forward_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> tuple[Floats, Floats]:
     """Return the tool centre point and the tool's rotation for one joint vector.
 
@@ -49,17 +65,7 @@ def forward_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> tuple[Floats, F
     rotation = np.eye(3)
     position = np.zeros(3)
     for j in range(6):
-        a, d, alpha = dh[j, 0], dh[j, 1], dh[j, 2]
-        c, s = np.cos(q_rad[j] + dh[j, 3]), np.sin(q_rad[j] + dh[j, 3])
-        ca, sa = np.cos(alpha), np.sin(alpha)
-        for i in range(3):
-            x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
-            along = c * x + s * y
-            across = c * y - s * x
-            position[i] += a * along + d * z
-            rotation[i, 0] = along
-            rotation[i, 1] = ca * across + sa * z
-            rotation[i, 2] = ca * z - sa * across
+        _past_joint(q_rad[j], dh[j], rotation, position)
     for i in range(3):
         for k in range(3):
             position[i] += rotation[i, k] * tcp_mm[k]
@@ -85,17 +91,7 @@ def jacobian_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> Floats:
         for i in range(3):
             axes[j, i] = rotation[i, 2]
             origins[j, i] = position[i]
-        a, d, alpha = dh[j, 0], dh[j, 1], dh[j, 2]
-        c, s = np.cos(q_rad[j] + dh[j, 3]), np.sin(q_rad[j] + dh[j, 3])
-        ca, sa = np.cos(alpha), np.sin(alpha)
-        for i in range(3):
-            x, y, z = rotation[i, 0], rotation[i, 1], rotation[i, 2]
-            along = c * x + s * y
-            across = c * y - s * x
-            position[i] += a * along + d * z
-            rotation[i, 0] = along
-            rotation[i, 1] = ca * across + sa * z
-            rotation[i, 2] = ca * z - sa * across
+        _past_joint(q_rad[j], dh[j], rotation, position)
     for i in range(3):
         for k in range(3):
             position[i] += rotation[i, k] * tcp_mm[k]
@@ -113,17 +109,13 @@ def jacobian_kernel(q_rad: Floats, dh: Floats, tcp_mm: Floats) -> Floats:
 
 
 @kernel
-def solve_kernel(matrix: Floats, right: Floats) -> Floats:
+def _solve_kernel(matrix: Floats, right: Floats) -> Floats:
     """Solve a small dense linear system by elimination with row pivoting.
 
     Serving hosts have no LAPACK that numba could call.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, n)
-        Overwritten.
-    right : ndarray, shape (n,)
-        Overwritten by the solution, which is also returned.
+    ``matrix``, (n, n): overwritten.
+    ``right``, (n,): overwritten by the solution, which is also returned.
     """
     n = right.shape[0]
     for k in range(n):
@@ -200,7 +192,7 @@ def inverse_kernel(
         damping = 1e-4 * min(1.0, squares) + 1e-15
         for i in range(6):
             normal[i, i] += damping
-        step = solve_kernel(normal, right)
+        step = _solve_kernel(normal, right)
         largest = 0.0
         for i in range(6):
             largest = max(largest, abs(step[i]))
@@ -250,8 +242,6 @@ class KinematicChain:
 
     Attributes
     ----------
-    name : str
-        Model of the robot.
     dh : ndarray, shape (6, 4)
         Standard Denavit-Hartenberg rows: a_mm, d_mm, alpha_rad, theta_rad.
     """
@@ -322,13 +312,7 @@ def position_jacobian(q_rad: Floats, tcp_mm: Floats) -> Floats:
 
 
 def inverse(position_mm: Floats, rotation: Floats, tcp_mm: Floats, seed_q_rad: Floats) -> Floats:
-    """Return the UR10e's joint angles (6,) for a pose, on the branch of the seed.
-
-    Raises
-    ------
-    InputError
-        When the pose is out of reach from this branch.
-    """
+    """Return the UR10e's joint angles (6,) for a pose, on the branch of the seed."""
     return UR10E.inverse(position_mm, rotation, tcp_mm, seed_q_rad)
 
 
@@ -351,8 +335,6 @@ def radial_unit(plane: str, angle_rad: Floats | float) -> Floats:
 
     Parameters
     ----------
-    plane : str
-        Plane of the circle.
     angle_rad : float or ndarray, shape (...,)
         Path angle, from the plane's first axis towards its second.
     """

@@ -6,8 +6,21 @@ import contextlib
 import fcntl
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO, Any
 
 from dtwin.errors import StoreError
+
+
+def take(file: int | IO[Any], *, shared: bool = False, wait: bool = False) -> bool:
+    """Lock an open file until it is closed; without ``wait``, return False while another holds it.
+
+    Many may hold a ``shared`` lock, but not while one holds it alone.
+    """
+    try:
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB))
+    except BlockingIOError:
+        return False
+    return True
 
 
 @contextlib.contextmanager
@@ -18,8 +31,6 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
     ----------
     path : Path
         File of the lock; its folder is created.
-    wait : bool
-        Wait until the other lets go.
 
     Raises
     ------
@@ -38,9 +49,4 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
             hint="check free space and permissions",
         ) from error
     with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            yield False
-            return
-        yield True
+        yield take(handle, wait=wait)

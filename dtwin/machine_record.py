@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -15,6 +14,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.schema import require_name
 from dtwin.tolerances import Limits, limits_from
+from dtwin.units import is_number
 
 FACTS = ("type", "serial", "controller", "instruments", "notes")
 EVENTS = ("repair", "crash", "moved", "compensated", "other")
@@ -39,8 +39,6 @@ class MachineRecord:
 
     Attributes
     ----------
-    name : str
-        As campaigns name it.
     facts : mapping of str to str
         Some of ``FACTS``.
     axes : mapping of str to mapping
@@ -157,8 +155,7 @@ def _axis(value: object, where: str) -> dict[str, float]:
     if not isinstance(value, Mapping) or not set(value) <= set(_AXIS):
         raise _refused(where, str(value)[:60], ", ".join(_AXIS))
     for name, number in value.items():
-        good = isinstance(number, int | float) and not isinstance(number, bool) and math.isfinite(number) and number > 0
-        if not good:
+        if not is_number(number) or number <= 0:
             raise _refused(f"{where}.{name}", str(number)[:60], "a positive number")
     return {name: float(number) for name, number in value.items()}
 

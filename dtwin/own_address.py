@@ -17,8 +17,6 @@ def names_this_computer(host: str | None, *, also: str = "", any_address: bool =
 
     Parameters
     ----------
-    host : str or None
-        The header.
     also : str
         Another name that is ours.
     any_address : bool

@@ -14,6 +14,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.plan_file import read_plan_file
 from dtwin.schema import Direction, Finding, Plane, require_name, standard_plane
+from dtwin.units import is_number
 
 _MAX_TESTS = 100_000
 # A ball-bar mount lets a bar swing through half a turn in a vertical plane.
@@ -31,8 +32,6 @@ class PlannedTest:
     ----------
     test_id : str
         ``t001`` ... in the order of measurement.
-    plane, radius_mm, feed_mm_min, repeat
-        The condition.
     setup : str
         Mounting of the instrument; changes with plane and radius.
     """
@@ -59,8 +58,6 @@ class Plan:
         Directions of every test, in order.
     seed : int
         Seed of the random order inside each set-up.
-    max_feed_mm_min, max_radius_mm : float
-        Limits of the machine.
     """
 
     name: str
@@ -83,16 +80,8 @@ def arc_deg(plane: Plane) -> float:
     return _FULL_TURNS_DEG if plane == "XY" else _HALF_TURN_DEG
 
 
-def motion_s(test: PlannedTest, n_directions: int = 2) -> float:
-    """Estimate the time of pure motion of a test.
-
-    Parameters
-    ----------
-    test : PlannedTest
-        The test.
-    n_directions : int
-        Directions that are run.
-    """
+def _motion_s(test: PlannedTest, n_directions: int = 2) -> float:
+    """Estimate the time of pure motion of a test."""
     length_mm = math.radians(arc_deg(test.plane)) * test.radius_mm
     stops = arc_deg(test.plane) / 180.0
     return n_directions * (length_mm / (test.feed_mm_min / 60.0) + stops * _STOP_S)
@@ -100,7 +89,7 @@ def motion_s(test: PlannedTest, n_directions: int = 2) -> float:
 
 def duration_s(plan: Plan) -> tuple[float, float]:
     """Return the time of pure motion, and the time with turnarounds between directions."""
-    moving = sum(motion_s(test, len(plan.directions)) for test in plan.tests)
+    moving = sum(_motion_s(test, len(plan.directions)) for test in plan.tests)
     return moving, moving + plan.n_runs * _TURNAROUND_S
 
 
@@ -114,19 +103,7 @@ def training_plan(
     machine: str = "virtual-cobot",
     seed: int = 1,
 ) -> Plan:
-    """Return the training campaign of the demo: 81 tests, 162 runs.
-
-    Parameters
-    ----------
-    radii_mm, feeds_mm_min, planes : sequence
-        The grid.
-    repeats : int
-        Repeats of every condition.
-    name, machine : str
-        Names of campaign and machine.
-    seed : int
-        Seed of the order.
-    """
+    """Return the training campaign of the demo: 81 tests, 162 runs."""
     document = {
         "plan": {"name": name, "machine": machine, "seed": seed},
         "grid": {
@@ -161,13 +138,6 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
 
     Feeds and repeats are crossed inside a set-up and shuffled there; plane and radius change
     only with the set-up.
-
-    Parameters
-    ----------
-    document : mapping
-        Content of a plan file.
-    where : str
-        Its name, for error messages.
     """
     head, grid = _table(document, "plan", where), _table(document, "grid", where)
     limits = document.get("limits", {})
@@ -202,13 +172,7 @@ def expand(document: Mapping[str, Any], where: str) -> Plan:
 
 
 def advice(plan: Plan) -> list[Finding]:
-    """Say what the plan cannot tell, before anything is measured.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan to judge.
-    """
+    """Say what the plan cannot tell, before anything is measured."""
     findings = []
     if max(test.repeat for test in plan.tests) < 2:
         findings.append(
@@ -291,7 +255,7 @@ def _listed(grid: Mapping[str, Any], name: str, where: str) -> list[Any]:
 
 def _numbers(grid: Mapping[str, Any], name: str, where: str) -> list[float]:
     values = _listed(grid, name, where)
-    if not all(isinstance(v, int | float) and math.isfinite(v) for v in values):
+    if not all(is_number(v) for v in values):
         raise InputError(
             f"{name} must be numbers", code="plan.grid", where=f"{where} grid.{name}", got=repr(values)[:80]
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
@@ -13,6 +12,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind, Planned
 from dtwin.kinds.registry import kind_named, kind_names, kinds
 from dtwin.schema import DEFAULT_KIND, require_name
+from dtwin.units import is_number
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -61,13 +61,7 @@ def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
 
 
 def _plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:
-    """Return the kind of campaign that a plan asks for; ``unstated`` where it does not say.
-
-    Raises
-    ------
-    InputError
-        When there is no such kind, or it has no plan.
-    """
+    """Return the kind of campaign that a plan asks for; ``unstated`` where it does not say."""
     head = document.get("plan")
     name = head.get("kind", unstated) if isinstance(head, dict) else unstated
     if name not in kind_names():
@@ -104,8 +98,6 @@ def filled(plan: type[_Plan], stated: Mapping[str, Any], where: str) -> _Plan:
     ----------
     plan : type
         A dataclass of text, whole numbers, numbers and tuples of numbers.
-    stated : mapping
-        Its attributes.
     where : str
         Where they come from, for error messages.
 
@@ -162,14 +154,14 @@ def broken_rule(name: str, what: str, where: str, got: object, allowed: str) -> 
 
 def _typed(name: str, kind: str, value: Any, where: str) -> Any:
     if kind == "tuple[float, ...]":
-        if isinstance(value, list | tuple) and value and all(_is_number(v) for v in value):
+        if isinstance(value, list | tuple) and value and all(is_number(v) for v in value):
             return tuple(float(v) for v in value)
         wanted = "a list of numbers"
     else:
         right, wanted = {
             "str": (isinstance(value, str), "text"),
             "int": (isinstance(value, int) and not isinstance(value, bool), "a whole number"),
-            "float": (_is_number(value), "a number"),
+            "float": (is_number(value), "a number"),
         }[kind]
         if right:
             return float(value) if kind == "float" else value
@@ -180,7 +172,3 @@ def _typed(name: str, kind: str, value: Any, where: str) -> Any:
         got=repr(value)[:60],
         allowed=wanted,
     )
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -104,8 +104,6 @@ class Encoded:
 
     Attributes
     ----------
-    data : bytes or memoryview
-        The file.
     columns : mapping of str to ndarray
         What it holds: the object itself, by which its owner knows that nothing was replaced.
     """
@@ -122,8 +120,6 @@ class SignalGroup:
     ----------
     name : str
         Device group, for example ``"accelerometers"`` or ``"controller"``.
-    rate_hz : float
-        Sample rate of the device.
     columns : dict of str to ndarray, shape (n,)
         Signals by column name; names carry the unit.
     start_s : float
@@ -169,8 +165,6 @@ class RunMeta:
         One mounting of the instrument; centre and zero belong to it.
     started : str
         ISO 8601 time, empty when unknown.
-    sample_rate_hz : float
-        Rate of the reference instrument.
     covariates : dict of str to float
         Numbers logged once per run.
     vendor : dict of str to float
@@ -202,8 +196,6 @@ class Run:
 
     Attributes
     ----------
-    meta : RunMeta
-        Condition and provenance.
     samples : dict of str to ndarray, shape (n,)
         Samples of the reference instrument. A circular run has ``t_s``, ``angle_deg`` and
         ``deviation_um``; optional ``cmd_x_mm`` ... ``act_z_mm`` and covariate columns.
@@ -213,8 +205,6 @@ class Run:
         High-rate signals, each group on its own clock.
     source : str
         File that the run was read from.
-    findings : tuple of Finding
-        What the reader noticed.
     """
 
     meta: RunMeta

@@ -32,8 +32,6 @@ def t_tail(t: float, dof: float) -> float:
 
     Parameters
     ----------
-    t : float
-        The value.
     dof : float
         Degrees of freedom.
     """

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from dtwin.errors import InputError
+from dtwin.units import is_number
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
         bounds = value if isinstance(value, Mapping) else {"high": value}
         low, high = bounds.get("low"), bounds.get("high")
         numbers = [b for b in (low, high) if b is not None]
-        good = bool(numbers) and set(bounds) <= {"low", "high"} and all(map(_is_number, numbers))
+        good = bool(numbers) and set(bounds) <= {"low", "high"} and all(map(is_number, numbers))
         if not good or (len(numbers) == 2 and numbers[0] >= numbers[1]):
             raise InputError(
                 "a tolerance is not usable",
@@ -53,7 +53,3 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
             )
         found[symbol] = Limits(*(None if b is None else float(b) for b in (low, high)))
     return found
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

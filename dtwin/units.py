@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
+from typing import TypeGuard
 
 from dtwin.errors import InputError
 
@@ -38,6 +40,12 @@ UNITS: dict[str, str] = {
 
 UM_PER_MM = 1000.0
 G_MM_S2 = 9806.65
+_LARGEST = sys.float_info.max
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    """Tell whether a value that was read is a finite number; a truth value is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
 def unit_of(column: str) -> str | None:

@@ -161,7 +161,7 @@ def campaign_figures(campaign: str) -> tuple[dict[str, Any], dict[str, Any]]:
 @task(name="drift", task_run_name="champion on {campaign}", **_REPEATABLE)
 def champion_drift(machine: str, campaign: str) -> drift.DriftCheck | None:
     """Judge the champion on a campaign; None when nothing was promoted."""
-    champion = drift.champion_of(Registry(home()), machine)
+    champion = Registry(home()).champion(machine)
     if champion is None:
         return None
     return drift.check_drift(home(), champion, campaign, logged("champion"))

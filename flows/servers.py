@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 import contextlib
 import ctypes
-import fcntl
 import json
 import os
 import signal
@@ -24,6 +23,7 @@ from pathlib import Path
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError, MissingPart, StoreError
+from dtwin.locks import locked
 from flows.reach import SERVERS_FILE, answers, auth_string, running
 
 HOST = "127.0.0.1"
@@ -354,21 +354,17 @@ def _only_one(home: Home) -> Iterator[None]:
     path = home.root / "locks" / "up.lock"
     try:
         home.made()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle = path.open("w")
     except OSError as error:
         raise StoreError(
             "the state folder cannot be written", code="store.write", where=str(path), got=str(error)
         ) from error
-    with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+    with locked(path) as mine:
+        if not mine:
             raise InputError(
                 "the servers of this home are up already",
                 code="up.twice",
                 where=str(home.root),
                 got=running(home).get("prefect"),
                 hint="open that page, or stop the other with Ctrl-C",
-            ) from error
+            )
         yield

@@ -10,7 +10,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Any
 
-from dtwin.acquire import stated
+from dtwin.acquire import _stated as stated
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
 from dtwin.lake.rows import findings_fields
@@ -38,14 +38,8 @@ def amend(
 
     Parameters
     ----------
-    lake : Lake
-        Where the campaign is.
-    campaign : str
-        Its name.
     settings : sequence of str
         ``FIELD=VALUE``, named as in ``campaign.toml``; ``condition.KEY=`` takes a key away.
-    because : str
-        Why.
     runs : sequence of str
         Only these; what belongs to the campaign is stated of all.
     who : str
@@ -100,8 +94,6 @@ def leave_out(lake: Lake, campaign: str, runs: Sequence[str], because: str, *, o
     ----------
     lake, campaign, because, who
         As in :func:`amend`.
-    runs : sequence of str
-        Which.
     out : bool
         False brings them back.
 

@@ -28,8 +28,6 @@ class Arrival:
 
     Attributes
     ----------
-    path : Path
-        Where it is.
     stamp : tuple
         Name, size and time of change of each of its files.
     """

@@ -148,7 +148,7 @@ def _read_run(element: Element, bar: Element, started: str, path: Path) -> Run:
         feed_mm_min=_number(bar, "PROGRAMMED_FEEDRATE", where, low=1e-3, high=1e6),
         started=started,
         sample_rate_hz=rate_hz,
-        covariates=_temperature(element, where),
+        covariates=_temperature(element),
         vendor=_vendor_figures(element),
     )
     angle_deg = marked_angle_deg(readings_mm.size, (start, end), direction, arc_start_deg, abs(arc_deg) or 360.0)
@@ -305,7 +305,7 @@ def _vendor_figures(element: Element) -> dict[str, float]:
     return {name: stated[feature] * factor for feature, (name, factor) in _VENDOR_FIGURES.items() if feature in stated}
 
 
-def _temperature(element: Element, where: str) -> dict[str, float]:
+def _temperature(element: Element) -> dict[str, float]:
     value = _maybe_float(_text(element, "RUN_TEMPERATURE"))
     return {} if value is None else {"temperature_c": value}
 

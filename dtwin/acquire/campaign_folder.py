@@ -10,12 +10,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from dtwin.acquire import stated
+from dtwin.acquire import _stated as stated
+from dtwin.acquire._tabular import read_columns
+from dtwin.acquire._trace_json import read_trace_json
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.recovery import signal_findings
 from dtwin.acquire.signal_files import read_signals
-from dtwin.acquire.tabular import read_columns
-from dtwin.acquire.trace_json import read_trace_json
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kind_names
@@ -63,10 +63,6 @@ class FolderEntry:
         As stated; a ``.b5r`` becomes ``id-ccw`` and ``id-cw``.
     file : Path
         Samples of the reference instrument.
-    signals : tuple of Path
-        High-rate signal files.
-    stated : dict
-        The entry as written.
     """
 
     run_id: str
@@ -77,15 +73,7 @@ class FolderEntry:
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """A campaign and its runs, readable one by one.
-
-    Attributes
-    ----------
-    campaign : Campaign
-        The ``[campaign]`` table.
-    entries : tuple of FolderEntry
-        One per ``[[run]]``.
-    """
+    """A campaign and its runs, readable one by one."""
 
     campaign: Campaign
     entries: tuple[FolderEntry, ...]

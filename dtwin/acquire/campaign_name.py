@@ -9,15 +9,7 @@ from dtwin.lake.store import Lake
 
 
 def in_lake(home: Home, campaign: str) -> str:
-    """Return the name of a campaign in the lake; a file or folder is ingested first.
-
-    Parameters
-    ----------
-    home : Home
-        Gives the lake.
-    campaign : str
-        Name in the lake, or a path.
-    """
+    """Return the name of a campaign in the lake; a file or folder is ingested first."""
     if campaign not in Lake(home.lake).campaigns() and Path(campaign).exists():
         # Readers of every kind, and numba: not for a campaign that is there.
         from dtwin.acquire.ingest import ingest

@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.daq_faults import daq_faults
+from dtwin.acquire._daq_faults import daq_faults
+from dtwin.acquire._sample_ring import SampleRing
 from dtwin.acquire.instrument import Description, Reading
-from dtwin.acquire.sample_ring import SampleRing
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.opened import OpenAndClose
 from dtwin.schema import Finding, Floats
 
 _MASTER_HZ = 13_107_200.0 / 256.0
-SLOWEST_DIVISOR = 31
+_SLOWEST_DIVISOR = 31
 FULL_SCALE_MV = 5000.0
 _OVERRUN = "overrun: the host read too slowly (-200279)"
 
@@ -35,18 +35,11 @@ _OVERWRITTEN = -200279
 class AccelerometerChannel:
     """One sensor at one input.
 
-    Attributes
-    ----------
-    name : str
-        Column of its signal, ending in ``_g``.
-    physical : str
-        Module and input, for example ``"cDAQ1Mod1/ai0"``.
-    sensitivity_mv_g : float
-        From the sensor's certificate; 1000 mV/g for a PCB 356B18.
-    excitation_a : float
-        Constant current that feeds the sensor (IEPE); 0 for a sensor with a supply of its own.
-    range_g : float or None
-        Largest acceleration to expect; None for the module's full scale.
+    ``name``: column of its signal, ending in ``_g``.
+    ``physical``: module and input, for example ``"cDAQ1Mod1/ai0"``.
+    ``sensitivity_mv_g``: from the sensor's certificate; 1000 mV/g for a PCB 356B18.
+    ``excitation_a``: constant current that feeds the sensor (IEPE); 0 for a sensor with a supply of its own.
+    ``range_g``: largest acceleration to expect; None for the module's full scale.
     """
 
     name: str
@@ -64,25 +57,13 @@ class AccelerometerChannel:
 class AccelerometerTask(OpenAndClose):
     """Hardware-timed acquisition of accelerometers.
 
-    Parameters
-    ----------
-    channels : sequence of AccelerometerChannel
-        In the order of the blocks' rows.
-    rate_hz : float
-        Wanted rate; ``self.rate_hz`` is the one that the module has, known once it is open.
-    block_s : float
-        Time that one block covers; about 0.1 s suits a recording, 0.01 s serving.
-    grpc_target : str, optional
-        ``host:port`` of an NI gRPC device server; the local driver by default.
-    timeout_s : float
-        Wait for the server, and for samples beyond the length of a block.
-    history_s : float
-        Time that ``newest_window`` can look back.
-
-    Raises
-    ------
-    InputError
-        When channels, rate or block make no sense.
+    ``channels``: in the order of the blocks' rows.
+    ``rate_hz``: wanted rate; ``self.rate_hz`` is the one that the module has, known once it is open.
+    ``block_s``: time that one block covers; about 0.1 s suits a recording, 0.01 s serving.
+    ``grpc_target``: ``host:port`` of an NI gRPC device server; the local driver by default.
+    ``timeout_s``: wait for the server, and for samples beyond the length of a block.
+    ``history_s``: time that ``newest_window`` can look back.
+    Raises ``InputError`` when channels, rate or block make no sense.
     """
 
     name = "accelerometers"
@@ -109,12 +90,7 @@ class AccelerometerTask(OpenAndClose):
     def open(self) -> None:
         """Create the task, set up its channels and clock, and read back what was accepted.
 
-        Raises
-        ------
-        MissingPart
-            When the package or the driver is not installed.
-        DeviceError
-            When server, module or channel is absent, or the channels come in another order.
+        Raises ``DeviceError`` when server, module or channel is absent, or the channels come in another order.
         """
         if self._task is not None:
             return
@@ -166,17 +142,8 @@ class AccelerometerTask(OpenAndClose):
     def read_block(self) -> tuple[Floats, int]:
         """Return the next block without a gap, or the newest after an overrun.
 
-        Returns
-        -------
-        samples : ndarray, shape (channels, n)
-            In g; the next call overwrites it.
-        lost : int
-            Samples per channel that were lost before it.
-
-        Raises
-        ------
-        DeviceError
-            When the module delivers nothing in time, is gone, or sampling was not started.
+        Returns ``samples`` (channels, n): in g; the next call overwrites it.
+        Returns ``lost``: samples per channel that were lost before it.
         """
         if not self._running:
             raise DeviceError("sampling was not started", code="daq.stopped", where=self._where)
@@ -195,17 +162,8 @@ class AccelerometerTask(OpenAndClose):
     def newest_window(self, n_samples: int) -> tuple[Floats | None, float]:
         """Return the newest samples that were read, and the age of the last one in s.
 
-        Parameters
-        ----------
-        n_samples : int
-            Samples per channel.
-
-        Returns
-        -------
-        window : ndarray, shape (channels, n_samples), or None
-            None while there are not as many samples without a gap.
-        age_s : float
-            Infinite without a window.
+        Returns ``window`` (channels, n_samples): none while there are not as many samples without a gap.
+        Returns ``age_s``: infinite without a window.
         """
         window = np.empty((len(self.channels), n_samples))
         end, read_s = self._ring.newest(window) if self._running else (0, 0.0)
@@ -322,14 +280,9 @@ class AccelerometerTask(OpenAndClose):
             )
 
 
-def module_rates_hz() -> tuple[float, ...]:
-    """Return the rates of an NI-9234, fastest first: 51 200 Hz divided by 1 to 31."""
-    return tuple(_MASTER_HZ / divisor for divisor in range(1, SLOWEST_DIVISOR + 1))
-
-
 def _require_sense(channels: Sequence[AccelerometerChannel], rate_hz: float, block_s: float) -> None:
     names = [c.name for c in channels]
-    slowest = _MASTER_HZ / SLOWEST_DIVISOR
+    slowest = _MASTER_HZ / _SLOWEST_DIVISOR
     problem = None
     if not names or len(set(names)) < len(names):
         problem = "no channel, or a name twice"

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire._sample_ring import SampleRing
 from dtwin.acquire.daq import AccelerometerChannel
-from dtwin.acquire.sample_ring import SampleRing
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.features.windows import WindowContract
 from dtwin.schema import Floats
 
-FILTER_SAMPLES = 40.0
+_FILTER_SAMPLES = 40.0
 """About what a delta-sigma converter's filter holds back; NI states no formula for the 9234."""
 
 _CLOSE_S = 3.0
@@ -34,27 +34,11 @@ _LEAST_BLOCKS = 8
 class DaqWindows:
     """Delivers windows to the serving loop without waiting.
 
-    Parameters
-    ----------
-    contract : WindowContract
-        What the model was trained on; rate and channels must be met exactly.
-    channels : sequence of AccelerometerChannel
-        The contract's channels, in its order.
-    block_s : float
-        Time between reads; part of the age of what is served.
-    grpc_target : str, optional
-        As for ``AccelerometerTask``.
-    timeout_s : float
-        As for ``AccelerometerTask``.
-
-    Raises
-    ------
-    InputError
-        When the channels are not the contract's.
-    MissingPart
-        When package or driver is not installed.
-    DeviceError
-        When a device is absent, or samples at another rate than the model was trained on.
+    ``contract``: what the model was trained on; rate and channels must be met exactly.
+    ``channels``: the contract's channels, in its order.
+    ``block_s``: time between reads; part of the age of what is served.
+    ``grpc_target``: as for ``AccelerometerTask``.
+    ``timeout_s``: as for ``AccelerometerTask``.
     """
 
     def __init__(
@@ -106,13 +90,9 @@ class DaqWindows:
         Windows never span a gap. A device that fails delivers no windows until it is back: the
         age grows, and ``fault`` tells why. The array is overwritten by the next window.
 
-        Returns
-        -------
-        window : ndarray, shape (channels, n_samples), or None
-            In g; None before a whole hop of samples has come.
-        age_s : float
-            Of the newest sample of the newest window, with the converter's filter; infinite
-            before the first.
+        Returns ``window`` (channels, n_samples): in g; None before a whole hop of samples has come.
+        Returns ``age_s``: of the newest sample of the newest window, with the converter's filter; infinite before the
+        first.
         """
         window: Floats | None = None
         if self._ring.end >= self._end + self._contract.hop or not self._end:
@@ -120,7 +100,7 @@ class DaqWindows:
             if end:
                 self._end, self._read_s = end, read_s
                 window = self._window
-        delay_s = FILTER_SAMPLES / self._contract.rate_hz
+        delay_s = _FILTER_SAMPLES / self._contract.rate_hz
         return window, time.monotonic() - self._read_s + delay_s
 
     def fault(self) -> DeviceError | MissingPart | None:
@@ -152,7 +132,7 @@ class DaqWindows:
         self._messages, theirs = os.pipe2(os.O_CLOEXEC)
         options = [f"--memory={memory}", f"--messages={theirs}", f"--capacity={capacity}"]
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "dtwin.acquire.daq_worker", *options, f"--setup={setup}"],
+            [sys.executable, "-m", "dtwin.acquire._daq_worker", *options, f"--setup={setup}"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             pass_fds=(memory, theirs),

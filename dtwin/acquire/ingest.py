@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.lone_table import open_table, safe_name
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.errors import InputError
 from dtwin.lake.rows import columns_sha256
@@ -26,8 +26,6 @@ class IngestReport:
 
     Attributes
     ----------
-    campaign : str
-        Name of the campaign.
     added, unchanged : tuple of str
         Run ids.
     findings : tuple of (str, Finding)
@@ -58,8 +56,6 @@ def ingest(
     ----------
     path : Path
         A campaign folder, its ``campaign.toml``, or a ``.b5r`` file.
-    lake : Lake
-        Where to.
     progress : callable, optional
         Called with (done, total, what) after every source file.
     told : mapping, optional

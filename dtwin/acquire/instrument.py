@@ -21,16 +21,9 @@ if TYPE_CHECKING:
 class Description:
     """What an open instrument delivers.
 
-    Attributes
-    ----------
-    group : str
-        Device group of its signals.
-    rate_hz : float
-        Sample rate that it really has.
-    columns : dict of str to dtype
-        Signals; names of floating-point columns end in their unit.
-    notes : dict
-        What else belongs to a recording.
+    ``rate_hz``: sample rate that it really has.
+    ``columns``: signals; names of floating-point columns end in their unit.
+    ``notes``: what else belongs to a recording.
     """
 
     group: str
@@ -43,14 +36,8 @@ class Description:
 class Reading:
     """Successive samples.
 
-    Attributes
-    ----------
-    columns : dict of str to ndarray, shape (n,)
-        The samples; n may be 0.
-    lost : int
-        Samples that were lost just before these.
-    reason : str
-        Why they were lost.
+    ``columns``, (n,): the samples; n may be 0.
+    ``lost``: samples that were lost just before these.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -115,26 +102,11 @@ class Instrument(Protocol):
 def record(instrument: Instrument, recorder: Recorder, wanted: Callable[[int], bool]) -> int:
     """Record a started instrument; losses are recorded as gaps.
 
-    Parameters
-    ----------
-    instrument : Instrument
-        Open and started.
-    recorder : Recorder
-        Of the columns that the instrument describes.
-    wanted : callable
-        Asked with the number of samples so far; false ends the recording.
-
-    Returns
-    -------
-    int
-        Samples on the device's clock, lost ones included.
-
-    Raises
-    ------
-    DeviceError
-        When the device fails; what was read before is safe in the recorder.
-    StoreError
-        When the disk is full.
+    ``recorder``: of the columns that the instrument describes.
+    ``wanted``: asked with the number of samples so far; false ends the recording.
+    Samples on the device's clock, lost ones included.
+    Raises ``DeviceError`` when the device fails; what was read before is safe in the recorder.
+    Raises ``StoreError`` when the disk is full.
     """
     while wanted(recorder.n_samples):
         reading = instrument.read()

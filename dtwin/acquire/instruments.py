@@ -18,21 +18,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Entry:
+class _Entry:
     """One kind of instrument or machine.
 
-    Attributes
-    ----------
-    name : str
-        What it is asked for by.
-    role : {"instrument", "bench"}
-        A stream of samples, or a machine with its instruments that runs planned tests.
-    measures : str
-        What it delivers, in a few words.
-    needs : str
-        Extra of this package, and driver, that it needs; empty for none.
-    make : callable
-        Returns one from its settings; touches no device yet.
+    ``role``: a stream of samples, or a machine with its instruments that runs planned tests.
+    ``measures``: what it delivers, in a few words.
+    ``needs``: extra of this package, and driver, that it needs; empty for none.
+    ``make``: returns one from its settings; touches no device yet.
     """
 
     name: str
@@ -45,17 +37,8 @@ class Entry:
 def instrument(name: str, **settings: Any) -> Instrument:
     """Return a closed instrument.
 
-    Parameters
-    ----------
-    name : str
-        A key of ``ENTRIES`` with the role ``instrument``.
-    **settings
-        As its class takes them; see ``ENTRIES[name].make``.
-
-    Raises
-    ------
-    InputError
-        When there is no such instrument, or its settings make no sense.
+    ``name``: a key of ``ENTRIES`` with the role ``instrument``.
+    ``**settings``: as its class takes them; see ``ENTRIES[name].make``.
     """
     made: Instrument = _make(name, "instrument", settings)
     return made
@@ -112,16 +95,16 @@ def _virtual_cobot(**settings: Any) -> Bench:
 
 
 _ALL = (
-    Entry(
+    _Entry(
         "accelerometers",
         "instrument",
         "acceleration in g, NI-9234 class modules",
         "the extra daq and the NI-DAQmx driver, or an NI gRPC device server",
         _accelerometers,
     ),
-    Entry("serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial),
-    Entry("controller", "instrument", "joints, path and corrections of a UR robot", "the extra serve", _robot),
-    Entry(
+    _Entry("serial", "instrument", "any columns of a device on a serial line", "the extra serve", _serial),
+    _Entry("controller", "instrument", "joints, path and corrections of a UR robot", "the extra serve", _robot),
+    _Entry(
         "virtual-cobot",
         "bench",
         "circular tests with ball bar, accelerometers and controller",
@@ -130,7 +113,7 @@ _ALL = (
     ),
 )
 
-ENTRIES: dict[str, Entry] = {entry.name: entry for entry in _ALL}
+ENTRIES: dict[str, _Entry] = {entry.name: entry for entry in _ALL}
 """All instruments and machines by name."""
 
 
@@ -141,8 +124,6 @@ def recorders(sensors: Path | None, robot: str | None) -> list[Instrument]:
     ----------
     sensors : Path or None
         Channel file of the accelerometers.
-    robot : str or None
-        Address of a UR controller.
     """
     found: list[Instrument] = []
     if sensors is not None:

@@ -36,12 +36,8 @@ class CirclePlan:
 
     Attributes
     ----------
-    planes : tuple of str
-        Planes.
     radii_mm, feeds_mm_min : tuple of float
         Crossed with each other; each in both directions.
-    repeats : int
-        Of every condition.
     """
 
     planes: tuple[Plane, ...] = ("XY",)
@@ -51,11 +47,6 @@ class CirclePlan:
 
     def circles(self, seed: int) -> list[Circle]:
         """Return the circles, feeds and repeats in random order inside every mounting.
-
-        Parameters
-        ----------
-        seed : int
-            Of the order.
 
         Raises
         ------
@@ -93,8 +84,6 @@ def run_circles(session: LinuxcncSession, circles: Sequence[Circle], during: Whi
 
     Parameters
     ----------
-    session : LinuxcncSession
-        Opened.
     circles : sequence of Circle
         In order.
     during : callable, optional
@@ -148,10 +137,6 @@ def run_of(trace: Trace, run_id: str, repeat: int, setup: str, started: str) -> 
 
     Parameters
     ----------
-    trace : Trace
-        The turn.
-    run_id, setup, started : str
-        Identity.
     repeat : int
         Counts from 1.
     """
@@ -178,10 +163,7 @@ def run_of(trace: Trace, run_id: str, repeat: int, setup: str, started: str) -> 
 def geometry(faults: MillFaults) -> dict[str, Any]:
     """Return what a campaign says of this machine.
 
-    Parameters
-    ----------
-    faults : MillFaults
-        Its loops decide how late a correction acts.
+    ``faults``: its loops decide how late a correction acts.
     """
     return {
         "type": "mill",
@@ -196,14 +178,8 @@ def write_circles(folder: Path, measured: Sequence[Trace], faults: MillFaults, n
 
     Parameters
     ----------
-    folder : Path
-        Folder to write.
     measured : sequence of Trace
         In order of measurement.
-    faults : MillFaults
-        The truth.
-    name : str
-        Of the campaign.
 
     Raises
     ------

@@ -75,13 +75,6 @@ def aligned_angle_deg(run: Run, motion: Motion) -> Floats | None:
     """Return angles that put every stop on a half turn; None with fewer than two stops.
 
     Which half turn a stop belongs to is taken from the file's own angles, rounded.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    motion : Motion
-        Its stops.
     """
     if len(motion.stops) < 2 or run.window is None:
         return None
@@ -124,18 +117,7 @@ def non_repeatable_um(run: Run, motion: Motion) -> tuple[float, float, float] | 
     A machine that stops does not run on a clock: the lag is found anew for each half turn.
     The lead-in is left out, and so is the burst of each stop.
 
-    Parameters
-    ----------
-    run : Run
-        The run.
-    motion : Motion
-        Its stops.
-
-    Returns
-    -------
-    correlation, repeatable_um, non_repeatable_um : tuple of float or None
-        RMS values; the non-repeatable part is that of one revolution. None when no half turn
-        is seen twice.
+    RMS values; the non-repeatable part is that of one revolution. None when no half turn is seen twice.
     """
     deviation, margin = run.samples["deviation_um"], round(_STOP_S * run.meta.sample_rate_hz)
     first, second = [], []

@@ -74,8 +74,6 @@ def urscript(
 
     Parameters
     ----------
-    test : PlannedTest
-        The test.
     directions : tuple of str
         Directions in the order they are run.
     centre_mm : tuple of float

@@ -8,7 +8,6 @@ back and seals them into Parquet.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import os
 import zlib
@@ -22,6 +21,7 @@ import pyarrow as pa
 from numpy.typing import DTypeLike, NDArray
 
 from dtwin.errors import InputError, StoreError
+from dtwin.locks import take
 from dtwin.schema import require_name
 from dtwin.units import require_units
 
@@ -79,7 +79,7 @@ class Recorder:
         self._closed = False
         fields = [pa.field(name, pa.from_numpy_dtype(kind)) for name, kind in self._types.items()]
         head = {"group": group, "rate_hz": self.rate_hz, "start_s": start_s}
-        self._schema = pa.schema(fields, metadata={STREAM_KEY: header(head | {"notes": dict(notes or {})}, fields)})
+        self._schema = pa.schema(fields, metadata={STREAM_KEY: _header(head | {"notes": dict(notes or {})}, fields)})
         self._disk = _Disk(path, durable)
         self._stream = pa.ipc.new_stream(pa.PythonFile(self._disk, "w"), self._schema)
         self._empty = _batch([np.empty(0, kind) for kind in self._types.values()], self._schema)
@@ -121,8 +121,6 @@ class Recorder:
         ----------
         n_lost : int
             Number of samples per channel that the device took and nobody read.
-        reason : str
-            Why, in a few words.
 
         Raises
         ------
@@ -248,7 +246,7 @@ class _Disk:
                 hint="recover or remove an earlier recording of this name; check permissions",
             ) from error
         # Released by the kernel when this process dies: tells a live recording from a dead one.
-        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        take(self._file)
 
     def write(self, data: bytes) -> int:
         """Take bytes of the block in the making."""
@@ -296,7 +294,7 @@ def _batch(arrays: Sequence[NDArray[Any]], schema: pa.Schema) -> pa.RecordBatch:
     return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
-def header(head: Mapping[str, Any], fields: Sequence[pa.Field]) -> str:
+def _header(head: Mapping[str, Any], fields: Sequence[pa.Field]) -> str:
     """Return the stream's header: what it tells and a checksum of it and of the fields."""
     content = json.dumps(dict(head))
     return json.dumps({"head": content, "crc": header_checksum(content, fields)})

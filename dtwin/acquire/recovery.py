@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ import pyarrow.parquet as pq
 from dtwin.acquire.recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
 from dtwin.errors import StoreError
 from dtwin.lake.parquet import columns_of, write_parquet
+from dtwin.locks import take
 from dtwin.schema import Finding, SignalGroup
 from dtwin.units import unit_of
 
@@ -24,15 +24,10 @@ _SIGNALS_KEY = b"dtwin.signals"
 
 
 @dataclass(frozen=True)
-class Gap:
+class _Gap:
     """Samples that the device took and nobody read.
 
-    Attributes
-    ----------
-    first_sample, n_lost : int
-        Place on the device's clock, and number per channel.
-    reason : str
-        Why.
+    ``first_sample``, ``n_lost``: place on the device's clock, and number per channel.
     """
 
     first_sample: int
@@ -44,22 +39,12 @@ class Gap:
 class Recovered:
     """What a recording holds.
 
-    Attributes
-    ----------
-    group : SignalGroup
-        All complete blocks; lost samples are NaN, and -1 in columns of whole numbers.
-    gaps : tuple of Gap
-        Where samples were lost.
-    blocks : int
-        Complete blocks of samples.
-    complete : bool
-        Whether the recording was closed in order.
-    notes : dict
-        What the recorder was given.
+    ``group``: all complete blocks; lost samples are NaN, and -1 in columns of whole numbers.
+    ``complete``: whether the recording was closed in order.
     """
 
     group: SignalGroup
-    gaps: tuple[Gap, ...]
+    gaps: tuple[_Gap, ...]
     blocks: int
     complete: bool
     notes: Mapping[str, Any] = field(default_factory=dict)
@@ -74,16 +59,9 @@ class Recovered:
 class Sealed:
     """A recording that became a signal file.
 
-    Attributes
-    ----------
-    path : Path
-        The Parquet file.
-    n_samples, n_bytes : int
-        Samples per channel with the lost ones, and size of the file.
-    complete : bool
-        Whether the recording was closed in order.
-    findings : tuple of Finding
-        Gaps, and that it is incomplete.
+    ``n_samples``, ``n_bytes``: samples per channel with the lost ones, and size of the file.
+    ``complete``: whether the recording was closed in order.
+    ``findings``: gaps, and that it is incomplete.
     """
 
     path: Path
@@ -97,7 +75,7 @@ class Sealed:
 class _Content:
     head: dict[str, Any]
     table: pa.Table
-    gaps: tuple[Gap, ...]
+    gaps: tuple[_Gap, ...]
     blocks: int
     complete: bool
 
@@ -105,16 +83,7 @@ class _Content:
 def recover(path: Path) -> Recovered:
     """Return every complete block of a recording.
 
-    Parameters
-    ----------
-    path : Path
-        Stream written by ``Recorder``.
-
-    Raises
-    ------
-    StoreError
-        When the recording is still being written, is missing or empty, or its header is
-        damaged.
+    ``path``: stream written by ``Recorder``.
     """
     with _read(path) as content:
         head = content.head
@@ -132,8 +101,6 @@ def seal(path: Path, target: Path) -> Sealed:
     ----------
     path : Path
         Stream written by ``Recorder``.
-    target : Path
-        Parquet file to write.
 
     Raises
     ------
@@ -157,15 +124,7 @@ def recover_folder(folder: Path) -> list[Sealed]:
 
     Recordings that are being written are left alone; an empty one is removed.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the streams are; each becomes ``<name>.parquet`` beside it.
-
-    Raises
-    ------
-    StoreError
-        When a recording is damaged or cannot be sealed; the others are sealed all the same.
+    ``folder``: where the streams are; each becomes ``<name>.parquet`` beside it.
     """
     sealed, problems = [], []
     for path in sorted(folder.glob(f"*{SUFFIX}")):
@@ -184,20 +143,12 @@ def recover_folder(folder: Path) -> list[Sealed]:
 def signal_findings(path: Path) -> tuple[Finding, ...]:
     """Return what the header of a sealed signal file says is wrong with it.
 
-    Parameters
-    ----------
-    path : Path
-        Parquet file; one without such a header has no findings.
-
-    Raises
-    ------
-    StoreError
-        When the file cannot be read.
+    ``path``: Parquet file; one without such a header has no findings.
     """
     try:
         metadata = pq.read_schema(path).metadata or {}
         head = json.loads(metadata.get(_SIGNALS_KEY, b"{}"))
-        gaps = tuple(Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
+        gaps = tuple(_Gap(int(a), int(n), str(why)) for a, n, why in head.get("gaps", []))
         return _findings(bool(head.get("complete", True)), gaps, float(head.get("rate_hz", 1.0)))
     except (OSError, pa.ArrowException, ValueError, TypeError) as error:
         raise StoreError(
@@ -210,15 +161,13 @@ def _read(path: Path) -> Iterator[_Content]:
     """Hold the stream against writers and yield its content, mapped rather than copied."""
     try:
         with path.open("rb") as held:
-            try:
-                fcntl.flock(held, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError as error:
+            if not take(held, shared=True):
                 raise StoreError(
                     "the recording is still being written",
                     code="recording.live",
                     where=str(path),
                     hint="end the recording first",
-                ) from error
+                )
             yield _content(path)
     except OSError as error:
         raise StoreError(
@@ -250,13 +199,13 @@ def _open(path: Path) -> tuple[pa.ipc.RecordBatchStreamReader, dict[str, Any]]:
 def _content(path: Path) -> _Content:
     stream, head = _open(path)
     parts: list[pa.RecordBatch] = []
-    gaps: list[Gap] = []
+    gaps: list[_Gap] = []
     blocks, complete, first = 0, False, 0
     for batch, place in _blocks(stream):
         if place["first"] != first:
             break
         if place["lost"]:
-            gaps.append(Gap(first, place["lost"], place["why"]))
+            gaps.append(_Gap(first, place["lost"], place["why"]))
             parts.append(_nothing(stream.schema, place["lost"]))
         elif batch.num_rows:
             parts.append(batch)
@@ -298,7 +247,7 @@ def _unit(name: str) -> dict[str, str] | None:
     return None if unit is None else {"unit": unit}
 
 
-def _findings(complete: bool, gaps: tuple[Gap, ...], rate_hz: float) -> tuple[Finding, ...]:
+def _findings(complete: bool, gaps: tuple[_Gap, ...], rate_hz: float) -> tuple[Finding, ...]:
     found = []
     if not complete:
         found.append(

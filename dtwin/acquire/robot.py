@@ -18,7 +18,7 @@ _GROUP = "controller"
 _LOST_STATES = "states missing by the controller's clock"
 
 _WHOLE = ("segment_id", "applied_sequence", "runtime_running", "safety_ok")
-COLUMNS: dict[str, np.dtype[Any]] = {
+_COLUMNS: dict[str, np.dtype[Any]] = {
     "timestamp_s": np.dtype(np.float64),
     "segment_time_s": np.dtype(np.float64),
     **{
@@ -34,16 +34,9 @@ COLUMNS: dict[str, np.dtype[Any]] = {
 class RobotRecorder(OpenAndClose):
     """Records a robot controller through the supervised link.
 
-    Parameters
-    ----------
-    host : str
-        Address of the controller.
-    rate_hz : float
-        States per second; the controller divides its own rate.
-    block_s : float
-        Time that one reading covers.
-    timeout_s : float
-        How long to wait for the controller, and for a state.
+    ``rate_hz``: states per second; the controller divides its own rate.
+    ``block_s``: time that one reading covers.
+    ``timeout_s``: how long to wait for the controller, and for a state.
     """
 
     name = _GROUP
@@ -65,7 +58,7 @@ class RobotRecorder(OpenAndClose):
 
     def describe(self) -> Description:
         """Return the recorded part of a state."""
-        return Description(_GROUP, self._rate_hz, COLUMNS, {"host": self.host})
+        return Description(_GROUP, self._rate_hz, _COLUMNS, {"host": self.host})
 
     def check(self) -> tuple[Finding, ...]:
         """Return whether the controller is stopped or runs slower than programmed."""
@@ -86,13 +79,7 @@ class RobotRecorder(OpenAndClose):
         self._last_s, self._kept, self._running = None, None, True
 
     def read(self) -> Reading:
-        """Return successive states, up to the first loss.
-
-        Raises
-        ------
-        DeviceError
-            When the link is lost, the controller is silent, or its clock runs back.
-        """
+        """Return successive states, up to the first loss."""
         if not self._running:
             raise DeviceError("recording was not started", code="robot.stopped", where=self.host)
         rows: list[Floats] = []
@@ -111,7 +98,7 @@ class RobotRecorder(OpenAndClose):
             self._last_s = float(state[layout.TIMESTAMP])
             rows.append(state)
         table = np.array(rows)
-        columns = {n: table[:, layout.INDEX[n]].astype(kind) for n, kind in COLUMNS.items()}
+        columns = {n: table[:, layout.INDEX[n]].astype(kind) for n, kind in _COLUMNS.items()}
         return Reading(columns, lost, _LOST_STATES if lost else "")
 
     def stop(self) -> None:

@@ -6,7 +6,6 @@ Before anything is recorded the folder learns of the run in ``<run>.intent.json`
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import threading
@@ -27,6 +26,7 @@ from dtwin.acquire.recording import SUFFIX, Recorder
 from dtwin.acquire.recovery import Sealed, recover_folder, seal
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError, InputError, StoreError
+from dtwin.locks import locked
 from dtwin.schema import DEFAULT_KIND, Finding, require_name
 
 _INTENT = ".intent.json"
@@ -48,8 +48,6 @@ class RunRequest:
         Campaign folder; created.
     campaign, machine : str
         Names for ``campaign.toml``, when the folder has none yet.
-    run_id : str
-        Name of the run.
     duration_s : float or None
         Time to record in s; None until stopped.
     reference : str
@@ -80,14 +78,10 @@ class RecordedRun:
 
     Attributes
     ----------
-    run_id : str
-        Its name.
     sealed : tuple of Sealed
         One signal file per instrument.
     findings : tuple of Finding
         About the set-up of the instruments; gaps are in ``sealed``.
-    reference : Path
-        Where the reference instrument's file belongs.
     """
 
     run_id: str
@@ -105,8 +99,6 @@ def record_run(
     ----------
     instruments : sequence of Instrument
         Closed; opened and closed here. Without any, only the reference instrument measures.
-    request : RunRequest
-        What and where.
     asked_to_stop : callable
         Asked ten times a second; true ends the recording in order.
 
@@ -351,22 +343,12 @@ def _read_intent(path: Path) -> dict[str, Any]:
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """Hold the folder against another recording."""
-    path = folder / _LOCK
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        handle = path.open("w")
-    except OSError as error:
-        raise StoreError(
-            "the folder cannot be written", code="record.folder", where=str(folder), got=str(error)
-        ) from error
-    with handle:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+    with locked(folder / _LOCK) as mine:
+        if not mine:
             raise StoreError(
                 "another process records into this folder",
                 code="record.busy",
                 where=str(folder),
                 hint="wait for it, or use another folder",
-            ) from error
+            )
         yield

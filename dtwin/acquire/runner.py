@@ -76,10 +76,6 @@ def run_campaign(plan: Plan, bench: Bench, folder: Path, progress: Progress | No
 
     Parameters
     ----------
-    plan : Plan
-        What to measure, in order.
-    bench : Bench
-        Machine and instruments.
     folder : Path
         Campaign folder; created.
     progress : callable, optional

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,8 +13,9 @@ from dtwin.acquire.daq_windows import DaqWindows
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
+from dtwin.units import is_number
 
-MAX_BYTES = 1_000_000
+_MAX_BYTES = 1_000_000
 _MOST_IEPE_MA = 20.0
 _SAME_RATE = 1e-3
 _TOP = {"sensors", "channel"}
@@ -27,20 +27,10 @@ _CHANNEL = {"name": True, "input": True, "sensitivity_mv_g": True, "iepe_ma": Tr
 class SensorSetup:
     """What a channel file says.
 
-    Attributes
-    ----------
-    path : Path
-        The file.
-    rate_hz : float
-        Wanted sample rate.
-    channels : tuple of AccelerometerChannel
-        In the order of the file.
-    block_s : float
-        Time that one block of a recording covers.
-    grpc_target : str or None
-        ``host:port`` of an NI gRPC device server; None for the local driver.
-    timeout_s : float
-        Wait for the server, and for samples.
+    ``channels``: in the order of the file.
+    ``block_s``: time that one block of a recording covers.
+    ``grpc_target``: ``host:port`` of an NI gRPC device server; None for the local driver.
+    ``timeout_s``: wait for the server, and for samples.
     """
 
     path: Path
@@ -59,19 +49,7 @@ class SensorSetup:
     def windows(self, contract: WindowContract) -> DaqWindows:
         """Open what delivers the windows of a contract, from the channels that it names.
 
-        Parameters
-        ----------
-        contract : WindowContract
-            What the model was trained on.
-
-        Raises
-        ------
-        InputError
-            When a channel of the model is not in the file, or the rate is another.
-        MissingPart
-            When package or driver is not installed.
-        DeviceError
-            When a device is absent, or samples at another rate than the model was trained on.
+        ``contract``: what the model was trained on.
         """
         by_name = {channel.name: channel for channel in self.channels}
         missing = [name for name in contract.channels if name not in by_name]
@@ -139,9 +117,9 @@ def read_sensors(path: Path) -> SensorSetup:
 def _document(path: Path) -> dict[str, Any]:
     try:
         with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise ValueError(f"more than {MAX_BYTES} bytes")
+            content = file.read(_MAX_BYTES + 1)
+        if len(content) > _MAX_BYTES:
+            raise ValueError(f"more than {_MAX_BYTES} bytes")
         return tomllib.loads(content.decode("utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise _wrong(path, "the channel file cannot be read", "sensors.unreadable", str(error)[:200], None) from error
@@ -175,8 +153,7 @@ def _number(
     table: Mapping[str, Any], name: str, where: str, low: float, high: float, default: float | None = None
 ) -> float:
     value = table.get(name, default)
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not good or not low <= float(value) <= high:
+    if not is_number(value) or not low <= value <= high:
         raise InputError(
             f"{name} is out of range",
             code="sensors.value",

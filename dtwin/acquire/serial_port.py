@@ -23,23 +23,10 @@ _LATE_IN_A_ROW = 3
 class SerialInstrument(OpenAndClose):
     """A device that sends its samples as frames of 32-bit floats, one frame a sample.
 
-    Parameters
-    ----------
-    port : str
-        Such as ``"/dev/ttyACM0"``.
-    columns : sequence of str
-        What a frame holds, in order; names end in their unit.
-    rate_hz : float
-        Frames per second by the device's clock.
-    group : str
-        Device group of its signals.
-    baud, timeout_s
-        As for ``SerialLink``.
-
-    Raises
-    ------
-    InputError
-        When a column has no unit.
+    ``port``: such as ``"/dev/ttyACM0"``.
+    ``columns``: what a frame holds, in order; names end in their unit.
+    ``rate_hz``: frames per second by the device's clock.
+    ``baud``, ``timeout_s``: as for ``SerialLink``.
     """
 
     def __init__(
@@ -84,13 +71,7 @@ class SerialInstrument(OpenAndClose):
         self._next, self._late, self._kept = None, 0, []
 
     def read(self) -> Reading:
-        """Return the samples that have arrived, up to the first loss, waiting for at least one.
-
-        Raises
-        ------
-        DeviceError
-            When the device is silent, gone, or has started to count anew.
-        """
+        """Return the samples that have arrived, up to the first loss, waiting for at least one."""
         lost = 0
         rows: list[tuple[float, ...]] = []
         while not rows:

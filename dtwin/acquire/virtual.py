@@ -70,10 +70,6 @@ def run_of(recording: CobotRecording, run_id: str, plane: Plane, started: dateti
 
     Parameters
     ----------
-    recording : CobotRecording
-        What the virtual instruments recorded.
-    run_id : str
-        Identifier of the run.
     plane : str
         Standard plane.
     started : datetime

@@ -17,9 +17,9 @@ from dtwin.machines.mill_parameters import CircularTest, MillParameters
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Campaign, Direction, Floats, Plane, Run, RunMeta
 
-FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
+_FEEDS_MM_MIN = (1000.0, 2000.0, 4000.0)
 _RADII_MM = (50.0, 150.0)
-REPEATS = 3
+_REPEATS = 3
 _COOL_DOWN_S = 1800.0
 PERIOD_S = 0.002
 _DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
@@ -73,10 +73,7 @@ def virtual_mill(hidden: str = "backlash", **settings: Any) -> VirtualMill:
 def geometry_of_mill(hidden: str) -> dict[str, Any]:
     """Return what a campaign of the virtual mill says of its machine.
 
-    Parameters
-    ----------
-    hidden : str
-        Its fault; closed-loop evidence is measured on the same machine.
+    ``hidden``: its fault; closed-loop evidence is measured on the same machine.
     """
     # An offset is not fed forward: it arrives through the position loop.
     return {
@@ -90,18 +87,13 @@ def geometry_of_mill(hidden: str) -> dict[str, Any]:
 def standard_tests(seed: int, *, planes: Sequence[Plane] = PLANES) -> list[CircularTest]:
     """Return the recommended set of circles: feeds crossed in every set-up, in random order.
 
-    Parameters
-    ----------
-    seed : int
-        Of the order.
-    planes : sequence of str
-        Planes; each with two radii.
+    ``planes``: planes; each with two radii.
     """
     rng = np.random.default_rng([seed, 17])
     out: list[CircularTest] = []
     for plane in planes:
         for radius in _RADII_MM:
-            pairs = [(feed, repeat) for repeat in range(1, REPEATS + 1) for feed in FEEDS_MM_MIN]
+            pairs = [(feed, repeat) for repeat in range(1, _REPEATS + 1) for feed in _FEEDS_MM_MIN]
             for feed, repeat in [pairs[i] for i in rng.permutation(len(pairs))]:
                 for direction in _DIRECTIONS:
                     # One stop in the middle of the session: heat goes back, drift does not.
@@ -129,14 +121,10 @@ def simulate_mill(
     ----------
     folder : Path
         Folder to write; what is wrong with the mill is in its ``truth.toml``.
-    seed : int
-        Of set-ups, noise and order.
     quick : bool
         One plane instead of three.
     hidden : str
         Fault that nobody is told of.
-    progress : callable, optional
-        Called with (done, total, what).
 
     Raises
     ------
@@ -166,14 +154,6 @@ def write_campaign(
     ----------
     folder : Path
         Folder to write; the campaign file comes last.
-    campaign : Campaign
-        Name, machine and geometry.
-    runs : sequence of Run
-        What was measured.
-    truth : MillParameters
-        The machine.
-    progress : callable, optional
-        Called with (done, total, what).
     """
     told: dict[str, Any] = {k: v for k, v in asdict(truth).items() if _plain(v)}
     told |= {letter: asdict(getattr(truth, letter)) for letter in "xyz"}
@@ -185,16 +165,7 @@ def write_campaign(
 def write_runs(folder: Path, campaign: Campaign, runs: Sequence[Run], progress: Progress | None = None) -> None:
     """Write circular runs as a campaign folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write; the campaign file comes last.
-    campaign : Campaign
-        Name, machine and geometry.
-    runs : sequence of Run
-        What was measured.
-    progress : callable, optional
-        Called with (done, total, what).
+    ``folder``: folder to write; the campaign file comes last.
     """
     for number, run in enumerate(runs):
         _write_samples(folder / f"{run.meta.run_id}.csv", run)

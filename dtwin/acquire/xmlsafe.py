@@ -11,9 +11,9 @@ from defusedxml.ElementTree import fromstring
 
 from dtwin.errors import InputError
 
-MAX_BYTES = 32 * 1024 * 1024
+_MAX_BYTES = 32 * 1024 * 1024
 _MAX_ELEMENTS = 20_000
-MAX_DEPTH = 40
+_MAX_DEPTH = 40
 _MAX_TAG_CHARS = 4_000
 
 # <AVERAGING_ENABLED="True" /> : a value without an attribute name.
@@ -22,13 +22,11 @@ _BARE_AMPERSAND = re.compile(rb"&(?!#?\w{1,10};)")
 _TAG = re.compile(rb"<(/?)[A-Za-z_][^<>]*?(/?)>")
 
 
-def read_bounded(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
+def read_bounded(path: Path, max_bytes: int = _MAX_BYTES) -> bytes:
     """Return the bytes of a file, refusing what is empty, absent or absurdly large.
 
     Parameters
     ----------
-    path : Path
-        File to read.
     max_bytes : int
         Largest size that is still read.
 
@@ -76,18 +74,6 @@ def parse_vendor_xml(data: bytes, where: str) -> Element:
 
     Entities and document types are refused, and so are absurd depth and element counts.
     Two slips are mended: a value without an attribute name, and a bare ampersand.
-
-    Parameters
-    ----------
-    data : bytes
-        The file's content.
-    where : str
-        File name for error messages.
-
-    Raises
-    ------
-    InputError
-        When the content is hostile or still not well-formed.
     """
     if b"\x00" in data[:4096] and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
         raise InputError("not an XML file", code="xml.binary", where=where)
@@ -133,11 +119,11 @@ def _refuse_absurd_structure(data: bytes, where: str) -> None:
         elif not tag.group(2):
             depth += 1
             deepest = max(deepest, depth)
-        if count > _MAX_ELEMENTS or deepest > MAX_DEPTH or tag.end() - tag.start() > _MAX_TAG_CHARS:
+        if count > _MAX_ELEMENTS or deepest > _MAX_DEPTH or tag.end() - tag.start() > _MAX_TAG_CHARS:
             raise InputError(
                 "the structure of the file is absurd for a ball-bar test",
                 code="xml.absurd",
                 where=where,
                 got=f"{count} tags, {deepest} levels, a tag of {tag.end() - tag.start()} characters",
-                allowed=f"{_MAX_ELEMENTS} tags, {MAX_DEPTH} levels, {_MAX_TAG_CHARS} characters a tag",
+                allowed=f"{_MAX_ELEMENTS} tags, {_MAX_DEPTH} levels, {_MAX_TAG_CHARS} characters a tag",
             )

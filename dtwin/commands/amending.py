@@ -6,9 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 CampaignName = Annotated[str, typer.Argument(help="Campaign in the lake.")]
 Runs = Annotated[list[str], typer.Argument(help="Run ids.")]
 Because = Annotated[str, typer.Option(help="Why; it is kept and printed.")]

@@ -8,10 +8,9 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 from dtwin.errors import InputError
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Port = Annotated[str, typer.Argument(help="Serial port of the board, like /dev/ttyACM0.")]
 Calibration = Annotated[Path | None, typer.Option("--calibration", help="What dtwin analogue calibrate wrote.")]
 

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.models import Json
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 
 if TYPE_CHECKING:
     from dtwin.pipeline.desk import Desk

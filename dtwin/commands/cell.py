@@ -7,12 +7,11 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 from dtwin.errors import EXIT_INTERRUPTED
 
 app_cell = typer.Typer(help="The cell: robot and mill as one job, on virtual machines.", no_args_is_help=True)
 Cell = Annotated[str, typer.Option(help="Name of the cell.")]
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
 
 def register(app: typer.Typer) -> None:

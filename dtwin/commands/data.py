@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.commands.record import run_text
 from dtwin.errors import InputError
 from dtwin.kinds.registry import own_kinds
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from dtwin.kinds.kind import Kind, Planned
     from dtwin.schema import Finding
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Plane = Annotated[str | None, typer.Option(help="Of a table that lies alone: XY, YZ or ZX.")]
 Radius = Annotated[float | None, typer.Option(help="Of such a table: programmed radius, mm.")]
 Feed = Annotated[float | None, typer.Option(help="Of such a table: programmed feed, mm/min.")]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 from dtwin.progress import Progress
 
@@ -25,7 +25,7 @@ def demo(
         typer.Option("--quick", help="A small campaign, for a first look; tracking and position-map have one size."),
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+    as_json: Json = False,
 ) -> None:
     """The main job: from a real recording and 81 tests to an equation served to a robot.
 

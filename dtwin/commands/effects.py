@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.physics.effect import Effect
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Paths = Annotated[
     list[Path] | None, typer.Option("--effects-path", help="Your own effect file or folder; its code is run.")
 ]

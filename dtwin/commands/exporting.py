@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 from dtwin.errors import InputError
 
 
@@ -35,7 +35,7 @@ def export(
         list[Path] | None, typer.Option(help="Your own effect file or folder; its code is run.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Write a registered correction as code, table or compensated program."""
     from dtwin.atomic import write_text
@@ -130,7 +130,7 @@ def robot_targets(
     model: Annotated[str, typer.Option(help="latest, trial, or a bundle's .json file.")] = "latest",
     machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Rewrite a robot's next targets by a promoted correction, for controls that take no offset."""
     import numpy as np

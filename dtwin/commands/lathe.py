@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
 if TYPE_CHECKING:
     from dtwin.kinds.linear.plan import LinearPlan
     from dtwin.serve.bundle import Bundle
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 MODELS = ("flanks", "pair", "printed")
 
 app_lathe = typer.Typer(

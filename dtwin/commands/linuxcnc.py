@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from dtwin.machines.linuxcnc.session import LinuxcncSession
     from dtwin.serve.bundle import Bundle
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
 app_linuxcnc = typer.Typer(
     help="LinuxCNC, the real controller, with a machine that is simulated in its HAL.", no_args_is_help=True

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.machine_record import MachineRecord
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Name = Annotated[str, typer.Argument(help="The machine, as campaigns name it.")]
 
 app_machine = typer.Typer(no_args_is_help=True, help="What is known of a machine, and what happened to it.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 from dtwin.progress import Progress
 from dtwin.report.text import table
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from dtwin.train.registry import Registry
     from dtwin.train.symbolic import Engine
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Machine = Annotated[str | None, typer.Option(help="Required when there are several.")]
 
 
@@ -249,13 +248,7 @@ def report(
 
 
 def machine_named(registry: Registry, named: str | None) -> str:
-    """Return the machine that was named, or the only one that has a model.
-
-    Raises
-    ------
-    InputError
-        When none has a model, or several have and none was named.
-    """
+    """Return the machine that was named, or the only one that has a model."""
     known = registry.machines()
     if named is not None:
         return named

@@ -7,20 +7,20 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+"""Option of every command that has figures to tell."""
+Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
 
 
 def emit(payload: Mapping[str, Any], text: Callable[[], str], *, as_json: bool) -> None:
     """Print a result.
 
-    Parameters
-    ----------
-    payload : mapping
-        Machine-readable form.
-    text : callable
-        Makes the readable form; called only when it is wanted.
-    as_json : bool
-        Which of the two.
+    ``text``: makes the readable form; called only when it is wanted.
     """
     if as_json:
         print(json.dumps(clean(payload), indent=2, default=str))
@@ -44,12 +44,7 @@ def clean(value: Any) -> Any:
 class ProgressLine:
     """One line on stderr that counts; silent when short, when piped, and with ``--json``.
 
-    Parameters
-    ----------
-    title : str
-        What is being done.
-    quiet : bool
-        Never print.
+    ``quiet``: never print.
     """
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:

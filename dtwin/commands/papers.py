@@ -6,9 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
-
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
+from dtwin.commands.output import Json, ProgressLine, emit
 
 
 def register(app: typer.Typer) -> None:

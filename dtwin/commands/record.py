@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 from dtwin.errors import EXIT_INTERRUPTED, InputError
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def record(
     setting: Annotated[
         list[str] | None, typer.Option("--set", help="Setting of the run, for example plane=XY or radius_mm=100.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Record accelerometers and a robot's controller as a run of a campaign folder.
 

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dtwin.commands.output import Json
+
 if TYPE_CHECKING:
     from dtwin.config import Home
 
@@ -31,7 +33,7 @@ def up(
     allow: Annotated[
         list[Path] | None, typer.Option(help="Folder besides DTWIN_HOME that flows started on the page may use.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Start the Prefect and MLflow pages on this computer; Ctrl-C stops them."""
     from dtwin.config import home

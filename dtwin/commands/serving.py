@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, emit
 from dtwin.errors import EXIT_DONE, EXIT_INTERRUPTED, DtwinError, InputError
 from dtwin.report.text import table
 
@@ -59,7 +59,7 @@ def serve(
     calibration: Annotated[Path | None, typer.Option(help="What dtwin analogue calibrate wrote.")] = None,
     watchdog_ms: Annotated[int, typer.Option(help="Silence after which the board goes neutral by itself.")] = 100,
     expired: Annotated[str, typer.Option(help="A champion whose evidence has expired: refuse or warn.")] = "refuse",
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Correct a machine live with a promoted model; Ctrl-C releases the correction."""
     from dtwin.config import home

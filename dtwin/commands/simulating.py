@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dtwin.commands.listening import require_served, simulate_served
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 from dtwin.kinds.machine import PLAN, Request, VirtualMachine
 from dtwin.kinds.registry import machine_named, machines, own_kinds
@@ -16,7 +16,6 @@ from dtwin.kinds.registry import machine_named, machines, own_kinds
 if TYPE_CHECKING:
     from dtwin.machines.axis_server import Clock
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
 _OWN = tuple(machines(own_kinds()))
 

@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, Report, emit
 
 if TYPE_CHECKING:
     from dtwin.kinds.circular.recording import Study
     from dtwin.schema import Floats
 
 File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
-Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
 Paths = Annotated[
     list[Path] | None, typer.Option("--effects-path", help="Your own effect file or folder; its code is run.")
 ]

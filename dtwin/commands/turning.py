@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
 
 app_turning = typer.Typer(

@@ -11,17 +11,15 @@ import typer
 
 from dtwin.commands import effects, single
 from dtwin.commands.effects import Paths, library_with
-from dtwin.commands.output import emit
+from dtwin.commands.output import Json, Report, emit
 from dtwin.commands.tasks import TwinCommands
 
 if TYPE_CHECKING:
     from dtwin.kinds.volumetric.twins import HeatTwins
     from dtwin.twins.verbs import Twins
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
 Axis = Annotated[str, typer.Option(help="One axis, plane or joint; all of them without.")]
-Report = Annotated[Path | None, typer.Option("--html", help="Write a report, one offline page.")]
 Seed = Annotated[int, typer.Option(help="Seed of permutations.")]
 
 twin_app = typer.Typer(

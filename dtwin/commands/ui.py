@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from dtwin.commands.output import Json
 from dtwin.errors import InputError
 
 LOOPBACK = "127.0.0.1"
@@ -32,7 +33,7 @@ def ui(
     private: Annotated[
         bool, typer.Option("--private", help="Reading needs the token too: where several people use the computer.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Open the workbench in a browser: ingest, fit, compare, diagnose, add; Ctrl-C stops it."""
     if effects_path is not None and not effects_path.is_dir():

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands.output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.kinds.volumetric.session import Session
     from dtwin.kinds.volumetric.thermal_model import ThermalModel
 
-Json = Annotated[bool, typer.Option("--json", help="Print only JSON on stdout.")]
 
 app_volumetric = typer.Typer(
     help="Volumetric error of a mill and the heat that moves it: identify, predict, judge, serve.", no_args_is_help=True

@@ -130,8 +130,6 @@ def align_stops(
         Measured deviation or acceleration, any unit; its bursts above ``cutoff_hz`` are used.
     acceleration : ndarray, shape (m,)
         Size of the controller's commanded acceleration along the path, any unit.
-    stream_rate_hz, controller_rate_hz : float
-        Sample rates.
     max_lag_s, around_s : float
         As in ``align_envelopes``.
 

@@ -19,14 +19,10 @@ class Feature:
 
     Attributes
     ----------
-    name : str
-        Stable identifier.
     unit : {"channel", "channel^2", "1", "Hz"}
         Unit in terms of the channel's unit.
     formula : str
         Definition; mu is the mean, P[k] the one-sided power of bin k >= 1 in channel^2.
-    reference : str
-        Where the definition comes from.
     spectral : bool
         Whether a Fourier transform is needed.
     """

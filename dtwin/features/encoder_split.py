@@ -38,13 +38,7 @@ class Cutoff:
     hz: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a split that is not declared, or declared twice.
-
-        Raises
-        ------
-        InputError
-            When not exactly one positive number is given.
-        """
+        """Refuse a split that is not declared, or declared twice."""
         given = [v for v in (self.cycles_per_rev, self.hz) if v is not None]
         if len(given) != 1 or not 0.0 < given[0] < 1e6:
             raise InputError(
@@ -55,13 +49,7 @@ class Cutoff:
             )
 
     def cycles(self, radius_mm: float, feed_mm_min: float) -> float:
-        """Return the split in cycles per revolution of one condition.
-
-        Parameters
-        ----------
-        radius_mm, feed_mm_min : float
-            Of the circle.
-        """
+        """Return the split in cycles per revolution of one condition."""
         if self.cycles_per_rev is not None:
             return self.cycles_per_rev
         assert self.hz is not None
@@ -77,8 +65,6 @@ def seen_by_controller_um(meta: RunMeta, samples: Mapping[str, NDArray[Any]], an
 
     Parameters
     ----------
-    meta : RunMeta
-        Plane of the run.
     samples : mapping of str to ndarray, shape (n,)
         ``cmd_x_mm``, ``act_x_mm`` and the same of the plane's other axis, in machine axes.
     angle_deg : ndarray, shape (n,)
@@ -152,12 +138,7 @@ def _arc(known: NDArray[np.bool_]) -> NDArray[np.int64]:
 class Part:
     """Size of one part of the error.
 
-    Attributes
-    ----------
-    rms_um : float
-        Over all runs and angles.
-    floor_um : float
-        By which repeats of the same condition disagree about it; NaN without repeats.
+    ``floor_um``: by which repeats of the same condition disagree about it; NaN without repeats.
     """
 
     rms_um: float
@@ -244,19 +225,10 @@ def split(
 def repeat_floor(values: Floats, known: NDArray[np.bool_], condition_of: NDArray[np.int64]) -> float:
     """Return the RMS by which one run differs from the mean of its condition.
 
-    Parameters
-    ----------
-    values : ndarray, shape (rows, bins)
-        One row for each run.
-    known : ndarray of bool, shape (rows, bins)
-        Where there are values.
-    condition_of : ndarray of int, shape (rows,)
-        Rows of one number are repeats.
-
-    Returns
-    -------
-    float
-        With the freedom that the means take; NaN without repeats.
+    ``values``, (rows, bins): one row for each run.
+    ``known``, (rows, bins): where there are values.
+    ``condition_of``, (rows,): rows of one number are repeats.
+    With the freedom that the means take; NaN without repeats.
     """
     squares = share = 0.0
     freedom = 0

@@ -33,14 +33,10 @@ def align_infeed(
     ----------
     deviation_um : ndarray, shape (n,)
         Bar, from its first sample.
-    rate_hz : float
-        Rate of the bar.
     commanded_um : ndarray, shape (m,)
         Commanded distance from the centre minus nominal radius.
     angle_rad : ndarray, shape (m,)
         Commanded path angle.
-    controller_rate_hz : float
-        Rate of the controller's record.
     max_lag_s, step_s : float
         Range and spacing of the search; a parabola refines the best one.
 

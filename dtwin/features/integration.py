@@ -21,12 +21,8 @@ from dtwin.units import G_MM_S2
 def power_threshold_filter(signal: Floats, cutoff_power: float) -> Floats:
     """Keep the spectral lines whose power |X[k]|^2 / n exceeds a threshold.
 
-    Parameters
-    ----------
-    signal : ndarray, shape (..., n)
-        Records, for example in g.
-    cutoff_power : float
-        Threshold in the square of the signal's unit; it depends on n.
+    ``signal``, (..., n): records, for example in g.
+    ``cutoff_power``: threshold in the square of the signal's unit; it depends on n.
     """
     n = signal.shape[-1]
     spectrum = np.fft.rfft(signal, axis=-1)
@@ -36,17 +32,7 @@ def power_threshold_filter(signal: Floats, cutoff_power: float) -> Floats:
 
 @dataclass(frozen=True)
 class SwarmResult:
-    """Best point that a swarm found.
-
-    Attributes
-    ----------
-    position : float
-        The argument.
-    value : float
-        The objective there.
-    iterations, evaluations : int
-        Effort spent.
-    """
+    """Best point that a swarm found."""
 
     position: float
     value: float
@@ -76,8 +62,6 @@ def swarm_minimum(
         Positive bounds.
     patience : int
         Iterations without improvement after which the search ends.
-    seed : int
-        Fixes the result.
 
     Raises
     ------
@@ -127,8 +111,6 @@ def displacement_mm(acceleration_g: Floats, rate_hz: float, cutoff_power: float 
     ----------
     acceleration_g : ndarray, shape (..., n)
         One window per row; every window restarts at zero speed and position.
-    rate_hz : float
-        Sample rate.
     cutoff_power : float
         Threshold of ``power_threshold_filter`` in g^2; 0 keeps every line.
     """
@@ -139,12 +121,8 @@ def displacement_mm(acceleration_g: Floats, rate_hz: float, cutoff_power: float 
 def coupled(signal: Floats, rate_hz: float, corner_hz: float = 0.5) -> Floats:
     """Return what a first-order AC coupling lets through (bilinear, from rest).
 
-    Parameters
-    ----------
-    signal : ndarray, shape (n,)
-        Record.
-    rate_hz, corner_hz : float
-        Sample rate and -3 dB frequency.
+    ``signal``, (n,): record.
+    ``rate_hz``, ``corner_hz``: sample rate and -3 dB frequency.
     """
     k = np.tan(np.pi * corner_hz / rate_hz)
     gain, feedback = 1 / (1 + k), (1 - k) / (1 + k)
@@ -192,8 +170,6 @@ def displacement_visibility(
     ----------
     motion_mm : ndarray, shape (n,)
         True displacement; its second difference is the true acceleration.
-    rate_hz : float
-        Sample rate.
     window : int
         Samples after which the integration restarts.
     corner_hz : float

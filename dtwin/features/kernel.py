@@ -62,25 +62,17 @@ def _centre(samples: Floats, mean: float, centred: Floats) -> tuple[float, float
 
 
 @compiled
-def time_features(
+def _time_features(
     flat: Floats, first: int, stride: int, n: int, remove_mean: bool, centred: Floats, values: Floats, codes: Codes
 ) -> None:
     """Fill the time-domain features of every channel of one window.
 
-    Parameters
-    ----------
-    flat : ndarray, shape (anything,)
-        Samples; channel c of the window starts at ``first + c * stride``.
-    n : int
-        Samples per window.
-    remove_mean : bool
-        Whether every feature is of the signal without its mean.
-    centred : ndarray, shape (channels, n)
-        Receives the samples minus their mean, for the spectrum.
-    values : ndarray, shape (channels, 13)
-        Receives the features in the order of the catalogue; spectral ones become 0.
-    codes : ndarray of int64, shape (channels,)
-        Receives VALID, CONSTANT or NOT_FINITE.
+    ``flat``, (anything,): samples; channel c of the window starts at ``first + c * stride``.
+    ``n``: samples per window.
+    ``remove_mean``: whether every feature is of the signal without its mean.
+    ``centred``, (channels, n): receives the samples minus their mean, for the spectrum.
+    ``values``, (channels, 13): receives the features in the order of the catalogue; spectral ones become 0.
+    ``codes``, (channels,): receives VALID, CONSTANT or NOT_FINITE.
     """
     for c in range(values.shape[0]):
         row = values[c]
@@ -114,19 +106,13 @@ def time_features(
 
 
 @compiled
-def spectral_features(
+def _spectral_features(
     spectrum: Floats, n: int, rate_hz: float, first_bin: int, past_bin: int, values: Floats, codes: Codes
 ) -> None:
     """Fill the spectral features of every channel from the transform of the centred samples.
 
-    Parameters
-    ----------
-    spectrum : ndarray, shape (channels, n // 2 + 1, 2)
-        Real and imaginary parts of the one-sided transform.
-    first_bin, past_bin : int
-        Bins of the declared band.
-    values, codes
-        As in ``time_features``; channels that are not VALID keep zeros.
+    ``spectrum``, (channels, n // 2 + 1, 2): real and imaginary parts of the one-sided transform.
+    ``values``, ``codes``: as in ``_time_features``; channels that are not VALID keep zeros.
     """
     bins = spectrum.shape[1]
     for c in range(values.shape[0]):
@@ -163,23 +149,9 @@ def spectral_features(
 class WindowKernel:
     """Computes the features of one window without allocating.
 
-    Parameters
-    ----------
-    n_channels, n_samples : int
-        Shape of a window.
-    rate_hz : float
-        Sample rate.
-    selection : sequence of str
-        Features, in the order in which they are wanted.
-    band_hz : tuple of float, optional
-        Half-open band [low, high) of ``band_power``.
-    remove_mean : bool
-        Whether the mean is taken out before every feature.
-
-    Raises
-    ------
-    InputError
-        When a feature is unknown, or ``band_power`` is wanted without a band.
+    ``selection``: features, in the order in which they are wanted.
+    ``band_hz``: half-open band [low, high) of ``band_power``.
+    ``remove_mean``: whether the mean is taken out before every feature.
     """
 
     def __init__(
@@ -214,20 +186,15 @@ class WindowKernel:
     def compute(self, flat: Floats, first: int, stride: int, out: Floats, codes: Codes) -> None:
         """Write the selected features of one window.
 
-        Parameters
-        ----------
-        flat : ndarray of float64, contiguous
-            Channel c starts at ``first + c * stride``.
-        out : ndarray, shape (channels, n_features)
-            Receives the features; always finite.
-        codes : ndarray of int64, shape (channels,)
-            Receives the validity of each channel.
+        ``flat``: channel c starts at ``first + c * stride``.
+        ``out``, (channels, n_features): receives the features; always finite.
+        ``codes``, (channels,): receives the validity of each channel.
         """
         n = self.n_samples
-        time_features(flat, first, stride, n, self.remove_mean, self._centred, self._all, codes)
+        _time_features(flat, first, stride, n, self.remove_mean, self._centred, self._all, codes)
         if self.spectral:
             np.fft.rfft(self._centred, axis=-1, out=self._spectrum)
-            spectral_features(self._parts, n, self.rate_hz, self.first_bin, self.past_bin, self._all, codes)
+            _spectral_features(self._parts, n, self.rate_hz, self.first_bin, self.past_bin, self._all, codes)
         np.take(self._all, self.columns, axis=1, out=out, mode="clip")
 
 
@@ -240,28 +207,11 @@ def window_features(
 ) -> tuple[Floats, Codes]:
     """Return the features of one window.
 
-    Parameters
-    ----------
-    block : ndarray of float32 or float64, shape (channels, n)
-        Samples.
-    rate_hz : float
-        Sample rate.
-    selection : sequence of str
-        Features, in the order in which they are wanted.
-    band_hz : tuple of float, optional
-        Band of ``band_power``; required when that is selected.
-    remove_mean : bool
-        Whether the mean is taken out first.
-
-    Returns
-    -------
-    tuple of ndarray, shapes (channels, n_features) and (channels,)
-        Features, always finite, and validity: VALID, CONSTANT or NOT_FINITE (then zeros).
-
-    Raises
-    ------
-    InputError
-        When the block or the selection cannot be used.
+    ``block``, (channels, n): samples.
+    ``selection``: features, in the order in which they are wanted.
+    ``band_hz``: band of ``band_power``; required when that is selected.
+    ``remove_mean``: whether the mean is taken out first.
+    Features, always finite, and validity: VALID, CONSTANT or NOT_FINITE (then zeros).
     """
     if block.ndim != 2 or block.shape[1] < 2:
         raise InputError(

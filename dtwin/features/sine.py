@@ -46,8 +46,6 @@ def fit_tone(t_s: Floats, values: Floats, frequency_hz: float) -> Tone:
         Times, any spacing.
     values : ndarray, shape (n,)
         Signal.
-    frequency_hz : float
-        Known frequency.
     """
     angle = 2.0 * np.pi * frequency_hz * t_s
     design = np.column_stack([np.sin(angle), np.cos(angle), np.ones_like(t_s), t_s - t_s.mean()])
@@ -67,8 +65,6 @@ class ToneErrors:
 
     Attributes
     ----------
-    command_um, encoder_um, tool_um : float
-        Amplitudes.
     encoder_lag_deg, tool_lag_deg : float
         By how much encoder and tool lag behind the command.
     tracking_um, total_um : float
@@ -101,8 +97,6 @@ def tone_errors(
         Times.
     command_um, encoder_um, tool_um : ndarray, shape (n,)
         Positions.
-    frequency_hz : float
-        Of the command.
     """
     command, encoder, tool = (fit_tone(t_s, values, frequency_hz) for values in (command_um, encoder_um, tool_um))
     return ToneErrors(

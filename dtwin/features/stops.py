@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.features.spectrum import above, moving_rms
+from dtwin.features._spectrum import above, moving_rms
 from dtwin.schema import Floats
 
 
@@ -15,14 +15,8 @@ from dtwin.schema import Floats
 class Stop:
     """A burst of fast vibration where the machine stopped and started again.
 
-    Attributes
-    ----------
-    sample : float
-        Centre of the burst's energy, counted from 0.
-    first, last : int
-        Extent.
-    strength : float
-        Peak of the envelope over its median.
+    ``sample``: centre of the burst's energy, counted from 0.
+    ``strength``: peak of the envelope over its median.
     """
 
     sample: float
@@ -51,8 +45,6 @@ def find_stops(
     ----------
     signal : ndarray, shape (n,)
         Deviation or acceleration; any unit.
-    rate_hz : float
-        Sample rate.
     min_strength : float
         Envelope over its median that makes a burst.
     min_separation_s : float
@@ -95,16 +87,9 @@ def find_stops(
 class Period:
     """Time of one revolution, found by comparing a record with itself.
 
-    Attributes
-    ----------
-    samples : float
-        One revolution, with sub-sample resolution.
-    correlation : float
-        Between one revolution and the next.
-    difference_rms : float
-        What does not repeat, in the signal's unit: RMS of the difference over sqrt(2).
-    overlap_samples : int
-        How many samples were compared.
+    ``samples``: one revolution, with sub-sample resolution.
+    ``correlation``: between one revolution and the next.
+    ``difference_rms``: what does not repeat, in the signal's unit: RMS of the difference over sqrt(2).
     """
 
     samples: float
@@ -128,8 +113,6 @@ def true_period(
     ----------
     signal : ndarray, shape (n,)
         Record that is longer than one revolution.
-    rate_hz : float
-        Sample rate.
     nominal_s : float
         Expected time, from the programmed feed.
     skip_samples : int
@@ -172,8 +155,6 @@ def lead_in_samples(signal: Floats, rate_hz: float, period_samples: float, thres
     ----------
     signal : ndarray, shape (n,)
         Record.
-    period_samples : float
-        One revolution.
     threshold : float
         Local difference over its lowest fifth that still counts as lead-in, until a quarter
         of a second stays below it.

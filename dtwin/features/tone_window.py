@@ -36,8 +36,6 @@ def tone_contract(rate_hz: float, channel: str) -> WindowContract:
 
     Parameters
     ----------
-    rate_hz : float
-        Sample rate of both.
     channel : str
         Column of the accelerometer, its unit at the end.
     """

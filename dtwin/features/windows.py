@@ -25,14 +25,10 @@ class WindowContract:
 
     Attributes
     ----------
-    rate_hz : float
-        Sample rate of the channels.
     n_samples, hop : int
         Samples per window, and samples from one window's end to the next one's.
     channels : tuple of str
         Channel columns, units at their ends; the order is part of the contract.
-    features : tuple of str
-        Features of each channel.
     band_hz : tuple of float or None
         Band of ``band_power``.
     detrend : {"none", "mean"}

@@ -36,10 +36,6 @@ class NotOffered(InputError):
 
     Parameters
     ----------
-    kind : str
-        Name of the kind.
-    verb : str
-        What was asked for.
     hint : str
         What it needs, or what serves instead.
     """
@@ -84,14 +80,8 @@ class Planned:
 
     Attributes
     ----------
-    kind : str
-        Kind of campaign.
-    plan : object
-        The kind's own plan.
     summary : mapping
         JSON-ready: names and counts.
-    duration_s : float
-        Time on the machine.
     findings : sequence of Finding
         What may go wrong, and what the campaign cannot tell.
     lines : tuple of str
@@ -118,19 +108,13 @@ class Drawing:
 
     Attributes
     ----------
-    name : str
-        Of the figure, in its address.
     title : str
         What it shows, for those who do not see it.
-    height : int
-        Pixels.
     draw : callable
         ``draw(run, floor_um)``: the plotly figure; ``floor_um`` is called for the noise floor of the
         campaign, NaN when it is not known, by figures that show it.
     half : bool
         Whether two such figures stand side by side.
-    note : str
-        What must be said before it.
     """
 
     name: str

@@ -35,10 +35,6 @@ class Request:
 
     Attributes
     ----------
-    out : Path
-        Campaign folder to write.
-    seed : int
-        Of the machine.
     quick : bool
         A small campaign; never beside a plan.
     plan : object
@@ -68,20 +64,10 @@ class EvidenceRequest:
 
     Attributes
     ----------
-    registry : Registry
-        Holds the version.
-    version : RegisteredVersion
-        Whose bundle is served.
-    bundle : Bundle
-        The bundle.
     geometry : mapping
         ``machine_geometry`` that it was trained with.
     plan : EvidencePlan or None
         Circles, for machines that run circles.
-    seed : int
-        Of the machine.
-    progress : callable or None
-        Called with (done, total, what).
     """
 
     registry: Registry
@@ -102,8 +88,6 @@ class VirtualMachine:
         As in ``dtwin simulate --machine``.
     type : str
         As in ``machine_geometry`` of its campaigns.
-    kind : str
-        Kind of its campaigns.
     options : mapping of str to tuple of str
         Options of ``dtwin simulate`` that it has, with their values, the usual first.
     clocks : tuple of str

@@ -13,13 +13,7 @@ Rows = Mapping[str, dict[str, Any]]
 
 
 def accepted(campaign: Campaign, runs: Sequence[Run]) -> dict[str, dict[str, Any]]:
-    """Return the rows of runs by id.
-
-    Raises
-    ------
-    InputError
-        When a name is unfit for a path, or a run id or the name of a signal group occurs twice.
-    """
+    """Return the rows of runs by id."""
     require_name(campaign.name, "the campaign name")
     require_name(campaign.machine, "the machine name")
     rows = {}
@@ -49,20 +43,8 @@ def accepted(campaign: Campaign, runs: Sequence[Run]) -> dict[str, dict[str, Any
 def fresh(campaign: str, known: Rows, rows: Rows) -> dict[str, dict[str, Any]]:
     """Return the rows that are not in the lake.
 
-    Parameters
-    ----------
-    campaign : str
-        Name of the campaign.
-    known : mapping of str to dict
-        Its rows in the lake by run id, as they are stated now.
-    rows : mapping of str to dict
-        As :func:`accepted` returned them.
-
-    Raises
-    ------
-    InputError
-        When one is there with other content, or the campaign with another machine, kind,
-        geometry or instrument; the message says what differs.
+    ``known``: its rows in the lake by run id, as they are stated now.
+    ``rows``: as :func:`accepted` returned them.
     """
     changed = {}
     for name, row in rows.items():

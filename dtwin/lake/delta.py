@@ -114,8 +114,6 @@ class DeltaFiles:
         stem : str
             Path of the file inside the table without ending; the hash of what is written is
             appended, which every read compares.
-        table : pyarrow.Table
-            Its rows.
         """
         return self.write_encoded(stem, encoded(table), table.num_rows)
 
@@ -287,13 +285,7 @@ class DeltaFiles:
         )
 
     def _verified(self, table: DeltaTable) -> set[str]:
-        """Return the live files as the newest commit left them.
-
-        Raises
-        ------
-        StoreError
-            When the log says otherwise than its newest entry: an entry is empty or damaged.
-        """
+        """Return the live files as the newest commit left them."""
         try:
             # Not by pyarrow, which would import pandas to see what it is given.
             live = set(table.get_add_actions()["path"].to_pylist())

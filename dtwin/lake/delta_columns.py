@@ -44,13 +44,7 @@ def added(entry: Path) -> Iterator[str]:
 
 
 def sort_of(field: pa.Field, folder: Path) -> str:
-    """Return the Delta type that a column is declared as.
-
-    Raises
-    ------
-    StoreError
-        When the lake keeps no such type.
-    """
+    """Return the Delta type that a column is declared as."""
     if field.type not in _SORTS:
         raise StoreError(
             "a column has a type that the lake does not keep",

@@ -15,12 +15,7 @@ from dtwin.schema import Encoded
 class Batch:
     """Files of one table; their columns are accepted by it before the first is written.
 
-    Parameters
-    ----------
-    table : DeltaFiles
-        Where to.
-    parts : sequence of mapping
-        Columns of every file that will be written.
+    ``parts``: columns of every file that will be written.
     """
 
     def __init__(self, table: DeltaFiles, parts: Sequence[Mapping[str, NDArray[Any]]]) -> None:

@@ -46,8 +46,6 @@ def write_parquet(path: Path, table: pa.Table) -> int:
     ----------
     path : Path
         File to write; its folder is created.
-    table : pyarrow.Table
-        What to write.
 
     Raises
     ------
@@ -102,8 +100,6 @@ def read_encoded(path: Path, verify: Callable[[memoryview], None] | None = None)
 
     Parameters
     ----------
-    path : Path
-        Any Parquet file.
     verify : callable, optional
         Raises OSError for a file that is damaged; its pages are then not checked one by one.
 

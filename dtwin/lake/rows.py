@@ -113,13 +113,7 @@ def sealed(rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.Table:
 
 
 def unsealed(rows: pa.Table, schema: pa.Schema, where: str) -> list[dict[str, Any]]:
-    """Return the rows of a table after comparing its columns and every row's hash.
-
-    Raises
-    ------
-    StoreError
-        When the columns are not those of ``schema``, or a row is not what was written.
-    """
+    """Return the rows of a table after comparing its columns and every row's hash."""
     found: list[dict[str, Any]] = rows.to_pylist()
     names = {field.name: field.type for field in schema}
     if found and {field.name: field.type for field in rows.schema} != names:
@@ -155,13 +149,6 @@ def run_row(campaign: Campaign, run: Run) -> dict[str, Any]:
 
     ``content_sha256`` is of everything that was measured and stated, whatever file it came in:
     values, clocks, window, condition, machine, geometry and instrument.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What it belongs to.
-    run : Run
-        The run.
     """
     meta = run.meta
     row: dict[str, Any] = {
@@ -234,11 +221,6 @@ def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str,
     one's, 0 as ingested; ``left_out`` says why the run is left out, None when it is not. What is
     stated otherwise is another content: ``content_sha256`` covers it, and ``raw_sha256`` is the
     hash that was ingested.
-
-    Parameters
-    ----------
-    rows, amendments : sequence of mapping
-        Rows of the two tables.
     """
     by_run: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
     for record in sorted(amendments, key=lambda r: r["version"]):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -20,6 +19,7 @@ from dtwin.lake.delta_columns import content_hash
 from dtwin.lake.file_batch import Batch
 from dtwin.lake.parquet import columns_of, table_of
 from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, meta_of, sealed, unsealed
+from dtwin.locks import take
 from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
 TABLES = ("runs", "samples", "signals", "features", "rejects", "amendments")
@@ -31,8 +31,6 @@ class RejectedRows:
 
     Attributes
     ----------
-    run_id, source : str
-        Where they come from.
     rows : sequence of dict
         Each with ``row``, ``reason`` and ``values``.
     """
@@ -46,12 +44,8 @@ class RejectedRows:
 class CommitReport:
     """What a commit did.
 
-    Attributes
-    ----------
-    added, unchanged : tuple of str
-        Run ids that are new, and those that were there with the same content.
-    versions : dict of str to int
-        Table versions after the commit.
+    ``added``, ``unchanged``: run ids that are new, and those that were there with the same content.
+    ``versions``: table versions after the commit.
     """
 
     added: tuple[str, ...]
@@ -85,10 +79,6 @@ class Lake:
 
         Parameters
         ----------
-        campaign : Campaign
-            What the runs belong to.
-        runs : sequence of Run
-            Runs to add.
         rejected : sequence of RejectedRows
             Rows that were left out of their samples.
 
@@ -127,8 +117,6 @@ class Lake:
 
         Parameters
         ----------
-        campaign : str
-            Campaign in the lake.
         records : sequence of mapping
             ``run_id``, ``who``, ``when``, ``because`` and ``changes``: fields of the run's row,
             or ``left_out``.
@@ -252,8 +240,6 @@ class Lake:
             One of ``TABLES``.
         key : str
             What the rows are derived from; the same key is written once.
-        table : pyarrow.Table
-            The rows.
 
         Returns
         -------
@@ -354,14 +340,14 @@ class Lake:
 
     def _lock(self) -> AbstractContextManager[None]:
         """Return the lock that one writer holds while it commits."""
-        return self._locked(".lock", fcntl.LOCK_EX)
+        return self._locked(".lock")
 
     def _writing(self, *, alone: bool = False) -> AbstractContextManager[None]:
         """Return the lock that writers of data files share, and a sweep holds alone."""
-        return self._locked(".writing", fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+        return self._locked(".writing", shared=not alone)
 
     @contextmanager
-    def _locked(self, name: str, how: int) -> Iterator[None]:
+    def _locked(self, name: str, *, shared: bool = False) -> Iterator[None]:
         try:
             make_folder(self.root, private=True)
             handle = (self.root / name).open("w")
@@ -374,5 +360,5 @@ class Lake:
                 hint="check free space and permissions; nothing was committed",
             ) from error
         with handle:
-            fcntl.flock(handle, how)
+            take(handle, shared=shared, wait=True)
             yield

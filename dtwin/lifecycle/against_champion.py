@@ -9,7 +9,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
-from dtwin.lifecycle.drift import champion_error, champion_of, trained_rows
+from dtwin.lifecycle.drift import champion_error, trained_rows
 from dtwin.lifecycle.train import Registered
 from dtwin.report.html import Section, Table, page
 from dtwin.train.promotion import verdict_lines
@@ -20,17 +20,10 @@ from dtwin.train.registry import RegisteredVersion, Registry
 class Comparison:
     """Candidate and champion on the same runs.
 
-    Attributes
-    ----------
-    candidate, champion : str
-        Versions.
-    candidate_um, champion_um, before_um : float
-        Set-up-corrected RMS: of the candidate with each feed left out of its fit in turn, of the
-        champion as it would have been served, and without a model.
-    noise_floor_um : float
-        What repeats disagree by.
-    n_runs, seen_by_champion : int
-        Number of runs, and how many of them the champion was trained on.
+    ``candidate_um``, ``champion_um``, ``before_um``: set-up-corrected RMS: of the candidate with each feed left out of
+    its fit in turn, of the champion as it would have been served, and without a model.
+    ``noise_floor_um``: what repeats disagree by.
+    ``n_runs``, ``seen_by_champion``: number of runs, and how many of them the champion was trained on.
     """
 
     candidate: str
@@ -70,24 +63,13 @@ class Comparison:
 def compare_with_champion(home: Home, registered: Registered, rows: Sequence[dict[str, Any]]) -> Comparison | None:
     """Compare a fresh candidate with the champion, and leave the result for the reviewer.
 
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    registered : Registered
-        The training.
-    rows : sequence of dict
-        Rows of ``runs`` that it was trained on.
-
-    Returns
-    -------
-    Comparison or None
-        None when there is no champion, or none that recorded runs can judge; the reason is
-        then the version's tag ``against_champion``.
+    ``rows``: rows of ``runs`` that it was trained on.
+    None when there is no champion, or none that recorded runs can judge; the reason is then the version's tag
+    ``against_champion``.
     """
     registry = Registry(home)
     report = registered.training.report
-    champion = champion_of(registry, report.machine)
+    champion = registry.champion(report.machine)
     tags = {"trained_by": "schedule"}
     if champion is None:
         registry.mark(registered.version, tags | {"against_champion": "there is no champion"})

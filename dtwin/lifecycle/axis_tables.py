@@ -21,16 +21,11 @@ _CHECKED = 4001
 class AxisTable:
     """Error of one axis over its position.
 
-    Attributes
-    ----------
-    axis : str
-        X, Y or Z.
-    position_mm : ndarray, shape (n,)
-        Nominal positions in the coordinates of the machine, ascending.
-    forward_um, reverse_um : ndarray, shape (n,)
-        Actual minus nominal, by direction of motion; lost motion is in the difference.
-    interpolation_um : float
-        Largest error of straight lines between the rows.
+    ``axis``: X, Y or Z.
+    ``position_mm``, (n,): nominal positions in the coordinates of the machine, ascending.
+    ``forward_um``, ``reverse_um``, (n,): actual minus nominal, by direction of motion; lost motion is in the
+    difference.
+    ``interpolation_um``: largest error of straight lines between the rows.
     """
 
     axis: str
@@ -45,25 +40,12 @@ def axis_table(
 ) -> AxisTable:
     """Tabulate one axis with as few rows as the tolerance allows.
 
-    Parameters
-    ----------
-    twin : Twin
-        Reduced to effects of this axis alone.
-    axis : str
-        X, Y or Z.
-    travel_mm : tuple of float
-        First and last nominal position, in the coordinates of the machine.
-    origin_mm : float
-        Position of the centre of the measured circles in those coordinates.
-    points : int or None
-        Rows; without, as many as straight lines within 0.05 um need, at most 256.
-    speed_mm_s : float
-        Usual speed; only its sign counts.
-
-    Raises
-    ------
-    InputError
-        When the travel is empty, or there are fewer than 2 or more than 256 rows.
+    ``twin``: reduced to effects of this axis alone.
+    ``axis``: X, Y or Z.
+    ``travel_mm``: first and last nominal position, in the coordinates of the machine.
+    ``origin_mm``: position of the centre of the measured circles in those coordinates.
+    ``points``: rows; without, as many as straight lines within 0.05 um need, at most 256.
+    ``speed_mm_s``: usual speed; only its sign counts.
     """
     low, high = travel_mm
     if not (np.isfinite([low, high]).all() and low < high):
@@ -100,11 +82,6 @@ def compensation_file(table: AxisTable) -> str:
 
     A trim is added to the command of the joint; backlash is in the difference of the two, so that
     ``BACKLASH`` of the joint must be 0.
-
-    Parameters
-    ----------
-    table : AxisTable
-        One axis.
     """
     rows = zip(table.position_mm, table.forward_um, table.reverse_um, strict=True)
     lines = [f"{p:z.6f} {0.0 - f / UM_PER_MM:z.6f} {0.0 - r / UM_PER_MM:z.6f}" for p, f, r in rows]
@@ -112,13 +89,7 @@ def compensation_file(table: AxisTable) -> str:
 
 
 def csv_table(tables: list[AxisTable]) -> str:
-    """Return the tables of several axes as CSV.
-
-    Parameters
-    ----------
-    tables : list of AxisTable
-        One for each axis.
-    """
+    """Return the tables of several axes as CSV."""
     lines = ["axis,position_mm,error_forward_um,error_reverse_um,trim_forward_mm,trim_reverse_mm"]
     for t in tables:
         rows = zip(t.position_mm, t.forward_um, t.reverse_um, strict=True)

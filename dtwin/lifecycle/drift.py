@@ -22,23 +22,16 @@ from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import FRESH_RUN
 from dtwin.train.rows import gather, noise_floor_um
 
-DRIFT = "champion.drift"
+_DRIFT = "champion.drift"
 
 
 @dataclass(frozen=True)
 class ChampionError:
     """The champion's error on runs, as if it had been served to them.
 
-    Attributes
-    ----------
-    rms_um, before_um : float
-        Set-up-corrected error with the champion, and without any model.
-    noise_floor_um : float
-        What repeats disagree by; NaN without repeats.
-    outside_box_share : float
-        Share of the rows at which serving would have sent no correction.
-    n_runs : int
-        Number of runs.
+    ``rms_um``, ``before_um``: set-up-corrected error with the champion, and without any model.
+    ``noise_floor_um``: what repeats disagree by; NaN without repeats.
+    ``outside_box_share``: share of the rows at which serving would have sent no correction.
     """
 
     rms_um: float
@@ -90,7 +83,7 @@ class DriftCheck:
             "excess_um": self.excess_um,
             "noise_floor_um": self.error.noise_floor_um,
         }
-        return Finding(DRIFT, "warning", self.reason, numbers)
+        return Finding(_DRIFT, "warning", self.reason, numbers)
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -101,14 +94,6 @@ class DriftCheck:
         }
 
 
-def champion_of(registry: Registry, machine: str) -> RegisteredVersion | None:
-    """Return the machine's champion, None when nothing was promoted."""
-    try:
-        return registry.version(machine, "champion")
-    except InputError:
-        return None
-
-
 def campaign_of(registry: Registry, version: RegisteredVersion) -> str:
     """Return the campaign that a version was trained on."""
     return str(registry.client.get_run(version.run_id).data.params.get("campaign", ""))
@@ -117,14 +102,7 @@ def campaign_of(registry: Registry, version: RegisteredVersion) -> str:
 def trained_rows(registry: Registry, lake: Lake, version: RegisteredVersion) -> list[dict[str, Any]]:
     """Return the rows of ``runs`` that a version was trained on, by its table version.
 
-    Parameters
-    ----------
-    registry : Registry
-        Says which campaign.
-    lake : Lake
-        Says what the campaign held then.
-    version : RegisteredVersion
-        The version.
+    ``lake``: says what the campaign held then.
     """
     params = registry.client.get_run(version.run_id).data.params
     at = {name: int(params.get(f"table_version.{name}", -1)) for name in TABLES}
@@ -145,17 +123,6 @@ def check_drift(home: Home, champion: RegisteredVersion, campaign: str, progress
     of a trained condition, or, for radii or feeds that it was never trained on, with these left
     out. It has drifted when that exceeds what repeats of the same condition disagree by. Planes
     that it was never trained on say nothing about drift.
-
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    champion : RegisteredVersion
-        The served version.
-    campaign : str
-        Campaign in the lake.
-    progress : callable, optional
-        Called with (done, total, what).
     """
     lake, registry = Lake(home.lake), Registry(home)
     known = trained_rows(registry, lake, champion)
@@ -200,30 +167,15 @@ def champion_error(
 ) -> ChampionError:
     """Return a version's error on runs in the lake, with its frozen bundle.
 
-    Parameters
-    ----------
-    registry : Registry
-        Holds the bundle.
-    champion : RegisteredVersion
-        The version.
-    lake : Lake
-        Holds the runs.
-    rows : sequence of dict
-        Rows of the table ``runs``, of one campaign.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Raises
-    ------
-    InputError
-        When the bundle needs more than the path says, or predicts no radial error.
+    ``rows``: rows of the table ``runs``, of one campaign.
+    Raises ``InputError`` when the bundle needs more than the path says, or predicts no radial error.
     """
     bundle = Bundle.from_dict(registry.bundle(champion))
     _require_path_only(bundle)
     horizon_s = registry.metrics(champion).get("horizon_ms", 0.0) / 1000.0
     campaign = lake.campaign(rows[0]["campaign"])
     found = gather(load_ticks(lake, campaign, rows, progress))
-    parts = [predicted_um(bundle, run, horizon_s) for run in found.runs]
+    parts = [_predicted_um(bundle, run, horizon_s) for run in found.runs]
     predicted = np.concatenate([values for values, _ in parts])
     return ChampionError(
         rms_um=score(found, predicted, "run_id").rms_um,
@@ -234,22 +186,12 @@ def champion_error(
     )
 
 
-def predicted_um(bundle: Bundle, run: TickRun, horizon_s: float) -> tuple[Floats, Any]:
+def _predicted_um(bundle: Bundle, run: TickRun, horizon_s: float) -> tuple[Floats, Any]:
     """Return a bundle's radial error at the rows of a run, and where it lies outside its box.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        A bundle over path inputs.
-    run : TickRun
-        The run.
-    horizon_s : float
-        How far the equation looks ahead: its output at a tick is for that much later.
-
-    Returns
-    -------
-    predicted, outside : tuple of ndarray, shape (rows,)
-        Clamped, and zero outside the validity box, as served.
+    ``bundle``: a bundle over path inputs.
+    ``horizon_s``: how far the equation looks ahead: its output at a tick is for that much later.
+    Returns (rows,): clamped, and zero outside the validity box, as served.
     """
     columns = [PATH_INPUTS.index(name) for name in bundle.tick_inputs]
     inputs = run.inputs[:, columns].astype(float)

@@ -42,8 +42,6 @@ def compute(
     ----------
     home : Home
         Lake, registry, and the journal of the serving sessions.
-    version : RegisteredVersion
-        Whose correction is judged.
     without, with_ : sequence of str
         Campaigns that were measured without and with it; one that holds both ways is named twice.
     notes : mapping, optional
@@ -73,17 +71,9 @@ def measure(
 
     Parameters
     ----------
-    home : Home
-        Lake and registry.
-    version : RegisteredVersion
-        What to serve.
-    seed : int
-        Seed of the machine.
     plan : EvidencePlan, optional
         Circles, for machines that run circles; without, one radius of every plane that was
         trained, at feeds that were and were not.
-    progress : callable, optional
-        Called with (done, total, what).
 
     Raises
     ------
@@ -116,12 +106,8 @@ def compute_measured(home: Home, version: RegisteredVersion, measured: MeasuredW
 
     Parameters
     ----------
-    home : Home
-        Lake and registry.
     version : RegisteredVersion
         Whose correction was in force in the runs that say so.
-    measured : MeasuredWays
-        The runs.
     """
     lake, first = Lake(home.lake), measured.runs[0].meta
     name = _fresh_name(lake, f"evidence-{version.machine}-v{version.version}")
@@ -132,13 +118,7 @@ def compute_measured(home: Home, version: RegisteredVersion, measured: MeasuredW
 
 
 def proven(home: Home, version: RegisteredVersion) -> Evidence | None:
-    """Return the newest evidence of a version, computed again from its runs; None without any.
-
-    Raises
-    ------
-    GateRefusal
-        When the runs do not say what is on record.
-    """
+    """Return the newest evidence of a version, computed again from its runs; None without any."""
     registry = Registry(home)
     record = newest(registry, version)
     if record is None:
@@ -175,12 +155,6 @@ def promote_proven(
 
     Parameters
     ----------
-    home : Home
-        Lake, registry and bundles.
-    version : RegisteredVersion
-        The version.
-    comment : str
-        Why; kept in the history.
     despite : sequence of str
         Names of all evidence that speaks against the version.
     valid_days : float

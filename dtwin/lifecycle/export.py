@@ -28,8 +28,8 @@ from dtwin.train.twin_terms import choose
 from dtwin.twins.verbs import Twins
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
-TABLES = ("comp", "csv", "gcode")
-FORMATS = (*_EQUATIONS, *TABLES)
+_TABLES = ("comp", "csv", "gcode")
+FORMATS = (*_EQUATIONS, *_TABLES)
 _MAX_PROGRAM_BYTES = 20_000_000
 
 
@@ -37,14 +37,8 @@ _MAX_PROGRAM_BYTES = 20_000_000
 class Source:
     """What is exported.
 
-    Attributes
-    ----------
-    bundle : Bundle
-        The correction.
-    state : str
-        ``champion``, ``trial``, ``candidate`` ... and whether it is for a trial only.
-    twin : Twin or None
-        The twin behind it, reduced to what it corrects.
+    ``state``: ``champion``, ``trial``, ``candidate`` ... and whether it is for a trial only.
+    ``twin``: the twin behind it, reduced to what it corrects.
     """
 
     bundle: Bundle
@@ -60,16 +54,10 @@ class Request:
     ----------
     form : str
         One of ``FORMATS``.
-    axis : str
-        Of a compensation file.
     travel_mm : tuple of float, optional
         Of the tables; the largest measured radius to both sides without.
     origin_mm : tuple of float
         Centre of the measured circles in the coordinates of the machine or program.
-    points : int, optional
-        Rows of a table.
-    program : Path, optional
-        Program to compensate.
     tolerance_um : float
         Of the chords of a compensated program.
     """
@@ -87,16 +75,8 @@ class Request:
 class Export:
     """A written form.
 
-    Attributes
-    ----------
-    text : str
-        Content of the file.
-    figures : dict
-        Rows, interpolation error and the like.
-    left_out : dict of str to str
-        Effects that this form cannot hold, and why.
-    notes : tuple of str
-        What a user must know.
+    ``figures``: rows, interpolation error and the like.
+    ``left_out``: effects that this form cannot hold, and why.
     """
 
     text: str
@@ -110,15 +90,11 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
 
     Parameters
     ----------
-    home : Home
-        Where state lives.
     name : str
         ``latest``, ``trial``, a bundle's ``.json`` file, a version number with its machine, or a
         twin whose correction is registered.
     machine : str or None
         Machine; needed when there are several, and for a version number.
-    library : mapping of str to Effect, optional
-        Effects of twins.
 
     Raises
     ------
@@ -148,13 +124,6 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
 
 def export(source: Source, request: Request) -> Export:
     """Write a correction in one form.
-
-    Parameters
-    ----------
-    source : Source
-        What.
-    request : Request
-        How.
 
     Raises
     ------

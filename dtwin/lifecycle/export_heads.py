@@ -15,26 +15,13 @@ _UNSAFE = re.compile(r"[^\w .,:+\-/^]")
 def commented(said: Sequence[str], first: str, last: str) -> str:
     """Return lines as comments, with the remark that the form never ran on a controller.
 
-    Parameters
-    ----------
-    said : sequence of str
-        From ``said_of``.
-    first, last : str
-        What begins and ends a comment.
+    ``first``, ``last``: what begins and ends a comment.
     """
     return "".join(f"{first}{line}{last}\n" for line in [*said, NOT_RUN])
 
 
 def said_of(bundle: Bundle, state: str) -> list[str]:
-    """Return what stands at the head of an equation, without characters that end a comment.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        What is exported.
-    state : str
-        What it may be used for.
-    """
+    """Return what stands at the head of an equation, without characters that end a comment."""
     lines = [
         f"dtwin: {bundle.name} for machine {bundle.machine}, version {bundle.model_version}, state {state}",
         f"bundle sha256 {bundle.sha256}",
@@ -51,14 +38,7 @@ def said_of(bundle: Bundle, state: str) -> list[str]:
 def c_header(said: Sequence[str], bundle: Bundle, code: str) -> str:
     """Return C code as a header that can be included twice, with a test of the valid ranges.
 
-    Parameters
-    ----------
-    said : sequence of str
-        From ``said_of``.
-    bundle : Bundle
-        What is exported.
-    code : str
-        From ``to_c``.
+    ``code``: from ``to_c``.
     """
     guard = f"DTWIN_{identifier(bundle.name).upper()}_H"
     symbol = f"dtwin_{identifier(bundle.name).strip('_').lower()}"

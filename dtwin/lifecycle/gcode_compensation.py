@@ -15,7 +15,7 @@ from dtwin.schema import Floats
 from dtwin.train.twin_axes import Motion, axis_errors_um
 from dtwin.units import UM_PER_MM
 
-TOLERANCE_UM = 0.1
+_TOLERANCE_UM = 0.1
 _MOST_CHORDS = 2**16
 _JUMP_MM = 1e-5
 # No wave of a screw hides between two points.
@@ -29,18 +29,9 @@ _CREEP_MM_S = 1e-9
 class Compensated:
     """A compensated program.
 
-    Attributes
-    ----------
-    text : str
-        The program.
-    points : int
-        Motions that were written.
-    largest_um : float
-        Largest shift of a point.
-    interpolation_um : float
-        Largest distance between the written chords and the compensated path, at their middles.
-    outside : int
-        Evaluated points outside of the positions that were measured.
+    ``largest_um``: largest shift of a point.
+    ``interpolation_um``: largest distance between the written chords and the compensated path, at their middles.
+    ``outside``: evaluated points outside of the positions that were measured.
     """
 
     text: str
@@ -51,7 +42,7 @@ class Compensated:
 
 
 def compensate(
-    text: str, twin: Twin, *, origin_mm: Floats, where: str, tolerance_um: float = TOLERANCE_UM
+    text: str, twin: Twin, *, origin_mm: Floats, where: str, tolerance_um: float = _TOLERANCE_UM
 ) -> Compensated:
     """Move every point of a program against the predicted error.
 
@@ -60,8 +51,6 @@ def compensate(
 
     Parameters
     ----------
-    text : str
-        The program.
     twin : Twin
         The twin, reduced to what offsets can correct.
     origin_mm : ndarray, shape (3,)

@@ -24,13 +24,7 @@ _LONGEST_LINE = 400
 
 @dataclass(frozen=True)
 class Passed:
-    """A line without motion; it is written as it is.
-
-    Attributes
-    ----------
-    text : str
-        The line.
-    """
+    """A line without motion; it is written as it is."""
 
     text: str
 
@@ -39,26 +33,14 @@ class Passed:
 class Move:
     """A motion.
 
-    Attributes
-    ----------
-    line : int
-        Line of the program, from 1.
-    rapid : bool
-        Whether it is a G0.
-    start_mm, end_mm : ndarray, shape (3,)
-        Programmed points.
-    feed_mm_min : float
-        Feed in force; 0 before the first F.
-    known, started : tuple of bool
-        Axes whose position the program has said, with this line and before it.
-    rest : str
-        Other words of the line, such as M or S, which come before the motion.
-    plane : tuple of int
-        Axes of an arc.
-    centre_mm : ndarray, shape (2,), or None
-        Centre of an arc in its plane; None for a straight line.
-    turn_rad : float
-        Angle of an arc, positive from the first axis of the plane to its second.
+    ``line``: line of the program, from 1.
+    ``rapid``: whether it is a G0.
+    ``start_mm``, ``end_mm``, (3,): programmed points.
+    ``feed_mm_min``: feed in force; 0 before the first F.
+    ``known``, ``started``: axes whose position the program has said, with this line and before it.
+    ``rest``: other words of the line, such as M or S, which come before the motion.
+    ``centre_mm``, (2,): centre of an arc in its plane; None for a straight line.
+    ``turn_rad``: angle of an arc, positive from the first axis of the plane to its second.
     """
 
     line: int
@@ -124,20 +106,7 @@ class Move:
 
 
 def read_program(text: str, where: str) -> Iterator[Passed | Move]:
-    """Read a program line by line.
-
-    Parameters
-    ----------
-    text : str
-        The program.
-    where : str
-        Its name, for messages.
-
-    Raises
-    ------
-    InputError
-        At the first word that is not understood: a program is compensated as a whole or not.
-    """
+    """Read a program line by line."""
     at = np.zeros(3)
     known = [False] * 3
     mode, plane, feed = -1.0, (0, 1), 0.0

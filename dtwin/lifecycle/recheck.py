@@ -33,16 +33,10 @@ class Rechecked:
 
     Attributes
     ----------
-    version : RegisteredVersion
-        The champion that was checked.
-    found : Recheck
-        The verdict.
     withdrawn : bool
         Whether the champion was barred; sessions that serve it release within a second or two.
     restored : str
         Version that is champion now, empty when nothing is served any more.
-    runs : int
-        Number of circles.
     """
 
     version: RegisteredVersion
@@ -78,10 +72,6 @@ def recheck(
 
     Parameters
     ----------
-    home : Home
-        Registry and bundles.
-    machine : str
-        The machine.
     without, with_ : sequence of str
         Campaigns in the lake that were measured without and with it, as for ``dtwin evidence``;
         when none is named the virtual cobot is measured.
@@ -91,8 +81,6 @@ def recheck(
         Passes over all conditions.
     seed : int
         Of the virtual machine, of order and noise.
-    progress : callable, optional
-        Called with (done, total, what).
 
     Raises
     ------

@@ -17,7 +17,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.against_champion import Comparison, compare_with_champion
-from dtwin.lifecycle.drift import DriftCheck, campaign_of, champion_of, check_drift, trained_rows, usable
+from dtwin.lifecycle.drift import DriftCheck, campaign_of, check_drift, trained_rows, usable
 from dtwin.lifecycle.train import Registered, train
 from dtwin.locks import locked
 from dtwin.progress import StageProgress
@@ -32,18 +32,9 @@ _NOT_IN_A_TAG = re.compile(r"[^A-Za-z0-9_. -]")
 class CampaignNews:
     """What a campaign holds that no registered version was trained on.
 
-    Attributes
-    ----------
-    campaign, machine : str
-        The campaign.
-    rows : list of dict
-        Its usable runs, as rows of ``runs``.
-    new_runs : int
-        How many of them are new.
-    digest : str
-        Identifies the content of the usable runs.
-    obstacle : str
-        Why the campaign cannot train a correction; empty when it can.
+    ``rows``: its usable runs, as rows of ``runs``.
+    ``digest``: identifies the content of the usable runs.
+    ``obstacle``: why the campaign cannot train a correction; empty when it can.
     """
 
     campaign: str
@@ -62,12 +53,6 @@ class Scheduled:
     ----------
     outcome : {"trained", "checked", "skipped"}
         ``checked``: nothing could be trained, but the champion was judged on new runs.
-    reason : str
-        Why, in one line.
-    campaigns : dict of str to str
-        What was made of every campaign.
-    registered : Registered or None
-        The training.
     comparison : Comparison or None
         Candidate against champion; None without a champion.
     drift : list of DriftCheck
@@ -109,15 +94,6 @@ def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress | N
 
     Campaigns that are older than what a machine's newest training used are passed over, so the
     alias ``candidate`` always means the newest data. Nothing is promoted.
-
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    seed : int
-        Seed of everything random.
-    progress : callable, optional
-        Called with (stage, done, total, what).
     """
     with locked(home.root / "locks" / "scheduled-training.lock") as mine:
         if not mine:
@@ -139,13 +115,6 @@ def news(home: Home, registry: Registry) -> list[CampaignNews]:
 
     New is a usable run whose content no registered version of the machine was trained on; what
     a version was trained on is read back from the lake at the version's own table version.
-
-    Parameters
-    ----------
-    home : Home
-        Gives the lake.
-    registry : Registry
-        Gives the versions.
     """
     lake = Lake(home.lake)
     by_campaign: dict[str, list[dict[str, Any]]] = {}
@@ -188,7 +157,7 @@ def _obstacle(rows: list[dict[str, Any]], campaign: Campaign) -> str:
 
 def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
     """Judge the champion on a newer campaign unless the same runs were judged before."""
-    champion = champion_of(registry, item.machine)
+    champion = registry.champion(item.machine)
     plain = item.rows and not any(row["correction"] for row in item.rows)
     if champion is None or not plain:
         return None

@@ -27,17 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Registered:
-    """A training that is in the registry.
-
-    Attributes
-    ----------
-    training : Training
-        Candidates and data.
-    version : RegisteredVersion
-        The proposed candidate.
-    verdicts : list of Verdict
-        Offline gates on it.
-    """
+    """A training that is in the registry."""
 
     training: Training
     version: RegisteredVersion
@@ -48,19 +38,6 @@ def train(
     home: Home, campaign: str, *, seed: int = 1, engine: Engine | None = None, progress: StageProgress | None = None
 ) -> Registered:
     """Train every candidate on a campaign, log them, register the proposed one.
-
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    campaign : str
-        Campaign in the lake.
-    seed : int
-        Seed of everything random.
-    engine : Engine, optional
-        Free symbolic search.
-    progress : callable, optional
-        Called with (stage, done, total, what).
 
     Raises
     ------
@@ -98,17 +75,7 @@ def train(
 
 
 def put_on_trial(home: Home, version: RegisteredVersion, comment: str = "") -> Path:
-    """Put a version on trial; offline gates decide.
-
-    Parameters
-    ----------
-    home : Home
-        Registry and bundles.
-    version : RegisteredVersion
-        The version.
-    comment : str
-        Why.
-    """
+    """Put a version on trial; offline gates decide."""
     registry = Registry(home)
     return trial(registry, home, version, geometry=geometry_of(registry, version), comment=comment)
 

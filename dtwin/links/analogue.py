@@ -25,7 +25,7 @@ from dtwin.links.serial_line import SerialLink
 
 AXES = ("x", "y", "z")
 BAUD = 250_000
-FULL_SCALE_V = 10.0
+_FULL_SCALE_V = 10.0
 _CODES = 1 << 16
 TRAVEL_UM = 125.0
 Output = Literal["dac", "pwm"]
@@ -62,30 +62,22 @@ class AxisCalibration:
         """Return the converter's code for an offset, kept within travel and range."""
         within = max(-TRAVEL_UM, min(TRAVEL_UM, offset_um))
         volts = self.neutral_v + within / self.um_per_v
-        return max(0, min(_CODES - 1, round(volts / FULL_SCALE_V * _CODES)))
+        return max(0, min(_CODES - 1, round(volts / _FULL_SCALE_V * _CODES)))
 
     def offset_um(self, code: int) -> float:
         """Return the offset that a code stands for."""
-        return (code * FULL_SCALE_V / _CODES - self.neutral_v) * self.um_per_v
+        return (code * _FULL_SCALE_V / _CODES - self.neutral_v) * self.um_per_v
 
 
 @dataclass(frozen=True)
 class Answer:
     """What the board said.
 
-    Attributes
-    ----------
-    sequence : int
-        Of the request that it answers.
-    engaged, tripped, pwm, read_back_wrong : bool
-        Whether it takes corrections; its watchdog dropped them; which output is in use; the
-        converter does not hold what was written.
-    refused : str
-        Why the request had no effect; empty when it had.
-    applied : tuple of int
-        Codes read back from the converter.
-    bad_frames, trips : int
-        Counted since the board started.
+    ``engaged``, ``tripped``, ``pwm``, ``read_back_wrong``: whether it takes corrections; its watchdog dropped them;
+    which output is in use; the converter does not hold what was written.
+    ``refused``: why the request had no effect; empty when it had.
+    ``applied``: codes read back from the converter.
+    ``bad_frames``, ``trips``: counted since the board started.
     """
 
     sequence: int
@@ -343,4 +335,4 @@ def eight_bits(codes: Codes) -> Codes:
 def step_um(calibration: AxisCalibration, output: Output) -> float:
     """Return the smallest change of the correction that an output can make."""
     steps = _CODES if output == "dac" else _PWM_STEPS
-    return abs(calibration.um_per_v) * FULL_SCALE_V / steps
+    return abs(calibration.um_per_v) * _FULL_SCALE_V / steps

@@ -39,8 +39,6 @@ class AxisFit:
         RMS about the line.
     cross_talk : dict of str to float
         What the same volt does to the other axes, as share of what it does to this one.
-    readings : int
-        How many.
     """
 
     um_per_v: float

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from dtwin.errors import MissingPart
 
-PACKAGES = "gcc-avr avr-libc libsimavr-dev libelf-dev gcc"
-FIRMWARE = Path(__file__).parent / "firmware" / "analogue_correction.c"
+_PACKAGES = "gcc-avr avr-libc libsimavr-dev libelf-dev gcc"
+_FIRMWARE = Path(__file__).parent / "firmware" / "analogue_correction.c"
 
 
 def build_firmware(out: Path, baud: int = 250_000) -> Path:
@@ -17,8 +17,6 @@ def build_firmware(out: Path, baud: int = 250_000) -> Path:
 
     Parameters
     ----------
-    out : Path
-        File to write.
     baud : int
         Of its serial port; 250000, 500000 and 1000000 are exact at 16 MHz.
 
@@ -38,7 +36,7 @@ def build_firmware(out: Path, baud: int = 250_000) -> Path:
             "-Wall",
             "-Wextra",
             "-Werror",
-            str(FIRMWARE),
+            str(_FIRMWARE),
         ],
         out,
     )
@@ -51,8 +49,6 @@ def compiled(command: Sequence[str], out: Path) -> Path:
     ----------
     command : sequence of str
         Compiler and arguments, without the output.
-    out : Path
-        File to write.
 
     Raises
     ------
@@ -65,7 +61,7 @@ def compiled(command: Sequence[str], out: Path) -> Path:
         done = subprocess.run(full, capture_output=True, text=True, check=False)
     except FileNotFoundError as error:
         raise MissingPart(
-            f"{command[0]} is not installed", code="board.compiler", hint=f"apt install {PACKAGES}"
+            f"{command[0]} is not installed", code="board.compiler", hint=f"apt install {_PACKAGES}"
         ) from error
     if done.returncode:
         raise MissingPart(
@@ -74,6 +70,6 @@ def compiled(command: Sequence[str], out: Path) -> Path:
             else f"{command[0]} does not build {out.name}",
             code="board.build",
             got=done.stderr.strip()[:300],
-            hint=f"apt install {PACKAGES}",
+            hint=f"apt install {_PACKAGES}",
         )
     return out

@@ -17,10 +17,10 @@ import numpy as np
 
 from dtwin.errors import DeviceError, InputError
 from dtwin.links import state as layout
-from dtwin.links.line_socket import LineSocket
+from dtwin.links._line_socket import LineSocket
+from dtwin.links._state_lines import StateLines
 from dtwin.links.live_values import LiveValues
 from dtwin.links.state import Floats
-from dtwin.links.state_lines import StateLines
 from dtwin.links.virtual_key import new_nonce
 
 PROTOCOL = 1
@@ -42,8 +42,6 @@ class Greeting:
 
     Attributes
     ----------
-    control : str
-        Its name.
     period_s : float
         From state to state.
     clock : {"wall", "machine"}
@@ -77,8 +75,6 @@ class AxisLink(StateLines):
         Axes that will be corrected.
     channels : sequence of str
         Signals that it must sample, at one rate.
-    channels_hz : float
-        That rate.
     samples : callable, optional
         Takes each sample of the channels, shape (channels,).
     writes : bool

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from dtwin.errors import InputError
 
-VERSION = 1
+_VERSION = 1
 SEQUENCES = 1 << 16
 _MAX_PAYLOAD = 1024
 
@@ -29,8 +29,6 @@ class Frame:
     ----------
     sequence : int
         0 to 65535, counted by the sender.
-    payload : bytes
-        Content.
     """
 
     sequence: int
@@ -45,17 +43,8 @@ def crc16(data: bytes) -> int:
 def encode(sequence: int, payload: bytes) -> bytes:
     """Return a frame as it goes over the line, its end mark included.
 
-    Parameters
-    ----------
-    sequence : int
-        0 to 65535.
-    payload : bytes
-        At most ``_MAX_PAYLOAD`` bytes.
-
-    Raises
-    ------
-    InputError
-        When number or payload do not fit.
+    ``sequence``: 0 to 65535.
+    ``payload``: at most ``_MAX_PAYLOAD`` bytes.
     """
     if not 0 <= sequence < SEQUENCES or len(payload) > _MAX_PAYLOAD:
         raise InputError(
@@ -64,22 +53,15 @@ def encode(sequence: int, payload: bytes) -> bytes:
             got=f"sequence {sequence}, {len(payload)} bytes",
             allowed=f"sequence below {SEQUENCES}, at most {_MAX_PAYLOAD} bytes",
         )
-    body = _HEAD.pack(VERSION, sequence) + payload
+    body = _HEAD.pack(_VERSION, sequence) + payload
     return _stuffed(body + _CRC.pack(crc16(body))) + b"\x00"
 
 
 class FrameReader:
     """Finds frames in what arrives, in pieces of any size.
 
-    Parameters
-    ----------
-    payload_size : int
-        Size that every payload must have; a frame of another size is garbage.
-
-    Attributes
-    ----------
-    bad_frames : int
-        Pieces between end marks that were no frame of ours.
+    ``payload_size``: size that every payload must have; a frame of another size is garbage.
+    ``bad_frames``: pieces between end marks that were no frame of ours.
     """
 
     def __init__(self, payload_size: int) -> None:
@@ -125,7 +107,7 @@ class FrameReader:
             return None
         content, (crc,) = body[: -_CRC.size], _CRC.unpack(body[-_CRC.size :])
         version, sequence = _HEAD.unpack_from(content)
-        if crc != crc16(content) or version != VERSION:
+        if crc != crc16(content) or version != _VERSION:
             return None
         return Frame(sequence, content[_HEAD.size :])
 

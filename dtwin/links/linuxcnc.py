@@ -28,13 +28,7 @@ _NUMBER, _DIRECTION, _RADIUS, _CENTRE, _PLANE, _FEED = 0, 1, 2, 3, 6, 7
 
 
 class Bridge(OpenAndClose):
-    """A connection to a session's bridge.
-
-    Parameters
-    ----------
-    path : Path
-        Its socket.
-    """
+    """A connection to a session's bridge."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -108,11 +102,6 @@ class Bridge(OpenAndClose):
 class LinuxcncLink:
     """State and correction of a running LinuxCNC, as the serving loop wants them.
 
-    Parameters
-    ----------
-    bridge : Bridge
-        Opened connection.
-
     Attributes
     ----------
     trips : int
@@ -138,11 +127,6 @@ class LinuxcncLink:
 
     def wait_state(self, timeout_s: float) -> Floats | None:
         """Return the newest state (N,), two servo cycles after the last one, or None.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait.
 
         Raises
         ------

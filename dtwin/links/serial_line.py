@@ -12,8 +12,6 @@ from dtwin.errors import DeviceError, MissingPart
 from dtwin.links.frames import SEQUENCES, Frame, FrameReader, encode
 from dtwin.links.opened import OpenAndClose
 
-_RESET_PULSE_S = 0.1
-
 
 class SerialLink(OpenAndClose):
     """Frames to and from one device.
@@ -129,20 +127,6 @@ class SerialLink(OpenAndClose):
         bad = self._reader.bad_frames
         self._reader = FrameReader(self._payload_size)
         self._reader.bad_frames = bad
-
-    def reset_device(self) -> bool:
-        """Pulse DTR, which restarts many boards; return whether the port has such a line."""
-        with self._faults():
-            try:
-                self._device.dtr = False
-                time.sleep(_RESET_PULSE_S)
-                self._device.dtr = True
-            except OSError as error:
-                # Pseudo-terminals and some USB devices have no modem lines.
-                if error.errno not in (errno.ENOTTY, errno.EINVAL):
-                    raise
-                return False
-        return True
 
     def close(self) -> None:
         """Release the port; safe to call twice."""

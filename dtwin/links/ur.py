@@ -44,10 +44,6 @@ class UrLink:
 
     Parameters
     ----------
-    host : str
-        Address of the controller.
-    frequency_hz : float
-        Rate of the states.
     connect_timeout_s : float
         How long to wait for the controller.
     lost_after_s : float
@@ -140,11 +136,6 @@ class UrLink:
 
     def wait_state(self, timeout_s: float) -> layout.RobotState | None:
         """Return the newest state that was not returned before.
-
-        Parameters
-        ----------
-        timeout_s : float
-            Longest wait.
 
         Returns
         -------

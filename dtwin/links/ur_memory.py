@@ -30,10 +30,7 @@ _TRIES = 100
 class SharedMemory:
     """Newest state (driver to host) and newest correction (host to driver).
 
-    Parameters
-    ----------
-    descriptor : int
-        Anonymous memory file of at least ``_SIZE`` bytes.
+    ``descriptor``: anonymous memory file of at least ``_SIZE`` bytes.
     """
 
     def __init__(self, descriptor: int) -> None:

@@ -92,20 +92,9 @@ end
 def correction_functions(limit_um: float, slew_um_s: float, watchdog_s: float) -> str:
     """Return the arithmetic of one controller tick as URScript functions.
 
-    Parameters
-    ----------
-    limit_um : float
-        Largest offset along each axis.
-    slew_um_s : float
-        Fastest change of it.
-    watchdog_s : float
-        Time without a new sequence number after which the offset is led back to zero. From then on
-        no vector counts before one of zeros has come: whoever was away begins at zero.
-
-    Raises
-    ------
-    InputError
-        When a limit is not positive, or the offset is larger than 2 mm.
+    ``limit_um``: largest offset along each axis.
+    ``watchdog_s``: time without a new sequence number after which the offset is led back to zero. From then on no
+    vector counts before one of zeros has come: whoever was away begins at zero.
     """
     if not (0.0 < limit_um <= _LARGEST_UM and slew_um_s > 0.0 and watchdog_s >= 2.0 / TICK_HZ):
         raise InputError(

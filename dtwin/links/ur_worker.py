@@ -54,7 +54,7 @@ _VARIABLES = [
 ]
 
 
-class Fault(Exception):
+class _Fault(Exception):
     """A reason to give up; its text goes to the host."""
 
     def __init__(self, code: str, message: str) -> None:
@@ -62,7 +62,7 @@ class Fault(Exception):
         self.code = code
 
 
-def read_state(receive: Any, state: layout.RobotState) -> None:
+def _read_state(receive: Any, state: layout.RobotState) -> None:
     """Copy one consistent package from the receive interface into ``state``.
 
     The getters read whatever package is newest, so they are repeated when a new one came
@@ -91,24 +91,18 @@ def read_state(receive: Any, state: layout.RobotState) -> None:
             return
 
 
-def write_correction(io: Any, correction: layout.Floats) -> None:
-    """Write the offset and then the sequence number that makes it count.
-
-    Raises
-    ------
-    Fault
-        When the controller does not take a value.
-    """
+def _write_correction(io: Any, correction: layout.Floats) -> None:
+    """Write the offset and then the sequence number that makes it count."""
     taken = True
     for axis in range(3):
         value = float(correction[layout.REGISTER_OFFSET + axis])
         taken = taken and io.setInputDoubleRegister(registers.INPUT_OFFSET_X + axis, value)
     sequence = int(correction[layout.REGISTER_SEQUENCE])
     if not (taken and io.setInputIntRegister(registers.INPUT_SEQUENCE, sequence)):
-        raise Fault("ur.link_lost", "the controller no longer takes corrections")
+        raise _Fault("ur.link_lost", "the controller no longer takes corrections")
 
 
-class Worker:
+class _Worker:
     """Moves states up and corrections down until told to stop or the link breaks."""
 
     def __init__(self, chosen: argparse.Namespace) -> None:
@@ -130,20 +124,17 @@ class Worker:
     def connect(self) -> None:
         """Open both interfaces.
 
-        Raises
-        ------
-        Fault
-            When the package is missing or no controller answers.
+        Raises ``_Fault`` when the package is missing or no controller answers.
         """
         try:
             from rtde_io import RTDEIOInterface
             from rtde_receive import RTDEReceiveInterface
         except ImportError as error:
-            raise Fault("ur.package", f"the package ur-rtde is missing ({error})") from error
+            raise _Fault("ur.package", f"the package ur-rtde is missing ({error})") from error
         try:
             socket.create_connection((self._host, RTDE_PORT), timeout=2.0).close()
         except OSError as error:
-            raise Fault("ur.absent", f"no robot controller answers ({error})") from error
+            raise _Fault("ur.absent", f"no robot controller answers ({error})") from error
         try:
             self._receive = RTDEReceiveInterface(self._host, self._frequency_hz, _VARIABLES)
             if self._writes:
@@ -152,16 +143,13 @@ class Worker:
             first = str(error).strip().splitlines()[0]
             if _OWNED in first:
                 text = "another client owns the correction's input registers"
-                raise Fault("ur.registers_owned", text) from error
-            raise Fault("ur.refused", f"the controller refused the connection ({first})") from error
+                raise _Fault("ur.registers_owned", text) from error
+            raise _Fault("ur.refused", f"the controller refused the connection ({first})") from error
 
     def run(self) -> None:
         """Serve until the life line ends.
 
-        Raises
-        ------
-        Fault
-            When the controller is gone or silent for too long.
+        Raises ``_Fault`` when the controller is gone or silent for too long.
         """
         state = layout.empty_state()
         period_s = 1.0 / self._frequency_hz
@@ -180,7 +168,7 @@ class Worker:
             stamp = self._receive.getTimestamp()
             if stamp != newest:
                 newest, seen_s = stamp, now_s
-                read_state(self._receive, state)
+                _read_state(self._receive, state)
                 newest = state[layout.TIMESTAMP]
                 self._memory.write_state(state, now_s)
                 os.eventfd_write(self._state_ready, 1)
@@ -197,7 +185,7 @@ class Worker:
             if self._correction[layout.REGISTER_SEQUENCE] != 0:
                 last = int(self._correction[layout.REGISTER_SEQUENCE])
                 zero = layout.correction_registers(last % layout.SEQUENCE_LIMIT + 1)
-                write_correction(self._io, zero)
+                _write_correction(self._io, zero)
                 time.sleep(_SETTLE_S)
         for interface in (self._io, self._receive):
             with contextlib.suppress(Exception):
@@ -206,13 +194,13 @@ class Worker:
     def _forward(self) -> None:
         os.eventfd_read(self._correction_ready)
         if self._io is not None and self._memory.read_correction(self._correction):
-            write_correction(self._io, self._correction)
+            _write_correction(self._io, self._correction)
 
     def _require_link(self, silent_s: float) -> None:
         if not self._receive.isConnected():
-            raise Fault("ur.link_lost", "the robot controller closed the connection")
+            raise _Fault("ur.link_lost", "the robot controller closed the connection")
         if silent_s > self._lost_after_s:
-            raise Fault("ur.silent", f"the robot controller sent nothing for {silent_s:z.1f} s")
+            raise _Fault("ur.silent", f"the robot controller sent nothing for {silent_s:z.1f} s")
 
 
 def _prepare(realtime: bool) -> bool:
@@ -243,14 +231,14 @@ def _arguments() -> argparse.Namespace:
 def main() -> int:
     """Run the driver; return 0 after a release, 1 after a fault."""
     chosen = _arguments()
-    worker = Worker(chosen)
+    worker = _Worker(chosen)
     try:
         # Before connecting: the threads that ur_rtde starts inherit priority and timers.
         realtime = _prepare(chosen.realtime)
         worker.connect()
         worker.say(connected=True, realtime=realtime)
         worker.run()
-    except Fault as fault:
+    except _Fault as fault:
         worker.say(fault=fault.code, message=str(fault))
         return 1
     except KeyboardInterrupt:

@@ -31,8 +31,6 @@ def proof(home: Home, nonce: str) -> str:
     ----------
     home : Home
         Where the key lies; it is made when there is none.
-    nonce : str
-        What was asked.
 
     Raises
     ------

@@ -18,13 +18,7 @@ _BOARD = Path(__file__).with_suffix(".c")
 
 
 def build_board(out: Path) -> Path:
-    """Compile the simulated board and return the program.
-
-    Raises
-    ------
-    MissingPart
-        When gcc or simavr's library is not here.
-    """
+    """Compile the simulated board and return the program."""
     return compiled(["gcc", "-O2", "-I/usr/include/simavr", str(_BOARD), "-lsimavr", "-lelf"], out)
 
 
@@ -35,15 +29,11 @@ class AnalogueBoard:
     ----------
     folder : Path
         Where programs and the EEPROM's content are kept.
-    baud : int
-        Of the firmware.
     stuck_bits : int
         Bits of the x channel that never become one: a broken converter.
 
     Attributes
     ----------
-    port : str
-        Its serial port.
     changes : list of int
         Clock cycles (16 MHz) at which a voltage changed.
     changed_to : list of tuple

@@ -27,7 +27,7 @@ WATCHDOG_S = 0.1
 Clock = Literal["wall", "machine"]
 _AXES = ("x", "y", "z")
 _POLL_S = 0.2
-Prove = Callable[[str], str]
+_Prove = Callable[[str], str]
 Announce = Callable[[str], None]
 
 
@@ -86,8 +86,6 @@ class AxisServer:
 
     Parameters
     ----------
-    machine : AxisMachine
-        What is moved.
     prove : callable
         Answers a nonce; see :mod:`dtwin.links.virtual_key`.
     clock : {"wall", "machine"}
@@ -97,13 +95,11 @@ class AxisServer:
 
     Attributes
     ----------
-    port : int
-        Where it listens.
     watchdog_trips : int
         How often the correction went to zero because nothing came.
     """
 
-    def __init__(self, machine: AxisMachine, prove: Prove, *, clock: Clock = "machine", port: int = 0) -> None:
+    def __init__(self, machine: AxisMachine, prove: _Prove, *, clock: Clock = "machine", port: int = 0) -> None:
         self._machine, self._prove, self._clock = machine, prove, clock
         self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -137,13 +133,6 @@ class AxisServer:
 
         It begins when the first client has connected. A client that goes leaves no correction
         behind; on the machine clock the program then waits for the next one.
-
-        Parameters
-        ----------
-        announce : callable
-            Takes lines for people.
-        progress : callable
-            Called with (done, total, what).
         """
         self._wait_for_client(announce)
         begun_s = time.monotonic()

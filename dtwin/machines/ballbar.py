@@ -39,16 +39,12 @@ def read_ballbar(
 
     Parameters
     ----------
-    parameters : BallbarParameters
-        Rate, quantum, noise.
     tool_mm : ndarray, shape (ticks, 3)
         Where the tool's ball really is.
     tool_rate_hz : float
         Rate of ``tool_mm``.
     centre_mm : ndarray, shape (3,)
         Where the ball at the table really is.
-    radius_mm : float
-        Nominal radius.
     clock : tuple
         Machine time of the first sample in s, clock error in ppm, number of samples.
     noise_um : ndarray, shape (n,)

@@ -60,12 +60,8 @@ class VirtualCobot:
 
         Parameters
         ----------
-        condition : CircleCondition
-            What to run.
         setup : str
             Mounting of the bar; runs of one set-up share eccentricity and length error.
-        repeat : int
-            Repeat of the condition.
 
         Raises
         ------
@@ -93,11 +89,6 @@ class VirtualCobot:
 
     def repeatable_error_um(self, condition: CircleCondition) -> tuple[Floats, Floats, Floats]:
         """Return the truth without set-up, noise and drift, at every controller tick.
-
-        Parameters
-        ----------
-        condition : CircleCondition
-            What would be run.
 
         Returns
         -------

@@ -25,8 +25,6 @@ class CobotController:
 
     Parameters
     ----------
-    condition, plan : CircleCondition, MotionPlan
-        What to run.
     mechanism, memory : Mechanism, ndarray
         The machine at rest at the start of the program.
     """
@@ -131,12 +129,8 @@ class CobotController:
 class CircleController(CobotController):
     """The controller on a circle, which the instruments record.
 
-    Parameters
-    ----------
-    condition, plan, mechanism, memory
-        As for :class:`CobotController`.
-    make_recording : callable
-        Turns the ticks of the finished run into a recording.
+    ``condition``, ``plan``, ``mechanism``, ``memory``: as for :class:`CobotController`.
+    ``make_recording``: turns the ticks of the finished run into a recording.
     """
 
     def __init__(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dtwin.schema import Floats
 
-SENSITIVITY_V_G = 1.0
+_SENSITIVITY_V_G = 1.0
 """True sensitivity of every virtual sensor."""
 
 _RANGE_V = 5.0
@@ -24,12 +24,8 @@ _UNPOWERED_V = 2e-6
 class Wiring:
     """How a channel was set up by the client.
 
-    Attributes
-    ----------
-    powered : bool
-        Whether the module feeds the sensor (IEPE).
-    ac_coupled : bool
-        Whether the module takes the bias off.
+    ``powered``: whether the module feeds the sensor (IEPE).
+    ``ac_coupled``: whether the module takes the bias off.
     """
 
     powered: bool
@@ -42,14 +38,7 @@ class Sensors:
     Without a recording every channel carries two tones of its own and noise; all of it depends
     on the sample's number alone, so that a lost or repeated sample cannot hide.
 
-    Parameters
-    ----------
-    channels : sequence of str
-        Physical channels.
-    recording : mapping of str to ndarray, shape (n,), optional
-        Accelerations in g by physical channel, played sample by sample and begun again.
-    seed : int
-        Seed of the noise.
+    ``recording``, (n,): accelerations in g by physical channel, played sample by sample and begun again.
     """
 
     def __init__(self, channels: Sequence[str], recording: Mapping[str, Floats] | None = None, seed: int = 0) -> None:
@@ -76,7 +65,7 @@ class Sensors:
         removes the bias.
         """
         if wiring.powered:
-            volts = self.felt_g(channel, first, n, rate_hz) * SENSITIVITY_V_G
+            volts = self.felt_g(channel, first, n, rate_hz) * _SENSITIVITY_V_G
             volts += 0.0 if wiring.ac_coupled else _BIAS_V
         else:
             k = np.arange(first, first + n)

@@ -18,8 +18,6 @@ TEDS, open sensors, or the converter's filter. Calls that it does not know are a
 unimplemented, never as done.
 """
 
-# ruff: noqa: D102 - the calls are named and described by NI's interface.
-
 from __future__ import annotations
 
 import argparse
@@ -49,7 +47,7 @@ from nidaqmx.constants import (
 
 from dtwin.errors import DtwinError, InputError
 from dtwin.lake.parquet import columns_of, read_parquet
-from dtwin.machines import daq_device as device
+from dtwin.machines import _daq_device as device
 from dtwin.machines.daq_sensors import Sensors
 
 _DRIVER_VERSION = {0x1272: 24, 0x1923: 0, 0x2F22: 0}
@@ -63,7 +61,7 @@ _RATE, _BUFFER = 0x1344, 0x186C
 def _answers(work: Callable[..., Any]) -> Callable[..., Any]:
     """Turn an error of the virtual driver into what NI's server sends."""
 
-    def answer(self: DaqService, request: Any, context: Any) -> Any:
+    def answer(self: _DaqService, request: Any, context: Any) -> Any:
         try:
             return work(self, request)
         except device.DaqFault as fault:
@@ -76,14 +74,8 @@ def _answers(work: Callable[..., Any]) -> Callable[..., Any]:
     return answer
 
 
-class DaqService(stubs.NiDAQmxServicer):
-    """The calls that an accelerometer acquisition needs; the others stay unimplemented.
-
-    Parameters
-    ----------
-    chassis : Chassis
-        Virtual modules.
-    """
+class _DaqService(stubs.NiDAQmxServicer):
+    """The calls that an accelerometer acquisition needs; the others stay unimplemented."""
 
     def __init__(self, chassis: device.Chassis) -> None:
         self.chassis = chassis
@@ -265,7 +257,7 @@ def _known(values: dict[int, Any], attribute: int) -> Any:
     return values[attribute]
 
 
-def obey(chassis: device.Chassis, command: dict[str, Any]) -> dict[str, Any]:
+def _obey(chassis: device.Chassis, command: dict[str, Any]) -> dict[str, Any]:
     """Carry out one line of the control input and return the answer."""
     action = command.get("do")
     if action == "overrun":
@@ -284,7 +276,7 @@ def obey(chassis: device.Chassis, command: dict[str, Any]) -> dict[str, Any]:
     return {"done": True, "tasks": running}
 
 
-def recorded(path: Path, channels: tuple[str, ...]) -> dict[str, Any]:
+def _recorded(path: Path, channels: tuple[str, ...]) -> dict[str, Any]:
     """Return accelerations in g of a Parquet file by physical channel.
 
     Columns in ``_g`` are plugged in one by one, three to a module, as triaxial sensors are.
@@ -317,7 +309,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise InputError("only loopback is served", code="daq.host", got=options.host)
         modules = tuple(options.modules.split(","))
         channels = tuple(f"{m}/ai{n}" for m in modules for n in range(device.CHANNELS_PER_MODULE))
-        played = recorded(options.signals, channels) if options.signals else None
+        played = _recorded(options.signals, channels) if options.signals else None
         chassis = device.Chassis(modules, Sensors(channels, played, options.seed))
         _serve(chassis, f"{options.host}:{options.port}", options.control)
     except DtwinError as error:
@@ -328,7 +320,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _serve(chassis: device.Chassis, address: str, control: bool) -> None:
     server = grpc.server(futures.ThreadPoolExecutor(4), options=[("grpc.so_reuseport", 0)])
-    stubs.add_NiDAQmxServicer_to_server(DaqService(chassis), server)
+    stubs.add_NiDAQmxServicer_to_server(_DaqService(chassis), server)
     port = server.add_insecure_port(address)
     server.start()
     print(json.dumps({"ready": True, "port": port}), flush=True)
@@ -337,7 +329,7 @@ def _serve(chassis: device.Chassis, address: str, control: bool) -> None:
             command = json.loads(line)
             if command.get("do") == "quit":
                 break
-            print(json.dumps(obey(chassis, command)), flush=True)
+            print(json.dumps(_obey(chassis, command)), flush=True)
         if not control:
             threading.Event().wait()
     except KeyboardInterrupt:

@@ -22,7 +22,7 @@ from dtwin.machines.structure import mode_table, modes_kernel
 from dtwin.schema import Floats, SignalGroup
 from dtwin.units import G_MM_S2, UM_PER_MM
 
-RATE_HZ = 2048.0
+_RATE_HZ = 2048.0
 """Rate of the simulation and of the accelerometer."""
 OVERSHOOT_DEG, _TURN_DEG = 180.0, 360.0
 _REST_S = 0.25
@@ -36,20 +36,11 @@ _RADII_MM, _FEEDS_MM_MIN = (10.0, 100.0), (50.0, 12_000.0)
 class HexapodRecording:
     """What the instruments recorded, and what happened.
 
-    Attributes
-    ----------
-    condition : CircleCondition
-        In standard form.
-    t_s, deviation_um : ndarray, shape (n,)
-        Ball bar: time by its clock, length minus nominal radius.
-    angle_deg : ndarray, shape (n,)
-        Commanded path angle of each reading; 0 where the turn begins.
-    window : tuple of (int, int)
-        First and one-past-last reading of the turn between the overshoots.
-    vibration : SignalGroup
-        Accelerometer on the spindle.
-    tool_mm : ndarray, shape (ticks, 3)
-        Where the ball in the spindle really was, at ``RATE_HZ``.
+    ``condition``: in standard form.
+    ``t_s``, ``deviation_um``, (n,): ball bar: time by its clock, length minus nominal radius.
+    ``angle_deg``, (n,): commanded path angle of each reading; 0 where the turn begins.
+    ``window``: first and one-past-last reading of the turn between the overshoots.
+    ``tool_mm``, (ticks, 3): where the ball in the spindle really was, at ``_RATE_HZ``.
     """
 
     condition: CircleCondition
@@ -66,8 +57,6 @@ class VirtualHexapod:
 
     Parameters
     ----------
-    parameters : HexapodParameters, optional
-        The machine.
     seed : int
         Which of the machines that share these parameters, its mountings and its noise.
     """
@@ -82,12 +71,8 @@ class VirtualHexapod:
 
         Parameters
         ----------
-        condition : CircleCondition
-            What to run.
         setup : str
             Mounting of the bar; its runs share eccentricity and length error.
-        repeat : int
-            Repeat of the condition.
 
         Raises
         ------
@@ -104,14 +89,14 @@ class VirtualHexapod:
         p = self.parameters
         ball = mounting.standard_normal(3) * p.eccentricity_um / UM_PER_MM
         longer = float(mounting.standard_normal() * p.length_error_um)
-        n = int(len(angle) / RATE_HZ * p.bar.rate_hz)
+        n = int(len(angle) / _RATE_HZ * p.bar.rate_hz)
         noise = longer + p.bar.noise_um * rng.standard_normal(n)
         # Zeroed where the tool ball is when the control believes it in the centre.
         centre = self.centre_mm() + ball
         clock = (0.0, 0.0, n)
-        bar = read_ballbar(p.bar, tool, RATE_HZ, centre, condition.radius_mm, clock, noise)
+        bar = read_ballbar(p.bar, tool, _RATE_HZ, centre, condition.radius_mm, clock, noise)
         t_s = np.arange(n) / p.bar.rate_hz
-        degrees = np.degrees(np.interp(t_s, np.arange(len(angle)) / RATE_HZ, angle))
+        degrees = np.degrees(np.interp(t_s, np.arange(len(angle)) / _RATE_HZ, angle))
         inside = np.flatnonzero((degrees * condition.sign >= 0.0) & (np.abs(degrees) < _TURN_DEG))
         return HexapodRecording(
             condition,
@@ -131,7 +116,7 @@ class VirtualHexapod:
         condition : CircleCondition
             In standard form.
         angle_rad : ndarray, shape (n,)
-            Commanded path angle at ``RATE_HZ``.
+            Commanded path angle at ``_RATE_HZ``.
         """
         first, second = plane_axes(condition.plane)
         spoke = np.cos(angle_rad)[:, None] * first + np.sin(angle_rad)[:, None] * second
@@ -157,7 +142,7 @@ class VirtualHexapod:
         )
         legs = self.legs
         out = np.empty_like(path_mm)
-        follow_kernel(
+        _follow_kernel(
             path_mm,
             legs.believed,
             legs.true,
@@ -178,14 +163,10 @@ class VirtualHexapod:
 
 
 def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) -> Floats:
-    """Return the commanded path angle at ``RATE_HZ``: 0 where the turn begins, signed by direction.
+    """Return the commanded path angle at ``_RATE_HZ``: 0 where the turn begins, signed by direction.
 
-    Parameters
-    ----------
-    condition : CircleCondition
-        In standard form.
-    parameters : HexapodParameters
-        Gives the limits along the path.
+    ``condition``: in standard form.
+    ``parameters``: gives the limits along the path.
     """
     p = parameters
     jerk_s = p.acceleration_mm_s2 / p.jerk_mm_s3
@@ -193,17 +174,17 @@ def path_angle_rad(condition: CircleCondition, parameters: HexapodParameters) ->
     ramp_s = speed / p.acceleration_mm_s2
     length_mm = np.radians(_TURN_DEG + 2.0 * OVERSHOOT_DEG) * condition.radius_mm
     moving_s = length_mm / speed + ramp_s + jerk_s
-    ticks = np.arange(round((moving_s + 2.0 * _REST_S) * RATE_HZ)) / RATE_HZ - _REST_S
+    ticks = np.arange(round((moving_s + 2.0 * _REST_S) * _RATE_HZ)) / _RATE_HZ - _REST_S
     way_mm = np.array([travelled_kernel(min(max(t, 0.0), moving_s), moving_s, speed, ramp_s, jerk_s) for t in ticks])
     return condition.sign * (way_mm / condition.radius_mm - np.radians(OVERSHOOT_DEG))
 
 
 def _felt(tool_mm: Floats, noise_g: float, rng: np.random.Generator) -> SignalGroup:
     bend = np.zeros_like(tool_mm)
-    bend[1:-1] = (tool_mm[2:] - 2.0 * tool_mm[1:-1] + tool_mm[:-2]) * RATE_HZ**2 / G_MM_S2
+    bend[1:-1] = (tool_mm[2:] - 2.0 * tool_mm[1:-1] + tool_mm[:-2]) * _RATE_HZ**2 / G_MM_S2
     bend += noise_g * rng.standard_normal(bend.shape)
     columns = {f"spindle_{axis}_g": bend[:, i].astype(np.float32) for i, axis in enumerate("xyz")}
-    return SignalGroup("accelerometer", RATE_HZ, columns)
+    return SignalGroup("accelerometer", _RATE_HZ, columns)
 
 
 def _require_reach(condition: CircleCondition) -> None:
@@ -230,16 +211,10 @@ def leg_lengths_kernel(
 ) -> None:
     """Write the leg lengths of a pose, and by what each changes with the pose.
 
-    Parameters
-    ----------
-    position_mm, turned_rad : ndarray, shape (3,)
-        Centre of the platform; small rotation vector, to first order.
-    joints : ndarray, shape (2, 6, 3)
-        Joint centres on base and platform.
-    length_mm : ndarray, shape (6,)
-        Receives the lengths.
-    rows : ndarray, shape (6, 6)
-        Receives the derivative by position and rotation.
+    ``position_mm``, ``turned_rad``, (3,): centre of the platform; small rotation vector, to first order.
+    ``joints``, (2, 6, 3): joint centres on base and platform.
+    ``length_mm``, (6,): receives the lengths.
+    ``rows``, (6, 6): receives the derivative by position and rotation.
     """
     along = np.empty(3)
     for leg in range(LEGS):
@@ -258,7 +233,7 @@ def leg_lengths_kernel(
 
 
 @kernel
-def follow_kernel(
+def _follow_kernel(
     path_mm: Floats,
     believed: Floats,
     true: Floats,
@@ -271,27 +246,17 @@ def follow_kernel(
 ) -> None:
     """Follow a commanded path of the tool ball, tick by tick, and write where it really is.
 
-    Parameters
-    ----------
-    path_mm : ndarray, shape (n, 3)
-        Command.
-    believed, true : ndarray, shape (2, 6, 3)
-        Joint centres.
-    legs : ndarray, shape (3, 6)
-        Zero in mm, relative scale error, feed-forward.
-    constants : ndarray, shape (8,)
-        Gain, play, friction (height, width, recovery), pitch, motor order, vibration.
-    modes : ndarray, shape (m, 10)
-        From ``mode_table``.
-    inverse : ndarray, shape (6, 6)
-        How the pose changes with the leg lengths in the centre; near it every round of the forward
-        kinematics leaves less than a sixth of the error.
-    tool_mm : float
-        Length of the tool along the platform's normal.
-    out_mm : ndarray, shape (n, 3)
-        Receives the positions.
+    ``path_mm``, (n, 3): command.
+    ``believed``, ``true``, (2, 6, 3): joint centres.
+    ``legs``, (3, 6): zero in mm, relative scale error, feed-forward.
+    ``constants``, (8,): gain, play, friction (height, width, recovery), pitch, motor order, vibration.
+    ``modes``, (m, 10): from ``mode_table``.
+    ``inverse``, (6, 6): how the pose changes with the leg lengths in the centre; near it every round of the forward
+    kinematics leaves less than a sixth of the error.
+    ``tool_mm``: length of the tool along the platform's normal.
+    ``out_mm``, (n, 3): receives the positions.
     """
-    tick_s = 1.0 / RATE_HZ
+    tick_s = 1.0 / _RATE_HZ
     tool = np.array([0.0, 0.0, tool_mm])
     wanted, before, actual = np.empty(LEGS), np.empty(LEGS), np.empty(LEGS)
     behind, press, relaxed = np.empty(LEGS), np.zeros(LEGS), np.zeros(LEGS)

@@ -37,36 +37,18 @@ def _modes() -> StructureParameters:
 class HexapodParameters:
     """A floor hexapod that carries the spindle, and the instruments on it.
 
-    Attributes
-    ----------
-    base_radius_mm, platform_radius_mm : float
-        Circles on which the joints sit.
-    base_half_deg, platform_half_deg : float
-        Half the angle between the two joints of a pair.
-    tool_mm : float
-        From the platform's centre up to the ball in the spindle.
-    joint_centre_mm, leg_offset_mm, leg_scale_ppm : float
-        Standard deviations of what the control believes wrongly.
-    play_um, friction_um : float
-        Lost motion of a leg; how far friction holds it back after a reversal.
-    friction_width_um, friction_recovery_s : float
-        Way over which friction builds up, and time in which the loop works it off.
-    position_gain_1_s, feed_forward, feed_forward_spread : float
-        Position loop of a leg; the spread differs from leg to leg.
-    pitch_mm, motor_order : float
-        Way of a leg per turn of its screw; vibrations per turn.
-    vibration_um_s_mm : float
-        Amplitude of motor vibration for each mm/s of the leg.
-    structure : StructureParameters
-        Modes at the tool.
-    acceleration_mm_s2, jerk_mm_s3 : float
-        Limits along the path.
-    eccentricity_um, length_error_um : float
-        Standard deviations of a mounting of the bar.
-    bar : BallbarParameters
-        The ball bar.
-    accelerometer_noise_g : float
-        RMS of the accelerometer's noise.
+    ``base_radius_mm``, ``platform_radius_mm``: circles on which the joints sit.
+    ``base_half_deg``, ``platform_half_deg``: half the angle between the two joints of a pair.
+    ``tool_mm``: from the platform's centre up to the ball in the spindle.
+    ``joint_centre_mm``, ``leg_offset_mm``, ``leg_scale_ppm``: standard deviations of what the control believes wrongly.
+    ``play_um``, ``friction_um``: lost motion of a leg; how far friction holds it back after a reversal.
+    ``friction_width_um``, ``friction_recovery_s``: way over which friction builds up, and time in which the loop works
+    it off.
+    ``position_gain_1_s``, ``feed_forward``, ``feed_forward_spread``: position loop of a leg; the spread differs from
+    leg to leg.
+    ``pitch_mm``, ``motor_order``: way of a leg per turn of its screw; vibrations per turn.
+    ``vibration_um_s_mm``: amplitude of motor vibration for each mm/s of the leg.
+    ``eccentricity_um``, ``length_error_um``: standard deviations of a mounting of the bar.
     """
 
     base_radius_mm: float = 480.0
@@ -111,12 +93,9 @@ class HexapodParameters:
 class Legs:
     """Geometry of one machine, as the control believes it and as it is.
 
-    Attributes
-    ----------
-    believed, true : ndarray, shape (2, 6, 3)
-        Joint centres on the base, in its frame, and on the platform, in its own, mm.
-    offset_mm, scale_1, feed_forward : ndarray, shape (6,)
-        Zero of each leg, relative error of its scale, feed-forward of its loop.
+    ``believed``, ``true``, (2, 6, 3): joint centres on the base, in its frame, and on the platform, in its own, mm.
+    ``offset_mm``, ``scale_1``, ``feed_forward``, (6,): zero of each leg, relative error of its scale, feed-forward of
+    its loop.
     """
 
     believed: Floats
@@ -129,12 +108,7 @@ class Legs:
 def build_legs(parameters: HexapodParameters, rng: np.random.Generator) -> Legs:
     """Draw one machine.
 
-    Parameters
-    ----------
-    parameters : HexapodParameters
-        Size and spreads.
-    rng : Generator
-        Which of the machines that share these parameters.
+    ``rng``: which of the machines that share these parameters.
     """
     p = parameters
     base = _ring(p.base_radius_mm, p.base_half_deg, turned_deg=0.0)

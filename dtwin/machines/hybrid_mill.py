@@ -19,7 +19,7 @@ from dtwin.machines.mill_parameters import HeatParameters, MillParameters
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
-STROKE_MM = {"X": 400.0, "Y": 150.0, "Z": 150.0, "W": 150.0}
+_STROKE_MM = {"X": 400.0, "Y": 150.0, "Z": 150.0, "W": 150.0}
 """Published."""
 _FASTEST_MM_MIN = 3000.0
 _SPINDLE_V = 2.5
@@ -42,16 +42,10 @@ _AXES = ("X", "Y")
 class CorrectionInput:
     """Analogue input that shifts an axis's encoder.
 
-    Attributes
-    ----------
-    limit_um : float
-        Range on both sides of the neutral voltage.
-    quantum_um : float
-        Smallest step of the converter; 8-bit pulse widths have 0.98.
-    delay_s : float
-        From a written value to the shift.
-    update_hz : float
-        How often a value is written; a microcontroller with three axes does 6.
+    ``limit_um``: range on both sides of the neutral voltage.
+    ``quantum_um``: smallest step of the converter; 8-bit pulse widths have 0.98.
+    ``delay_s``: from a written value to the shift.
+    ``update_hz``: how often a value is written; a microcontroller with three axes does 6.
     """
 
     limit_um: float = 125.0
@@ -96,23 +90,13 @@ def hybrid_parameters() -> MillParameters:
 class HybridRun:
     """One program.
 
-    Attributes
-    ----------
-    t_s : ndarray, shape (n,)
-        Time since the start of the program.
-    items : dict of str to ndarray, shape (2, n)
-        What the control logs, for X and Y, under the names of its data items.
-    scalars : dict of str to ndarray, shape (n,)
-        Data items of the whole machine: path speed in mm/s, feed override in percent, and the
-        voltage from which the spindle's speed follows (3000 rpm/V).
-    analogue_v : ndarray, shape (2, n)
-        Correction inputs as voltages around 5 V, 25 um/V.
-    table_g, frame_g : ndarray, shape (2, n)
-        Accelerometers.
-    error_um : ndarray, shape (2, n)
-        Truth: tool against workpiece, minus the command.
-    temperature_c : float
-        Of the machine's body.
+    ``t_s``, (n,): time since the start of the program.
+    ``items``, (2, n): what the control logs, for X and Y, under the names of its data items.
+    ``scalars``, (n,): data items of the whole machine: path speed in mm/s, feed override in percent, and the voltage
+    from which the spindle's speed follows (3000 rpm/V).
+    ``analogue_v``, (2, n): correction inputs as voltages around 5 V, 25 um/V.
+    ``table_g``, ``frame_g``, (2, n): accelerometers.
+    ``error_um``, (2, n): truth: tool against workpiece, minus the command.
     """
 
     t_s: Floats
@@ -131,10 +115,6 @@ class HybridMill:
 
     Attributes
     ----------
-    seed : int
-        Of mounting and noise.
-    parameters : MillParameters
-        What is wrong with it.
     correction_input : CorrectionInput
         How corrections reach its axes.
     time_s : float
@@ -165,8 +145,6 @@ class HybridMill:
         ----------
         corners_mm : ndarray, shape (k, 2)
             X and Y of the program.
-        feed_mm_min : float
-            Programmed feed.
         c_deg : float
             Angle of the C table, with which the workpiece's offset turns.
         wanted_um : ndarray, shape (2, n), optional
@@ -216,7 +194,7 @@ class HybridMill:
     def command(self, corners_mm: Floats, feed_mm_min: float) -> Command:
         """Return the timed program; parameters and errors as in ``run``."""
         corners = np.asarray(corners_mm, dtype=float)
-        reach = np.array([STROKE_MM[a] / 2.0 for a in _AXES])
+        reach = np.array([_STROKE_MM[a] / 2.0 for a in _AXES])
         if corners.ndim != 2 or corners.shape[1] != 2 or not np.all(np.abs(corners) <= reach):
             raise InputError(
                 "the program leaves the strokes of the mill",

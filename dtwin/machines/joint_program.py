@@ -36,8 +36,6 @@ class Waypoint:
 
     Attributes
     ----------
-    name : str
-        For people.
     position_mm : ndarray, shape (3,)
         In the base frame; the tool points down.
     dwell_s : float
@@ -56,8 +54,6 @@ def drive_program(
 
     Parameters
     ----------
-    cobot : VirtualCobot
-        The machine.
     stops : list of Waypoint
         The first is where the tool rests at the start.
     motion : {"MoveL", "MoveJ"}

@@ -16,7 +16,7 @@ from dtwin.schema import Floats
 
 PLAY_WIDTH, FRICTION, FRICTION_WIDTH, FRICTION_RECOVERY, COMPLIANCE = range(5)
 FLEXSPLINE, TURNED, LOAD, LOAD_NM, SOFT, HYSTERESIS_NM, GEAR_FROM = range(5, 12)
-AMPLITUDE, _PHASE_FORWARD, _PHASE_REVERSE = range(3)
+_AMPLITUDE, _PHASE_FORWARD, _PHASE_REVERSE = range(3)
 # The kernels' own names, so that numba sees plain integers.
 _COMPLIANCE, _FLEXSPLINE, _TURNED, _LOAD = COMPLIANCE, FLEXSPLINE, TURNED, LOAD
 _LOAD_NM, _SOFT, _GEAR_FROM = LOAD_NM, SOFT, GEAR_FROM
@@ -49,7 +49,7 @@ def transmission_table(parameters: JointParameters, rng: np.random.Generator) ->
     """
     orders = np.array(parameters.orders_per_turn)
     table = np.empty((6, len(orders), 3))
-    table[:, :, AMPLITUDE] = np.array(parameters.order_amplitude_urad) * _URAD
+    table[:, :, _AMPLITUDE] = np.array(parameters.order_amplitude_urad) * _URAD
     table[:, :, _PHASE_FORWARD:] = rng.uniform(0.0, 2.0 * np.pi, (6, len(orders), 2))
     shared = orders < parameters.flank_orders_from
     table[:, shared, _PHASE_REVERSE] = table[:, shared, _PHASE_FORWARD]
@@ -60,16 +60,10 @@ def transmission_table(parameters: JointParameters, rng: np.random.Generator) ->
 def gravity_torque_kernel(q_rad: Floats, dh: Floats, mass_kg: Floats, torque_nm: Floats) -> None:
     """Write the weight's torque on shoulder and elbow, by static balance of point masses.
 
-    Parameters
-    ----------
-    q_rad : ndarray, shape (6,)
-        Joint angles.
-    dh : ndarray, shape (6, 4)
-        Denavit-Hartenberg rows; the two arm lengths are used.
-    mass_kg : ndarray, shape (3,)
-        Upper arm, forearm, and everything beyond the wrist.
-    torque_nm : ndarray, shape (6,)
-        Receives the torques; only entries 1 and 2 change.
+    ``q_rad``, (6,): joint angles.
+    ``dh``, (6, 4): denavit-Hartenberg rows; the two arm lengths are used.
+    ``mass_kg``, (3,): upper arm, forearm, and everything beyond the wrist.
+    ``torque_nm``, (6,): receives the torques; only entries 1 and 2 change.
     """
     upper_m = 1e-3 * dh[1, 0] * np.cos(q_rad[1])
     fore_m = 1e-3 * dh[2, 0] * np.cos(q_rad[1] + q_rad[2])
@@ -85,27 +79,19 @@ def transmission_kernel(
 ) -> float:
     """Return the transmission error of one gear in rad.
 
-    Parameters
-    ----------
-    angle_rad : float
-        Angle on the motor side, referred to the output.
-    flank : float
-        -1 when the reverse flank carries the load, +1 when the forward one does.
-    load_nm : float
-        Torque that the gear carries.
-    orders : ndarray, shape (m,)
-        Periods per turn of the output.
-    joint_orders : ndarray, shape (m, 3)
-        Rows of ``transmission_table``.
-    joint : ndarray, shape (12,)
-        Row of ``joint_table``.
+    ``angle_rad``: angle on the motor side, referred to the output.
+    ``flank``: -1 when the reverse flank carries the load, +1 when the forward one does.
+    ``load_nm``: torque that the gear carries.
+    ``orders``, (m,): periods per turn of the output.
+    ``joint_orders``, (m, 3): rows of ``transmission_table``.
+    ``joint``, (12,): row of ``joint_table``.
     """
     swollen = 1.0 + joint[_FLEXSPLINE] * np.cos(angle_rad - joint[_TURNED])
     swollen *= 1.0 + joint[_LOAD] * np.tanh(abs(load_nm) / joint[_LOAD_NM])
     forward = 0.5 + 0.5 * flank
     error = 0.0
     for m in range(orders.shape[0]):
-        amplitude = joint_orders[m, AMPLITUDE]
+        amplitude = joint_orders[m, _AMPLITUDE]
         if amplitude != 0.0:
             if orders[m] >= joint[_GEAR_FROM]:
                 amplitude *= swollen

@@ -41,16 +41,9 @@ class LaserSetup:
 class Reading:
     """One finished reading.
 
-    Attributes
-    ----------
-    target_mm : float
-        What the laser took it for.
-    direction : {"forward", "reverse"}
-        Sweep.
-    run : int
-        From 0.
-    begin_s, end_s : float
-        Time over which the laser averaged.
+    ``target_mm``: what the laser took it for.
+    ``run``: from 0.
+    ``begin_s``, ``end_s``: time over which the laser averaged.
     """
 
     target_mm: float
@@ -64,12 +57,8 @@ class Reading:
 class Triggered:
     """What a laser made of a motion.
 
-    Attributes
-    ----------
-    readings : tuple of Reading
-        In the order of time.
-    alarms : tuple of Finding
-        Missed triggers and why.
+    ``readings``: in the order of time.
+    ``alarms``: missed triggers and why.
     """
 
     readings: tuple[Reading, ...]
@@ -79,12 +68,8 @@ class Triggered:
 def watch(t_s: Floats, position_mm: Floats, setup: LaserSetup) -> Triggered:
     """Watch a motion as the laser does.
 
-    Parameters
-    ----------
-    t_s, position_mm : ndarray, shape (knots,)
-        Where the slide really is, straight between knots, from when the laser was zeroed.
-    setup : LaserSetup
-        Targets, window and dwell.
+    ``t_s``, ``position_mm``, (knots,): where the slide really is, straight between knots, from when the laser was
+    zeroed.
     """
     trigger = _Trigger(setup)
     knots = zip(t_s.tolist(), position_mm.tolist(), strict=True)

@@ -11,10 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
+from dtwin.machines._wandering import wandering
 from dtwin.machines.laser_trigger import LaserSetup, Triggered, watch
 from dtwin.machines.lathe_control import Motion
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork
-from dtwin.machines.wandering import wandering
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
@@ -79,8 +79,6 @@ class ThreadScrew:
 
     Attributes
     ----------
-    pitch_mm : float
-        Travel in one turn.
     lead_um_per_m, wave_um, wave_mm : float
         Slow lead error: slope, and a wave with its length.
     leading, trailing : FlankForm
@@ -187,12 +185,8 @@ class VirtualLathe:
 
     Attributes
     ----------
-    screw : Screw
-        What it runs on.
     wander : Wander
         What else moves.
-    seed : int
-        Of everything random.
     """
 
     screw: Screw
@@ -224,10 +218,6 @@ class VirtualLathe:
 
         Parameters
         ----------
-        motion : Motion
-            What was commanded.
-        setup : LaserSetup
-            The laser's own settings.
         t_s, screw_mm : ndarray, shape (n,), optional
             Where the screw was sent instead, when a correction changed the command.
         """

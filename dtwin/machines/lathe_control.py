@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-SETTLE_S = 0.3
+_SETTLE_S = 0.3
 # What an operator takes to zero the laser, and to start the machine again: the laser takes its first
 # reading in between.
 _ZEROING_S, _RESUME_S = 20.0, 10.0
@@ -47,8 +47,6 @@ def run_program(text: str, axis: str) -> Motion:
     text : str
         Moves in machine coordinates with feed, dwells, stops; inch or metric by G70/G20 or
         G71/G21. Anything that would move otherwise is refused.
-    axis : str
-        Letter of the axis.
 
     Raises
     ------
@@ -113,7 +111,7 @@ class _State:
         length = abs(target - self.position[-1])
         if length > 0.0:
             self._knot(length / self.feed_mm_s, target)
-        self._knot(SETTLE_S, target)
+        self._knot(_SETTLE_S, target)
 
     def _halt(self, seconds: float) -> None:
         if self.t_s and seconds > 0.0:

@@ -27,7 +27,7 @@ _PLAY_WIDTH, _FRICTION, _FRICTION_WIDTH = j_.PLAY_WIDTH, j_.FRICTION, j_.FRICTIO
 _FRICTION_RECOVERY, _HYSTERESIS_NM = j_.FRICTION_RECOVERY, j_.HYSTERESIS_NM
 
 # Truth row: nominal path, tool, flange, rigid tool, rotation.
-PATH, TCP, FLANGE, RIGID, ROTATION, TRUTH_N = 0, 3, 6, 9, 12, 21
+_PATH, TCP, FLANGE, RIGID, ROTATION, TRUTH_N = 0, 3, 6, 9, 12, 21
 
 # Memory of the mechanism.
 _PATH_TIME, _SPEED_FACTOR, _STARTED, _Q, _PLAY, _PRESS, _RELAXED = 0, 1, 2, 3, 9, 15, 21
@@ -46,23 +46,14 @@ _TICK_S, _LIMIT, _STEP, _DELAY_TICKS, _LAG, _WATCH_TICKS, _JOLTS = range(7)
 class Mechanism(NamedTuple):
     """Constants of one machine under one condition, as the kernel takes them.
 
-    Attributes
-    ----------
-    dh : ndarray, shape (2, 6, 4)
-        Nominal and true kinematic parameters.
-    joints : ndarray, shape (6, 12)
-        From ``joint_table``.
-    orders, transmission : ndarray, shapes (m,) and (6, m, 3)
-        Orders per turn, and ``transmission_table``.
-    masses_kg : ndarray, shape (3,)
-        Moving masses.
-    modes : ndarray, shape (modes, 10)
-        From ``mode_table``.
-    control : ndarray, shape (9,)
-        Tick, offset limit in mm, offset step per tick in mm, delay in ticks, lag factor,
-        watchdog in ticks, jolt constants (3).
-    geometry : ndarray, shape (5, 3)
-        Tool centre point, set-up zero, and tool rotation, in mm.
+    ``dh``, (2, 6, 4): nominal and true kinematic parameters.
+    ``joints``, (6, 12): from ``joint_table``.
+    ``orders``, ``transmission``: orders per turn, and ``transmission_table``.
+    ``masses_kg``, (3,): moving masses.
+    ``modes``, (modes, 10): from ``mode_table``.
+    ``control``, (9,): tick, offset limit in mm, offset step per tick in mm, delay in ticks, lag factor, watchdog in
+    ticks, jolt constants (3).
+    ``geometry``, (5, 3): tool centre point, set-up zero, and tool rotation, in mm.
     """
 
     dh: Floats
@@ -204,27 +195,18 @@ def tick_kernel(
 ) -> None:
     """Advance the machine by one controller period.
 
-    Parameters
-    ----------
-    machine : Mechanism
-        Constants.
-    segments, frame : ndarray
-        As in ``MotionPlan``.
-    registers : ndarray, shape (4,)
-        Correction as received: sequence number and offset in um.
-    memory : ndarray, shape (MEMORY_N,)
-        State of the mechanism; updated.
-    state : ndarray, shape (layout.N,)
-        Receives what the controller reports.
-    truth : ndarray, shape (TRUTH_N,)
-        Receives what really happens.
+    ``segments``, ``frame``: as in ``MotionPlan``.
+    ``registers``, (4,): correction as received: sequence number and offset in um.
+    ``memory``, (MEMORY_N,): state of the mechanism; updated.
+    ``state``, (layout.N,): receives what the controller reports.
+    ``truth``, (TRUTH_N,): receives what really happens.
     """
     tick_s, tcp = machine.control[_TICK_S], machine.geometry[0]
     _apply_registers(registers, machine.control, memory)
     target = np.empty(3)
     segment = path_kernel(memory[_PATH_TIME], segments, frame, target)
     for i in range(3):
-        truth[PATH + i] = target[i]
+        truth[_PATH + i] = target[i]
         target[i] += memory[_LAGGED + i]
     q, _ = inverse_kernel(target, machine.geometry[2:], machine.dh[0], tcp, memory[_Q : _Q + 6])
     actual, link = np.empty(6), np.empty(6)

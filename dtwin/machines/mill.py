@@ -33,12 +33,8 @@ class Moment:
     ----------
     number : int
         Position of the test in the session, from 0.
-    test : CircularTest
-        The circle.
     angle_rad : ndarray, shape (n,)
         Path angle of the samples.
-    time_h : float
-        Session time at its start.
     rise_c : float
         Temperature of the machine above the room.
     """
@@ -64,8 +60,6 @@ class SetupErrors:
         Largest offset of the centre along each axis.
     radius_um : float
         Standard deviation of the zero of the bar.
-    jitter_us : float
-        Of the sampling instants.
     trigger_samples : float
         Range of the random phase between trigger and first sample.
     """
@@ -82,14 +76,8 @@ class VirtualMill:
 
     Attributes
     ----------
-    parameters : MillParameters
-        What is wrong with it.
     seed : int
         Of set-up errors, sampling and noise. Two mills of one seed differ only in parameters.
-    noise : NoiseParameters
-        What does not repeat.
-    setup_errors : SetupErrors
-        How the bar is mounted.
     disturbance : callable, optional
         Anything else that changes the measured length: ``disturbance(moment)`` returns um.
     samples_per_turn : int

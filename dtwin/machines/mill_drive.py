@@ -41,14 +41,8 @@ class Command:
 def circle(radius_mm: float, feed_mm_s: float, sense: float, changeover_mm: float) -> Command:
     """Return the command of a half turn of lead-in and one turn.
 
-    Parameters
-    ----------
-    radius_mm, feed_mm_s : float
-        As programmed.
-    sense : float
-        +1 counter-clockwise, -1 clockwise.
-    changeover_mm : float
-        By how much the radius is smaller while the second axis leads.
+    ``sense``: +1 counter-clockwise, -1 clockwise.
+    ``changeover_mm``: by how much the radius is smaller while the second axis leads.
     """
     speed = feed_mm_s / radius_mm
     start_s = _LEAD_IN_RAD / speed + 0.5 * _RAMP_S
@@ -70,15 +64,10 @@ def circle(radius_mm: float, feed_mm_s: float, sense: float, changeover_mm: floa
 class Driven:
     """Where an axis really goes.
 
-    Attributes
-    ----------
-    along_mm : ndarray, shape (n,)
-        Position of the table minus the command.
-    sideways_mm : ndarray, shape (n,)
-        Displacement across the axis, in the plane.
-    encoder_mm : ndarray, shape (n,)
-        Position that the encoder at the motor reports, minus the command: it sees the servo
-        loop and its friction, but neither screw, play, carriage nor structure.
+    ``along_mm``, (n,): position of the table minus the command.
+    ``sideways_mm``, (n,): displacement across the axis, in the plane.
+    ``encoder_mm``, (n,): position that the encoder at the motor reports, minus the command: it sees the servo loop and
+    its friction, but neither screw, play, carriage nor structure.
     """
 
     along_mm: Floats
@@ -91,19 +80,10 @@ def drive(
 ) -> Driven:
     """Return what one axis makes of a command.
 
-    Parameters
-    ----------
-    command : Command
-        The circle.
-    number : int
-        0 for the first axis of the plane, 1 for the second.
-    axis : AxisParameters
-        The axis.
-    offset_mm : float
-        Position of the circle's centre on the screw.
-    correction_mm : ndarray, shape (n,), optional
-        Added to the position that the loop follows, as an offset of the encoder is: nothing of it
-        is fed forward.
+    ``number``: 0 for the first axis of the plane, 1 for the second.
+    ``offset_mm``: position of the circle's centre on the screw.
+    ``correction_mm``, (n,): added to the position that the loop follows, as an offset of the encoder is: nothing of it
+    is fed forward.
     """
     values = _vector(axis, offset_mm)
     added = np.zeros_like(command.phase_rad) if correction_mm is None else correction_mm

@@ -10,7 +10,7 @@ from dtwin.errors import InputError
 from dtwin.schema import Floats
 
 _GRID = 360
-KINDS = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
+_KINDS = ("plain", "feed", "reversal", "tails", "bad_run", "lobes")
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class NoiseParameters:
 
     def __post_init__(self) -> None:
         """Refuse unknown kinds."""
-        if self.kind not in KINDS:
-            raise InputError("unknown kind of noise", code="mill.noise", got=self.kind[:40], allowed=", ".join(KINDS))
+        if self.kind not in _KINDS:
+            raise InputError("unknown kind of noise", code="mill.noise", got=self.kind[:40], allowed=", ".join(_KINDS))
 
 
 def noise_um(
@@ -47,18 +47,7 @@ def noise_um(
 ) -> Floats:
     """Return the noise of one run, shape (n,).
 
-    Parameters
-    ----------
-    parameters : NoiseParameters
-        Size and kind.
-    angle_rad : ndarray, shape (n,)
-        Path angle of the samples.
-    feed_mm_min : float
-        Programmed feed.
-    rng : numpy.random.Generator
-        Source of randomness.
-    bad : bool
-        Whether this is the bad run.
+    ``angle_rad``, (n,): path angle of the samples.
     """
     per_degree = len(angle_rad) / _GRID
     fast = 0.3 * np.sqrt(max(per_degree, 1.0)) * _draw(parameters, len(angle_rad), rng)

@@ -15,48 +15,26 @@ AXES = ("X", "Y", "Z")
 class AxisParameters:
     """Drive, guideway, screw and structure of one axis.
 
-    Attributes
-    ----------
-    position_gain_1_s, velocity_gain_1_s : float
-        Gains of the position loop and of the velocity loop inside it.
-    integral_time_ms : float
-        Of the velocity loop; 0 switches the integral off.
-    feed_forward : float
-        Share of the commanded speed that is fed forward; 1 follows without lag.
-    play_um, play_taper_um : float
-        Lost motion between screw and table at the middle, and its change over 100 mm.
-    play_curve_um : float
-        Further change of the lost motion, quadratic in position, at 100 mm.
-    lateral_um, lateral_taper_um : float
-        Sideways step of the carriage on reversal at the middle, and its change over 100 mm.
-    lateral_travel_mm : float
-        Travel over which the carriage moves over.
-    friction_mm_s2 : float
-        Friction as the acceleration that it costs the drive.
-    presliding_mm : float
-        Travel over which friction reverses.
-    stribeck_mm_s2, stribeck_mm_s : float
-        Extra friction near standstill, and the speed by which it has faded.
-    pitch_error_um, pitch_mm, pitch_phase_rad : float
-        Once-per-turn error of the screw.
-    pitch_flank_um : float
-        Part of it that changes sign with the flank that is in contact.
-    mode_hz, mode_damping : float
-        First mode of the axis.
-    mode_share : float
-        Share of the axis's acceleration that bends the mode.
-    breakaway_mm : float
-        Error that builds up before a stuck axis breaks away; the jolt rings the mode.
-    scale_ppm, scale_cubic_um : float
-        Error of the scale: in proportion to position, and with its cube (at 100 mm).
-    bow_um : float
-        Rise of the bent guideway 100 mm from the middle of the circle.
-    tilt_urad : float
-        Rotation of the carriage per 100 mm of travel, at the height of the tool.
-    growth_um_m_k : float
-        Thermal expansion.
-    slip_um, slip_mm_s : float
-        Size of random stick-slip steps and the speed below which they occur.
+    ``position_gain_1_s``, ``velocity_gain_1_s``: gains of the position loop and of the velocity loop inside it.
+    ``integral_time_ms``: of the velocity loop; 0 switches the integral off.
+    ``feed_forward``: share of the commanded speed that is fed forward; 1 follows without lag.
+    ``play_um``, ``play_taper_um``: lost motion between screw and table at the middle, and its change over 100 mm.
+    ``play_curve_um``: further change of the lost motion, quadratic in position, at 100 mm.
+    ``lateral_um``, ``lateral_taper_um``: sideways step of the carriage on reversal at the middle, and its change over
+    100 mm.
+    ``lateral_travel_mm``: travel over which the carriage moves over.
+    ``friction_mm_s2``: friction as the acceleration that it costs the drive.
+    ``presliding_mm``: travel over which friction reverses.
+    ``stribeck_mm_s2``, ``stribeck_mm_s``: extra friction near standstill, and the speed by which it has faded.
+    ``pitch_error_um``, ``pitch_mm``, ``pitch_phase_rad``: once-per-turn error of the screw.
+    ``pitch_flank_um``: part of it that changes sign with the flank that is in contact.
+    ``mode_hz``, ``mode_damping``: first mode of the axis.
+    ``mode_share``: share of the axis's acceleration that bends the mode.
+    ``breakaway_mm``: error that builds up before a stuck axis breaks away; the jolt rings the mode.
+    ``scale_ppm``, ``scale_cubic_um``: error of the scale: in proportion to position, and with its cube (at 100 mm).
+    ``bow_um``: rise of the bent guideway 100 mm from the middle of the circle.
+    ``tilt_urad``: rotation of the carriage per 100 mm of travel, at the height of the tool.
+    ``slip_um``, ``slip_mm_s``: size of random stick-slip steps and the speed below which they occur.
     """
 
     position_gain_1_s: float = 40.0
@@ -98,17 +76,11 @@ class HeatParameters:
     ----------
     rise_c : float
         Temperature above the room that lasting work at ``feed_mm_min`` leads to.
-    feed_mm_min : float
-        Reference feed.
     feed_share : float
         Share of the heat that is in proportion to the feed; the spindle gives the rest.
-    time_constant_min : float
-        Of warming and cooling.
     lag_share : float
         Share of the growth that follows a second body of three times the time constant; the
         growth then forms a loop over temperature.
-    sensor_noise_c : float
-        Of the logged temperature.
     room_c, room_swing_c, room_period_h : float
         Mean temperature of the room, and a swing around it that the machine follows.
     """
@@ -134,8 +106,6 @@ class MillParameters:
 
     Attributes
     ----------
-    x, y, z : AxisParameters
-        The axes.
     squareness_um_m : dict of str to float
         Angle missing to 90 degrees, by plane.
     changeover_um : float
@@ -148,8 +118,6 @@ class MillParameters:
         By which the bar's reading is older than the angle written beside it.
     cup_lobe_um, cup_phase_rad : float
         Three-lobed error of ball and cup.
-    heat : HeatParameters
-        Warming.
     """
 
     x: AxisParameters = field(default_factory=AxisParameters)
@@ -185,14 +153,8 @@ class CircularTest:
 
     Attributes
     ----------
-    plane, direction : str
-        Plane and sense of motion.
-    radius_mm, feed_mm_min : float
-        As programmed.
     repeat : int
         Counts from 1.
-    setup : str
-        Mounting of the bar.
     pause_s : float
         Standstill before this test, in which the machine cools.
     abbe_offset_mm : float or None

@@ -15,7 +15,7 @@ START_S, DURATION_S, SPEED, RAMP_S, JERK_S, KIND, RADIUS0, ANGLE0, SIGN, LENGTH 
 LINE_FROM, LINE_TOWARDS, COLUMNS = 10, 13, 16
 # Kinds of segment: straight along the radius, on the arc, straight from point to point, and on a
 # sphere, where azimuth and elevation change in proportion.
-_RADIAL, ARC, LINE, SPHERE = 0.0, 1.0, 2.0, 3.0
+_RADIAL, _ARC, LINE, SPHERE = 0.0, 1.0, 2.0, 3.0
 TURN, ELEVATION0, RISE = LINE_FROM, LINE_FROM + 1, LINE_FROM + 2
 
 
@@ -27,8 +27,6 @@ class CircleCondition:
     ----------
     plane : str
         XY, YZ or ZX (XZ and the like are converted, which flips the direction).
-    radius_mm, feed_mm_min : float
-        Nominal radius and programmed feed.
     direction : str
         ``"CCW"`` or ``"CW"``, seen from the positive normal of the plane.
     """
@@ -97,19 +95,9 @@ def travelled_kernel(time_s: float, duration_s: float, speed: float, ramp_s: flo
 
     Acceleration is a trapezoid: jerk phases of ``jerk_s`` around a ramp of ``ramp_s``.
 
-    Parameters
-    ----------
-    time_s, duration_s : float
-        Time since the start of the segment, and its whole length.
-    speed : float
-        Speed between the ramps, mm/s.
-    ramp_s, jerk_s : float
-        Speed over acceleration, and acceleration over jerk.
-
-    Returns
-    -------
-    float
-        Way in mm.
+    ``time_s``, ``duration_s``: time since the start of the segment, and its whole length.
+    ``speed``: speed between the ramps, mm/s.
+    ``ramp_s``, ``jerk_s``: speed over acceleration, and acceleration over jerk.
     """
     gain = speed / (6.0 * ramp_s * jerk_s)
     brake_s = duration_s - ramp_s - jerk_s
@@ -125,14 +113,8 @@ def travelled_kernel(time_s: float, duration_s: float, speed: float, ramp_s: flo
 def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Floats) -> int:
     """Write the commanded position at a path time and return the segment number.
 
-    Parameters
-    ----------
-    time_s : float
-        Path time.
-    segments, frame : ndarray
-        As in ``MotionPlan``.
-    position_mm : ndarray, shape (3,)
-        Receives the position in the base frame.
+    ``segments``, ``frame``: as in ``MotionPlan``.
+    ``position_mm``, (3,): receives the position in the base frame.
     """
     current = 0
     while current + 1 < segments.shape[0] and time_s >= segments[current + 1, START_S]:
@@ -160,7 +142,7 @@ def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Flo
         # Spheres are driven about the vertical axis only.
         position_mm[2] += height
         return current
-    if segment[KIND] == ARC:
+    if segment[KIND] == _ARC:
         angle += way / radius
     else:
         radius += way
@@ -174,27 +156,20 @@ def path_kernel(time_s: float, segments: Floats, frame: Floats, position_mm: Flo
 def jolt_kernel(time_s: float, segment: Floats, frame: Floats, jolts: Floats, acceleration: Floats) -> None:
     """Write the jolt with which the drives let go and catch the arm around an arc.
 
-    Parameters
-    ----------
-    time_s : float
-        Path time.
-    segment, frame : ndarray
-        Current row of ``MotionPlan.segments``, and the plan's frame.
-    jolts : ndarray, shape (3,)
-        Share of the path speed that is caught at a stop, part of that at a start, duration
-        of the half-sine pulse in s.
-    acceleration : ndarray, shape (3,)
-        Receives the pulse in mm/s^2, base frame; zero outside a pulse.
+    ``segment``, ``frame``: current row of ``MotionPlan.segments``, and the plan's frame.
+    ``jolts``, (3,): share of the path speed that is caught at a stop, part of that at a start, duration of the
+    half-sine pulse in s.
+    ``acceleration``, (3,): receives the pulse in mm/s^2, base frame; zero outside a pulse.
     """
     acceleration[:] = 0.0
-    if segment[KIND] != ARC and segment[KIND] != SPHERE:
+    if segment[KIND] != _ARC and segment[KIND] != SPHERE:
         return
     since = time_s - segment[START_S]
     share, angle = jolts[0] * jolts[1], segment[ANGLE0]
     if since >= segment[DURATION_S]:
         since -= segment[DURATION_S]
         share = -jolts[0]
-        turned = segment[LENGTH] / segment[RADIUS0] if segment[KIND] == ARC else segment[TURN]
+        turned = segment[LENGTH] / segment[RADIUS0] if segment[KIND] == _ARC else segment[TURN]
         angle += segment[SIGN] * turned
     if not 0.0 <= since < jolts[2]:
         return
@@ -210,16 +185,10 @@ def plan_motion(condition: CircleCondition, centre_mm: Floats, motion: MotionPar
     XY runs are two revolutions of half circles with a stop after each; the middle revolution
     counts. The upright planes are one arc over the top with a run-in and run-out.
 
-    Parameters
-    ----------
-    condition : CircleCondition
-        In standard form.
-    centre_mm : ndarray, shape (3,)
-        Centre of the circle in the base frame.
-    motion : MotionParameters
-        Acceleration, jerk, in-feed and dwell.
-    tick_s : float
-        Controller period; segments start on whole ticks.
+    ``condition``: in standard form.
+    ``centre_mm``, (3,): centre of the circle in the base frame.
+    ``motion``: acceleration, jerk, in-feed and dwell.
+    ``tick_s``: controller period; segments start on whole ticks.
     """
     full = condition.plane == "XY"
     arcs_deg = [180.0] * 4 if full else [180.0 + 2 * motion.arc_overlap_deg]
@@ -275,5 +244,5 @@ def _segment(
     ramp_s = speed_mm_s / motion.acceleration_mm_s2
     duration_s = length_mm / speed_mm_s + ramp_s + jerk_s
     shape = [0.0, duration_s, speed_mm_s, ramp_s, jerk_s]
-    path = [ARC if is_arc else _RADIAL, radius0_mm, angle0_rad, sign, length_mm]
+    path = [_ARC if is_arc else _RADIAL, radius0_mm, angle0_rad, sign, length_mm]
     return np.array([*shape, *path, *np.zeros(COLUMNS - LINE_FROM)])

@@ -37,29 +37,19 @@ class MotionParameters:
 class JointParameters:
     """What the gears, bearings and drives of the six joints do wrong.
 
-    Attributes
-    ----------
-    orders_per_turn, order_amplitude_urad : tuple
-        Transmission error: periods per turn of the joint, amplitudes by joint.
-    flank_orders_from : float
-        From this order on it belongs to the gear: a phase for each tooth flank, an amplitude that
-        the next three modulate.
-    flexspline_1 : float
-        Share by which the gear's amplitude swells and shrinks once a turn: the flexspline is not round.
-    load_1, load_nm : float
-        Share by which the load raises the gear's amplitude in the end, and where that saturates.
-    play_width_urad, friction_urad, friction_width_urad, friction_recovery_s
-        Lost motion; disturbance of the position loop at reversals.
-    compliance_urad_nm : tuple of float
-        Wind-up under a large torque.
-    soft_1 : float
-        Additional compliance about zero torque, as a share; it saturates at ``load_nm``.
-    hysteresis_nm : float
-        Width of the play between torque and wind-up.
-    length_error_mm, zero_error_urad : float
-        Standard deviations of the kinematics.
-    mass_kg : tuple of float
-        Upper arm, forearm, and everything beyond the wrist.
+    ``orders_per_turn``, ``order_amplitude_urad``: transmission error: periods per turn of the joint, amplitudes by
+    joint.
+    ``flank_orders_from``: from this order on it belongs to the gear: a phase for each tooth flank, an amplitude that
+    the next three modulate.
+    ``flexspline_1``: share by which the gear's amplitude swells and shrinks once a turn: the flexspline is not round.
+    ``load_1``, ``load_nm``: share by which the load raises the gear's amplitude in the end, and where that saturates.
+    ``play_width_urad``, ``friction_urad``, ``friction_width_urad``, ``friction_recovery_s``: lost motion; disturbance
+    of the position loop at reversals.
+    ``compliance_urad_nm``: wind-up under a large torque.
+    ``soft_1``: additional compliance about zero torque, as a share; it saturates at ``load_nm``.
+    ``hysteresis_nm``: width of the play between torque and wind-up.
+    ``length_error_mm``, ``zero_error_urad``: standard deviations of the kinematics.
+    ``mass_kg``: upper arm, forearm, and everything beyond the wrist.
     """
 
     orders_per_turn: tuple[float, ...]

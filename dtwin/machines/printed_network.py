@@ -29,8 +29,6 @@ class Layer:
     ----------
     position_weight, forward_bias, reverse_bias, output_weight : ndarray, shape (neurons,)
         Of position; biases for each direction; of the output.
-    output_bias : float
-        Added to the output.
     """
 
     position_weight: Floats
@@ -59,8 +57,6 @@ class LatheNetwork:
     golden : tuple of mapping
         ``dir``, ``pos_in``, ``full_in``, ``cyclic_in``, ``compensation_in``: what the printed
         program gives; compensation is the error with its sign changed.
-    source : str
-        Where it was printed.
     """
 
     full: Layer

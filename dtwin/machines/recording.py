@@ -22,12 +22,7 @@ from dtwin.units import UM_PER_MM
 class Setup:
     """One mounting of the ball bar.
 
-    Attributes
-    ----------
-    eccentricity_um : ndarray, shape (3,)
-        How far the table's ball is from where the robot believes the centre to be.
-    length_error_um : float
-        Error of the calibrated length.
+    ``eccentricity_um``, (3,): how far the table's ball is from where the robot believes the centre to be.
     """
 
     eccentricity_um: Floats
@@ -38,20 +33,10 @@ class Setup:
 class CobotTruth:
     """What no instrument knows.
 
-    Attributes
-    ----------
-    bar_start_s, bar_ppm : float
-        Machine time of the first ball-bar sample; error of the bar's clock.
-    accelerometer_start_s, accelerometer_ppm : float
-        The same for the accelerometers.
-    setup : Setup
-        Mounting of the bar.
-    t_s : ndarray, shape (ticks,)
-        Machine time of the parts.
-    angle_rad : ndarray, shape (ticks,)
-        Commanded path angle, unwrapped.
-    parts_um : dict of str to ndarray, shape (ticks,)
-        Radial error by cause: ``joints``, ``structure``, ``drift``, ``setup``, ``correction``.
+    ``bar_start_s``, ``bar_ppm``: machine time of the first ball-bar sample; error of the bar's clock.
+    ``t_s``, (ticks,): machine time of the parts.
+    ``angle_rad``, (ticks,): commanded path angle, unwrapped.
+    ``parts_um``, (ticks,): radial error by cause: ``joints``, ``structure``, ``drift``, ``setup``, ``correction``.
     """
 
     bar_start_s: float
@@ -68,27 +53,13 @@ class CobotTruth:
 class CobotRecording:
     """What the instruments recorded during one run.
 
-    Attributes
-    ----------
-    condition : CircleCondition
-        Plane in standard form.
-    setup : str
-        Name of the mounting.
-    repeat : int
-        Repeat of the condition.
-    sample_rate_hz : float
-        Rate of the ball bar by its own clock.
-    deviation_mm : ndarray, shape (n,)
-        Ball bar: length minus nominal radius.
-    window : tuple of (int, int)
-        First and one-past-last sample of the test, where the commanded path angle crosses
-        the nominal start and end.
-    groups : tuple of SignalGroup
-        ``accelerometers`` and ``controller``, each on its own clock.
-    truth : CobotTruth
-        What really happened.
-    duration_s : float
-        Length of the program by the machine's clock.
+    ``condition``: plane in standard form.
+    ``sample_rate_hz``: rate of the ball bar by its own clock.
+    ``deviation_mm``, (n,): ball bar: length minus nominal radius.
+    ``window``: first and one-past-last sample of the test, where the commanded path angle crosses the nominal start and
+    end.
+    ``groups``: ``accelerometers`` and ``controller``, each on its own clock.
+    ``duration_s``: length of the program by the machine's clock.
     """
 
     condition: CircleCondition
@@ -137,20 +108,9 @@ def record(
 ) -> CobotRecording:
     """Return the recording of a finished run.
 
-    Parameters
-    ----------
-    parameters : CobotParameters
-        The machine.
-    condition, plan : CircleCondition, MotionPlan
-        What was asked for.
-    ticks : RunTicks
-        What happened.
-    mounting : tuple
-        Name of the set-up, repeat, and the mounting itself.
-    matrices : tuple of ndarray
-        Wrist and base accelerometer.
-    rng : Generator
-        Source of everything that differs from run to run.
+    ``mounting``: name of the set-up, repeat, and the mounting itself.
+    ``matrices``: wrist and base accelerometer.
+    ``rng``: source of everything that differs from run to run.
     """
     setup_name, repeat, setup = mounting
     rate_hz, bar = parameters.controller.rate_hz, parameters.ballbar

@@ -43,12 +43,12 @@ import numpy as np
 from dtwin.errors import DtwinError, InputError
 from dtwin.links import state as layout
 from dtwin.links import ur_registers as registers
+from dtwin.machines._offset_log import OffsetLog
+from dtwin.machines._rtde_session import Session
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CircleController
 from dtwin.machines.motion import CircleCondition
-from dtwin.machines.offset_log import OffsetLog
 from dtwin.machines.parameters import load_parameters
-from dtwin.machines.rtde_session import Session
 
 _LOG_LENGTH = 500_000
 _CATCH_UP_TICKS = 250
@@ -57,26 +57,13 @@ _PRIORITY = 70
 _INTRUDED_TICKS = 25
 
 
-class RtdeServer:
+class _RtdeServer:
     """Runs a condition on the virtual cobot in real time and serves it by RTDE.
 
-    Parameters
-    ----------
-    cobot : VirtualCobot
-        The machine.
-    condition : CircleCondition
-        What its program does.
-    host : str
-        Loopback address to listen on.
-    port : int
-        Port, 0 for a free one.
-    repeat_forever : bool
-        Start the program again whenever it ends.
-
-    Raises
-    ------
-    InputError
-        When the host is not a loopback address.
+    ``host``: loopback address to listen on.
+    ``port``: port, 0 for a free one.
+    ``repeat_forever``: start the program again whenever it ends.
+    Raises ``InputError`` when the host is not a loopback address.
     """
 
     def __init__(
@@ -128,10 +115,7 @@ class RtdeServer:
     def run(self, control: int | None = None) -> None:
         """Serve until told to quit, or until a program that is not repeated has ended.
 
-        Parameters
-        ----------
-        control : int, optional
-            Descriptor that JSON commands come from; its end ends the server.
+        ``control``: descriptor that JSON commands come from; its end ends the server.
         """
         gc.collect()
         gc.freeze()
@@ -351,7 +335,7 @@ def main() -> int:
     chosen = _arguments()
     condition = CircleCondition(chosen.plane, chosen.radius_mm, chosen.feed_mm_min, chosen.direction)
     try:
-        server = RtdeServer(
+        server = _RtdeServer(
             _cobot(chosen.seed, chosen.watchdog_s),
             condition,
             host=chosen.host,

@@ -16,16 +16,10 @@ _UG = 1e-6
 def resample_kernel(values: Floats, rate_hz: float, times_s: Floats, out: Floats) -> None:
     """Interpolate columns at times by cubic Lagrange polynomials; ends are held.
 
-    Parameters
-    ----------
-    values : ndarray, shape (n, m)
-        Samples at multiples of ``1 / rate_hz`` from time 0.
-    rate_hz : float
-        Rate of ``values``.
-    times_s : ndarray, shape (k,)
-        Wanted times.
-    out : ndarray, shape (k, m)
-        Receives the result.
+    ``values``, (n, m): samples at multiples of ``1 / rate_hz`` from time 0.
+    ``rate_hz``: rate of ``values``.
+    ``times_s``, (k,): wanted times.
+    ``out``, (k, m): receives the result.
     """
     last = values.shape[0] - 1
     for n in range(times_s.shape[0]):
@@ -64,19 +58,12 @@ def couple_kernel(signal: Floats, corner_hz: float, rate_hz: float) -> None:
 
 
 @kernel
-def felt_kernel(flange_mm: Floats, rotation: Floats, rate_hz: float, felt_g: Floats) -> None:
+def _felt_kernel(flange_mm: Floats, rotation: Floats, rate_hz: float, felt_g: Floats) -> None:
     """Write the specific force at the flange, in the tool's axes, in g.
 
-    Parameters
-    ----------
-    flange_mm : ndarray, shape (n, 3)
-        Position of the flange in the base frame.
-    rotation : ndarray, shape (n, 9)
-        Rotation of the tool by rows.
-    rate_hz : float
-        Rate of both.
-    felt_g : ndarray, shape (n, 6)
-        Receives tool-frame specific force (3) and base-frame acceleration (3).
+    ``flange_mm``, (n, 3): position of the flange in the base frame.
+    ``rotation``, (n, 9): rotation of the tool by rows.
+    ``felt_g``, (n, 6): receives tool-frame specific force (3) and base-frame acceleration (3).
     """
     for n in range(flange_mm.shape[0]):
         at = min(max(n, 1), flange_mm.shape[0] - 2)
@@ -112,29 +99,15 @@ def accelerometer_group(
 ) -> SignalGroup:
     """Return what the digitiser records during a run.
 
-    Parameters
-    ----------
-    parameters : AccelerometerParameters
-        Sensor and digitiser.
-    matrices : tuple of ndarray, shapes (3, 3)
-        Wrist and base sensor, from ``sensor_matrix``.
-    base_share : float
-        Part of the arm's acceleration that reaches the base.
-    motion : tuple
-        Flange positions (n, 3) in mm, rotations (n, 9), their rate in Hz.
-    start_s, ppm : float
-        Machine time of the first sample; error of the digitiser's clock.
-    rng : Generator
-        Source of noise.
-
-    Returns
-    -------
-    SignalGroup
-        Columns ``wrist_x_g`` ... ``base_z_g``.
+    ``matrices``: wrist and base sensor, from ``sensor_matrix``.
+    ``base_share``: part of the arm's acceleration that reaches the base.
+    ``motion``: flange positions (n, 3) in mm, rotations (n, 9), their rate in Hz.
+    ``start_s``, ``ppm``: machine time of the first sample; error of the digitiser's clock.
+    Columns ``wrist_x_g`` ... ``base_z_g``.
     """
     flange_mm, rotation, rate_hz = motion
     felt_g = np.empty((len(flange_mm), 6))
-    felt_kernel(flange_mm, rotation, rate_hz, felt_g)
+    _felt_kernel(flange_mm, rotation, rate_hz, felt_g)
     wrist_matrix, base_matrix = matrices
     felt_g[:, :3] = felt_g[:, :3] @ wrist_matrix.T
     felt_g[:, 3:] = base_share * felt_g[:, 3:] @ base_matrix.T

@@ -8,7 +8,7 @@ from dtwin.kinematics import kernel
 from dtwin.machines.parameters import StructureParameters
 from dtwin.schema import Floats
 
-_OMEGA, _DAMPING, _POSTURE, REACH_MM, _FLANGE_SHARE, SHAPE, _DRIVEN, _JOLTED = (0, 1, 2, 3, 4, 5, 8, 9)
+_OMEGA, _DAMPING, _POSTURE, _REACH_MM, _FLANGE_SHARE, SHAPE, _DRIVEN, _JOLTED = (0, 1, 2, 3, 4, 5, 8, 9)
 _COLUMNS = 10
 
 
@@ -18,22 +18,14 @@ def mode_table(parameters: StructureParameters) -> Floats:
     A mode obeys x'' + 2 z w x' + w^2 x = -s . (g a + h b), with shape s and participations g in the
     arm's acceleration a and h in the jolts b; w falls as the arm reaches out.
 
-    Parameters
-    ----------
-    parameters : StructureParameters
-        Frequencies, damping, shapes.
-
-    Returns
-    -------
-    ndarray, shape (modes, 10)
-        Angular frequency in rad/s, damping ratio, exponent of the posture and reach in mm at which the
-        frequency holds, share seen at the flange, shape vector in the frame that turns with joint 1
-        (3), the two participations.
+    Returns (modes, 10): angular frequency in rad/s, damping ratio, exponent of the posture and reach in mm at which the
+    frequency holds, share seen at the flange, shape vector in the frame that turns with joint 1 (3), the two
+    participations.
     """
     table = np.empty((len(parameters.frequency_hz), _COLUMNS))
     table[:, _OMEGA] = 2.0 * np.pi * np.array(parameters.frequency_hz)
     table[:, _DAMPING] = parameters.damping_ratio
-    table[:, _POSTURE], table[:, REACH_MM] = parameters.posture_1, parameters.posture_reach_mm
+    table[:, _POSTURE], table[:, _REACH_MM] = parameters.posture_1, parameters.posture_reach_mm
     table[:, _FLANGE_SHARE] = parameters.flange_share
     shape = np.array(parameters.shape)
     table[:, SHAPE:_DRIVEN] = shape / np.linalg.norm(shape, axis=1)[:, None]
@@ -57,30 +49,19 @@ def modes_kernel(
 
     Force and frequency are held over the tick, so that the step is exact (zero-order hold).
 
-    Parameters
-    ----------
-    modes : ndarray, shape (modes, 10)
-        From ``mode_table``.
-    tick_s : float
-        Period of the controller.
-    joint1_rad : float
-        Angle of joint 1, with which the mode shapes turn.
-    reach_mm : float
-        How far the tool is from the axis of joint 1.
-    acceleration : ndarray, shape (3,)
-        Acceleration of the rigid arm at the tool, mm/s^2.
-    jolt : ndarray, shape (3,)
-        Jolt of the drives, mm/s^2.
-    state : ndarray, shape (2 * modes,)
-        Position and speed of each mode; updated.
-    tcp_mm, flange_mm : ndarray, shape (3,)
-        Points to displace; updated.
+    ``modes``, (modes, 10): from ``mode_table``.
+    ``joint1_rad``: angle of joint 1, with which the mode shapes turn.
+    ``reach_mm``: how far the tool is from the axis of joint 1.
+    ``acceleration``, (3,): acceleration of the rigid arm at the tool, mm/s^2.
+    ``jolt``, (3,): jolt of the drives, mm/s^2.
+    ``state``, (2 * modes,): position and speed of each mode; updated.
+    ``tcp_mm``, ``flange_mm``, (3,): points to displace; updated.
     """
     c, s = np.cos(joint1_rad), np.sin(joint1_rad)
     for m in range(modes.shape[0]):
         omega, damping = modes[m, _OMEGA], modes[m, _DAMPING]
         if modes[m, _POSTURE] != 0.0:
-            omega *= (modes[m, REACH_MM] / max(reach_mm, 1.0)) ** modes[m, _POSTURE]
+            omega *= (modes[m, _REACH_MM] / max(reach_mm, 1.0)) ** modes[m, _POSTURE]
         root = np.sqrt(1.0 - damping**2)
         decay = np.exp(-damping * omega * tick_s)
         cosine = decay * np.cos(root * omega * tick_s)

@@ -63,14 +63,7 @@ _PUMP_W = 45.0
 class Segment:
     """A stretch of the campaign with constant sources.
 
-    Attributes
-    ----------
-    until_h : float
-        End.
-    h1, h2 : bool
-        Ventilators at the side and at the back of the column.
-    hall_c : float
-        Set point of the hall.
+    ``h1``, ``h2``: ventilators at the side and at the back of the column.
     """
 
     until_h: float
@@ -83,19 +76,11 @@ class Segment:
 class Schedule:
     """What heats a machine during a campaign.
 
-    Attributes
-    ----------
-    name : str
-        Which.
-    segments : tuple of Segment
-        One after the other.
-    day_swing_c : float
-        Half the daily swing of the hall.
-    off_from_h, night_rise_c : float
-        Hour of the day at which the climate control goes off, and how far the hall then drifts;
-        24 for a control that stays on.
-    begun_c, season_c : float
-        Temperature of the machine and of its foundation at the start.
+    ``segments``: one after the other.
+    ``day_swing_c``: half the daily swing of the hall.
+    ``off_from_h``, ``night_rise_c``: hour of the day at which the climate control goes off, and how far the hall then
+    drifts; 24 for a control that stays on.
+    ``begun_c``, ``season_c``: temperature of the machine and of its foundation at the start.
     """
 
     name: str
@@ -171,21 +156,9 @@ SCHEDULES = {schedule.name: schedule for schedule in (TRAINING, _VALIDATION)}
 def temperatures_c(schedule: Schedule, step_s: float, *, pump: bool = False) -> tuple[Floats, Floats]:
     """Return the temperatures of every body during a campaign.
 
-    Parameters
-    ----------
-    schedule : Schedule
-        What heats.
-    step_s : float
-        Time between two rows.
-    pump : bool
-        Whether the coolant pump runs, twelve hours in every thirty.
-
-    Returns
-    -------
-    hour : ndarray, shape (n,)
-        Time.
-    bodies : ndarray, shape (n, bodies)
-        In the order of ``BODIES``.
+    ``pump``: whether the coolant pump runs, twelve hours in every thirty.
+    Returns ``hour`` (n,): time.
+    Returns ``bodies`` (n, bodies): in the order of ``BODIES``.
     """
     n = round(schedule.length_h * 3600.0 / step_s)
     hour: Floats = np.arange(n, dtype=np.float64) * step_s / 3600.0

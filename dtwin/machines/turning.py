@@ -59,18 +59,10 @@ class Slide:
 class Accelerometer:
     """What stands near the tool.
 
-    Attributes
-    ----------
-    gain_1 : float
-        Sensitivity over its nominal value, with what its place off the tool adds.
-    noise_g_per_root_hz : float
-        Noise density.
-    drift_g, drift_s : float
-        Slow wander of its zero: standard deviation and how long it remembers.
-    bandwidth_hz : float
-        Low-pass before sampling.
-    range_g : float
-        Beyond this it clips.
+    ``gain_1``: sensitivity over its nominal value, with what its place off the tool adds.
+    ``drift_g``, ``drift_s``: slow wander of its zero: standard deviation and how long it remembers.
+    ``bandwidth_hz``: low-pass before sampling.
+    ``range_g``: beyond this it clips.
     """
 
     gain_1: float = 1.015
@@ -89,8 +81,6 @@ class AnaloguePath:
     ----------
     um_per_v, offset_v : float
         Scale of the output, and the voltage that stands for no correction.
-    range_v, bits : float, int
-        Converter.
     pulses_per_v, um_per_pulse : float
         What the controller makes of a volt.
     delay_ticks : int
@@ -138,12 +128,8 @@ class AnaloguePath:
 class Motion:
     """What the slide did, tick by tick at 8 kHz.
 
-    Attributes
-    ----------
-    encoder_um, tool_um : ndarray, shape (n,)
-        Slide as its encoder sees it, and tool.
-    acceleration_um_s2 : ndarray, shape (n,)
-        Of the tool.
+    ``encoder_um``, ``tool_um``, (n,): slide as its encoder sees it, and tool.
+    ``acceleration_um_s2``, (n,): of the tool.
     """
 
     encoder_um: Floats
@@ -152,13 +138,7 @@ class Motion:
 
 
 class TurningSlide:
-    """The slide in time; it goes on from where it is.
-
-    Parameters
-    ----------
-    slide : Slide, optional
-        Mechanism.
-    """
+    """The slide in time; it goes on from where it is."""
 
     def __init__(self, slide: Slide | None = None) -> None:
         self.slide = slide or Slide()
@@ -201,8 +181,6 @@ class Instruments:
     ----------
     probe_um, encoder_um : float
         Noise of a reading of the probe; step of the encoder.
-    accelerometer : Accelerometer
-        Near the tool.
     """
 
     probe_um: float = 0.005
@@ -211,15 +189,7 @@ class Instruments:
 
 
 class AccelerationChannel:
-    """The accelerometer with its amplifier; filter and wander go on from call to call.
-
-    Parameters
-    ----------
-    sensor : Accelerometer
-        What it is.
-    rng : numpy Generator
-        Of noise and wander.
-    """
+    """The accelerometer with its amplifier; filter and wander go on from call to call."""
 
     def __init__(self, sensor: Accelerometer, rng: np.random.Generator) -> None:
         self.sensor, self._rng = sensor, rng
@@ -233,8 +203,6 @@ class AccelerationChannel:
 
         Parameters
         ----------
-        motion : Motion
-            Of the slide.
         every : int
             Servo ticks to a sample.
         """

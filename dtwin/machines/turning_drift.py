@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.machines._wandering import wandering
 from dtwin.machines.turning import Slide
-from dtwin.machines.wandering import wandering
 from dtwin.schema import Floats
 
 
@@ -19,8 +19,6 @@ class RoomDrift:
     ----------
     room_c : float
         Standard deviation of the room's temperature about its mean.
-    time_constant_s : float
-        How long it remembers.
     oil_per_c : float
         Share of the servo's damping that a warmer, thinner guideway oil takes away.
     softening_per_c : float

@@ -22,7 +22,7 @@ STROKES_MM = {"x": (30.0, 1460.0), "y": (50.0, 1200.0), "z": (460.0, 1490.0)}
 READING_S = 30.0
 BALL_S = 27.0
 CYCLE_S = 3600.0
-FIXED_POSE = 0
+_FIXED_POSE = 0
 FIXED_BALLS_MM = ((120.0, 130.0, 470.0), (1370.0, 150.0, 475.0), (700.0, 1090.0, 480.0))
 AZIMUTHS_DEG = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 315.0)
 HELD_OUT_POSES = (3, 6)
@@ -88,8 +88,6 @@ class VolumetricParameters:
     seating_um, repeat_um : float
         How far the array stands from its nominal place in a pose, and how well the motor finds
         the pose again.
-    sensor_bias_c, sensor_noise_c, sensor_lag_s : float
-        Of the thermocouples.
     pocket_1 : float
         Of every second thermocouple: the most that it feels of the casting's core, which is what
         deforms. 0 for sensors stuck on the surface; 0.85 for sensors sunk into pockets.
@@ -135,17 +133,7 @@ class BallReadings:
 
 
 class VolumetricMill:
-    """A mill during one campaign.
-
-    Parameters
-    ----------
-    schedule : Schedule
-        What heats it.
-    parameters : VolumetricParameters
-        What it is like.
-    seed : int
-        Of everything random.
-    """
+    """A mill during one campaign."""
 
     def __init__(self, schedule: Schedule, parameters: VolumetricParameters, seed: int) -> None:
         self.schedule, self.parameters = schedule, parameters
@@ -218,15 +206,15 @@ class VolumetricMill:
         cycle : int
             From 0.
         """
-        places = [(FIXED_POSE, ball, np.array(at)) for ball, at in enumerate(FIXED_BALLS_MM)]
+        places = [(_FIXED_POSE, ball, np.array(at)) for ball, at in enumerate(FIXED_BALLS_MM)]
         places += [place for pose in range(1, len(AZIMUTHS_DEG) + 1) for place in array_balls(pose)]
-        places += [(FIXED_POSE, ball, np.array(at)) for ball, at in enumerate(FIXED_BALLS_MM)]
+        places += [(_FIXED_POSE, ball, np.array(at)) for ball, at in enumerate(FIXED_BALLS_MM)]
         t_s = np.float64(cycle * CYCLE_S) + BALL_S * np.arange(len(places), dtype=np.float64)
         again = {pose: self._rng.normal(0, self.parameters.repeat_um, 3) for pose in self._seating}
         nominal = np.array([at for _, _, at in places])
         true = nominal.copy()
         for i, (pose, _, at) in enumerate(places):
-            if pose != FIXED_POSE:
+            if pose != _FIXED_POSE:
                 moved, turned = self._seating[pose]
                 arm_m = 1e-3 * (at - np.array(_BASE_MM))
                 true[i] += 1e-3 * (moved + again[pose] + np.cross(turned, arm_m))

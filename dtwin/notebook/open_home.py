@@ -63,13 +63,7 @@ _RUN_COLUMNS = (
 
 
 class OpenHome:
-    """A home and the verbs on what it holds; :func:`open_home` makes one.
-
-    Attributes
-    ----------
-    home : Home
-        The folder of all state.
-    """
+    """A home and the verbs on what it holds; :func:`open_home` makes one."""
 
     def __init__(self, home: Home, effects: Iterable[str | Path] = ()) -> None:
         self.home = home
@@ -98,12 +92,6 @@ class OpenHome:
         ----------
         machine : str
             Such as ``mill``; the page "Kinds of campaign" lists them with their options.
-        out : path
-            Campaign folder to write.
-        quick : bool
-            A small campaign.
-        seed : int
-            Of the machine.
         hidden, truth, schedule : str, optional
             Options of some machines.
 
@@ -122,8 +110,6 @@ class OpenHome:
 
         Parameters
         ----------
-        path : path
-            What was measured.
         **told
             Of a table that lies alone: ``plane``, ``radius_mm``, ``feed_mm_min``, ``direction``,
             ``axis``, ``setup``, ``repeat``, ``machine``, ``campaign``.
@@ -225,8 +211,6 @@ class OpenHome:
             Name in the lake, or a path, which is ingested first.
         effects : str or sequence of str
             Names; ``backlash:X`` takes one axis.
-        name : str
-            Of the twin.
         robust : bool
             Give runs that are far off less weight.
 

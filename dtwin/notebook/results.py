@@ -25,8 +25,6 @@ class Result:
     ----------
     document : mapping
         The result as plain records, JSON-ready: what ``--json`` prints of it.
-    text : str
-        The same for people.
     """
 
     document: Mapping[str, Any]
@@ -149,8 +147,6 @@ class IngestResult:
 
     Attributes
     ----------
-    campaign : str
-        Name of the campaign.
     added, unchanged : tuple of str
         Run ids.
     rejected_rows : int

@@ -29,16 +29,10 @@ _Complexes = NDArray[np.complex128]
 class Candidate:
     """An effect that may be missing, tested against the residual.
 
-    Attributes
-    ----------
-    term : Term
-        Effect, axis and the shape that suits best.
-    visible : ndarray, shape (rows * n, k)
-        Orthonormal columns that the known effects cannot imitate.
-    share : float
-        Visible share of its sum of squares.
-    score : Score
-        Test against the residual; the p-value counts the shapes that were tried.
+    ``term``: effect, axis and the shape that suits best.
+    ``visible``, (rows * n, k): orthonormal columns that the known effects cannot imitate.
+    ``share``: visible share of its sum of squares.
+    ``score``: test against the residual; the p-value counts the shapes that were tried.
     """
 
     term: Term
@@ -51,12 +45,7 @@ class Candidate:
 class Candidates:
     """The library, evaluated once for a campaign.
 
-    Parameters
-    ----------
-    obs : Observations
-        The runs.
-    instances : sequence of Instance
-        Effects and axes to try.
+    ``instances``: effects and axes to try.
     """
 
     obs: Observations
@@ -68,21 +57,9 @@ class Candidates:
     ) -> tuple[list[Candidate], list[str]]:
         """Test every effect against what the known ones leave.
 
-        Parameters
-        ----------
-        problem : Problem
-            Whitened campaign with its known effects.
-        level : NoiseLevel
-            Shared noise level.
-        but : collection of str
-            Labels that are not tested.
-
-        Returns
-        -------
-        candidates : list of Candidate
-            Visible effects.
-        invisible : list of str
-            Labels of the effects that the set-up or the known effects absorb.
+        ``problem``: whitened campaign with its known effects.
+        ``but``: labels that are not tested.
+        Returns ``invisible``: labels of the effects that the set-up or the known effects absorb.
         """
         found, invisible = [], []
         for instance in (i for i in self.instances if i.label not in but):
@@ -184,10 +161,6 @@ def applicable(
 
     Parameters
     ----------
-    library : mapping of str to Effect
-        Effects by name.
-    obs : Observations
-        The runs.
     known : sequence of Term
         Effects that the twin has.
     """
@@ -219,14 +192,8 @@ def likely_pitches(obs: Observations, residual: Floats, instance: Instance, n: i
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     residual : ndarray, shape (rows, n)
         Whitened coefficients of the residual.
-    instance : Instance
-        Effect and axis.
-    n : int
-        How many to return.
     """
     axis = instance.axis
     odd = instance.effect.law.direction == "odd"
@@ -283,10 +250,7 @@ def _independent_pitches(obs: Observations) -> float:
 def independent(visible: Sequence[Floats]) -> float:
     """Return how many independent tests a family of columns stands for, by their overlap.
 
-    Parameters
-    ----------
-    visible : sequence of ndarray, shape (n, k_i)
-        Orthonormal columns of each.
+    ``visible``, (n, k_i): orthonormal columns of each.
     """
     if len(visible) < 2:
         return 1.0

@@ -23,8 +23,6 @@ class Circle:
         Centre along the first and second axis of the plane.
     radius_change_um : float
         Fitted radius minus the nominal one.
-    radius_mm : float
-        Fitted radius.
     """
 
     centre_a_um: float
@@ -44,8 +42,6 @@ class CircularFigures:
 
     Attributes
     ----------
-    circle : Circle
-        Least-squares circle.
     circular_deviation_um : float
         ISO 230-4 G: largest minus smallest radius about the least-squares centre.
     circular_deviation_mz_um : float
@@ -108,8 +104,6 @@ def fit_circle(angle_deg: Floats, deviation_um: Floats, radius_mm: float) -> Cir
         Angle in the plane.
     deviation_um : ndarray, shape (n,)
         Measured minus nominal radius.
-    radius_mm : float
-        Nominal radius.
 
     Raises
     ------
@@ -179,8 +173,6 @@ def circular_figures(angle_deg: Floats, deviation_um: Floats, radius_mm: float) 
         Angle of each sample, unwrapped.
     deviation_um : ndarray, shape (n,)
         Measured minus nominal radius.
-    radius_mm : float
-        Nominal radius.
     """
     circle = fit_circle(angle_deg, deviation_um, radius_mm)
     centred = _centred_um(angle_deg, deviation_um, radius_mm, circle)
@@ -206,8 +198,6 @@ def bidirectional_figures(
     ----------
     ccw, cw : tuple of (angle_deg, deviation_um)
         Samples of each direction, arrays of shape (n,) each.
-    radius_mm : float
-        Nominal radius.
     """
     angle = np.concatenate([ccw[0], cw[0]])
     deviation = np.concatenate([ccw[1], cw[1]])

@@ -15,24 +15,24 @@ from functools import partial
 import numpy as np
 
 from dtwin.physics import localise
+from dtwin.physics._grading import laws_of, survivors, variables
+from dtwin.physics._law_search import search_laws
+from dtwin.physics._laws import LawTest
+from dtwin.physics._material import IMMATERIAL
+from dtwin.physics._measured_once import as_if_repeated
+from dtwin.physics._outliers import odd_runs
+from dtwin.physics._rivals import Found
+from dtwin.physics._screen import Channel, screen_channels
+from dtwin.physics._spread import spread_of
+from dtwin.physics._suspects import members, sized, suspect, suspects
+from dtwin.physics._trust import sum_um, trusted
 from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
-from dtwin.physics.grading import laws_of, survivors, variables
-from dtwin.physics.law_search import search_laws
-from dtwin.physics.laws import LawTest
-from dtwin.physics.material import IMMATERIAL
-from dtwin.physics.measured_once import as_if_repeated
 from dtwin.physics.observations import Observations
-from dtwin.physics.outliers import odd_runs
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
-from dtwin.physics.rivals import Found
 from dtwin.physics.score import HIGHEST_HARMONIC
-from dtwin.physics.screen import Channel, screen_channels
 from dtwin.physics.search import Search, search
-from dtwin.physics.spread import spread_of
-from dtwin.physics.suspects import members, sized, suspect, suspects
-from dtwin.physics.trust import sum_um, trusted
 from dtwin.schema import Floats
 
 LACK_OF_FIT = 0.003
@@ -52,14 +52,10 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     known : sequence of Term
         Effects of the twin, without set-up terms.
     library : mapping of str to Effect
         Effects that may be missing.
-    seed : int
-        Seed of permutations.
     """
     tried, untestable = applicable(library, obs, known)
     within = [Term(i, i.effect.start_shape) for i in tried if i.effect.within_condition]

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from dtwin.physics._law_search import ScalingLaw
+from dtwin.physics._laws import LawTest
+from dtwin.physics._screen import Channel
 from dtwin.physics.fit import Estimate
-from dtwin.physics.law_search import ScalingLaw
-from dtwin.physics.laws import LawTest
-from dtwin.physics.screen import Channel
 
 Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats", "variance_effect"]
 Grade = Literal["shape-consistent", "law-confirmed", "intervention-confirmed"]
@@ -21,8 +21,6 @@ class Suspect:
 
     Attributes
     ----------
-    effect, axis : str
-        What, and where.
     rms_after_um : float
         Predicted RMS of the residual with the effect added.
     cv_gain : float
@@ -31,16 +29,10 @@ class Suspect:
         After Holm over the library.
     in_group : bool
         Member of the reported group.
-    grade : str or None
-        How well the name is confirmed.
     confounded_with : tuple of str
         Effects that these runs cannot tell from it.
-    laws : tuple of LawTest
-        Tests of its scaling.
     share : float
         Share of the systematic error that it explains.
-    remedy : str
-        What to do about it.
     size_um : float or None
         RMS of what it explains beside all others that were found; None for what was not found.
     sizes : tuple of Estimate
@@ -87,8 +79,6 @@ class Unresolved:
 
     Attributes
     ----------
-    systematic_rms_um : float
-        Its RMS.
     share : float
         Its share of the systematic mean square.
     p_value : float
@@ -138,8 +128,6 @@ class Diagnosis:
     ----------
     verdict : str
         One of the six verdicts.
-    headline : str
-        In words.
     residual_rms_um, systematic_rms_um, noise_floor_um : float
         RMS of the residual, of what repeats agree on, and of one run about the mean of its
         condition (unit of replication: the run).

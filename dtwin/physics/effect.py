@@ -49,10 +49,6 @@ class ShapeParameter:
 
     Attributes
     ----------
-    name, unit : str
-        What it is.
-    start : float
-        Where the search begins.
     grid : tuple of float
         Values that diagnosis tries, refined between the outermost.
     limits : tuple of float, optional
@@ -97,8 +93,6 @@ class Effect:
 
     Attributes
     ----------
-    name, title : str
-        Identifier, and name in words.
     parameters : tuple of Parameter
         One for each column of the regressors.
     regressors : callable
@@ -167,8 +161,6 @@ class Effect:
             State of the machine at n points.
         axis : str
             Axis, plane or joint; empty for effects of the machine.
-        shape : dict of str to float
-            Values of the shape parameters.
 
         Returns
         -------
@@ -218,8 +210,6 @@ class Instance:
 
     Attributes
     ----------
-    effect : Effect
-        The cause.
     axis : str
         Where it acts; empty for effects of the machine.
     """

@@ -36,8 +36,6 @@ class Proposal:
 
     Attributes
     ----------
-    text : str
-        What to do, in words.
     conditions : tuple of Condition
         What to measure, each ``REPEATS`` times.
     minutes : float
@@ -63,12 +61,8 @@ class Detectable:
 
     Attributes
     ----------
-    label : str
-        Effect with axis.
     amplitude : float
         Size of its first parameter that is detected with a power of 80 %, inf when invisible.
-    unit : str
-        Unit of the parameter.
     rms_um : float
         Visible RMS at that size.
     typical : float
@@ -95,14 +89,8 @@ def next_experiment(
 
     Parameters
     ----------
-    obs : Observations
-        What was measured.
     known : sequence of Term
         Effects of the twin.
-    diagnosis : Diagnosis
-        What was found.
-    library : mapping of str to Effect
-        Effects by name.
 
     Returns
     -------
@@ -195,8 +183,6 @@ def planned_observations(plan: Plan, columns: Mapping[str, Floats] | None = None
 
     Parameters
     ----------
-    plan : Plan
-        The plan.
     columns : dict of str to ndarray, shape (runs,), optional
         Logged columns to assume; ``time_h`` follows from the plan.
     """
@@ -232,8 +218,6 @@ def detectable(obs: Observations, library: Mapping[str, Effect], *, noise_um: fl
     ----------
     obs : Observations
         Runs; what was measured does not matter.
-    library : mapping of str to Effect
-        Effects by name.
     noise_um : float
         RMS of one run about the mean of its condition, assumed alike at all harmonics: low
         harmonics usually repeat less well, so the truth is somewhat worse.

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
+from dtwin.physics._shapes import refined
+from dtwin.physics._uncertainty import expanded
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.observations import Observations
 from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Problem, Term, least_visible, set_up, setup_columns, unweighted
-from dtwin.physics.shapes import refined
 from dtwin.physics.solve import in_blocks, solve_blocks
-from dtwin.physics.uncertainty import expanded
 from dtwin.physics.whitening import from_harmonics
 from dtwin.schema import Floats
 
@@ -35,10 +35,6 @@ class Estimate:
 
     Attributes
     ----------
-    effect, axis, name, unit : str
-        Which.
-    value : float
-        Estimate.
     uncertainty : float
         Expanded, k = 2 (95 %); unit of replication: the run, and the condition where laws miss
         more than the noise. NaN without repeats.
@@ -66,8 +62,6 @@ class Alias:
 
     Attributes
     ----------
-    first, second : str
-        Labels.
     correlation : float
         Largest correlation between what they would do, set-up taken out.
     separate_by : str
@@ -141,8 +135,6 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     terms : sequence of Term
         Effects; shape parameters are refined from where they are.
     robust : bool
@@ -199,8 +191,6 @@ def find_aliases(obs: Observations, terms: Sequence[Term]) -> list[Alias]:
     ----------
     obs : Observations
         The runs; what was measured does not matter.
-    terms : sequence of Term
-        Effects.
     """
     problem = unweighted(obs, [])
     seen = [

@@ -69,13 +69,7 @@ class PathCondition(Protocol):
 
 @dataclass(frozen=True)
 class OneAxis:
-    """The part of a condition that all tests of a single axis share.
-
-    Attributes
-    ----------
-    axis : str
-        What moves.
-    """
+    """The part of a condition that all tests of a single axis share."""
 
     axis: str
 
@@ -101,10 +95,6 @@ class Row:
 
     Attributes
     ----------
-    run : Run
-        Where it comes from.
-    condition : PathCondition
-        What was set.
     y_um : ndarray, shape (n,)
         Mean deviation in each bin.
     mask : ndarray of bool, shape (n,)
@@ -129,8 +119,6 @@ class Grid:
 
     Attributes
     ----------
-    kind : str
-        Kind of campaign.
     coordinate : str
         What counts along the path, with its unit: ``angle_deg``, ``position_mm``, ``phase_deg``.
     points : ndarray, shape (n,)
@@ -148,8 +136,6 @@ class Grid:
         logged.
     described : int
         Highest harmonic that a headline names.
-    wave : callable
-        Takes a harmonic to words.
     """
 
     kind: str

@@ -27,15 +27,7 @@ Indices = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Condition:
-    """What is set for a circular run; repeats share it.
-
-    Attributes
-    ----------
-    plane, direction : str
-        Plane and sense of motion.
-    radius_mm, feed_mm_min : float
-        As programmed.
-    """
+    """What is set for a circular run; repeats share it."""
 
     plane: Plane
     radius_mm: float
@@ -83,13 +75,7 @@ class Condition:
 
 
 def _condition_of_run(meta: RunMeta) -> Condition:
-    """Return the condition of a circular run.
-
-    Raises
-    ------
-    InputError
-        When something of it is not stated.
-    """
+    """Return the condition of a circular run."""
     radius, feed = meta.radius_mm, meta.feed_mm_min
     if meta.plane is None or meta.direction is None or radius is None or feed is None:
         raise InputError(
@@ -108,8 +94,6 @@ def rows_of(run: Run, time_h: float) -> list[Row]:
     ----------
     run : Run
         With ``angle_deg`` and ``deviation_um``.
-    time_h : float
-        Session time at its start.
 
     Raises
     ------
@@ -223,7 +207,7 @@ def fine_angle_rad() -> Floats:
     return np.asarray((np.arange(n) + 0.5) * (2.0 * np.pi / n), dtype=np.float64)
 
 
-def averaged(fine: Floats) -> Floats:
+def _averaged(fine: Floats) -> Floats:
     """Return bin means, shape (360, k), of values at the fine angles, shape (n, k)."""
     first = np.arange(0, len(fine), _POINTS_PER_BIN)
     return np.asarray(np.add.reduceat(fine, first, axis=0) / _POINTS_PER_BIN)
@@ -247,7 +231,7 @@ def _circle() -> Grid:
         setup=np.stack([np.ones(N_BINS), np.cos(theta), np.sin(theta)], axis=1),
         setup_names=("radius_um", "centre_first_um", "centre_second_um"),
         fine=_POINTS_PER_BIN,
-        averaged=averaged,
+        averaged=_averaged,
         state=_state,
         described=_DESCRIBED_HARMONICS,
         wave="harmonic {}".format,

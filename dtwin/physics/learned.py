@@ -7,14 +7,14 @@ import re
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.physics._law_search import ScalingLaw
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, stacked
-from dtwin.physics.law_search import ScalingLaw
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 
 PREFIX = "learned_"
-REFERENCE_FEED_MM_S = 50.0
-REFERENCE_RADIUS_MM = 100.0
+_REFERENCE_FEED_MM_S = 50.0
+_REFERENCE_RADIUS_MM = 100.0
 _NAME = re.compile(r"learned_(even|odd)_h(\d+)_f(m?\d+(?:p\d)?)_r(m?\d+(?:p\d)?)")
 
 
@@ -51,8 +51,8 @@ def learned_effect(name: str) -> Effect:
     names = ("cosine", "sine") if harmonic else ("radius",)
 
     def columns(state: State, axis: str, shape: Shape) -> Floats:
-        size = (state.feed_mm_s / REFERENCE_FEED_MM_S) ** feed
-        size *= (state.radius_mm / REFERENCE_RADIUS_MM) ** radius
+        size = (state.feed_mm_s / _REFERENCE_FEED_MM_S) ** feed
+        size *= (state.radius_mm / _REFERENCE_RADIUS_MM) ** radius
         size *= state.direction if parity == "odd" else 1.0
         phase = harmonic * state.angle_rad
         return size * stacked(*(np.cos(phase), np.sin(phase))[:n])

@@ -47,13 +47,7 @@ class Library(Mapping[str, Effect]):
                 self._add(_from_file(file))
 
     def __getitem__(self, name: str) -> Effect:
-        """Return an effect.
-
-        Raises
-        ------
-        InputError
-            When there is none of that name.
-        """
+        """Return an effect."""
         if name in self._effects:
             return self._effects[name]
         if name.startswith(PREFIX):
@@ -95,10 +89,6 @@ def instances(effect: Effect, planes: Sequence[str], axes: Sequence[str], *, joi
 
     Parameters
     ----------
-    effect : Effect
-        The effect.
-    planes, axes : sequence of str
-        What was measured.
     joints : bool
         Whether the joints of the machine are known.
     """
@@ -122,12 +112,6 @@ def campaign_instances(
 
     Parameters
     ----------
-    library : mapping of str to Effect
-        Effects by name.
-    kind : str
-        Kind of campaign.
-    planes, axes : sequence of str
-        What was measured.
     geometry : dict
         ``machine_geometry`` of the campaign.
     """

@@ -36,8 +36,6 @@ def systematic_rms_um(obs: Observations, residual: Floats) -> float:
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     residual : ndarray, shape (rows, n)
         Residual of the twin.
 
@@ -64,8 +62,6 @@ def worst_places(obs: Observations, residual: Floats) -> tuple[Mapping[str, Any]
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     residual : ndarray, shape (rows, n)
         Residual of the twin.
     """
@@ -91,8 +87,6 @@ def headline(obs: Observations, residual: Floats) -> str:
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     residual : ndarray, shape (rows, n)
         Residual of the twin.
     """

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.physics._kept_columns import condition_key, kept_columns
 from dtwin.physics.effect import Instance, Shape
 from dtwin.physics.grid import Grid, PathCondition
 from dtwin.physics.gridding import CIRCLE, Indices
-from dtwin.physics.kept_columns import condition_key, kept_columns
 from dtwin.physics.state import State
 from dtwin.physics.whitening import to_harmonics
 from dtwin.schema import Campaign, Floats, Run, RunMeta
@@ -31,21 +31,13 @@ class Observations:
 
     Attributes
     ----------
-    campaign : Campaign
-        Where they come from.
-    runs : tuple of RunMeta
-        One for each row.
     y_um : ndarray, shape (rows, n)
         Mean deviation in each bin, zero where nothing was measured. The part of a centre
         offset that is of second order is taken out.
     mask : ndarray of bool, shape (rows, n)
         Where something was measured.
-    conditions : tuple of PathCondition
-        The distinct conditions.
     condition_of, setup_of, run_of : ndarray of int, shape (rows,)
         Condition, set-up and run of each row; a run of several turns has several rows.
-    setups : tuple of str
-        Names of the set-ups.
     columns : tuple of dict
         Logged columns of each row: a number, or an array of shape (n,).
     feed_mm_s : ndarray, shape (rows,)
@@ -198,13 +190,6 @@ class Observations:
     def regressors(self, instance: Instance, shape: Shape) -> Floats:
         """Return the columns of an effect, averaged over the bins.
 
-        Parameters
-        ----------
-        instance : Instance
-            Effect and axis.
-        shape : dict of str to float
-            Its shape parameters.
-
         Returns
         -------
         ndarray, shape (rows, n, parameters)
@@ -273,8 +258,6 @@ def observe(campaign: Campaign, runs: Sequence[Run]) -> Observations:
 
     Parameters
     ----------
-    campaign : Campaign
-        Where the runs come from.
     runs : sequence of Run
         Of one kind: circular runs with ``angle_deg`` and ``deviation_um``, outside a marked window
         samples are left out; sweeps with ``position_mm`` and ``error_um``; tones with the

@@ -16,12 +16,7 @@ _AT_LIMIT = 0.01
 def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
     """Return what is wrong with fitted effects, by label.
 
-    Parameters
-    ----------
-    terms : sequence of Term
-        Effects with their shapes.
-    values : ndarray, shape (parameters,)
-        Their parameters, in the order of the terms.
+    ``values``, (parameters,): their parameters, in the order of the terms.
     """
     out = {}
     first = 0

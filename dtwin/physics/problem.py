@@ -21,15 +21,7 @@ _RANK = 1e-9
 
 @dataclass(frozen=True)
 class Term:
-    """An effect with values of its shape parameters.
-
-    Attributes
-    ----------
-    instance : Instance
-        Effect and axis.
-    shape : dict of str to float
-        Shape parameters.
-    """
+    """An effect with values of its shape parameters."""
 
     instance: Instance
     shape: Mapping[str, float] = field(default_factory=dict)
@@ -46,8 +38,6 @@ class Problem:
 
     Attributes
     ----------
-    obs : Observations
-        The runs.
     y : ndarray, shape (rows * n,)
         Whitened coefficients of the measurements.
     basis : ndarray, shape (rows * n, p)
@@ -139,8 +129,6 @@ def set_up(obs: Observations, known: Sequence[Term], within: Sequence[Term]) -> 
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     known : sequence of Term
         Effects that the twin has, without set-up terms.
     within : sequence of Term
@@ -157,8 +145,6 @@ def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     known : sequence of Term
         Effects that the twin has, without set-up terms.
     """
@@ -169,14 +155,7 @@ def unweighted(obs: Observations, known: Sequence[Term]) -> Problem:
 def weighted_like(obs: Observations, known: Sequence[Term], noise: PureError) -> Problem:
     """Return the problem in a given whitening, perhaps that of another campaign.
 
-    Parameters
-    ----------
-    obs : Observations
-        The runs.
-    known : sequence of Term
-        Effects that the twin has, without set-up terms.
-    noise : PureError
-        The whitening.
+    ``known``: effects that the twin has, without set-up terms.
     """
     columns = [setup_columns(obs)] + [obs.regressors(t.instance, t.shape) for t in known]
     y = to_harmonics(obs.y_um) * noise.weights

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import polygamma
 
-from dtwin.physics.few_runs import along, inside, smooth_share
+from dtwin.physics._few_runs import along, inside, smooth_share
 from dtwin.physics.gridding import Indices
 from dtwin.physics.problem import Problem
 from dtwin.physics.whitening import condition_sums, from_harmonics, harmonic_numbers, smoothed, within_condition
@@ -33,16 +33,10 @@ _SURE = 3.0
 class Score:
     """Result of a score test.
 
-    Attributes
-    ----------
-    p_value : float
-        Of the hypothesis that the columns explain nothing.
-    gain : float
-        Explained sum of squares beyond what noise would explain.
-    expected : float
-        Sum of squares that noise alone would explain.
-    dof : float
-        Degrees of freedom of the noise estimate.
+    ``p_value``: of the hypothesis that the columns explain nothing.
+    ``gain``: explained sum of squares beyond what noise would explain.
+    ``expected``: sum of squares that noise alone would explain.
+    ``dof``: degrees of freedom of the noise estimate.
     """
 
     p_value: float
@@ -55,16 +49,11 @@ class Score:
 class NoiseLevel:
     """How well the noise level of each condition foretells the noise of a score.
 
-    Attributes
-    ----------
-    prior_dof : float
-        Weight of the level of the conditions, in degrees of freedom: large when the noise is
-        alike round the circle, zero when it is not. After Smyth (2004), moderated t-statistics.
-    ratio : float
-        Typical score variance over the one foretold.
-    misfit : ndarray, shape (n,), optional
-        Variance, at every coefficient, of what repeats agree on though no effect explains it: laws
-        that are not exact. It counts as noise that the repeats of a condition share.
+    ``prior_dof``: weight of the level of the conditions, in degrees of freedom: large when the noise is alike round the
+    circle, zero when it is not. After Smyth (2004), moderated t-statistics.
+    ``ratio``: typical score variance over the one foretold.
+    ``misfit``, (n,): variance, at every coefficient, of what repeats agree on though no effect explains it: laws that
+    are not exact. It counts as noise that the repeats of a condition share.
     """
 
     prior_dof: float = 0.0
@@ -77,18 +66,10 @@ def score_test(
 ) -> Score:
     """Test whether columns explain the residual, the run being the unit of replication.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign.
-    visible : ndarray, shape (rows * n, k)
-        Orthonormal columns, orthogonal to what is known.
-    residual : ndarray, shape (rows, n)
-        Whitened residual.
-    level : NoiseLevel
-        What other scores tell of the noise.
-    within : bool
-        The columns differ between repeats of a condition.
+    ``visible``, (rows * n, k): orthonormal columns, orthogonal to what is known.
+    ``residual``, (rows, n): whitened residual.
+    ``level``: what other scores tell of the noise.
+    ``within``: the columns differ between repeats of a condition.
     """
     obs = problem.obs
     if obs.there_and_back:
@@ -165,12 +146,7 @@ def _of_few(problem: Problem, visible: Floats, residual: Floats, level: NoiseLev
 def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
     """Learn from probes whether the noise is alike round the circle.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign.
-    probes : ndarray, shape (rows * n, k)
-        Columns, constant inside a condition, orthogonal to what is known, each of length one.
+    ``probes``, (rows * n, k): columns, constant inside a condition, orthogonal to what is known, each of length one.
     """
     obs = problem.obs
     deviation, count = within_condition(problem.residual, obs.condition_of)
@@ -200,15 +176,8 @@ def noise_level(problem: Problem, probes: Floats) -> NoiseLevel:
 def misfit(problem: Problem) -> Floats | None:
     """Return the variance of what repeats agree on though nothing known explains it.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with all that was found.
-
-    Returns
-    -------
-    ndarray, shape (n,), or None
-        Of every whitened coefficient of a condition; None where it is no more than the noise.
+    ``problem``: whitened campaign with all that was found.
+    Returns (n,): of every whitened coefficient of a condition; None where it is no more than the noise.
     """
     obs = problem.obs
     rows = problem.residual
@@ -233,19 +202,7 @@ def lack_of_fit(problem: Problem, residual: Floats, seed: int) -> float:
     Products of different runs of one condition have mean zero under noise of any shape; runs
     change sign at random for the comparison.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign.
-    residual : ndarray, shape (rows, n)
-        Whitened residual.
-    seed : int
-        Seed of the signs.
-
-    Returns
-    -------
-    float
-        p-value.
+    ``residual``, (rows, n): whitened residual.
     """
     obs = problem.obs
     pairs = _pairs(obs.condition_of, obs.run_of)

@@ -16,18 +16,9 @@ PITCH = "screw_pitch_mm"
 def screw_waves(state: State, axis: str) -> Floats:
     """Return cosine and sine of the first orders of a turn, where the pitch is known.
 
-    Parameters
-    ----------
-    state : State
-        ``geometry`` holds ``screw_pitch_mm``.
-    axis : str
-        Axis that the screw drives.
-
-    Returns
-    -------
-    ndarray, shape (n, 2 * ORDERS)
-        Zero where the axis stands, the pitch is not stated, or the points of the path meet the
-        screw at too few angles to show an order.
+    ``state``: ``geometry`` holds ``screw_pitch_mm``.
+    Returns (n, 2 * ORDERS): zero where the axis stands, the pitch is not stated, or the points of the path meet the
+    screw at too few angles to show an order.
     """
     pitch_mm = state.geometry.get(PITCH)
     if not moves(state, axis) or not isinstance(pitch_mm, int | float) or pitch_mm <= 0.0:

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.physics._hunt import best_set
+from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
+from dtwin.physics._rivals import Found, described, refined_candidate
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
 from dtwin.physics.cross_validation import left_out_gain
-from dtwin.physics.hunt import best_set
 from dtwin.physics.localise import in_angle, systematic_rms_um
-from dtwin.physics.material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics.problem import Problem, Term, weighted_like
-from dtwin.physics.rivals import Found, described, refined_candidate
 from dtwin.physics.score import NoiseLevel, lack_of_fit, misfit, noise_level
 from dtwin.statistics import holm
 
-ALPHA = 0.03
+_ALPHA = 0.03
 _LEADING = 6
 _FIT_IS_FINE = 0.05
 # p-values so small stay significant whatever the number of tests.
@@ -28,18 +28,8 @@ _BEYOND_DOUBT = 1e-6
 class Test:
     """Every effect of the library against what a set of effects leaves.
 
-    Attributes
-    ----------
-    problem : Problem
-        The campaign with the set.
-    level : NoiseLevel
-        Shared noise level.
-    candidates : tuple of Candidate
-        Visible effects.
-    p_values : dict of str to float
-        After Holm, by label.
-    invisible : tuple of str
-        Labels of the effects that nothing here can show.
+    ``p_values``: after Holm, by label.
+    ``invisible``: labels of the effects that nothing here can show.
     """
 
     problem: Problem
@@ -53,18 +43,11 @@ class Test:
 class Search:
     """What a search found.
 
-    Attributes
-    ----------
-    found : tuple of Found
-        Effects, the one that explains most first.
-    first : Test
-        The library against what was known before.
-    last, plain : Problem
-        The campaign with all of them, whitened and without weights.
-    lack_of_fit : tuple of float
-        p-value at the start and at the end.
-    systematic_um : tuple of float
-        RMS of what repeats agree on, at the start and at the end.
+    ``found``: effects, the one that explains most first.
+    ``first``: the library against what was known before.
+    ``last``, ``plain``: the campaign with all of them, whitened and without weights.
+    ``lack_of_fit``: p-value at the start and at the end.
+    ``systematic_um``: RMS of what repeats agree on, at the start and at the end.
     """
 
     found: tuple[Found, ...]
@@ -93,23 +76,11 @@ def search(
 ) -> Search:
     """Find the set of effects that explains a campaign, and test each beside all the others.
 
-    Parameters
-    ----------
-    problem : Problem
-        Whitened campaign with what the twin knows.
-    plain : Problem
-        The same without weights.
-    candidates : Candidates
-        The library.
-    known : sequence of Term
-        What the twin knows.
-    beside : callable
-        Takes out of a problem what is neither the twin's nor the library's.
-    seed : int
-        Seed of permutations.
-    shown_by_channel : bool
-        A logged channel was shown to move with the error: effects that act inside conditions
-        are then compared among themselves only.
+    ``problem``: whitened campaign with what the twin knows.
+    ``plain``: the same without weights.
+    ``beside``: takes out of a problem what is neither the twin's nor the library's.
+    ``shown_by_channel``: a logged channel was shown to move with the error: effects that act inside conditions are then
+    compared among themselves only.
     """
     first = _tested(problem, candidates, shown_by_channel)
     fit = lack_of_fit(problem, problem.residual, seed)
@@ -197,7 +168,7 @@ def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | 
     significant = [
         c
         for c in test.candidates
-        if test.p_values[c.term.label] <= ALPHA and _is_material(plain, candidates, c.term, problem)
+        if test.p_values[c.term.label] <= _ALPHA and _is_material(plain, candidates, c.term, problem)
     ]
     runs = int(problem.obs.run_of.max()) + 1
     for found in sorted(significant, key=lambda c: -_worth(c, runs))[:_LEADING]:
@@ -235,12 +206,12 @@ def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates
             level = replace(noise_level(given, probes(given)), misfit=beyond)
             candidate = candidates.tested_term(given, term, level)
             p_value = 1.0 if candidate is None else candidate.score.p_value
-            if _BEYOND_DOUBT < p_value < ALPHA:
+            if _BEYOND_DOUBT < p_value < _ALPHA:
                 shapes = candidates.tested_instance(given, term.instance, level)
                 p_value = min(1.0, many * (1.0 if shapes is None else shapes.score.p_value))
             p_values.append(p_value)
         worst = int(np.argmax(p_values))
-        if p_values[worst] <= ALPHA:
+        if p_values[worst] <= _ALPHA:
             break
         del terms[worst]
     return terms

@@ -20,20 +20,10 @@ _RANK = 1e-12
 class Solution:
     """Least-squares solution.
 
-    Attributes
-    ----------
-    x : ndarray, shape (k,)
-        Smallest solution when the columns are dependent.
-    rank : int
-        Number of independent columns.
-    condition : float
-        Ratio of the largest singular value of the scaled columns to the smallest one kept.
-    residual_rms : float
-        RMS of what is left.
-    triangle : ndarray, shape (k, k)
-        R of the QR decomposition: R^T R is the normal matrix, never formed.
-    null_space : ndarray, shape (k, k - rank)
-        Combinations of the scaled columns that vanish.
+    ``x``, (k,): smallest solution when the columns are dependent.
+    ``condition``: ratio of the largest singular value of the scaled columns to the smallest one kept.
+    ``triangle``, (k, k): R of the QR decomposition: R^T R is the normal matrix, never formed.
+    ``null_space``, (k, k - rank): combinations of the scaled columns that vanish.
     """
 
     x: Floats

@@ -6,7 +6,7 @@ import numpy as np
 
 from dtwin.schema import Floats
 
-BANDS_HZ = ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 20.0), (20.0, 40.0), (40.0, 100.0))
+_BANDS_HZ = ((0.0, 1.0), (1.0, 2.0), (2.0, 5.0), (5.0, 8.0), (8.0, 12.0), (12.0, 20.0), (20.0, 40.0), (40.0, 100.0))
 
 
 def strongest_lines(
@@ -21,10 +21,6 @@ def strongest_lines(
     ----------
     signal_um : ndarray, shape (n,)
         The signal, centre removed.
-    rate_hz : float
-        Sample rate.
-    count : int
-        Number of lines.
 
     Returns
     -------
@@ -44,18 +40,12 @@ def strongest_lines(
 
 
 def band_rms_um(
-    signal_um: Floats, rate_hz: float, bands_hz: tuple[tuple[float, float], ...] = BANDS_HZ
+    signal_um: Floats, rate_hz: float, bands_hz: tuple[tuple[float, float], ...] = _BANDS_HZ
 ) -> list[tuple[float, float, float]]:
     """Return (from_hz, to_hz, rms_um) of each band; by Parseval their squares add up.
 
-    Parameters
-    ----------
-    signal_um : ndarray, shape (n,)
-        The signal.
-    rate_hz : float
-        Sample rate.
-    bands_hz : tuple of (float, float)
-        Lower bound included, upper excluded except at half the sample rate; the mean is left out.
+    ``signal_um``, (n,): the signal.
+    ``bands_hz``: lower bound included, upper excluded except at half the sample rate; the mean is left out.
     """
     n = signal_um.size
     power = np.abs(np.fft.rfft(signal_um - signal_um.mean())) ** 2 * 2.0 / n**2

@@ -49,10 +49,6 @@ class State:
 
     Attributes
     ----------
-    kind : str
-        Kind of campaign.
-    axes : tuple of str
-        Axes that move.
     plane : str
         Plane of a circular run, else empty.
     position_mm : dict of str to ndarray, shape (n,)
@@ -149,8 +145,6 @@ def circular_state(
 
     Parameters
     ----------
-    meta : RunMeta
-        Condition of the run.
     angle_rad : ndarray, shape (n,)
         Path angles.
     feed_mm_s : float

@@ -41,11 +41,5 @@ EFFECT = Effect(
 
 
 def template(name: str) -> str:
-    """Return an effect file.
-
-    Parameters
-    ----------
-    name : str
-        Name of the effect.
-    """
+    """Return an effect file."""
     return _TEMPLATE.replace("NAME", require_name(name, "the effect"))

@@ -24,13 +24,7 @@ _NOT_LOGGED = ("cmd_", "act_", "tool_", "t_s")
 
 @dataclass(frozen=True)
 class ToneCondition(OneAxis):
-    """A tone on an axis.
-
-    Attributes
-    ----------
-    amplitude_um, frequency_hz : float
-        As commanded.
-    """
+    """A tone on an axis."""
 
     amplitude_um: float
     frequency_hz: float
@@ -86,8 +80,6 @@ def tone_row(run: Run, time_h: float) -> Row:
     ----------
     run : Run
         With ``t_s``, and command and tool of the axis, ``cmd_z_mm`` and ``tool_z_mm`` for Z.
-    time_h : float
-        Session time at its start.
 
     Raises
     ------

@@ -27,8 +27,6 @@ class ValidityBox:
 
     Attributes
     ----------
-    planes, directions : tuple of str
-        What was measured.
     radius_mm, feed_mm_min : tuple of float
         Smallest and largest.
     """
@@ -72,18 +70,10 @@ class Twin:
 
     Attributes
     ----------
-    name : str
-        Identifier.
     version : int
         Counts from 1; every rung is a version.
-    machine, campaign : str
-        Where it was fitted.
     action : str
         What made this version, for example ``add backlash``.
-    terms : tuple of Term
-        Effects and shapes.
-    estimates : tuple of Estimate
-        Parameters.
     setups : tuple of dict
         Centre and radius of every set-up.
     box : ValidityBox
@@ -165,19 +155,7 @@ def data_lines(data: Mapping[str, Any]) -> list[str]:
 
 
 def twin_of(fit: Fit, obs: Observations, *, name: str, version: int, action: str, data: Mapping[str, Any]) -> Twin:
-    """Freeze a fit as a version of a twin.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    obs : Observations
-        The runs.
-    name, version, action : str, int, str
-        Identity, and what made it.
-    data : dict
-        Where the runs came from.
-    """
+    """Freeze a fit as a version of a twin."""
     before = localise.residual_um(obs, [])
     return Twin(
         name=name,
@@ -215,8 +193,6 @@ def by_condition(obs: Observations, before_um: Floats, after_um: Floats) -> tupl
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     before_um, after_um : ndarray, shape (rows, n)
         Residuals.
     """
@@ -240,8 +216,6 @@ def predict_um(twin: Twin, obs: Observations) -> Floats:
 
     Parameters
     ----------
-    twin : Twin
-        The twin.
     obs : Observations
         Runs; what was measured does not matter.
 
@@ -260,8 +234,6 @@ def frozen_residual_um(twin: Twin, obs: Observations) -> Floats:
 
     Parameters
     ----------
-    twin : Twin
-        The twin.
     obs : Observations
         Runs, not necessarily those of the fit.
 
@@ -279,10 +251,6 @@ def chosen_terms(names: Sequence[str], library: Mapping[str, Effect], obs: Obser
     ----------
     names : sequence of str
         Names; ``name:axis`` takes one axis. Set-up terms are always fitted and may be named.
-    library : mapping of str to Effect
-        Effects by name.
-    obs : Observations
-        The runs.
     axis : str
         Take this axis only.
 

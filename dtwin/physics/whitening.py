@@ -91,19 +91,10 @@ def condition_sums(rows: Floats, condition_of: Indices) -> Floats:
 def within_condition(rows: Floats, condition_of: Indices) -> tuple[Floats, Indices]:
     """Return deviations from the mean of the condition, inflated to the variance of one run.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (rows, ...)
-        Values of each row.
-    condition_of : ndarray of int, shape (rows,)
-        Its condition.
-
-    Returns
-    -------
-    deviations : ndarray, shape (rows, ...)
-        Times sqrt(m / (m - 1)); zero where nothing was repeated.
-    count : ndarray of int, shape (rows,)
-        Number of rows of the condition.
+    ``rows``, (rows, ...): values of each row.
+    ``condition_of``, (rows,): its condition.
+    Returns ``deviations`` (rows, ...): times sqrt(m / (m - 1)); zero where nothing was repeated.
+    Returns ``count`` (rows,): number of rows of the condition.
     """
     count = np.bincount(condition_of)
     mean = condition_sums(rows, condition_of)

@@ -18,15 +18,6 @@ from dtwin.schema import Floats, Run
 def campaign_figures(home: Home, campaign: str, progress: Progress | None = None) -> dict[str, Any]:
     """Return figures and findings of every run of a campaign in the lake.
 
-    Parameters
-    ----------
-    home : Home
-        Gives the lake.
-    campaign : str
-        Name of the campaign.
-    progress : callable, optional
-        Called with (done, total, what).
-
     Returns
     -------
     dict
@@ -65,12 +56,8 @@ def error_curves(home: Home, campaign: str, most: int = 6) -> dict[str, dict[str
 
     Parameters
     ----------
-    home : Home
-        Gives the lake.
     campaign : str
         Name of a circular campaign; another kind gives nothing.
-    most : int
-        Number of conditions.
 
     Returns
     -------

@@ -32,8 +32,6 @@ class CampaignRequest:
 
     Attributes
     ----------
-    plan : Plan
-        Tests in order.
     inbox : Path
         Folder that the reference instrument's program writes to.
     out : Path, optional
@@ -64,10 +62,6 @@ def run_request(
 
     Parameters
     ----------
-    home : Home
-        Where everything is kept.
-    request : CampaignRequest
-        What to measure.
     desk_of : callable
         Returns the operator's desk for a campaign folder.
     asked : callable
@@ -115,16 +109,8 @@ def _campaign_head(
 ) -> dict[str, Mapping[str, Any]]:
     """Return what the campaign file says of machine and instrument, as far as it is known.
 
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    machine : str
-        The machine.
-    robot : str, optional
-        Address of its controller, which is asked whether it is a real one.
-    version : RegisteredVersion, optional
-        Says most; else the newest campaign of the machine.
+    ``robot``: address of its controller, which is asked whether it is a real one.
+    ``version``: says most; else the newest campaign of the machine.
     """
     head: dict[str, dict[str, Any]] = {}
     if version is not None:

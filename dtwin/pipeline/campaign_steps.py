@@ -19,20 +19,8 @@ from dtwin.train.evidence import FEWEST_REPEATS, FEWEST_RUNS
 class Step:
     """One program that an operator runs once.
 
-    Attributes
-    ----------
-    run_id : str
-        Name of the run in the campaign.
-    title : str
-        What it is, for people.
-    programs : dict of str to str
-        Text of the program in each language, by file name.
-    stated : dict
-        What the campaign file states of the run.
-    correction : str
-        ``Bundle.model_sha256`` of the model that must be served meanwhile, empty for none.
-    serve : str
-        Command that serves it.
+    ``programs``: text of the program in each language, by file name.
+    ``correction``: ``Bundle.model_sha256`` of the model that must be served meanwhile, empty for none.
     """
 
     run_id: str
@@ -65,17 +53,7 @@ def by_turns(plan: Plan, correction: str, serve: str) -> tuple[Step, ...]:
 
     The order within each pair is drawn from the plan's seed.
 
-    Parameters
-    ----------
-    plan : Plan
-        Circles.
-    correction, serve : str
-        As for :class:`Step`.
-
-    Raises
-    ------
-    InputError
-        When the plan repeats too little for evidence.
+    ``correction``, ``serve``: as for :class:`Step`.
     """
     counts = Counter((t.plane, t.radius_mm, t.feed_mm_min) for t in plan.tests)
     least = min(counts.values())

@@ -43,12 +43,8 @@ Do = Callable[[str, int, str], dict[str, Any]]
 class Outcome:
     """What became of a job.
 
-    Attributes
-    ----------
-    state : dict
-        State of the cell at the end.
-    stopped : str
-        Why it stopped before its end; empty when all steps are done.
+    ``state``: state of the cell at the end.
+    ``stopped``: why it stopped before its end; empty when all steps are done.
     """
 
     state: dict[str, Any]
@@ -63,8 +59,6 @@ def run_job(cell: CellFile, do: Do | None = None) -> Outcome:
 
     Parameters
     ----------
-    cell : CellFile
-        The cell, with a job.
     do : callable, optional
         ``do(step, part, twin)`` does one step and returns its result; by default here and now.
 
@@ -110,8 +104,6 @@ def do_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:
         One of ``STEPS``, and the twin that is live in it.
     part : int
         From 1.
-    seed : int
-        Of both machines.
 
     Raises
     ------
@@ -137,13 +129,7 @@ def do_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:
 
 
 def status(cell: CellFile) -> dict[str, Any]:
-    """Return the one view of a cell: every step, the live twin, whether it runs or was asked to stop.
-
-    Parameters
-    ----------
-    cell : CellFile
-        The cell.
-    """
+    """Return the one view of a cell: every step, the live twin, whether it runs or was asked to stop."""
     state = cell.read()
     running = cell.running
     left = next_step(state)

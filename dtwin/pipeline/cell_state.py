@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -13,6 +12,7 @@ from typing import Any
 from dtwin.atomic import write_text
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
+from dtwin.locks import locked
 from dtwin.schema import require_name
 
 COBOT, MILL, NONE = "cobot", "mill", "none"
@@ -30,15 +30,7 @@ _MOST_PARTS = 100
 
 
 class CellFile:
-    """The state of one cell below ``DTWIN_HOME/cells``.
-
-    Parameters
-    ----------
-    home : Home
-        Where it is.
-    name : str
-        Name of the cell.
-    """
+    """The state of one cell below ``DTWIN_HOME/cells``."""
 
     def __init__(self, home: Home, name: str) -> None:
         self.folder = home.root / "cells" / require_name(name, "the cell")
@@ -147,17 +139,14 @@ class CellFile:
         InputError
             When another process holds it.
         """
-        self.folder.mkdir(parents=True, exist_ok=True)
-        with (self.folder / "lock").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
+        with locked(self.folder / "lock") as mine:
+            if not mine:
                 raise InputError(
                     "the cell is running already",
                     code="cell.busy",
                     where=self.name,
                     hint=f"dtwin cell status --cell {self.name}",
-                ) from error
+                )
             yield
 
     @property

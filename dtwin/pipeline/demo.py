@@ -49,14 +49,7 @@ class Screen(Protocol):
 class DemoSize:
     """How much is measured.
 
-    Attributes
-    ----------
-    plan : Plan
-        Training campaign.
-    evidence : EvidencePlan
-        Circles with and without correction.
-    serve_s : float
-        Time on the wall clock.
+    ``evidence``: circles with and without correction.
     """
 
     plan: Plan
@@ -88,14 +81,6 @@ def run_demo(
 
     Parameters
     ----------
-    home : Home
-        Where everything is kept.
-    screen : Screen
-        Shows progress and results.
-    size : DemoSize
-        How much is measured.
-    seed : int
-        Seed of the virtual machine.
     steps : Steps, optional
         Does the steps; plain functions without.
 

@@ -79,10 +79,6 @@ class Steps(Protocol):
 
         Parameters
         ----------
-        name : str
-            One word.
-        title : str
-            For people.
         do : callable
             The step; calls the methods of the work that it is given.
         """
@@ -94,29 +90,22 @@ class PlainSteps:
 
     Parameters
     ----------
-    home : Home
-        Where everything is kept.
     progress : callable
         Returns a progress callback for a title.
     """
 
     def __init__(self, home: Home, progress: ProgressOf) -> None:
-        self._work = PlainWork(home, progress)
+        self._work = _PlainWork(home, progress)
 
     def step(self, name: str, title: str, do: Callable[[Work], Result]) -> Result:
         """Do one step; see ``Steps``."""
         return do(self._work)
 
 
-class PlainWork:
+class _PlainWork:
     """``Work`` by the functions of ``dtwin.pipeline``.
 
-    Parameters
-    ----------
-    home : Home
-        Where everything is kept.
-    progress : callable
-        Returns a progress callback for a title.
+    ``progress``: returns a progress callback for a title.
     """
 
     def __init__(self, home: Home, progress: ProgressOf) -> None:

@@ -27,22 +27,7 @@ DONE, REPEAT, KEEP = "done", "repeat", "keep"
 class Question:
     """What an operator is asked to do or to say.
 
-    Attributes
-    ----------
-    run : str
-        Run that it is about.
-    text : str
-        In words.
-    answers : tuple of str
-        What may be answered, the usual one first.
-    programs : tuple of str
-        Programs that were handed out.
-    step, steps : int
-        Which one of how many.
-    id : str
-        Its own.
-    pid : int
-        Process that asks.
+    ``answers``: what may be answered, the usual one first.
     """
 
     run: str
@@ -60,10 +45,6 @@ class Desk:
 
     Parameters
     ----------
-    folder : Path
-        Campaign folder.
-    show : callable
-        Shows a line to the operator.
     typed : callable
         Returns what was typed since the last time, None when nothing was; an empty line means the
         usual answer.
@@ -113,15 +94,7 @@ def open_question(folder: Path) -> Mapping[str, Any] | None:
 
 
 def enter_desk(home: Home, folder: Path) -> None:
-    """Remember where a campaign is measured, so that the browser finds its desk.
-
-    Parameters
-    ----------
-    home : Home
-        Whose workbench shows it.
-    folder : Path
-        Campaign folder.
-    """
+    """Remember where a campaign is measured, so that the browser finds its desk."""
     place = str(folder.resolve())
     name = hashlib.sha256(place.encode()).hexdigest()[:16]
     write_text(home.root / "desks" / name, place, "where the campaign is measured")
@@ -147,15 +120,6 @@ def _alive(pid: object) -> bool:
 
 def give_answer(folder: Path, question_id: str, answer: str) -> None:
     """Answer a question.
-
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder.
-    question_id : str
-        Of the question that is answered.
-    answer : str
-        One of its answers.
 
     Raises
     ------

@@ -14,26 +14,17 @@ from dtwin.schema import Floats, Run
 
 # The sensor's coupling, and the usual window: 800 samples at 1651.6 Hz.
 _COUPLING_HZ = 0.5
-WINDOW_S = 800 / 1651.6
+_WINDOW_S = 800 / 1651.6
 
 
 @dataclass(frozen=True)
 class IntegrationCheck:
     """What double integration answers for a known error, with ideal sensors.
 
-    Attributes
-    ----------
-    run : str
-        Which run's error was sent through the chain.
-    error_um : float
-        RMS of that error.
-    answer_um : float
-        RMS of what the chain answers: every restart begins with an unknown velocity.
-    filtered_um, filtered_correlation : float
-        The same with the spectral threshold at which a particle swarm found least loss, and
-        how that answer correlates with the error.
-    cutoff_g2 : float
-        That threshold.
+    ``run``: which run's error was sent through the chain.
+    ``answer_um``: RMS of what the chain answers: every restart begins with an unknown velocity.
+    ``filtered_um``, ``filtered_correlation``: the same with the spectral threshold at which a particle swarm found
+    least loss, and how that answer correlates with the error.
     """
 
     run: str
@@ -51,7 +42,7 @@ class IntegrationCheck:
         """Return one sentence."""
         return (
             f"double integration of ideal accelerations ({_COUPLING_HZ:g} Hz coupling, restarted "
-            f"every {1000 * WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} um RMS for this "
+            f"every {1000 * _WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} um RMS for this "
             f"error of {self.error_um:z.0f} um; with the spectral threshold that a particle swarm "
             f"finds best, {self.filtered_um:z.1f} um that correlate {self.filtered_correlation:z.2f} "
             "with it"
@@ -61,14 +52,11 @@ class IntegrationCheck:
 def _check_integration(run: Run) -> IntegrationCheck:
     """Send a run's measured error through coupling, threshold and restarted integration.
 
-    Parameters
-    ----------
-    run : Run
-        A circular run; the error is what remains after its centre and radius.
+    ``run``: a circular run; the error is what remains after its centre and radius.
     """
     error_mm = _error_mm(run)
     rate_hz = run.meta.sample_rate_hz
-    window = max(2, round(WINDOW_S * rate_hz))
+    window = max(2, round(_WINDOW_S * rate_hz))
 
     def seen(cutoff_g2: float) -> Visibility:
         return displacement_visibility(error_mm, rate_hz, window, corner_hz=_COUPLING_HZ, cutoff_power=cutoff_g2)

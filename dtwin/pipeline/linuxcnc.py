@@ -32,10 +32,6 @@ class LiveTrace:
 
     Attributes
     ----------
-    trace : Trace
-        The turn.
-    status : ServeStatus
-        Of the loop.
     trips : int
         How often the component in the controller dropped the correction while it ran.
     """
@@ -50,10 +46,6 @@ class LiveCorrection:
 
     Parameters
     ----------
-    session : LinuxcncSession
-        Opened.
-    bundle : Bundle
-        What is served.
     covariates : dict of str to float
         Logged channels that it asks for.
     """
@@ -118,14 +110,8 @@ def measure_live(
 
     Parameters
     ----------
-    session : LinuxcncSession
-        Opened.
-    bundle : Bundle
-        What is served.
     circles : sequence of Circle
         In order.
-    progress : callable, optional
-        Called with (done, total, what).
     """
     live = LiveCorrection(session, bundle)
     out = []
@@ -142,13 +128,7 @@ def named(circle: Circle) -> str:
 
 
 def served_figures(measured: Sequence[LiveTrace]) -> dict[str, Any]:
-    """Return how serving went over several circles.
-
-    Parameters
-    ----------
-    measured : sequence of LiveTrace
-        The circles.
-    """
+    """Return how serving went over several circles."""
     acted: dict[str, int] = {}
     for found in measured:
         for reason, count in found.status.reasons.items():

@@ -29,7 +29,7 @@ from dtwin.pipeline.desk import DONE, KEEP, REPEAT, Desk, Question
 from dtwin.schema import Finding, Run
 
 _STATE = "campaign-state.json"
-SUFFIX = ".b5r"
+_SUFFIX = ".b5r"
 _POLL_S = 0.5
 _CLOSE = 1e-3
 
@@ -38,26 +38,14 @@ _CLOSE = 1e-3
 class Job:
     """A campaign to be measured.
 
-    Attributes
-    ----------
-    name, machine : str
-        Of the campaign.
-    folder : Path
-        Campaign folder; created.
-    inbox : Path
-        Folder that the reference instrument's program writes its files to.
-    steps : tuple of Step
-        In order.
-    head : mapping
-        Tables ``machine_geometry`` and ``instrument`` of the campaign file.
-    instruments : callable
-        Returns what records sensors and controller meanwhile, closed; called for every run.
-    in_force : callable
-        Tells which correction was in force between two times.
-    serving_now : callable
-        Tells which one is in force now.
-    settle_s : float
-        Time for which a file must stand still before it is taken, unless the operator says ``done``.
+    ``folder``: campaign folder; created.
+    ``inbox``: folder that the reference instrument's program writes its files to.
+    ``steps``: in order.
+    ``head``: tables ``machine_geometry`` and ``instrument`` of the campaign file.
+    ``instruments``: returns what records sensors and controller meanwhile, closed; called for every run.
+    ``in_force``: tells which correction was in force between two times.
+    ``serving_now``: tells which one is in force now.
+    ``settle_s``: time for which a file must stand still before it is taken, unless the operator says ``done``.
     """
 
     name: str
@@ -85,28 +73,8 @@ class _State:
 def measure_campaign(job: Job, desk: Desk, asked: Callable[[], bool]) -> dict[str, Any]:
     """Measure what a folder lacks of a campaign.
 
-    Parameters
-    ----------
-    job : Job
-        What, where, how.
-    desk : Desk
-        The operator's.
-    asked : callable
-        Whether to stop; asked several times a second.
-
-    Returns
-    -------
-    dict
-        JSON-ready: ``folder``, ``measured``, ``kept``, ``set_aside``, and ``findings`` by run.
-
-    Raises
-    ------
-    Interrupted
-        When it was asked to stop; what was measured stays.
-    InputError, StoreError
-        When the folder belongs to another plan, or a folder cannot be read or written.
-    DeviceError
-        When an instrument is absent.
+    ``asked``: whether to stop; asked several times a second.
+    JSON-ready: ``folder``, ``measured``, ``kept``, ``set_aside``, and ``findings`` by run.
     """
     return _Campaign(job, desk, asked).run()
 
@@ -179,7 +147,7 @@ class _Campaign:
             ]
         )
         question = Question(step.run_id, told, (DONE,), tuple(map(str, programs)), number, len(job.steps))
-        reference = f"{step.run_id}{SUFFIX}"
+        reference = f"{step.run_id}{_SUFFIX}"
         request = RunRequest(
             job.folder, job.name, job.machine, step.run_id, None, reference, step.stated, job.head, job.in_force
         )
@@ -370,7 +338,7 @@ def _differ(one: object, other: object) -> bool:
 
 
 def _is_reference(path: Path) -> bool:
-    return path.suffix.lower() == SUFFIX
+    return path.suffix.lower() == _SUFFIX
 
 
 def _written(folder: Path, step: Step) -> list[Path]:

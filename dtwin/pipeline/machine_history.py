@@ -35,10 +35,6 @@ def machine_history(
     ----------
     home : Home
         Of the lake, the records, the twins and the bundles.
-    machine : str
-        As campaigns name it.
-    progress : callable, optional
-        Called with (done, total, what).
     sheet_of : callable, optional
         Returns the test sheet of a campaign where it is kept; else it is made of the runs.
 

@@ -31,16 +31,12 @@ class FeatureReport:
 
     Attributes
     ----------
-    campaign : str
-        Name of the campaign.
     runs, windows : int
         Runs that have accelerometers, and windows in all.
     contract : WindowContract or None
         Window and features; None without accelerometers.
     not_finite, constant : int
         Windows of a channel that hold no usable signal.
-    version : int
-        Version of the table ``features``.
     """
 
     campaign: str
@@ -53,38 +49,14 @@ class FeatureReport:
 
 
 def simulate(plan: Plan, out: Path, *, seed: int = 0, progress: Progress | None = None) -> CampaignRun:
-    """Measure a plan on the virtual cobot, on the machine clock.
-
-    Parameters
-    ----------
-    plan : Plan
-        What to measure.
-    out : Path
-        Campaign folder.
-    seed : int
-        Seed of the machine.
-    progress : callable, optional
-        Called with (done, total, what).
-    """
+    """Measure a plan on the virtual cobot, on the machine clock."""
     return run_campaign(plan, VirtualCobotBench(seed), out, progress)
 
 
 def ingest(
     path: Path, home: Home, progress: Progress | None = None, told: Mapping[str, Any] | None = None
 ) -> IngestReport:
-    """Bring a campaign folder, a ball-bar file or a table that lies alone into the lake.
-
-    Parameters
-    ----------
-    path : Path
-        What to ingest.
-    home : Home
-        Gives the lake.
-    progress : callable, optional
-        Called with (done, total, what).
-    told : mapping, optional
-        What is told of a table that lies alone.
-    """
+    """Bring a campaign folder, a ball-bar file or a table that lies alone into the lake."""
     return ingest_path(path, Lake(home.lake), progress, told)
 
 
@@ -93,15 +65,6 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
 
     Features of a run are written once per window contract and content; a repeated call adds
     nothing.
-
-    Parameters
-    ----------
-    home : Home
-        Gives the lake.
-    campaign : str
-        Name of the campaign.
-    progress : callable, optional
-        Called with (done, total, what).
 
     Raises
     ------
@@ -155,12 +118,7 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
 def _contract_for(rate_hz: float, columns: tuple[str, ...]) -> WindowContract:
     """Return the window contract for accelerometers of a rate.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Sample rate.
-    columns : tuple of str
-        Columns of the signal group; those in g are used.
+    ``columns``: columns of the signal group; those in g are used.
     """
     return WindowContract(
         rate_hz=rate_hz,

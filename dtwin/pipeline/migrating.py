@@ -36,18 +36,9 @@ _DOCUMENT = 50_000_000
 class Migrated:
     """What was taken over.
 
-    Attributes
-    ----------
-    campaigns : tuple of str
-        Campaigns of the lake.
-    n_runs : int
-        Their runs.
-    documents : int
-        Versions of twins and what was stored with them.
-    machines : tuple of str
-        Machines whose champion, trial and geometry were sealed as they are.
-    before : Path or None
-        The lake as it was; None when it was of this version already.
+    ``documents``: versions of twins and what was stored with them.
+    ``machines``: machines whose champion, trial and geometry were sealed as they are.
+    ``before``: the lake as it was; None when it was of this version already.
     """
 
     campaigns: tuple[str, ...]
@@ -63,13 +54,6 @@ def migrate(home: Home, progress: Progress) -> Migrated:
     The lake is written anew beside the old one, which stays. Every run is compared with the hash that
     its ingest stored. Features are not taken over: ``dtwin features`` makes them again. Can be repeated
     after a kill.
-
-    Parameters
-    ----------
-    home : Home
-        The home.
-    progress : callable
-        Told what is done.
 
     Raises
     ------

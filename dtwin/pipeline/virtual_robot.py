@@ -18,14 +18,8 @@ from dtwin.links.ur_worker import RTDE_PORT
 _START_S = 60.0
 
 
-def free_address() -> str:
-    """Return a loopback address whose RTDE port is free; UR clients cannot choose the port.
-
-    Raises
-    ------
-    DeviceError
-        When none of a hundred addresses is free.
-    """
+def _free_address() -> str:
+    """Return a loopback address whose RTDE port is free; UR clients cannot choose the port."""
     start = os.getpid()
     for count in range(100):
         number = start + count
@@ -42,21 +36,9 @@ def virtual_controller(
 ) -> Iterator[str]:
     """Run the virtual controller while the body runs, and give its address.
 
-    Parameters
-    ----------
-    plane, radius_mm, feed_mm_min
-        Circle that it runs again and again.
-    seed : int
-        Seed of the machine.
-    log : Path, optional
-        Where its messages go.
-
-    Raises
-    ------
-    DeviceError
-        When it does not start.
+    ``plane``, ``radius_mm``, ``feed_mm_min``: circle that it runs again and again.
     """
-    host = free_address()
+    host = _free_address()
     command = [
         sys.executable,
         "-m",

@@ -25,16 +25,10 @@ def serve_wall_clock(home: Home, machine: str, circle: Circle, duration_s: float
 
     Parameters
     ----------
-    home : Home
-        Bundles.
-    machine : str
-        The machine.
     circle : tuple
         Plane, radius in mm and feed in mm/min that the robot runs.
     duration_s : float
         For how long, in s.
-    seed : int
-        Seed of the machine.
 
     Returns
     -------

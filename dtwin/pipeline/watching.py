@@ -19,7 +19,7 @@ from dtwin.lake.store import Lake
 from dtwin.locks import locked
 
 Outcome = Literal["ingested", "unchanged", "unknown machine", "not accepted", "not reachable"]
-SETTLE_S = 10.0
+_SETTLE_S = 10.0
 _ALONE = (".b5r",)
 
 
@@ -29,13 +29,9 @@ class WatchEvent:
 
     Attributes
     ----------
-    path : str
-        What arrived.
     outcome : str
         ``ingested``, ``unchanged`` (the same content was there), ``unknown machine`` (left where it
         is), ``not accepted`` (the reader says no), ``not reachable`` (the folder cannot be read).
-    message : str
-        For people.
     campaign : str
         Campaign in the lake, empty when nothing was ingested.
     """
@@ -55,8 +51,6 @@ class FolderWatch:
 
     Parameters
     ----------
-    folder : Path
-        What is watched.
     home : Home
         Lake, and what is known of the folder's files.
     machines : collection of str
@@ -65,7 +59,7 @@ class FolderWatch:
         Time for which a file must stand still before it is read.
     """
 
-    def __init__(self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = SETTLE_S) -> None:
+    def __init__(self, folder: Path, home: Home, machines: Collection[str] = (), settle_s: float = _SETTLE_S) -> None:
         self._arrivals = Arrivals(folder, settle_s, lambda path: path.suffix.lower() in _ALONE)
         self._home, self._named = home, frozenset(machines)
         self._file = _state_file(home, folder)
@@ -174,14 +168,10 @@ def watch(
 
     Parameters
     ----------
-    folder_watch : FolderWatch
-        What is watched.
     tell : callable
         Is told of everything that happened.
     wait : callable
         Waits so many seconds; true ends the watch.
-    every_s : float
-        Time between two looks.
     once : bool
         End when everything that is there has been taken or refused.
     """

@@ -29,8 +29,6 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
 
     Parameters
     ----------
-    path : Path
-        The file.
     result : mapping
         What ``check_source`` returned for it.
     """
@@ -80,13 +78,7 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
 
 
 def training_section(report: TrainingReport) -> Section:
-    """Return the section about candidates: comparison, front, equation.
-
-    Parameters
-    ----------
-    report : TrainingReport
-        A training.
-    """
+    """Return the section about candidates: comparison, front, equation."""
     proposed = report.candidate(report.proposed)
     points = [
         {

@@ -33,13 +33,7 @@ def no_tolerances(machine: str) -> Mapping[str, Limits]:
 
 
 def sheet_of(kind: Kind, campaign: Campaign, runs: Sequence[Run], limits: Mapping[str, Limits]) -> dict[str, Any]:
-    """Return the test sheet of runs with their findings, JSON-ready.
-
-    Raises
-    ------
-    InputError
-        When the instrument's ``uncertainty_um`` is no size.
-    """
+    """Return the test sheet of runs with their findings, JSON-ready."""
     stated = campaign.instrument.get("uncertainty_um")
     if stated is not None and not (isinstance(stated, int | float) and 0.0 <= stated < 1e6):
         raise InputError(
@@ -64,8 +58,6 @@ def check_source(
     ----------
     path : Path
         A ``.b5r`` file, a campaign folder or a table that lies alone.
-    progress : callable, optional
-        Called with (done, total, what).
     told : mapping, optional
         What is told of a table that lies alone.
     tolerances : callable
@@ -196,13 +188,7 @@ def _bidirectional(runs: Sequence[Run]) -> list[dict[str, Any]]:
 
 
 def render_check(result: dict[str, Any]) -> str:
-    """Return the result of :func:`check_source` as text for a terminal.
-
-    Parameters
-    ----------
-    result : dict
-        What :func:`check_source` returned.
-    """
+    """Return the result of :func:`check_source` as text for a terminal."""
     runs = result["runs"]
     lines = [f"{result['source']}: machine {result['machine']}, {len(runs)} runs"]
     lines += ["", *sheet_lines(result["sheet"])] if "sheet" in result else []

@@ -19,10 +19,7 @@ _COLOURS = dict(zip(_SHOWN, ("measured", "second", "third", "fourth"), strict=Tr
 def encoder_text(found: Mapping[str, Any]) -> str:
     """Return the split for the terminal.
 
-    Parameters
-    ----------
-    found : mapping
-        ``encoder_split`` of a comparison.
+    ``found``: ``encoder_split`` of a comparison.
     """
     head, rows = _cells(found)
     lines = ["", f"measured error by who can see it, um RMS +- noise floor; {_said(found)}"]

@@ -56,8 +56,6 @@ class Table:
     ----------
     head : sequence of str
         Column titles.
-    rows : sequence of sequence of str
-        Cells.
     """
 
     head: Sequence[str]
@@ -70,14 +68,8 @@ class Section:
 
     Attributes
     ----------
-    title : str
-        Heading.
-    paragraphs : sequence of str
-        Plain text.
     findings : sequence of (severity, text)
         Shown in the colour of their severity.
-    tables : sequence of Table
-    figures : sequence of plotly Figure
     code : sequence of str
         Shown as they are.
     """
@@ -95,8 +87,6 @@ def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
 
     Parameters
     ----------
-    title, subtitle : str
-        Heading and the line below it.
     sections : sequence of Section
         Content. All text is escaped: names from files cannot become markup.
     """

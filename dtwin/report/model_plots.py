@@ -24,8 +24,6 @@ def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Fig
     ----------
     evidence : mapping
         As ``Evidence.as_dict`` gives it.
-    title : str
-        What the errors are.
     """
     conditions = evidence["conditions"]
     names = [condition_name(c) + (" *" if c["trained"] is False else "") for c in conditions]

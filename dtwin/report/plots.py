@@ -34,10 +34,6 @@ def polar_figure(
     ----------
     traces : mapping of str to (angle_deg, deviation_um)
         Curves by name, arrays of shape (n,).
-    radius_mm : float
-        Nominal radius.
-    title : str
-        Heading.
     magnification : float, optional
         Drawn millimetres per millimetre of error; chosen from the largest error when left out.
     floor_um : float, optional
@@ -138,12 +134,8 @@ def error_figure(
     ----------
     traces : mapping of str to (angle_deg, error_um)
         Curves by name.
-    title : str
-        Heading.
     floor_um : float, optional
         Noise floor, drawn as a band; NaN says that it is not known.
-    x_title : str
-        What is across, with its unit.
     """
     figure = go.Figure()
     for colour, (name, (angle, error)) in zip(_PALETTE * 4, traces.items(), strict=False):
@@ -219,8 +211,6 @@ def spectrum_figure(frequency_hz: Floats, amplitude_um: Floats, floor_um: float,
         The spectrum.
     floor_um : float
         Level that noise alone rarely exceeds; NaN when it is not known.
-    title : str
-        Heading.
     """
     figure = go.Figure(
         go.Scatter(
@@ -251,8 +241,6 @@ def magnification_for(largest_um: float, radius_mm: float) -> float:
     ----------
     largest_um : float
         Largest error that is to be drawn.
-    radius_mm : float
-        Nominal radius.
     """
     return _round_factor(0.35 * radius_mm * 1000.0 / max(largest_um, 1e-9))
 

@@ -36,8 +36,6 @@ class Characteristic:
         Degrees of freedom of that.
     expanded_um : float
         Half width that covers 95 %, NaN when it is not known.
-    limits : Limits or None
-        What is allowed.
     """
 
     symbol: str
@@ -90,11 +88,6 @@ class Part:
 
     Attributes
     ----------
-    title : str
-        The condition.
-    runs : tuple of str
-        Runs that were evaluated.
-    characteristics : tuple of Characteristic
     sound : bool
         Whether the runs are free of errors of quality; otherwise nothing is decided.
     """
@@ -111,11 +104,8 @@ class Sheet:
 
     Attributes
     ----------
-    standard : str
     headline : str
         Symbol of the figure that stands for the whole.
-    parts : tuple of Part
-        One for each condition.
     basis : str
         Where the uncertainty comes from, and what is not in it.
     notes : tuple of str
@@ -200,14 +190,8 @@ def pooled(parts: Iterable[Part]) -> tuple[Part, ...]:
 def judged(sheet: Sheet, instrument_um: float | None, limits: Mapping[str, Limits]) -> Sheet:
     """Return the sheet with uncertainties, limits and decisions.
 
-    Parameters
-    ----------
-    sheet : Sheet
-        As a kind of campaign evaluated it.
-    instrument_um : float, optional
-        Expanded uncertainty (k = 2) of a difference of two readings, from the instrument's certificate.
-    limits : mapping
-        Limits by symbol.
+    ``sheet``: as a kind of campaign evaluated it.
+    ``instrument_um``: expanded uncertainty (k = 2) of a difference of two readings, from the instrument's certificate.
     """
 
     def complete(c: Characteristic, sound: bool) -> Characteristic:

@@ -59,10 +59,10 @@ def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
     for way, curve in curves.items():
         radius = _CIRCLE + _DRAWN * curve / largest
         x, y = middle + radius * np.cos(angle), middle - radius * np.sin(angle)
-        path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+        path = " ".join(f"{a:z.1f},{b:z.1f}" for a, b in zip(x, y, strict=True))
         dash = ' stroke-dasharray="6 3"' if way == "CW" else ""
         parts.append(
-            f'<polygon points="{path}" fill="none" stroke="{_COLOURS[way]}" stroke-width="{1.6 * _SIZE / max(width, 150):.1f}"{dash}/>'
+            f'<polygon points="{path}" fill="none" stroke="{_COLOURS[way]}" stroke-width="{1.6 * _SIZE / max(width, 150):z.1f}"{dash}/>'
         )
     return "".join([*parts, "</svg>"])
 

@@ -48,10 +48,6 @@ def overlay_figure(
     ----------
     curves : mapping of str to ndarray, shape (360,)
         Error over the angle by name, um, one value for each degree; NaN where not measured.
-    radius_mm : float
-        Nominal radius.
-    title : str
-        Heading.
     floor_um : float, optional
         Noise floor, drawn as a ring about the nominal circle; NaN says that it is not known.
     magnification : float, optional
@@ -114,8 +110,6 @@ def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, g
     ----------
     curves : mapping of str to ndarray, shape (n,)
         Error along the path by name, um; NaN where not measured.
-    title : str
-        Heading.
     floor_um : float
         Noise floor; NaN says that it is not known.
     grid : Grid
@@ -147,8 +141,6 @@ def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, t
         Error over a full turn, travel or period by name, um.
     floor_um : ndarray, shape (n // 2 + 1,), or None
         Amplitude by which repeats disagree; None when nothing was repeated.
-    title : str
-        Heading.
     most : int
         Highest harmonic that is shown.
     """
@@ -209,12 +201,8 @@ def residual_map(
     ----------
     means_um : ndarray, shape (conditions, n)
         Mean residual.
-    conditions : sequence of str
-        Names.
     floor_um : float
         Noise floor; where the mean is within two of its standard errors nothing is shown.
-    title : str
-        Heading.
     grid : Grid
         The points along the path; the degrees of a circle without.
     """

@@ -96,10 +96,7 @@ def twin_text(twin: Twin) -> str:
 def _floor_words(figures: Mapping[str, Any]) -> str:
     """Return the noise floor with its 95 % interval, each run counted once.
 
-    Parameters
-    ----------
-    figures : mapping
-        With ``noise_floor_um``, and ``noise_floor_dof`` where it is known.
+    ``figures``: with ``noise_floor_um``, and ``noise_floor_dof`` where it is known.
     """
     floor_um, dof = figures["noise_floor_um"], figures.get("noise_floor_dof", 0)
     if not dof:

@@ -23,8 +23,6 @@ class AnalogueWiring:
 
     Attributes
     ----------
-    port : str
-        Serial port of the board.
     states : str
         ``HOST:PORT`` of the control's state feed.
     calibration : Path or None
@@ -76,8 +74,6 @@ class AnalogueLink:
 
     Parameters
     ----------
-    wiring : AnalogueWiring
-        Port, feed and calibration.
     writes : bool
         Engage the board; false for a run that only looks.
     moves : bool

@@ -10,9 +10,9 @@ from dtwin.errors import DeviceError
 from dtwin.links import state as layout
 from dtwin.links.axis_link import AxisLink
 from dtwin.schema import Floats
-from dtwin.serve.axis_inputs import AxisInputs
+from dtwin.serve._axis_inputs import AxisInputs
+from dtwin.serve._end_of_serving import fault_of
 from dtwin.serve.decision import Decision
-from dtwin.serve.end_of_serving import fault_of
 from dtwin.serve.journal import LINK_LOST, Note, Sparing
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.lockstep import serve_lockstep
@@ -35,20 +35,12 @@ class LockstepControl:
     ----------
     link : AxisLink
         Open, with its first state received.
-    decision : Decision
-        What is served.
-    inputs : AxisInputs
-        Windows and watch.
     longest_s : float
         Machine time after which it is released.
     asked : callable
         Whether somebody asked for the end.
     withdrawn : callable
         A text says why the model may not be served any more.
-    board : LiveBoard or None
-        Shows ticks to other processes.
-    note : callable
-        Takes events.
 
     Attributes
     ----------
@@ -163,16 +155,6 @@ def serve_machine_clock(
 
     Parameters
     ----------
-    link : AxisLink
-        Open.
-    decision : Decision
-        What is served.
-    inputs : AxisInputs
-        What the control sends.
-    request : ServeRequest
-        Mode and duration, in machine time.
-    note : callable
-        Takes events.
     withdrawn, board, asked
         As for :class:`LockstepControl`.
     """

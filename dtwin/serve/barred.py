@@ -15,17 +15,6 @@ _LOOK_EVERY_S = 1.0
 def bar(machine: str, home: Home, version: int, reason: str) -> None:
     """Withdraw a version: sessions that serve it release and end, and none begins.
 
-    Parameters
-    ----------
-    machine : str
-        The machine.
-    home : Home
-        Where state lives.
-    version : int
-        Version in the registry.
-    reason : str
-        Why, for people.
-
     Raises
     ------
     StoreError

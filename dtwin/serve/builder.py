@@ -99,8 +99,6 @@ class GraphBuilder:
         ----------
         op : str
             Name in ``OPERATORS``, except ``pow_int`` and ``lookup``.
-        *terms : Expression or number
-            Arguments.
 
         Raises
         ------
@@ -131,8 +129,6 @@ class GraphBuilder:
 
         Parameters
         ----------
-        argument : Expression or number
-            Where to read.
         start, spacing : float
             Argument of the first value, and from one value to the next.
         values : sequence of float
@@ -158,8 +154,6 @@ class GraphBuilder:
 
         Parameters
         ----------
-        outputs : mapping of str to Expression or number
-            Outputs by name.
         updates : mapping of str to Expression or number, optional
             Next value of states by name.
 

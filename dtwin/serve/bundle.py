@@ -11,7 +11,7 @@ from typing import Any
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
-from dtwin.serve.fields import only_fields, text, whole
+from dtwin.serve.fields import only_fields, record, text, whole
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import (
     Input,
@@ -25,14 +25,13 @@ from dtwin.serve.interface import (
     read_output,
     read_provenance,
     read_safety,
-    read_state,
     read_vectors,
     sequence,
     wrong,
 )
 
-FORMAT = "dtwin-bundle"
-VERSION = 1
+_FORMAT = "dtwin-bundle"
+_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -41,22 +40,12 @@ class Bundle:
 
     Attributes
     ----------
-    name, machine, model_version, created : str, str, int, str
-        Identity.
-    inputs, outputs, states : tuple
-        Interface.
     window : WindowContract or None
         How feature inputs are made.
     window_graph : Graph or None
         From feature inputs to intermediate values, evaluated per hop and held.
     tick_graph : Graph
         From tick inputs, intermediate values and feature inputs to outputs, every tick.
-    safety : SafetyLimits
-        Limits.
-    provenance : Provenance
-        Origin and evidence.
-    vectors : TestVectors
-        Proof.
     corrects : str
         Kind of campaign that it was made of; empty in bundles from before 2026-11.
     """
@@ -142,8 +131,8 @@ class Bundle:
         # Left away where it is not known, so that the checksum of an older bundle still holds.
         told = {"corrects": self.corrects} if self.corrects else {}
         return told | {
-            "format": FORMAT,
-            "version": VERSION,
+            "format": _FORMAT,
+            "version": _VERSION,
             "name": self.name,
             "machine": self.machine,
             "model_version": self.model_version,
@@ -187,14 +176,14 @@ class Bundle:
         InputError
             When it is no bundle, was changed, or holds what cannot be served.
         """
-        if not isinstance(data, dict) or data.get("format") != FORMAT:
-            raise InputError("not a bundle", code="bundle.format", allowed=f'"format": "{FORMAT}"')
-        if data.get("version") != VERSION:
+        if not isinstance(data, dict) or data.get("format") != _FORMAT:
+            raise InputError("not a bundle", code="bundle.format", allowed=f'"format": "{_FORMAT}"')
+        if data.get("version") != _VERSION:
             raise InputError(
                 "a bundle of another version",
                 code="bundle.version",
                 got=repr(data.get("version"))[:40],
-                allowed=str(VERSION),
+                allowed=str(_VERSION),
             )
         told = ("corrects",) if "corrects" in data else ()
         fields = only_fields(data, (*_BODY_FIELDS, *told, "sha256"), "bundle")
@@ -211,9 +200,9 @@ class Bundle:
             machine=text(body["machine"], "machine"),
             model_version=whole(body["model_version"], "model_version"),
             created=text(body["created"], "created"),
-            inputs=tuple(read_input(i) for i in sequence(body["inputs"], "inputs")),
-            outputs=tuple(read_output(o) for o in sequence(body["outputs"], "outputs")),
-            states=tuple(read_state(s) for s in sequence(body["states"], "states")),
+            inputs=tuple(read_input(v, f"inputs[{i}]") for i, v in enumerate(sequence(body["inputs"], "inputs"))),
+            outputs=tuple(read_output(v, f"outputs[{i}]") for i, v in enumerate(sequence(body["outputs"], "outputs"))),
+            states=tuple(record(State, v, f"states[{i}]") for i, v in enumerate(sequence(body["states"], "states"))),
             window=None if body["window"] is None else WindowContract.from_dict(mapping(body["window"], "window")),
             window_graph=None
             if body["window_graph"] is None
@@ -249,13 +238,7 @@ _OF_THE_VERSION = ("model_version", "provenance")
 
 
 def checksum(body: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of the canonical JSON of a bundle's content.
-
-    Raises
-    ------
-    InputError
-        When the content holds a number that is not finite.
-    """
+    """Return the SHA-256 of the canonical JSON of a bundle's content."""
     try:
         plain = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
     except ValueError as error:

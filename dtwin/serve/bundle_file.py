@@ -102,8 +102,6 @@ def load_bundle(path: Path, machine: str | None = None, contract: WindowContract
 
     Parameters
     ----------
-    path : Path
-        A bundle's file.
     machine : str, optional
         Machine that will be served; a bundle of another one is refused.
     contract : WindowContract, optional
@@ -212,13 +210,6 @@ def read_bytes(path: Path, max_bytes: int) -> bytes:
 
 def parse_json(raw: bytes, path: Path) -> Any:
     """Return what JSON says, refusing NaN, infinity and repeated names.
-
-    Parameters
-    ----------
-    raw : bytes
-        The text.
-    path : Path
-        Where it stood, for messages.
 
     Raises
     ------

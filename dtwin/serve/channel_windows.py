@@ -15,15 +15,7 @@ from dtwin.schema import Floats
 class ChannelWindows:
     """The newest window of sampled channels, a hop after the one before.
 
-    Parameters
-    ----------
-    contract : WindowContract
-        What the model wants.
-
-    Attributes
-    ----------
-    ready : bool
-        Whether a whole window has come since the last :meth:`forget`.
+    ``ready``: whether a whole window has come since the last :meth:`forget`.
     """
 
     def __init__(self, contract: WindowContract) -> None:

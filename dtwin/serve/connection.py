@@ -10,8 +10,8 @@ from dtwin.errors import DeviceError, GateRefusal, InputError
 from dtwin.links.axis_link import AxisLink, Clock, Greeting
 from dtwin.links.ur import UrLink
 from dtwin.links.virtual_key import proves
+from dtwin.serve._axis_inputs import AxisInputs
 from dtwin.serve.analogue_link import AnalogueLink
-from dtwin.serve.axis_inputs import AxisInputs
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.controller_kind import is_loopback, is_virtual
 from dtwin.serve.loop import Mode
@@ -19,7 +19,7 @@ from dtwin.serve.machine_serving import RATE_HZ, OpenLink
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.serve_request import ServeRequest
 
-TRIAL_SHARE = 0.25
+_TRIAL_SHARE = 0.25
 """Share of a bundle's clamp that a trial may use."""
 
 _TRY_S = 0.2
@@ -28,21 +28,10 @@ _TRY_S = 0.2
 class Connection:
     """Opens a link to a robot or a board.
 
-    Parameters
-    ----------
-    request : ServeRequest
-        Which.
-    bundle : Bundle
-        Its evidence decides what may be moved.
-    trial : bool
-        Whether the clamp is tightened.
-
-    Attributes
-    ----------
-    device : {"", "real", "virtual"}
-        What answered.
-    realtime : bool
-        Whether the newest driver was given real-time priority.
+    ``bundle``: its evidence decides what may be moved.
+    ``trial``: whether the clamp is tightened.
+    ``device``: what answered.
+    ``realtime``: whether the newest driver was given real-time priority.
     """
 
     def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool) -> None:
@@ -88,14 +77,8 @@ class Connection:
 class AxisConnection(Connection):
     """Opens a link to a control that takes offsets of its axes.
 
-    Parameters
-    ----------
-    request, bundle, trial
-        As for :class:`Connection`.
-    inputs : AxisInputs
-        What the control must send.
-    home : Home
-        Where the key of virtual machines lies.
+    ``request``, ``bundle``, ``trial``: as for :class:`Connection`.
+    ``home``: where the key of virtual machines lies.
     """
 
     def __init__(self, request: ServeRequest, bundle: Bundle, trial: bool, inputs: AxisInputs, home: Home) -> None:
@@ -184,18 +167,12 @@ def _axis_of(frame: str) -> str:
 def with_trial_clamp(compiled: CompiledBundle) -> CompiledBundle:
     """Return the model with a quarter of its clamp."""
     bundle = compiled.bundle
-    safety = dataclasses.replace(bundle.safety, clamp_um=TRIAL_SHARE * bundle.safety.clamp_um)
+    safety = dataclasses.replace(bundle.safety, clamp_um=_TRIAL_SHARE * bundle.safety.clamp_um)
     return CompiledBundle(dataclasses.replace(bundle, safety=safety))
 
 
 def require_evidence(bundle: Bundle, device: str, *, mode: Mode, trial: bool) -> None:
-    """Refuse to move a real device on evidence from a virtual one, outside a trial.
-
-    Raises
-    ------
-    GateRefusal
-        When the bundle has no evidence from a real device.
-    """
+    """Refuse to move a real device on evidence from a virtual one, outside a trial."""
     evidence = bundle.provenance.evidence
     if device == "virtual" or mode != "live" or trial or evidence == "real":
         return

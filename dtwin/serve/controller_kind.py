@@ -38,8 +38,6 @@ def is_virtual(host: str, timeout_s: float = 2.0) -> bool:
 
     Parameters
     ----------
-    host : str
-        Address of the controller.
     timeout_s : float
         Longest wait for each answer.
     """

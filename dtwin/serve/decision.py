@@ -55,12 +55,8 @@ class Decision:
 
     Parameters
     ----------
-    compiled : CompiledBundle
-        The proved model.
     tcp_mm : ndarray, shape (3,)
         Tool centre point in the flange frame, for the levers of the joints.
-    covariates : mapping of str to float
-        Values of covariate inputs.
     sensors : SensorSource, optional
         Required when the bundle has feature inputs.
     live : LiveValues, optional
@@ -248,8 +244,6 @@ class Decision:
 
         Parameters
         ----------
-        elapsed_s : float
-            Time since the last decision.
         age_s : float
             Age of the last state; beyond the limit it counts as a fault.
         enabled : bool

@@ -13,25 +13,17 @@ _ERROR_SIGN = {"error": -1.0, "correction": 1.0}
 
 
 @compiled
-def correction_kernel(
+def _correction_kernel(
     outputs: Floats, frames: NDArray[np.int64], signs: Floats, angle_rad: float, plane_id: float, vector_um: Floats
 ) -> None:
     """Write the correction vector in the base frame.
 
-    Parameters
-    ----------
-    outputs : ndarray, shape (n_outputs,)
-        In um.
-    frames : ndarray of int64, shape (n_outputs,)
-        Position of each output's frame in ``OUTPUT_FRAMES``.
-    signs : ndarray, shape (n_outputs,)
-        -1 for a predicted error, +1 for a correction.
-    angle_rad : float
-        Path angle, from the plane's first axis towards its second.
-    plane_id : float
-        0, 1, 2 for XY, YZ, ZX; anything else gives NaN.
-    vector_um : ndarray, shape (3,)
-        Receives the correction along base x, y, z.
+    ``outputs``, (n_outputs,): in um.
+    ``frames``, (n_outputs,): position of each output's frame in ``OUTPUT_FRAMES``.
+    ``signs``, (n_outputs,): -1 for a predicted error, +1 for a correction.
+    ``angle_rad``: path angle, from the plane's first axis towards its second.
+    ``plane_id``: 0, 1, 2 for XY, YZ, ZX; anything else gives NaN.
+    ``vector_um``, (3,): receives the correction along base x, y, z.
     """
     vector_um[:] = 0.0
     if not (plane_id == 0.0 or plane_id == 1.0 or plane_id == 2.0):
@@ -61,7 +53,7 @@ def _kernel_many(
 ) -> None:
     """Write the correction vectors of successive ticks, shape (n, 3)."""
     for tick in range(outputs.shape[0]):
-        correction_kernel(outputs[tick], frames, signs, angle_rad[tick], plane_id, vectors_um[tick])
+        _correction_kernel(outputs[tick], frames, signs, angle_rad[tick], plane_id, vectors_um[tick])
 
 
 class Direction:
@@ -83,7 +75,7 @@ class Direction:
 
     def apply(self, outputs: Floats, angle_rad: float, plane_id: float) -> Floats:
         """Return the correction vector (3,) in um; the next call overwrites it."""
-        correction_kernel(outputs, self._frames, self._signs, angle_rad, plane_id, self.vector_um)
+        _correction_kernel(outputs, self._frames, self._signs, angle_rad, plane_id, self.vector_um)
         return self.vector_um
 
     def run(self, outputs: Floats, angle_rad: Floats, plane_id: float) -> Floats:
@@ -96,7 +88,7 @@ class Direction:
         angle_rad : ndarray, shape (n,)
             Path angles.
         plane_id : float
-            As in ``correction_kernel``.
+            As in ``_correction_kernel``.
         """
         vectors = np.empty((len(outputs), 3))
         _kernel_many(outputs, self._frames, self._signs, angle_rad, plane_id, vectors)

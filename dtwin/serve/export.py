@@ -9,23 +9,14 @@ from dataclasses import dataclass
 
 from dtwin.serve.graph import Graph, Node, Table
 
-_Render = Callable[..., str]
-
 
 @dataclass(frozen=True)
 class Style:
     """How one language writes leaves and operations; arguments come fully bracketed.
 
-    Attributes
-    ----------
-    number : callable
-        Writes a constant.
-    name : callable
-        Writes an input or a state.
-    operations : dict of str to str
-        Templates by operator, from ``operations_with``.
-    power, table, assign : str
-        Templates of a whole power, of a look-up, and of an assignment.
+    ``name``: writes an input or a state.
+    ``operations``: templates by operator, from ``operations_with``.
+    ``power``, ``table``, ``assign``: templates of a whole power, of a look-up, and of an assignment.
     """
 
     number: Callable[[float], str]
@@ -201,12 +192,8 @@ def to_c(
 
     Parameters
     ----------
-    graph : Graph
-        What to write.
     inputs, states, outputs : tuple of str
         Order of the three arrays.
-    name : str
-        Name of the function.
     """
 
     def leaf(node: Node) -> str:
@@ -256,16 +243,8 @@ def assignments(
 ) -> list[str]:
     """Return one assignment per shared term, then one per output and per update.
 
-    Parameters
-    ----------
-    graph : Graph
-        What to write.
-    style : Style
-        Of the language.
-    temporary : str
-        Template of the names of shared terms, numbered from 1.
-    output, update : callable
-        Write where an output, and the next value of a state, goes.
+    ``temporary``: template of the names of shared terms, numbered from 1.
+    ``output``, ``update``: write where an output, and the next value of a state, goes.
     """
     uses = Counter(a for node in graph.nodes for a in node.args)
     uses.update(a for node in graph.nodes if node.op == "square" for a in node.args)

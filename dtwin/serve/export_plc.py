@@ -81,14 +81,10 @@ def to_structured_text(
 
     Parameters
     ----------
-    graph : Graph
-        What to write.
     inputs : sequence of str
         Order of the inputs.
     states : dict of str to float
         States with their initial values; the block remembers them.
-    name : str
-        Name of the block.
 
     Raises
     ------
@@ -262,12 +258,8 @@ def to_urscript(graph: Graph, inputs: Sequence[str], states: Sequence[str], name
 
     Parameters
     ----------
-    graph : Graph
-        What to write.
     inputs, states : sequence of str
         Order of the arguments.
-    name : str
-        Name of the function.
 
     Raises
     ------

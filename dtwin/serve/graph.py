@@ -12,7 +12,7 @@ from dtwin.serve.fields import number, only_fields, text, whole
 from dtwin.serve.operators import LEAVES, MAX_POWER, OPERATORS, lookup, power
 
 _MAX_NODES = 4096
-MAX_DEPTH = 256
+_MAX_DEPTH = 256
 _MAX_TABLE_VALUES = 65536
 
 
@@ -20,14 +20,9 @@ _MAX_TABLE_VALUES = 65536
 class Table:
     """Values at uniform arguments.
 
-    Attributes
-    ----------
-    start, spacing : float
-        Argument of the first value, and from one value to the next.
-    values : tuple of float
-        At least two.
-    periodic : bool
-        Whether the last value is followed by the first; else the ends are held.
+    ``start``, ``spacing``: argument of the first value, and from one value to the next.
+    ``values``: at least two.
+    ``periodic``: whether the last value is followed by the first; else the ends are held.
     """
 
     start: float
@@ -48,8 +43,6 @@ class Node:
         Numbers of earlier nodes.
     value : float
         Of a ``const``.
-    name : str
-        Of an ``input`` or ``state``.
     n : int
         Exponent of a ``pow_int``; table number of a ``lookup``.
     """
@@ -69,8 +62,6 @@ class Graph:
     ----------
     nodes : tuple of Node
         Each refers to earlier nodes only.
-    outputs : dict of str to int
-        Node of each output.
     updates : dict of str to int
         Node of each state's next value; a state that is not named keeps its value.
     tables : tuple of Table
@@ -100,13 +91,7 @@ class Graph:
     def evaluate(
         self, inputs: Mapping[str, float], state: Mapping[str, float]
     ) -> tuple[dict[str, float], dict[str, float]]:
-        """Return outputs and next state, slowly, as the reference for the tape.
-
-        Parameters
-        ----------
-        inputs, state : mapping of str to float
-            Values by name.
-        """
+        """Return outputs and next state, slowly, as the reference for the tape."""
         values: list[float] = []
         for node in self.nodes:
             values.append(self._value(node, values, inputs, state))
@@ -163,13 +148,7 @@ class Graph:
 
 
 def _check_graph(graph: Graph) -> None:
-    """Refuse a graph with unknown operators, wrong references or non-finite constants.
-
-    Raises
-    ------
-    InputError
-        With the number of the offending node.
-    """
+    """Refuse a graph with unknown operators, wrong references or non-finite constants."""
     if not 1 <= len(graph.nodes) <= _MAX_NODES:
         raise _wrong("the count of nodes is out of range", f"{len(graph.nodes)}", f"1 to {_MAX_NODES}")
     if sum(len(table.values) for table in graph.tables) > _MAX_TABLE_VALUES:
@@ -180,8 +159,8 @@ def _check_graph(graph: Graph) -> None:
     for i, node in enumerate(graph.nodes):
         _check_node(graph, node, i)
         depths.append(1 + max((depths[a] for a in node.args), default=0))
-    if max(depths) > MAX_DEPTH:
-        raise _wrong("the graph is too deep", str(max(depths)), f"{MAX_DEPTH}")
+    if max(depths) > _MAX_DEPTH:
+        raise _wrong("the graph is too deep", str(max(depths)), f"{_MAX_DEPTH}")
     targets = [*graph.outputs.values(), *graph.updates.values()]
     if not graph.outputs or not all(0 <= i < len(graph.nodes) for i in targets):
         raise _wrong("an output or update names no node", str(targets)[:80], "a node's number")

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from dtwin.errors import InputError
-from dtwin.serve.fields import number, one_of, only_fields, text, whole
+from dtwin.serve.fields import number, one_of, only_fields, record, text, whole
 
 _SOURCES = ("path", "controller", "covariate", "feature")
 _INPUT_FRAMES = ("none", "path", "joint", "base", "sensor")
@@ -28,8 +28,6 @@ class Input:
         Name and unit; the unit is part of the contract.
     frame : str
         One of ``_INPUT_FRAMES``.
-    rate_hz : float
-        Rate at which it is renewed.
     source : str
         ``feature`` inputs come from the window graph's sensors, the others every tick.
     low, high : float
@@ -51,8 +49,6 @@ class Output:
 
     Attributes
     ----------
-    name : str
-        Identifier.
     frame : str
         One of ``OUTPUT_FRAMES``.
     role : {"error", "correction"}
@@ -133,8 +129,6 @@ class Provenance:
         Versions of the lake's tables that it was trained on.
     evidence : {"none", "virtual", "real"}
         Closed-loop evidence.
-    gates : dict of str to bool
-        Verdict of each gate.
     valid_days : float
         How long closed-loop evidence holds after it was measured; 0 for ever.
     """
@@ -158,18 +152,11 @@ class Provenance:
 class TestVectors:
     """Inputs over several ticks with the outputs that a slow evaluation gives.
 
-    Attributes
-    ----------
-    inputs : tuple of tuple of float
-        Tick inputs, one row per tick, in the order of ``Bundle.tick_inputs``.
-    features : tuple of tuple of float
-        Feature inputs, one row per tick, in the order of ``Bundle.feature_inputs``.
-    outputs : tuple of tuple of float
-        Outputs, one row per tick.
-    window_seed : int
-        Seed of the made-up window whose features must come out bit for bit.
-    window_features : tuple of float
-        Those features, channel by channel; empty without a window contract.
+    ``inputs``: tick inputs, one row per tick, in the order of ``Bundle.tick_inputs``.
+    ``features``: feature inputs, one row per tick, in the order of ``Bundle.feature_inputs``.
+    ``outputs``: outputs, one row per tick.
+    ``window_seed``: seed of the made-up window whose features must come out bit for bit.
+    ``window_features``: those features, channel by channel; empty without a window contract.
     """
 
     __test__ = False
@@ -181,52 +168,19 @@ class TestVectors:
     window_features: tuple[float, ...] = ()
 
 
-def read_input(data: object) -> Input:
+def read_input(data: object, where: str) -> Input:
     """Return one declared input."""
-    f = only_fields(data, tuple(Input.__dataclass_fields__), "input")
-    name = text(f["name"], "input.name")
-    return Input(
-        name,
-        text(f["unit"], name),
-        one_of(f["frame"], _INPUT_FRAMES, f"{name}.frame"),
-        number(f["rate_hz"], f"{name}.rate_hz"),
-        one_of(f["source"], _SOURCES, f"{name}.source"),
-        number(f["low"], f"{name}.low"),
-        number(f["high"], f"{name}.high"),
-    )
+    return record(Input, data, where, {"frame": _INPUT_FRAMES, "source": _SOURCES})
 
 
-def read_output(data: object) -> Output:
+def read_output(data: object, where: str) -> Output:
     """Return one declared output."""
-    f = only_fields(data, tuple(Output.__dataclass_fields__), "output")
-    name = text(f["name"], "output.name")
-    return Output(
-        name,
-        one_of(f["frame"], OUTPUT_FRAMES, f"{name}.frame"),
-        one_of(f["role"], _ROLES, f"{name}.role"),
-        one_of(f["unit"], ("um",), f"{name}.unit"),
-    )
-
-
-def read_state(data: object) -> State:
-    """Return one declared state."""
-    f = only_fields(data, tuple(State.__dataclass_fields__), "state")
-    return State(text(f["name"], "state.name"), text(f["unit"], "state.unit"), number(f["initial"], "state.initial"))
+    return record(Output, data, where, {"frame": OUTPUT_FRAMES, "role": _ROLES, "unit": ("um",)})
 
 
 def read_safety(data: object) -> SafetyLimits:
     """Return the safety limits."""
-    f = only_fields(data, tuple(SafetyLimits.__dataclass_fields__), "safety")
-    outside = one_of(f["outside"], ("zero", "shrink"), "safety.outside")
-    return SafetyLimits(
-        number(f["clamp_um"], "safety.clamp_um"),
-        number(f["slew_um_s"], "safety.slew_um_s"),
-        number(f["stale_s"], "safety.stale_s"),
-        number(f["window_stale_s"], "safety.window_stale_s"),
-        "zero" if outside == "zero" else "shrink",
-        number(f["shrink_span"], "safety.shrink_span"),
-        whole(f["trips_to_latch"], "safety.trips_to_latch"),
-    )
+    return record(SafetyLimits, data, "safety", {"outside": ("zero", "shrink")})
 
 
 def read_provenance(data: object) -> Provenance:

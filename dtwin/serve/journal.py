@@ -95,8 +95,6 @@ class Journal:
 
     Attributes
     ----------
-    path : Path
-        Where the lines go.
     dropped : int
         Lines that did not fit the pipe.
     """
@@ -155,8 +153,6 @@ def journal(path: Path, announce: Callable[[str], None]) -> Iterator[Journal]:
 
     Parameters
     ----------
-    path : Path
-        File to append to.
     announce : callable
         Is told, at the end, when lines could not be written.
     """

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import json
 import os
@@ -14,6 +13,7 @@ from pathlib import Path
 
 from dtwin.config import Home
 from dtwin.errors import DeviceError, StoreError
+from dtwin.locks import take
 from dtwin.serve.machine_file import machine_folder
 
 _MAX_NOTE_BYTES = 2000
@@ -32,10 +32,6 @@ def lease(host: str, machine: str, home: Home) -> Iterator[None]:
     ----------
     host : str
         Address of the robot; names of the same address are the same robot.
-    machine : str
-        Machine that is served.
-    home : Home
-        Where the locks lie.
 
     Raises
     ------
@@ -80,16 +76,14 @@ def _locked(path: Path, what: str) -> Iterator[None]:
 
 
 def _take(descriptor: int, path: Path, what: str) -> None:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if not take(descriptor):
         raise DeviceError(
             f"{what} is served already",
             code="serve.lease",
             where=str(path),
             got=_holder(descriptor),
             hint="stop the other server first (Ctrl-C there), or use --shadow",
-        ) from None
+        )
     note = {"pid": os.getpid(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
     os.ftruncate(descriptor, 0)
     os.pwrite(descriptor, json.dumps(note).encode(), 0)

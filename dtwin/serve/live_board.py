@@ -61,8 +61,6 @@ class Seen:
 
     Attributes
     ----------
-    pid : int
-        Process that writes it.
     started_s : float
         Seconds since 1970.
     ticks, late, missed : int
@@ -96,14 +94,9 @@ class Seen:
 class LiveBoard:
     """The writing end.
 
-    Parameters
-    ----------
-    memory : ndarray, shape (words,)
-        Shared memory.
-    clamp_um, period_s : float
-        As in ``Seen``.
-    started_s : float
-        Seconds since 1970.
+    ``memory``, (words,): shared memory.
+    ``clamp_um``, ``period_s``: as in ``Seen``.
+    ``started_s``: seconds since 1970.
     """
 
     def __init__(self, memory: Floats, clamp_um: float, period_s: float, started_s: float) -> None:
@@ -125,18 +118,10 @@ class LiveBoard:
     ) -> None:
         """Show a tick.
 
-        Parameters
-        ----------
-        state : ndarray, shape (N,)
-            Newest state of the controller.
-        correction_um : ndarray, shape (3,)
-            What was sent for it.
-        reason : int
-            Reason of the guard.
-        times_s : tuple of float
-            Interval since the tick before, age of the state, age of the window.
-        counts : tuple of int
-            Late and missed ticks so far.
+        ``state``, (N,): newest state of the controller.
+        ``correction_um``, (3,): what was sent for it.
+        ``times_s``: interval since the tick before, age of the state, age of the window.
+        ``counts``: late and missed ticks so far.
         """
         row = self._row
         row[0] = state[layout.TIMESTAMP]
@@ -162,14 +147,8 @@ def live_board(
 ) -> Iterator[LiveBoard | None]:
     """Open the board of a machine while the block runs; None where there is no memory for it.
 
-    Parameters
-    ----------
-    machine : str
-        Machine that is served.
-    home : Home
-        State folder; two of them have two boards.
-    clamp_um, period_s, started_s : float
-        As in ``Seen``.
+    ``home``: state folder; two of them have two boards.
+    ``clamp_um``, ``period_s``, ``started_s``: as in ``Seen``.
     """
     path = _path(machine, home)
     try:

@@ -50,8 +50,6 @@ def serve_lockstep(
         Features, equation, direction and safety: the code of the wall-clock loop.
     controller : Controller
         Machine that advances a tick per correction.
-    period_s : float
-        Period of the controller.
     mode : {"live", "shadow", "dry-run"}
         As in ``ServingLoop``.
     transport_ticks : int

@@ -66,12 +66,6 @@ class ServeStatus:
         Whether the last correction that was sent is exactly zero.
     reasons : dict of str to int
         How often each reason of the guard acted.
-    timing : dict
-        Stage times, periods, ages, late ticks.
-    realtime : dict of str to str
-        What the system allowed.
-    fault : dict or None
-        The device error that ended it.
     largest_um : float
         Longest correction that was computed and let through.
     last_sequence : int
@@ -104,18 +98,12 @@ class ServingLoop:
     ----------
     decision : Decision
         Features, equation, direction and safety.
-    link : Link
-        Source and actuator.
     period_s : float
         Nominal period of the controller's states.
     mode : {"live", "shadow", "dry-run"}
         Whether corrections are sent, withheld, or replaced by zeros.
     first_sequence : int
         Sequence number to start from.
-    note : callable
-        Takes events.
-    board : LiveBoard, optional
-        Shows every tick to other processes.
     echoed : bool
         Whether states come from what takes the corrections, so that a number just sent proves a
         state new; without, states that lag behind their stamps stay old.
@@ -152,8 +140,6 @@ class ServingLoop:
 
         Parameters
         ----------
-        link : Link
-            Source and actuator.
         first_sequence : int
             Sequence number to start from.
         """
@@ -178,8 +164,6 @@ class ServingLoop:
 
         Parameters
         ----------
-        duration_s : float
-            Time to serve.
         stop : callable, optional
             Asked every tick; true ends the serving, as after Ctrl-C.
         priority, core : int

@@ -63,10 +63,6 @@ def write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Path
 
     Parameters
     ----------
-    machine : str
-        Machine that will be served.
-    home : Home
-        Where state lives.
     geometry : mapping
         ``type`` and ``tcp_mm`` as in a campaign's ``machine_geometry``; the rest is left out.
 

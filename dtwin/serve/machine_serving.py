@@ -10,8 +10,8 @@ from typing import Protocol
 
 from dtwin.errors import DeviceError, DtwinError, GateRefusal
 from dtwin.links import state as layout
+from dtwin.serve._end_of_serving import fault_of
 from dtwin.serve.decision import Decision
-from dtwin.serve.end_of_serving import fault_of
 from dtwin.serve.journal import LINK_LOST, RECONNECTED, Note
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.loop import Link, Mode, ServeStatus, ServingLoop
@@ -58,8 +58,6 @@ class ServingRequest:
 
     Attributes
     ----------
-    where : str
-        The machine's end, for messages.
     mode : {"live", "shadow", "dry-run"}
         As in ``ServingLoop``.
     duration_s : float
@@ -69,8 +67,6 @@ class ServingRequest:
         0 ends the serving at once.
     priority : int
         Real-time priority, 0 for none.
-    rate_hz : float
-        Of the controller's states.
     echoed : bool
         As in ``ServingLoop``.
     """
@@ -93,19 +89,13 @@ class MachineServing:
 
     Parameters
     ----------
-    request : ServingRequest
-        How to serve.
     decision : Decision
         Features, equation, direction and safety.
     connect : callable
         Opens a link, or raises: ``DeviceError`` when nobody answers, ``GateRefusal`` when what
         answers may not be served.
-    note : callable
-        Takes events.
     withdrawn : callable, optional
         Asked every tick; a text says why the model may not be served any more.
-    board : LiveBoard, optional
-        Shows every tick to other processes.
 
     Attributes
     ----------

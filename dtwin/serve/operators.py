@@ -6,24 +6,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-NAN = math.nan
+_NAN = math.nan
 MAX_POWER = 32
 # Further out a periodic argument has lost its phase to rounding.
 FARTHEST = 1e12
 
 
 @dataclass(frozen=True)
-class Operator:
+class _Operator:
     """One operator.
 
-    Attributes
-    ----------
-    code : int
-        Number on the tape.
-    arity : int
-        Count of arguments.
-    evaluate : callable
-        Reference meaning on Python floats; IEEE results instead of exceptions.
+    ``evaluate``: reference meaning on Python floats; IEEE results instead of exceptions.
     """
 
     code: int
@@ -36,7 +29,7 @@ def _ieee(function: Callable[[float], float]) -> Callable[[float], float]:
         try:
             return function(x)
         except ValueError:
-            return NAN
+            return _NAN
         except OverflowError:
             return math.inf
 
@@ -47,7 +40,7 @@ def _div(a: float, b: float) -> float:
     if b != 0.0:
         return a / b
     if a == 0.0 or math.isnan(a):
-        return NAN
+        return _NAN
     return math.copysign(math.inf, a) * math.copysign(1.0, b)
 
 
@@ -68,22 +61,22 @@ def power(x: float, n: int) -> float:
 
 def _min(a: float, b: float) -> float:
     if math.isnan(a) or math.isnan(b):
-        return NAN
+        return _NAN
     return a if a < b else b
 
 
 def _max(a: float, b: float) -> float:
     if math.isnan(a) or math.isnan(b):
-        return NAN
+        return _NAN
     return a if a > b else b
 
 
 def _sign(x: float) -> float:
-    return NAN if math.isnan(x) else float((x > 0) - (x < 0))
+    return _NAN if math.isnan(x) else float((x > 0) - (x < 0))
 
 
 def _step(x: float) -> float:
-    return NAN if math.isnan(x) else float(x >= 0)
+    return _NAN if math.isnan(x) else float(x >= 0)
 
 
 def _logistic(x: float) -> float:
@@ -94,7 +87,7 @@ def lookup(x: float, start: float, spacing: float, values: list[float], periodic
     """Interpolate a uniform table linearly; periodic, or held constant beyond its ends."""
     n, u = len(values), (x - start) / spacing
     if math.isnan(u) or (periodic and not abs(u) < FARTHEST):
-        return NAN
+        return _NAN
     if not periodic:
         if u <= 0.0:
             return values[0]
@@ -111,28 +104,28 @@ def _unused(*_: float) -> float:
     raise AssertionError("evaluated by its own branch")
 
 
-OPERATORS: dict[str, Operator] = {
-    "add": Operator(1, 2, lambda a, b: a + b),
-    "sub": Operator(2, 2, lambda a, b: a - b),
-    "mul": Operator(3, 2, lambda a, b: a * b),
-    "div": Operator(4, 2, _div),
-    "neg": Operator(5, 1, lambda a: -a),
-    "abs": Operator(6, 1, abs),
-    "sqrt": Operator(7, 1, _ieee(math.sqrt)),
-    "square": Operator(8, 1, lambda a: a * a),
-    "pow_int": Operator(9, 1, _unused),
-    "exp": Operator(10, 1, _ieee(math.exp)),
-    "log": Operator(11, 1, _log),
-    "sin": Operator(12, 1, _ieee(math.sin)),
-    "cos": Operator(13, 1, _ieee(math.cos)),
-    "tan": Operator(14, 1, _ieee(math.tan)),
-    "atan2": Operator(15, 2, math.atan2),
-    "tanh": Operator(16, 1, math.tanh),
-    "logistic": Operator(17, 1, _logistic),
-    "min": Operator(18, 2, _min),
-    "max": Operator(19, 2, _max),
-    "sign": Operator(20, 1, _sign),
-    "step": Operator(21, 1, _step),
-    "lookup": Operator(22, 1, _unused),
+OPERATORS: dict[str, _Operator] = {
+    "add": _Operator(1, 2, lambda a, b: a + b),
+    "sub": _Operator(2, 2, lambda a, b: a - b),
+    "mul": _Operator(3, 2, lambda a, b: a * b),
+    "div": _Operator(4, 2, _div),
+    "neg": _Operator(5, 1, lambda a: -a),
+    "abs": _Operator(6, 1, abs),
+    "sqrt": _Operator(7, 1, _ieee(math.sqrt)),
+    "square": _Operator(8, 1, lambda a: a * a),
+    "pow_int": _Operator(9, 1, _unused),
+    "exp": _Operator(10, 1, _ieee(math.exp)),
+    "log": _Operator(11, 1, _log),
+    "sin": _Operator(12, 1, _ieee(math.sin)),
+    "cos": _Operator(13, 1, _ieee(math.cos)),
+    "tan": _Operator(14, 1, _ieee(math.tan)),
+    "atan2": _Operator(15, 2, math.atan2),
+    "tanh": _Operator(16, 1, math.tanh),
+    "logistic": _Operator(17, 1, _logistic),
+    "min": _Operator(18, 2, _min),
+    "max": _Operator(19, 2, _max),
+    "sign": _Operator(20, 1, _sign),
+    "step": _Operator(21, 1, _step),
+    "lookup": _Operator(22, 1, _unused),
 }
 LEAVES = ("const", "input", "state")

@@ -60,8 +60,6 @@ class Resolved:
     state : str
         ``champion``, ``trial``, ``candidate`` or ``barred``; ``unpromoted`` for a file that
         no pointer names.
-    machine : str
-        Machine that it is served to.
     proved : str
         ISO time at which it was last shown in a closed loop that it helps; empty when it never was.
     """
@@ -92,14 +90,8 @@ def write_pointer(
 
     Parameters
     ----------
-    machine : str
-        Machine that will be served.
-    home : Home
-        Where state lives.
     bundle : Path
         Bundle's file; it must lie directly in the machine's folder.
-    version : int
-        Version in the registry.
     state : {"champion", "trial", "candidate", "barred"}
         What the version may be used for.
     proved : str
@@ -146,8 +138,6 @@ def renew_proof(machine: str, home: Home, version: int, proved: str) -> None:
 
     Parameters
     ----------
-    machine, home, version
-        The champion.
     proved : str
         ISO time.
     """
@@ -162,15 +152,7 @@ def renew_proof(machine: str, home: Home, version: int, proved: str) -> None:
 
 
 def on_trial(machine: str, home: Home) -> int | None:
-    """Return the version that is on trial, None when there is none.
-
-    Parameters
-    ----------
-    machine : str
-        Machine.
-    home : Home
-        Where state lives.
-    """
+    """Return the version that is on trial, None when there is none."""
     found = read_sealed(machine_folder(machine, home), TRIAL)
     return None if found is None else whole(only_fields(found, _FIELDS, TRIAL)["version"], "version")
 
@@ -192,8 +174,6 @@ def only_machine(home: Home, model: str = "latest") -> str:
 
     Parameters
     ----------
-    home : Home
-        Where state lives.
     model : str
         ``latest`` or ``trial``.
 
@@ -225,8 +205,6 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
         ``latest``, ``trial``, or the path of a bundle's file (ending in ``.json``).
     machine : str or None
         Machine; None when there is only one.
-    home : Home
-        Where state lives.
     harmless : bool
         Whether nothing will be moved (shadow or dry run), so that any state may be looked at.
 

@@ -43,8 +43,6 @@ class ProgramWatch:
 
     Parameters
     ----------
-    note : callable
-        Takes events.
     settle_s : float
         As ``SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
 

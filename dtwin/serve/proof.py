@@ -22,12 +22,7 @@ def _test_window(contract: WindowContract, seed: int) -> Floats:
 
     No library's random generator or sine is used, so that every host gets the same samples.
 
-    Parameters
-    ----------
-    contract : WindowContract
-        Shape.
-    seed : int
-        Start of the sequence (SplitMix64; Steele, Lea and Flood, OOPSLA 2014).
+    ``seed``: start of the sequence (SplitMix64; Steele, Lea and Flood, OOPSLA 2014).
     """
     count = len(contract.channels) * contract.n_samples
     with np.errstate(over="ignore"):
@@ -47,8 +42,6 @@ def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
     ----------
     bundle : Bundle
         Any vectors that it has are replaced.
-    seed : int
-        Fixes the draw.
 
     Raises
     ------
@@ -83,12 +76,7 @@ def _reference_outputs(
 ) -> tuple[tuple[float, ...], ...]:
     """Return the outputs of successive ticks by the slow evaluation of the graphs.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Model.
-    inputs, features : tuple of tuple of float
-        One row per tick, in the order of ``tick_inputs`` and ``feature_inputs``.
+    ``inputs``, ``features``: one row per tick, in the order of ``tick_inputs`` and ``feature_inputs``.
     """
     state = bundle.initial_state
     rows = []

@@ -17,8 +17,6 @@ def proof_of(found: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]
 
     Parameters
     ----------
-    found : Resolved
-        What its pointer says.
     bundle : Bundle
         It may say for how many days a proof holds.
     now : datetime

@@ -23,8 +23,6 @@ def realtime(priority: int = 60, core: int | None = None) -> Iterator[dict[str, 
     ----------
     priority : int
         SCHED_FIFO priority; 0 leaves the scheduler alone.
-    core : int, optional
-        Processor to stay on.
 
     Yields
     ------

@@ -10,13 +10,7 @@ from dtwin.serve.tape import Tape
 
 
 class CompiledBundle:
-    """Evaluates a bundle tick by tick; allocates nothing after construction.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        What to evaluate.
-    """
+    """Evaluates a bundle tick by tick; allocates nothing after construction."""
 
     def __init__(self, bundle: Bundle) -> None:
         self.bundle = bundle

@@ -287,8 +287,6 @@ class Guard:
             Inputs of the equation, for the validity box.
         age_s, window_age_s : float
             Ages of the controller's state and of the newest window.
-        elapsed_s : float
-            Time since the last call.
         enabled, device_ok : bool
             Whether a correction is wanted, and whether the machine runs.
         found : int
@@ -319,8 +317,6 @@ class Guard:
             What the equation asks for.
         inputs : ndarray, shape (n, k)
             Inputs of the equation, for the validity box.
-        elapsed_s : float
-            Time from tick to tick.
         """
         sent = np.empty(wanted_um.shape)
         self.reason = _guard_many(

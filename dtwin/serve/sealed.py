@@ -7,7 +7,6 @@ file is going to be beside what it is, so that a crash at any moment leaves what
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import time
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.errors import GateRefusal, InputError, StoreError
+from dtwin.locks import take
 from dtwin.serve.bundle_file import json_text, parse_json, read_bytes, write_json
 from dtwin.serve.fields import only_fields
 
@@ -43,8 +43,6 @@ def write_sealed(folder: Path, name: str, content: Mapping[str, Any] | None) -> 
 
     Parameters
     ----------
-    folder : Path
-        The machine's folder.
     name : str
         One of ``CHAMPION``, ``TRIAL``, ``MACHINE``, ``BARRED``.
     content : mapping or None
@@ -121,7 +119,7 @@ def locked(folder: Path) -> Iterator[None]:
             got=error.strerror or str(error),
         ) from error
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
+        take(handle, wait=True)
         mine = _held.set(_held.get() | {folder})
         try:
             yield

@@ -17,10 +17,7 @@ def saturated_kernel(samples: Floats) -> int:
     one extreme; a signal that was cut at the end of a range has. The range need not be known.
     Rare peaks that are cut are not found.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (n,)
-        Newest window of one channel.
+    ``samples``, (n,): newest window of one channel.
     """
     n = samples.shape[0]
     high = low = samples[0]

@@ -25,8 +25,6 @@ class ServeRequest:
         ``latest``, ``trial``, or the path of a bundle.
     machine : str or None
         Machine; None when only one has a model.
-    host : str
-        Address of the robot.
     duration_s : float or None
         Time to serve; None until stopped.
     mode : {"live", "shadow", "dry-run"}
@@ -35,8 +33,6 @@ class ServeRequest:
         Serve under the tight clamp of a trial, whatever the model's state.
     priority : int
         Real-time priority, 0 for none.
-    covariates : mapping of str to float
-        Values of covariate inputs.
     patience_s : float
         How long to wait for a lost link to come back, and for a protective stop to be unlocked;
         0 ends the serving at once.
@@ -122,18 +118,8 @@ class Served:
 
     Attributes
     ----------
-    request : ServeRequest
-        What was asked for.
-    resolved : Resolved
-        What the model's name stood for.
-    device : {"real", "virtual"}
-        What answered at the address.
-    trial : bool
-        Whether the clamp was tightened.
     clamp_um : float
         Longest correction that was allowed.
-    status : ServeStatus
-        How it went.
     driver_realtime : bool
         Whether the driver process was given real-time priority.
     log : str

@@ -29,10 +29,6 @@ class ServedStretch:
         while a session goes on.
     model_sha256 : str
         ``Bundle.model_sha256`` of what was served.
-    device : {"real", "virtual"}
-        What answered.
-    trial : bool
-        Whether the clamp was a trial's.
     """
 
     begin: datetime
@@ -52,13 +48,6 @@ def served_stretches(home: Home, machine: str) -> list[ServedStretch]:
 
     A session that looked on or sent zeros corrected nothing. While a link was lost nothing is
     known to have been corrected.
-
-    Parameters
-    ----------
-    home : Home
-        Where the journal lies.
-    machine : str
-        The machine.
 
     Raises
     ------
@@ -87,8 +76,6 @@ def served_during(
     ----------
     stretches : iterable of ServedStretch
         From :func:`served_stretches`.
-    begin, end : datetime
-        The time, with its zone.
     where : str
         What it is the time of, for error messages.
 

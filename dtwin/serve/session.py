@@ -16,8 +16,8 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.windows import WindowContract
+from dtwin.serve._axis_inputs import AxisInputs
 from dtwin.serve.analogue_link import NO_TOOL_MM, within_travel
-from dtwin.serve.axis_inputs import AxisInputs
 from dtwin.serve.axis_lockstep import serve_machine_clock
 from dtwin.serve.barred import BarredWatch
 from dtwin.serve.bundle import Bundle
@@ -46,10 +46,6 @@ def serve(request: ServeRequest, home: Home, announce: Announce, open_sensors: O
 
     Parameters
     ----------
-    request : ServeRequest
-        What to serve, where, how long.
-    home : Home
-        Where pointers, locks and logs lie.
     announce : callable
         Receives lines for the user while it goes on.
     open_sensors : callable, optional

@@ -21,10 +21,7 @@ def sine_and_cosine(x: float) -> tuple[float, float]:
     Reduction after Cody and Waite (Software Manual for the Elementary Functions, 1980),
     polynomials of fdlibm (Sun Microsystems, 1993).
 
-    Parameters
-    ----------
-    x : float
-        Angle in rad; beyond a million the slower functions of the C library answer.
+    ``x``: angle in rad; beyond a million the slower functions of the C library answer.
     """
     if not abs(x) < _FARTHEST:
         return math.sin(x), math.cos(x)

@@ -37,8 +37,6 @@ class StampWatch:
 
         Parameters
         ----------
-        stamp_s : float
-            The controller's stamp, s.
         received_s : float
             Monotonic time at which the state was received.
         fresh : bool

@@ -21,7 +21,7 @@ from dtwin.serve.operators import FARTHEST
 from dtwin.serve.sine import sine_and_cosine
 from dtwin.serve.tape_program import MULTIPLY_ADD, POWER_SHIFT, SINE_AND_COSINE, Instruction, tape_runs
 
-Program = NDArray[np.uint64]
+_Program = NDArray[np.uint64]
 _WORDS = 4
 _A, _B, _C, _STEP = np.uint64(1), np.uint64(2), np.uint64(3), np.uint64(_WORDS)
 
@@ -103,7 +103,7 @@ def _operated(op: int, x: float, y: float) -> float:
 
 
 @compiled
-def _run_of_one(op: int, program: Program, memory: Floats, first: int, count: int) -> None:
+def _run_of_one(op: int, program: _Program, memory: Floats, first: int, count: int) -> None:
     """Do the instructions of one operator; the frequent ones have loops of their own."""
     # Unsigned: a signed place would be looked at for counting from the end.
     at, end = np.uint64(first), np.uint64(first + _WORDS * count)
@@ -155,17 +155,12 @@ def _run_of_one(op: int, program: Program, memory: Floats, first: int, count: in
 
 
 @compiled
-def run_tape(program: Program, memory: Floats) -> None:
+def _run_tape(program: _Program, memory: Floats) -> None:
     """Evaluate a tape once on the inputs in its memory, and step its state.
 
-    Parameters
-    ----------
-    program : ndarray of uint64
-        Header (runs, copies, place of outputs), then per run its operator, its number of
-        instructions, and target and three arguments of each, then source and target of the
-        copies.
-    memory : ndarray of float64
-        Inputs, state, constants, intermediate values, tables, outputs, staging.
+    ``program``: header (runs, copies, place of outputs), then per run its operator, its number of instructions, and
+    target and three arguments of each, then source and target of the copies.
+    ``memory``: inputs, state, constants, intermediate values, tables, outputs, staging.
     """
     at = 3
     for _ in range(int(program[0])):
@@ -179,12 +174,12 @@ def run_tape(program: Program, memory: Floats) -> None:
 
 
 @compiled
-def run_tape_many(program: Program, memory: Floats, inputs: Floats, out: Floats) -> None:
+def _run_tape_many(program: _Program, memory: Floats, inputs: Floats, out: Floats) -> None:
     """Evaluate a tape for successive rows of inputs (n, n_inputs) into rows of ``out``."""
     for n in range(inputs.shape[0]):
         for i in range(inputs.shape[1]):
             memory[i] = inputs[n, i]
-        run_tape(program, memory)
+        _run_tape(program, memory)
         for i in range(out.shape[1]):
             out[n, i] = memory[int(program[2]) + i]
 
@@ -194,12 +189,8 @@ class Tape:
 
     Parameters
     ----------
-    graph : Graph
-        What to evaluate.
     inputs : sequence of str
         Order of the input vector; inputs that the graph does not use are allowed.
-    states : mapping of str to float
-        Initial values.
     outputs : sequence of str
         Order of the output vector.
 
@@ -241,11 +232,11 @@ class Tape:
         self.outputs = memory[free : free + len(outputs)]
         """The newest outputs; a view that the next run overwrites."""
         self.state = memory[self._first_state : self._first_state + len(states)]
-        run_tape(self.program, memory)
+        _run_tape(self.program, memory)
         self.reset()
         # What numba's dispatcher would find again at every call, for twice the time of the call.
         compiled_for = typeof(self.program), typeof(memory)
-        entry = run_tape.overloads[compiled_for].entry_point  # type: ignore[attr-defined]
+        entry = _run_tape.overloads[compiled_for].entry_point  # type: ignore[attr-defined]
         self.evaluate: Callable[[], None] = partial(entry, self.program, memory)
         """Evaluate ``inputs`` once, into ``outputs``, and step the state."""
 
@@ -274,7 +265,7 @@ class Tape:
         if rows.ndim != 2 or rows.shape[1] != len(self.inputs):
             raise ValueError(f"rows of shape {rows.shape}, {len(self.inputs)} inputs wanted")
         out = np.empty((len(rows), len(self.outputs)))
-        run_tape_many(self.program, self.memory, rows, out)
+        _run_tape_many(self.program, self.memory, rows, out)
         return out
 
 
@@ -291,8 +282,8 @@ def _fill(memory: Floats, graph: Graph, slots: Sequence[int], tables: Sequence[i
 
 def _assembled(
     runs: Sequence[tuple[int, Sequence[Instruction]]], copies: Sequence[tuple[int, int]], first_output: int
-) -> Program:
-    """Return the words that ``run_tape`` reads."""
+) -> _Program:
+    """Return the words that ``_run_tape`` reads."""
     words = [len(runs), len(copies), first_output]
     for op, instructions in runs:
         words += [op, len(instructions)]

@@ -23,18 +23,10 @@ SINE_AND_COSINE = 24
 class Instruction:
     """One operation on places of the memory.
 
-    Attributes
-    ----------
-    op : int
-        Code of the operator.
-    target : int
-        Place of the result.
-    arguments : tuple of int, length 3
-        Places, or what else the operator wants; unsigned.
-    reads : frozenset of int
-        Places whose values must be there before.
-    also : int, optional
-        Place of a second result.
+    ``target``: place of the result.
+    ``arguments``, length 3: places, or what else the operator wants; unsigned.
+    ``reads``: places whose values must be there before.
+    ``also``: place of a second result.
     """
 
     op: int
@@ -52,12 +44,7 @@ class Instruction:
 def tape_runs(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> list[tuple[int, list[Instruction]]]:
     """Return the operator of each run, with its instructions.
 
-    Parameters
-    ----------
-    graph : Graph
-        What to evaluate.
-    slots, tables : sequence of int
-        Place of each node's value, and of each table.
+    ``slots``, ``tables``: place of each node's value, and of each table.
     """
     waiting = _instructions(graph, slots, tables)
     runs: list[tuple[int, list[Instruction]]] = []

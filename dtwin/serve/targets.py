@@ -33,8 +33,6 @@ class Target:
 
     Attributes
     ----------
-    name : str
-        For people.
     position_mm : ndarray, shape (3,)
         In the frame of the path.
     feed_mm_min : float
@@ -52,8 +50,6 @@ class CorrectedTarget:
 
     Attributes
     ----------
-    target : Target
-        What was wanted.
     position_mm : ndarray, shape (3,)
         What is to be sent, in the frame of the path.
     offset_um : ndarray, shape (3,)
@@ -102,14 +98,8 @@ class TargetCorrection:
 
     Parameters
     ----------
-    compiled : CompiledBundle
-        The proved model.
     tcp_mm : ndarray, shape (3,)
         Tool centre point in the flange frame.
-    frame : TargetFrame
-        What the targets belong to.
-    covariates : mapping of str to float, optional
-        Values of covariate inputs.
 
     Raises
     ------

@@ -12,15 +12,7 @@ _EDGES_US = (0, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_
 
 
 class LoopTiming:
-    """Stage times, period, ages and late ticks of the newest ticks.
-
-    Parameters
-    ----------
-    period_s : float
-        Nominal period.
-    capacity : int
-        Ticks that are remembered.
-    """
+    """Stage times, period, ages and late ticks of the newest ticks."""
 
     def __init__(self, period_s: float, capacity: int = 65536) -> None:
         self.period_s = period_s
@@ -54,8 +46,6 @@ class LoopTiming:
         ----------
         sequence : int
             Number of the correction in force; 0 when there is none.
-        stamp_s : float
-            The controller's stamp of the state.
         """
         if sequence in (0, self._applied):
             return

@@ -14,15 +14,8 @@ from dtwin.serve.divergence import DivergenceWatch
 class ToneWatch:
     """Feeds a :class:`DivergenceWatch` from the samples of a control.
 
-    Parameters
-    ----------
-    n : int
-        Samples of one hop.
-
-    Attributes
-    ----------
-    left_um : float
-        Error that the newest window foretold; NaN before the first.
+    ``n``: samples of one hop.
+    ``left_um``: error that the newest window foretold; NaN before the first.
     """
 
     def __init__(self, n: int) -> None:
@@ -44,12 +37,8 @@ class ToneWatch:
     def window(self, told: Mapping[str, float], *, inside: bool) -> str:
         """Judge a new window; return the alarm, empty while all is well.
 
-        Parameters
-        ----------
-        told : mapping of str to float
-            What the window told: ``gain_1`` and ``phase_error_rad``.
-        inside : bool
-            Whether it lies in the validity box.
+        ``told``: what the window told: ``gain_1`` and ``phase_error_rad``.
+        ``inside``: whether it lies in the validity box.
         """
         if self._seen < len(self._rows):
             return self.alarm

@@ -10,15 +10,7 @@ _PARENT = "mlflow.parentRunId"
 
 
 def training_metrics(registry: Registry, found: RegisteredVersion) -> dict[str, float]:
-    """Return the metrics of the training that a version comes from.
-
-    Parameters
-    ----------
-    registry : Registry
-        Where.
-    found : RegisteredVersion
-        The version.
-    """
+    """Return the metrics of the training that a version comes from."""
     client = registry.client
     tags = client.get_run(found.run_id).data.tags
     return dict(client.get_run(tags[_PARENT]).data.metrics) if _PARENT in tags else {}
@@ -26,13 +18,6 @@ def training_metrics(registry: Registry, found: RegisteredVersion) -> dict[str, 
 
 def training_candidates(registry: Registry, found: RegisteredVersion) -> list[dict[str, Any]]:
     """Return every candidate of the training that a version comes from.
-
-    Parameters
-    ----------
-    registry : Registry
-        Where.
-    found : RegisteredVersion
-        The version.
 
     Returns
     -------

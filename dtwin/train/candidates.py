@@ -26,7 +26,7 @@ from dtwin.train.rows import Rows
 _FIT_ROWS = 6000
 # Share of an input's size below which its spread is that of rounding and of numerical derivatives.
 _ROUNDING = 1e-4
-HELD_OUT = ("feed_mm_min", "radius_mm")
+_HELD_OUT = ("feed_mm_min", "radius_mm")
 _PENALTIES = np.logspace(0.0, 5.0, 6)
 _SPLITS = 4
 _Splits = list[tuple[NDArray[Any], NDArray[Any]]]
@@ -39,8 +39,6 @@ class Recipe:
 
     Attributes
     ----------
-    name, family : str
-        Identity.
     make : callable
         Given a seed and splits of the rows by which a penalty can be chosen, returns an unfitted
         scikit-learn regressor.
@@ -84,12 +82,8 @@ RECIPES: tuple[Recipe, ...] = (
 class Regressor:
     """A fitted comparison model with what is done to its inputs.
 
-    Attributes
-    ----------
-    model : sklearn.pipeline.Pipeline
-        Clips inputs to the range that it was fitted on, scales them, predicts.
-    used : ndarray of bool, shape (k,)
-        Inputs that varied beyond rounding where it was fitted; the others are left out.
+    ``model``: clips inputs to the range that it was fitted on, scales them, predicts.
+    ``used``, (k,): inputs that varied beyond rounding where it was fitted; the others are left out.
     """
 
     model: Pipeline
@@ -105,10 +99,6 @@ def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, g
 
     Parameters
     ----------
-    recipe : Recipe
-        Which.
-    seed : int
-        Its seed.
     x, target : ndarray, shapes (n, k) and (n,)
         Rows to fit to.
     size : ndarray, shape (k,)
@@ -124,8 +114,8 @@ def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, g
 
 
 def held_out_groups(rows: Rows) -> list[str]:
-    """Return the fields of ``HELD_OUT`` that have at least two values: one cannot be left out."""
-    return [group for group in HELD_OUT if np.unique(rows.label(group)).size > 1]
+    """Return the fields of ``_HELD_OUT`` that have at least two values: one cannot be left out."""
+    return [group for group in _HELD_OUT if np.unique(rows.label(group)).size > 1]
 
 
 def score(rows: Rows, predicted: Floats, group: str) -> Scores:
@@ -136,12 +126,8 @@ def score(rows: Rows, predicted: Floats, group: str) -> Scores:
 
     Parameters
     ----------
-    rows : Rows
-        Rows of a campaign.
     predicted : ndarray, shape (n,)
         Prediction of every row by a model that did not see its group.
-    group : str
-        What was left out.
     """
     rest = rows.without_setups(rows.target_um - predicted)
     keep = rows.scored
@@ -173,12 +159,6 @@ def train_recipe(rows: Rows, inputs: GenericInputs, recipe: Recipe, seed: int) -
 
     Parameters
     ----------
-    rows : Rows
-        Rows of a campaign.
-    inputs : GenericInputs
-        Inputs over the same rows.
-    recipe : Recipe
-        Which model.
     seed : int
         Seed of the model and of the rows that it is fitted to.
     """
@@ -210,11 +190,6 @@ def baselines(rows: Rows) -> list[Candidate]:
 
     The set-up's centre and radius are taken out of every error, so constant and first
     harmonic can only show what differs between conditions of one set-up.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of a campaign.
     """
     angle = rows.angle_rad
     one = np.ones_like(angle)

@@ -58,8 +58,6 @@ def plan_within(conditions: Sequence[tuple[Plane, float, float]], repeats: int =
 
     Parameters
     ----------
-    conditions : sequence of (plane, radius_mm, feed_mm_min)
-        What was trained.
     repeats : int
         Repeats per condition, direction and way.
     """
@@ -91,18 +89,10 @@ def measured_circles(
 
     Parameters
     ----------
-    bundle : Bundle
-        What to serve.
     seed : int
         Seed of the machine that was trained on.
     tcp_mm : ndarray, shape (3,)
         Tool centre point.
-    plan : EvidencePlan
-        Circles.
-    workers : int
-        Processes side by side.
-    progress : callable, optional
-        Called with (done, total, what).
     """
     jobs = [(bundle.to_dict(), seed, tcp_mm.tolist(), condition, plan.repeats) for condition in plan.conditions]
     ways: dict[str, list[Run]] = {"measured": [], "oracle": []}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.oracle import best_offsets, follow
 
-DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
-Way = Literal["uncompensated", "compensated", "oracle"]
+_DIRECTIONS: tuple[Direction, Direction] = ("CCW", "CW")
 
 
 def run_circle(
@@ -30,8 +29,6 @@ def run_circle(
 
     Parameters
     ----------
-    cobot : VirtualCobot
-        The machine.
     bundle : Bundle
         What is served; the oracle takes its limits.
     tcp_mm : ndarray, shape (3,)
@@ -57,7 +54,7 @@ def run_circle(
 def _best_of_both(cobot: VirtualCobot, condition: CircleCondition, safety: SafetyLimits) -> list[Floats]:
     """Return the oracle's offsets of both directions; the same for every mounting and repeat."""
     begun = [
-        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1) for way in DIRECTIONS
+        partial(cobot.controller, replace(condition, direction=way), setup="oracle", repeat=1) for way in _DIRECTIONS
     ]
     centre = cobot.centre_mm(condition.radius_mm)
     return best_offsets(begun, centre, cobot.parameters.controller, safety)

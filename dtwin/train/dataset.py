@@ -74,12 +74,6 @@ def load_ticks(
 
     Parameters
     ----------
-    lake : Lake
-        Where they are.
-    campaign : Campaign
-        Gives the machine's geometry.
-    rows : sequence of mapping
-        Rows of the table ``runs``.
     progress : callable, optional
         Called with (done, total, run id).
     """
@@ -94,17 +88,8 @@ def load_ticks(
 def _tick_run(run: Run, campaign: Campaign) -> TickRun:
     """Bring one run to the controller's clock at 500 Hz.
 
-    Parameters
-    ----------
-    run : Run
-        A circular run with a ``controller`` signal group.
-    campaign : Campaign
-        Its campaign; ``machine_geometry`` gives centre and tool.
-
-    Raises
-    ------
-    InputError
-        When the controller's signals are missing.
+    ``run``: a circular run with a ``controller`` signal group.
+    ``campaign``: its campaign; ``machine_geometry`` gives centre and tool.
     """
     groups = {group.name: group for group in run.signals}
     if "controller" not in groups:
@@ -155,18 +140,9 @@ def _with_rows(
 def _controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
     """Return the controller's states at 500 Hz in the order of ``STATE_FIELDS``.
 
-    Parameters
-    ----------
-    group : SignalGroup
-        The controller's record at any rate that divides its motion finely.
-    meta : RunMeta
-        Gives plane, direction and radius.
-    geometry : mapping
-        Gives the centre.
-
-    Returns
-    -------
-    ndarray, shape (ticks, len(STATE_FIELDS))
+    ``group``: the controller's record at any rate that divides its motion finely.
+    ``meta``: gives plane, direction and radius.
+    Returns (ticks, len(STATE_FIELDS)).
     """
     t_log = np.arange(group.n_samples) / group.rate_hz
     t = np.arange(int(t_log[-1] * TICK_HZ) + 1) / TICK_HZ
@@ -205,13 +181,7 @@ def _covered_ticks(group: SignalGroup, n_ticks: int) -> NDArray[np.bool_]:
 
 
 def centre_mm(meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
-    """Return the ball bar's centre in the base frame, shape (3,).
-
-    Raises
-    ------
-    InputError
-        When the campaign does not state it.
-    """
+    """Return the ball bar's centre in the base frame, shape (3,)."""
     if "centre_mm" in geometry:
         return np.asarray(geometry["centre_mm"], dtype=float)
     if "centre_small_mm" in geometry and meta.radius_mm is not None:

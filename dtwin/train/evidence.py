@@ -32,14 +32,7 @@ _Key = tuple[tuple[str, str | float], ...]
 class EvidenceRun:
     """A run of the lake that counts as evidence.
 
-    Attributes
-    ----------
-    way : {"without", "with"}
-        Whether the correction was in force.
-    campaign, content_sha256 : str
-        Where it is in the lake, and what it holds.
-    run : Run
-        The run.
+    ``way``: whether the correction was in force.
     """
 
     way: Way
@@ -59,12 +52,8 @@ class Evidence:
 
     Attributes
     ----------
-    kind : {"virtual", "real"}
-        What was moved.
     machine, model_sha256 : str
         Whose correction was in force: ``Bundle.model_sha256``.
-    campaigns : dict of str to tuple of str
-        Names given for each way.
     conditions : tuple of dict
         Before and after of every condition: ``before_um``, ``after_um`` (RMS of the error, mean over
         runs), ``before_ci_um``, ``after_ci_um`` (half widths of 95 % intervals over runs, from the
@@ -143,8 +132,6 @@ def evidence_of_runs(
         Of one machine, and with one correction or none.
     kind, machine, model_sha256, campaigns, notes
         As for :class:`Evidence`.
-    told : sequence of str
-        What was left out before.
 
     Raises
     ------

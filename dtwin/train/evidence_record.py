@@ -19,7 +19,7 @@ from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.results import condition_name
 
-FOLDER = "evidence"
+_FOLDER = "evidence"
 _SAME = ("kind", "machine", "model_sha256", "campaigns", "runs")
 _FIGURES = ("before_um", "after_um", "before_ci_um", "after_ci_um", "floor_um")
 # Another processor sums in another order.
@@ -30,14 +30,9 @@ _RELATIVE = 1e-6
 class Record:
     """Evidence of a version, as it was computed once.
 
-    Attributes
-    ----------
-    id : str
-        Twelve digits of its checksum.
-    time : str
-        When it was computed, ISO 8601.
-    content : dict
-        As ``Evidence.as_dict`` gave it, with the ``notes``.
+    ``id``: twelve digits of its checksum.
+    ``time``: when it was computed, ISO 8601.
+    ``content``: as ``Evidence.as_dict`` gave it, with the ``notes``.
     """
 
     id: str
@@ -51,35 +46,19 @@ class Record:
 
 
 def keep(registry: Registry, found: RegisteredVersion, evidence: Evidence) -> Record:
-    """Keep evidence with a version, beside what was kept before.
-
-    Parameters
-    ----------
-    registry : Registry
-        Where the version is.
-    found : RegisteredVersion
-        The version.
-    evidence : Evidence
-        What was computed.
-    """
+    """Keep evidence with a version, beside what was kept before."""
     now = datetime.now(UTC)
     content = evidence.as_dict() | {"notes": dict(evidence.notes), "time": now.isoformat()}
     text = json.dumps(content, indent=1)
     name = hashlib.sha256(text.encode()).hexdigest()[:12]
-    registry.attach(found, {f"{FOLDER}/{now:%Y%m%dT%H%M%S%f}-{name}.json": text})
+    registry.attach(found, {f"{_FOLDER}/{now:%Y%m%dT%H%M%S%f}-{name}.json": text})
     return Record(name, content["time"], content)
 
 
 def records(registry: Registry, found: RegisteredVersion) -> list[Record]:
-    """Return all evidence that is kept with a version, oldest first.
-
-    Raises
-    ------
-    GateRefusal
-        When a record was changed.
-    """
+    """Return all evidence that is kept with a version, oldest first."""
     out = []
-    for path in registry.files(found, FOLDER):
+    for path in registry.files(found, _FOLDER):
         if not path.endswith(".json"):
             continue
         content = registry.read_json(found, path)

@@ -19,14 +19,7 @@ from dtwin.train.evidence import WITH, WITHOUT, EvidenceRun, Way, started_at
 class Gathered:
     """Runs that may count.
 
-    Attributes
-    ----------
-    runs : tuple of EvidenceRun
-        With and without.
-    kind : {"virtual", "real"}
-        ``virtual`` when anything that was measured, or what was served, is.
-    told : tuple of str
-        What was left out.
+    ``kind``: ``virtual`` when anything that was measured, or what was served, is.
     """
 
     runs: tuple[EvidenceRun, ...]
@@ -45,12 +38,8 @@ def gathered(
     ----------
     home : Home
         Lake, and the journal of the serving sessions.
-    machine : str
-        The machine.
     model_sha256 : str
         Of the model whose correction is judged.
-    campaigns : mapping
-        Names by way.
     virtual : bool
         Whether the machine is known to be virtual. For every other one the journal must say that
         the model was served throughout each run with it, and nothing during those without.

@@ -41,10 +41,6 @@ class Formula:
     ----------
     op : str
         ``constant``, ``input`` or an operation.
-    args : tuple of Formula
-        Operands.
-    name : str
-        Of an input.
     place : int
         Of a constant, in the vector of constants.
     """
@@ -88,22 +84,9 @@ class Formula:
 def parse_formula(text: str, names: Sequence[str]) -> tuple[Formula, Floats]:
     """Read a formula such as ``0.3 * sin(q1_rad) + 2``.
 
-    Parameters
-    ----------
-    text : str
-        The formula; ``^`` and ``**`` are powers.
-    names : sequence of str
-        Inputs that it may use.
-
-    Returns
-    -------
-    formula, constants : tuple
-        The tree, and the values of its constants.
-
-    Raises
-    ------
-    InputError
-        When it holds anything but numbers, inputs, arithmetic and known functions.
+    ``text``: the formula; ``^`` and ``**`` are powers.
+    The tree, and the values of its constants.
+    Raises ``InputError`` when it holds anything but numbers, inputs, arithmetic and known functions.
     """
     if len(text) > _MAX_CHARS:
         raise _refused(f"{len(text)} characters", f"up to {_MAX_CHARS}")
@@ -153,13 +136,6 @@ def unit_findings(formula: Formula, units: Mapping[str, str]) -> list[str]:
     """Say where a formula adds unlike units or takes a function of a unit.
 
     A constant may carry any unit, so what is multiplied by one is free.
-
-    Parameters
-    ----------
-    formula : Formula
-        The formula.
-    units : mapping of str to str
-        Unit of each input.
     """
     found: list[str] = []
     _unit(formula, units, found)

@@ -27,17 +27,7 @@ _ERROR_FLOORS = 3.0
 
 @dataclass(frozen=True)
 class Verdict:
-    """What one gate says.
-
-    Attributes
-    ----------
-    gate : str
-        Name of the gate.
-    passed : bool
-        The verdict.
-    reason : str
-        With the numbers.
-    """
+    """What one gate says."""
 
     gate: str
     passed: bool
@@ -45,15 +35,7 @@ class Verdict:
 
 
 def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-    """Judge a bundle by everything that needs no motion.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        The model.
-    metrics : mapping of str to float
-        What training logged: held-out scores, latency.
-    """
+    """Judge a bundle by everything that needs no motion."""
     return [
         _held_out(metrics),
         _no_slice_worse(metrics),

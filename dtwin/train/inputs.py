@@ -23,16 +23,10 @@ WINDOW_SAMPLES, HOP = 512, 83
 class GenericInputs:
     """Inputs of the comparison models over all rows.
 
-    Attributes
-    ----------
-    values : ndarray, shape (n, k)
-        One row per row of the campaign.
-    names : tuple of str
-        Columns.
-    sensor : ndarray of bool, shape (k,)
-        Which columns come from accelerometers.
-    contract : WindowContract or None
-        How the accelerometer features are made; None without accelerometers.
+    ``values``, (n, k): one row per row of the campaign.
+    ``names``: columns.
+    ``sensor``, (k,): which columns come from accelerometers.
+    ``contract``: how the accelerometer features are made; None without accelerometers.
     """
 
     values: Floats
@@ -42,13 +36,7 @@ class GenericInputs:
 
 
 def generic_inputs(rows: Rows) -> GenericInputs:
-    """Return path inputs, harmonics of the path angle, and accelerometer features.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of a campaign.
-    """
+    """Return path inputs, harmonics of the path angle, and accelerometer features."""
     path = np.concatenate([run.inputs[run.arc] for run in rows.runs]).astype(float)
     angle = path[:, 0]
     columns = [path[:, 1:]]
@@ -82,7 +70,7 @@ def _contract_of(rows: Rows) -> WindowContract | None:
     )
 
 
-def window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
+def _window_features(run: TickRun, contract: WindowContract) -> WindowFeatures:
     """Return the features of every window of a run's accelerometers."""
     if run.accelerometers is None:
         raise InputError("the run has no accelerometers", code="train.signals", where=run.meta.run_id)
@@ -95,15 +83,8 @@ def _sensor_features(run: TickRun, contract: WindowContract) -> Floats:
 
     The accelerometers' clock is brought to the controller's by the stops; a row sees the
     newest window that had ended by then, never a later one.
-
-    Parameters
-    ----------
-    run : TickRun
-        A run with accelerometers.
-    contract : WindowContract
-        Window and features.
     """
-    found = window_features(run, contract)
+    found = _window_features(run, contract)
     flat = found.values.reshape(len(found.values), -1)
     ends_s = np.asarray(found.end_s) + _accelerometer_lag_s(run, contract)
     newest = np.clip(np.searchsorted(ends_s, run.arc / TICK_HZ, side="right") - 1, 0, None)

@@ -18,15 +18,7 @@ _EDGES_US = (0.25, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 1000.0)
 
 
 def bundle_latency(bundle: Bundle, calls: int = 20_000) -> Latency:
-    """Time single evaluations of a compiled bundle, as the loop does them.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        The bundle.
-    calls : int
-        Number of timed ticks.
-    """
+    """Time single evaluations of a compiled bundle, as the loop does them."""
     compiled = CompiledBundle(bundle)
     low = np.array([i.low for i in bundle.inputs if i.source != "feature"])
     high = np.array([i.high for i in bundle.inputs if i.source != "feature"])
@@ -38,19 +30,8 @@ def bundle_latency(bundle: Bundle, calls: int = 20_000) -> Latency:
 def onnx_latency(model: Any, x: Floats, calls: int = 2000) -> tuple[bytes | None, Latency | None]:
     """Convert a fitted scikit-learn model to ONNX and time one row of it.
 
-    Parameters
-    ----------
-    model : scikit-learn regressor
-        Fitted.
-    x : ndarray, shape (n, k)
-        Inputs; the first row is used.
-    calls : int
-        Number of timed rows.
-
-    Returns
-    -------
-    onnx, latency : tuple
-        The serialised model and its time; both None when it cannot be converted.
+    ``x``, (n, k): inputs; the first row is used.
+    The serialised model and its time; both None when it cannot be converted.
     """
     import onnxruntime
     from skl2onnx import to_onnx

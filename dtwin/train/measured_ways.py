@@ -25,8 +25,6 @@ class MeasuredWays:
         In order of time; those whose ``meta.correction`` is set were corrected.
     clock : str
         Clock that they ran on.
-    delays : dict of str to float
-        Modelled delays in s.
     oracle : tuple of Run
         Runs of a correction that knows the machine's repeatable error, under the same guard.
     acted : dict

@@ -83,8 +83,6 @@ def follow(controller: Controller, offsets_um: Floats, safety: SafetyLimits) -> 
         At the start of the program.
     offsets_um : ndarray, shape (n, 3)
         By tick; the last one is held.
-    safety : SafetyLimits
-        Limits.
     """
     guard, nothing = Guard(safety, np.empty(0), np.empty(0)), np.empty(0)
     tick = 0

@@ -26,8 +26,6 @@ class TrainingPlacement:
     ----------
     motion : str
         ``MoveL`` or ``MoveJ``.
-    feed_mm_min : float
-        Programmed feed.
     error_um : ndarray, shape (3,)
         Measured.
     """
@@ -47,10 +45,6 @@ def placement_bundle(
 
     Parameters
     ----------
-    placements : sequence of TrainingPlacement
-        Both motions.
-    machine : str
-        Machine that it is for.
     feeds_mm_min : tuple of float
         Lowest and highest feed at which the correction may be used.
     """

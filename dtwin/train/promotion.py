@@ -24,19 +24,11 @@ from dtwin.train.registry import RegisteredVersion, Registry, model_name
 _HISTORY = "promotions.jsonl"
 # Tag of a version that may be tried but never become champion; its value says why.
 TRIAL_ONLY = "trial_only"
-Action = Literal["trial", "champion", "refused", "rollback"]
+_Action = Literal["trial", "champion", "refused", "rollback"]
 
 
 def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
-    """Return a version's bundle and the verdicts of the offline gates.
-
-    Parameters
-    ----------
-    registry : Registry
-        Where the version is.
-    found : RegisteredVersion
-        The version.
-    """
+    """Return a version's bundle and the verdicts of the offline gates."""
     bundle = Bundle.from_dict(registry.bundle(found))
     if bundle.machine != found.machine:
         raise GateRefusal(
@@ -63,20 +55,12 @@ def promote(
 
     Parameters
     ----------
-    registry : Registry
-        Where the version is.
-    home : Home
-        Where bundles live.
-    found : RegisteredVersion
-        The version.
     geometry : mapping
         The machine's geometry, for the serving host.
     evidence : Evidence or None
         Closed-loop evidence, computed from runs just now; without it nothing becomes champion.
     despite : sequence of str
         Names of the evidence on record that speaks against the version; all of it must be named.
-    comment : str
-        Why; kept in the history.
     valid_days : float
         How long the evidence holds; 0 for ever.
 
@@ -106,7 +90,7 @@ def promote(
     kind = evidence.kind if evidence else "none"
     path = _freeze(home, found, bundle, verdicts, kind, valid_days)
     proved = _proved(evidence)
-    previous = _champion(registry, found.machine)
+    previous = registry.champion(found.machine)
     _write_machine(found.machine, home, geometry)
     allow(found.machine, home, int(found.version))
     write_pointer(found.machine, home, path, int(found.version), "champion", proved)
@@ -156,17 +140,13 @@ def rollback(registry: Registry, home: Home, machine: str, comment: str = "") ->
     ----------
     registry, home
         As in :func:`promote`.
-    machine : str
-        The machine.
-    comment : str
-        Why; kept in the history.
 
     Raises
     ------
     InputError
         When there is no previous champion.
     """
-    present = _champion(registry, machine)
+    present = registry.champion(machine)
     try:
         previous = registry.version(machine, "previous")
     except InputError as error:
@@ -204,8 +184,6 @@ def withdraw(
     ----------
     registry, home
         As in :func:`promote`.
-    machine : str
-        The machine.
     reason : str
         Why; kept in the history, in the registry and beside the bundles.
 
@@ -274,13 +252,6 @@ def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Non
         write_machine(machine, home, dict(geometry))
 
 
-def _champion(registry: Registry, machine: str) -> RegisteredVersion | None:
-    try:
-        return registry.version(machine, "champion")
-    except InputError:
-        return None
-
-
 def _bundle_path(home: Home, found: RegisteredVersion) -> Path:
     return machine_folder(found.machine, home) / f"v{int(found.version):04d}.json"
 
@@ -339,7 +310,7 @@ def _now() -> str:
 def _remember(
     home: Home,
     found: RegisteredVersion,
-    action: Action,
+    action: _Action,
     comment: str,
     verdicts: Sequence[Verdict],
     despite: Sequence[str] = (),

@@ -31,14 +31,10 @@ class CheckedRun:
 
     Attributes
     ----------
-    plane, radius_mm, feed_mm_min, direction
-        What was run.
     block : int
         Pass over all conditions; the two ways of one block make a pair.
     compensated : bool
         Whether the champion was served.
-    rms_um : float
-        Set-up-corrected error.
     """
 
     plane: str
@@ -59,17 +55,10 @@ class CheckedRun:
 class ConditionCheck:
     """What pairs of one condition say.
 
-    Attributes
-    ----------
-    name : str
-        Such as ``YZ R150 F5000``; ``all`` over every condition.
-    before_um, after_um : float
-        Mean error without and with the correction.
-    growth_um, half_width_um : float
-        Mean difference of the pairs, and half its confidence interval; all intervals of a check
-        hold together with 95 % (Bonferroni).
-    pairs : int
-        Number of pairs.
+    ``name``: such as ``YZ R150 F5000``; ``all`` over every condition.
+    ``before_um``, ``after_um``: mean error without and with the correction.
+    ``growth_um``, ``half_width_um``: mean difference of the pairs, and half its confidence interval; all intervals of a
+    check hold together with 95 % (Bonferroni).
     """
 
     name: str
@@ -98,8 +87,6 @@ class Recheck:
     ----------
     verdict : {"helps", "unclear", "worse"}
         ``worse`` when any condition, or all together, are worse beyond their interval.
-    reason : str
-        In words.
     conditions : tuple of ConditionCheck
         Every condition, and ``all`` last.
     """
@@ -132,20 +119,10 @@ def interleaved_runs(
 
     Parameters
     ----------
-    bundle : Bundle
-        What is served.
-    cobot : VirtualCobot
-        The machine as it is now.
     tcp_mm : ndarray, shape (3,)
         Tool centre point.
-    conditions : sequence of (plane, radius_mm, feed_mm_min)
-        What is run.
     blocks : int
         Passes over all of it.
-    seed : int
-        Of order and noise.
-    progress : callable, optional
-        Called with (done, total, what).
     """
     rng = np.random.default_rng([seed, 83])
     jobs = [

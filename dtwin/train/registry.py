@@ -37,14 +37,10 @@ class RegisteredVersion:
 
     Attributes
     ----------
-    machine, version : str
-        Which model.
     run_id : str
         MLflow run that it comes from.
     aliases : tuple of str
         ``candidate``, ``champion``, ``previous`` that point at it.
-    tags : dict of str to str
-        Verdicts and evidence.
     created : str
         ISO 8601.
     """
@@ -107,8 +103,6 @@ class Registry:
 
         Parameters
         ----------
-        report : TrainingReport
-            What was trained.
         artifacts : dict of str to str or bytes
             Pages and tables of the whole training, by file name.
 
@@ -137,12 +131,6 @@ class Registry:
 
         Parameters
         ----------
-        report : TrainingReport
-            The training it comes from.
-        run_id : str
-            Its MLflow run.
-        candidate : Candidate
-            A promotable candidate.
         description : str
             What the reviewer reads first, in Markdown.
         """
@@ -174,8 +162,6 @@ class Registry:
 
         Parameters
         ----------
-        machine : str
-            The machine.
         wanted : str
             A version number, or ``candidate``, ``champion``, ``previous``.
 
@@ -211,6 +197,13 @@ class Registry:
             tags=dict(found.tags),
             created=time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(found.creation_timestamp / 1e3)),
         )
+
+    def champion(self, machine: str) -> RegisteredVersion | None:
+        """Return the machine's champion, None when nothing was promoted."""
+        try:
+            return self.version(machine, "champion")
+        except InputError:
+            return None
 
     def versions(self, machine: str) -> list[RegisteredVersion]:
         """Return all versions of a machine's model, newest first."""

@@ -22,8 +22,8 @@ from dtwin.train.symbolic import Engine, FittedFormula, refit
 # Harmonics instead of the angle itself, so that every formula closes on itself after a turn.
 _HARMONICS = range(1, 9)
 INPUTS = (*(f"{w}{h}" for h in _HARMONICS for w in "cs"), "f", "r", "d")
-REFERENCE_FEED_MM_S = 50.0
-REFERENCE_RADIUS_MM = 100.0
+_REFERENCE_FEED_MM_S = 50.0
+_REFERENCE_RADIUS_MM = 100.0
 _BINS_TOGETHER = 3
 _NEAR = 1.02
 _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -38,13 +38,9 @@ class ResidualFormula:
     text : str
         In um; ``c5`` and ``s5`` are cosine and sine of five times the path angle, ``f`` is the feed
         over 50 mm/s, ``r`` the radius over 100 mm, ``d`` +1 counter-clockwise and -1 clockwise.
-    nodes : int
-        Its size.
     gain : float
         Share of the mean square that it takes away on conditions that search and constants never
         saw: a plane, radius and feed at a time.
-    groups : int
-        How many such conditions.
     """
 
     text: str
@@ -63,14 +59,8 @@ def search_residual(obs: Observations, residual_um: Floats, engine: Engine, seed
 
     Parameters
     ----------
-    obs : Observations
-        The runs.
     residual_um : ndarray, shape (rows, 360)
         What the twin leaves.
-    engine : Engine
-        Symbolic regression.
-    seed : int
-        Of the search.
 
     Raises
     ------
@@ -107,8 +97,6 @@ def formula_effect(name: str, text: str) -> Effect:
 
     Parameters
     ----------
-    name : str
-        Name of the effect.
     text : str
         The formula; nothing but numbers, the inputs, arithmetic and known functions.
 
@@ -181,7 +169,7 @@ def _inputs(theta: Floats, feed_mm_s: float, radius_mm: float, sign: float) -> d
     waves = {f"{word}{h}": wave(h * theta) for h in _HARMONICS for word, wave in (("c", np.cos), ("s", np.sin))}
     return {
         **waves,
-        "f": ones * (feed_mm_s / REFERENCE_FEED_MM_S),
-        "r": ones * (radius_mm / REFERENCE_RADIUS_MM),
+        "f": ones * (feed_mm_s / _REFERENCE_FEED_MM_S),
+        "r": ones * (radius_mm / _REFERENCE_RADIUS_MM),
         "d": ones * sign,
     }

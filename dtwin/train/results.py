@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal
 
-from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
 
 if TYPE_CHECKING:
@@ -19,15 +18,6 @@ FRESH_RUN = "fresh_run.rms_um"
 """Metric: RMS error on runs that only the coefficients were fitted without, in um."""
 # Rounding is no harm.
 _SAME = 1.0 + 1e-6
-
-
-@runtime_checkable
-class Predictor(Protocol):
-    """Anything that maps input rows to a radial error."""
-
-    def predict(self, inputs: Floats) -> Floats:
-        """Return predictions in um, shape (n,), for inputs of shape (n, k)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -45,8 +35,6 @@ class Scores:
         Held-out error after the set-up's centre and radius are removed.
     worst_slice_ratio : float
         Largest ratio of error with the model to error without, over conditions.
-    worst_slice : str
-        Where that is.
     n_groups, n_runs : int
         Number of groups that were left out in turn, and of runs in them.
     """
@@ -69,16 +57,8 @@ class Scores:
 class Latency:
     """Time of one evaluation of one row.
 
-    Attributes
-    ----------
-    p50_us, p99_us : float
-        Percentiles over single calls.
-    calls : int
-        Number of calls that were timed.
-    what : str
-        What was timed, for example ``bundle tick`` or ``onnxruntime``.
-    histogram_us : tuple of (float, int)
-        Upper edges and counts.
+    ``what``: what was timed, for example ``bundle tick`` or ``onnxruntime``.
+    ``histogram_us``: upper edges and counts.
     """
 
     p50_us: float
@@ -104,14 +84,10 @@ class Candidate:
         By held-out group.
     train_rms_um : float
         Error on the rows it was fitted to.
-    latency : Latency, optional
-        Time of one row.
     equation : str
         Readable form, empty for what is not an expression.
     exports : dict of str to str
         File name to content: C, Python, LaTeX ...
-    bundle : dict, optional
-        The serving bundle of an expression.
     onnx : bytes, optional
         The model of what is not an expression.
     findings : tuple of str
@@ -149,22 +125,16 @@ class TrainingReport:
 
     Attributes
     ----------
-    machine, campaign : str
-        What was trained on.
     table_versions : dict of str to int
         Versions of the lake's tables: the same data can be read again.
     noise_floor_um : float
         RMS that no model's held-out error may go below.
     rms_before_um : float
         RMS of the set-up-corrected error without any model.
-    n_runs, n_rows : int
-        Size of the data.
     candidates : tuple of Candidate
         Best first, by held-out error.
     proposed : str
         Name of the promotable candidate that the gates should look at.
-    seed : int
-        Seed of everything random.
     told : tuple of str
         What the data show before any model, for the reviewer.
     floor_is : str
@@ -214,8 +184,6 @@ def r2_text(r2: float, rms_um: float, zero_um: float | None) -> str:
 
     Parameters
     ----------
-    r2, rms_um : float
-        Of the model, held out.
     zero_um : float, optional
         Error without a correction on the same rows.
     """
@@ -264,14 +232,8 @@ class Training:
 
     Attributes
     ----------
-    report : TrainingReport
-        Candidates and data.
-    geometry : dict
-        The machine's geometry.
     conditions : tuple of (plane, radius_mm, feed_mm_min)
         What was trained; of tones (name, frequency_hz, amplitude_um).
-    fit : PhysicsFit, optional
-        The fitted physics library of circles.
     """
 
     report: TrainingReport

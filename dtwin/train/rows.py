@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from dtwin.schema import Floats
 from dtwin.train.dataset import TickRun
 
-_GROUPS = ("feed_mm_min", "radius_mm", "plane", "repeat")
-
 
 @dataclass(frozen=True)
 class Rows:
@@ -21,8 +19,6 @@ class Rows:
 
     Attributes
     ----------
-    runs : tuple of TickRun
-        The runs, in order.
     of_run : ndarray of int, shape (n,)
         Which run a row belongs to.
     angle_rad, measured_um : ndarray, shape (n,)
@@ -101,13 +97,7 @@ class Rows:
 
 
 def gather(runs: Sequence[TickRun]) -> Rows:
-    """Put the rows of all runs side by side.
-
-    Parameters
-    ----------
-    runs : sequence of TickRun
-        Aligned runs.
-    """
+    """Put the rows of all runs side by side."""
     measured = np.concatenate([run.target_um() for run in runs])
     rows = Rows(
         runs=tuple(runs),

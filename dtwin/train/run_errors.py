@@ -36,8 +36,6 @@ class RunError:
         What was set; runs of equal conditions are repeats.
     direction : str
         Sense of the motion; runs of one condition differ by it without disagreeing.
-    size_um : float
-        RMS of the error.
     rest_um : ndarray, shape (n,)
         The error at places that the repeats share, its RMS about ``size_um``.
     """
@@ -52,16 +50,7 @@ class RunError:
 def run_errors(runs: Sequence[Run]) -> list[RunError]:
     """Return the errors of runs of one kind, what belongs to the set-up taken out.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        All without a correction, or all with the same: the instrument's mounting is fitted to them
-        together.
-
-    Raises
-    ------
-    InputError
-        When the kind of campaign is not compared run by run, or a run lacks what is compared.
+    ``runs``: all without a correction, or all with the same: the instrument's mounting is fitted to them together.
     """
     kinds = sorted({run.meta.kind for run in runs})
     if not kinds:

@@ -55,12 +55,8 @@ class OperonEngine:
 
     Parameters
     ----------
-    generations, population : int
-        Size of the search.
     max_length : int
         Longest formula in nodes.
-    symbols : str
-        Operators that it may use.
     """
 
     name = "operon"
@@ -80,8 +76,6 @@ class OperonEngine:
             Columns by name.
         target : ndarray, shape (n,)
             What to explain.
-        seed : int
-            Fixes the run.
         """
         from pyoperon.sklearn import SymbolicRegressor
 
@@ -112,13 +106,7 @@ class OperonEngine:
 
 
 class PySREngine:
-    """PySR; needs the package and a Julia on the machine.
-
-    Parameters
-    ----------
-    iterations : int
-        Size of the search.
-    """
+    """PySR; needs the package and a Julia on the machine."""
 
     name = "pysr"
 
@@ -179,10 +167,7 @@ class PySREngine:
 def read_hall_of_fame(equations: Any) -> list[Found]:
     """Return the front from PySR's table of equations.
 
-    Parameters
-    ----------
-    equations : DataFrame
-        With the columns ``equation``, ``complexity`` and ``loss``.
+    ``equations``: with the columns ``equation``, ``complexity`` and ``loss``.
     """
     return [Found(str(row["equation"]), int(row["complexity"]), float(row["loss"])) for _, row in equations.iterrows()]
 
@@ -193,14 +178,10 @@ class FittedFormula:
 
     Attributes
     ----------
-    formula : Formula
-        The tree.
     constants : ndarray, shape (k,)
         Refitted values.
     rms : float
         Error on the rows that it was refitted to.
-    complexity : int
-        Nodes.
     """
 
     formula: Formula

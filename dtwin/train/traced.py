@@ -50,8 +50,6 @@ class Traced(NDArrayOperatorsMixin):
 
     Parameters
     ----------
-    columns : sequence of Expression
-        One for each column.
     table : bool
         Whether it stands for shape (1, columns) instead of (1,).
     """
@@ -113,8 +111,6 @@ class TracedAlong(Traced):
 
     Parameters
     ----------
-    point : Expression
-        The point.
     points : ndarray, shape (n,)
         Where the path was measured.
     """
@@ -138,14 +134,8 @@ class TracedAlong(Traced):
         return super().__array_function__(func, types, args, kwargs)
 
 
-class TracedComplex(NDArrayOperatorsMixin):
-    """A complex number of two expressions, as the response to a tone is one.
-
-    Parameters
-    ----------
-    real_part, imaginary_part : Expression
-        Its parts.
-    """
+class _TracedComplex(NDArrayOperatorsMixin):
+    """A complex number of two expressions, as the response to a tone is one."""
 
     def __init__(self, real_part: Expression, imaginary_part: Expression) -> None:
         self.parts = real_part, imaginary_part
@@ -168,13 +158,7 @@ class TracedComplex(NDArrayOperatorsMixin):
 
 
 class NotTold(Traced):
-    """What serving does not know: whatever is done with it is refused.
-
-    Parameters
-    ----------
-    what : str
-        For the message.
-    """
+    """What serving does not know: whatever is done with it is refused."""
 
     def __init__(self, what: str) -> None:
         super().__init__([])
@@ -192,19 +176,7 @@ class NotTold(Traced):
 def expressions_of(found: Any, builder: GraphBuilder, count: int) -> list[Expression]:
     """Return the columns that an effect returned.
 
-    Parameters
-    ----------
-    found : Traced or ndarray, shape (1, count)
-        What its regressors gave.
-    builder : GraphBuilder
-        Collects the nodes.
-    count : int
-        Number of parameters.
-
-    Raises
-    ------
-    NotTraceable
-        When the shape is another one.
+    ``found``, (1, count): what its regressors gave.
     """
     columns = _columns(found, builder)
     if len(columns) != count:
@@ -229,18 +201,18 @@ def _apply(ufunc: Any, args: Sequence[Expression]) -> Expression:
 
 
 def _is_complex(item: Any) -> bool:
-    return not isinstance(item, Traced) and (isinstance(item, TracedComplex) or np.iscomplexobj(item))
+    return not isinstance(item, Traced) and (isinstance(item, _TracedComplex) or np.iscomplexobj(item))
 
 
-def _complex(ufunc: Any, inputs: Sequence[Any], builder: GraphBuilder) -> TracedComplex:
+def _complex(ufunc: Any, inputs: Sequence[Any], builder: GraphBuilder) -> _TracedComplex:
     made = _OF_COMPLEX.get(ufunc)
     if made is None:
         raise NotTraceable(f"{ufunc.__name__} of complex numbers")
-    return TracedComplex(*made(*(_parts(item, builder) for item in inputs)))
+    return _TracedComplex(*made(*(_parts(item, builder) for item in inputs)))
 
 
 def _parts(item: Any, builder: GraphBuilder) -> _Parts:
-    if isinstance(item, TracedComplex):
+    if isinstance(item, _TracedComplex):
         return item.parts
     if isinstance(item, Traced):
         if len(item.columns) != 1:

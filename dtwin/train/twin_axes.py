@@ -57,8 +57,6 @@ def axis_errors_um(twin: Twin, motion: Motion, columns: Mapping[str, float] | No
     ----------
     twin : Twin
         Its terms are all used; take out first what cannot be corrected.
-    motion : Motion
-        Where and how the machine moves.
     columns : dict of str to float
         Logged channels that its effects need.
 
@@ -74,17 +72,7 @@ def axis_errors_um(twin: Twin, motion: Motion, columns: Mapping[str, float] | No
 
 
 def _term_errors_um(term: Term, twin: Twin, motion: Motion, columns: Mapping[str, float]) -> Floats:
-    """Return what one effect adds to every axis, shape (n, 3).
-
-    Parameters
-    ----------
-    term, twin : Term, Twin
-        The effect, and the twin with its parameters.
-    motion : Motion
-        Where and how the machine moves.
-    columns : dict of str to float
-        Logged channels.
-    """
+    """Return what one effect adds to every axis, shape (n, 3)."""
     weights = twin.values(term)
     out = np.zeros(motion.position_mm.shape)
     for axis in range(3):
@@ -107,10 +95,6 @@ def own_axis_only(
 
     Parameters
     ----------
-    terms : sequence of Term
-        Effects.
-    twin : Twin
-        Their twin.
     axis : str
         X, Y or Z.
     travel_mm : tuple of float

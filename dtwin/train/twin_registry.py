@@ -18,10 +18,6 @@ def log_twin(
 
     Parameters
     ----------
-    registry : Registry
-        Where.
-    document : dict
-        The twin, as it was stored.
     digest : str
         Tells the version from every other; a tag of its run.
     description : str
@@ -90,8 +86,6 @@ def note_diagnosis(registry: Registry, model: str, model_version: str, diagnosis
 
     Parameters
     ----------
-    registry : Registry
-        Where.
     model, model_version : str
         As ``log_twin`` returned them.
     diagnosis : dict

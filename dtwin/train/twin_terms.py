@@ -30,14 +30,7 @@ _NOT_BY_OFFSETS: Mapping[str, str] = {
 class TermChoice:
     """What becomes of one effect of a twin.
 
-    Attributes
-    ----------
-    label : str
-        Effect with axis.
-    included : bool
-        Whether the correction answers it.
-    how : str
-        How an offset corrects it, or why it is left out.
+    ``how``: how an offset corrects it, or why it is left out.
     """
 
     label: str
@@ -46,13 +39,7 @@ class TermChoice:
 
 
 def choose(term: Term) -> TermChoice:
-    """Say whether offsets of position can correct an effect at all.
-
-    Parameters
-    ----------
-    term : Term
-        Effect of a twin.
-    """
+    """Say whether offsets of position can correct an effect at all."""
     effect = term.instance.effect
     why = ""
     if effect.setup:
@@ -94,14 +81,9 @@ class TwinBundle:
 class Carried(Generic[Made]):
     """The part of a twin that a bundle carries.
 
-    Attributes
-    ----------
-    choices : tuple of TermChoice
-        Every effect of the twin, included or left out with the reason.
-    twin : Twin
-        The twin reduced to what is included.
-    traced : tuple
-        What each effect of the reduced twin became.
+    ``choices``: every effect of the twin, included or left out with the reason.
+    ``twin``: the twin reduced to what is included.
+    ``traced``: what each effect of the reduced twin became.
     """
 
     choices: tuple[TermChoice, ...]
@@ -114,8 +96,6 @@ def carried(twin: Twin, trace: Callable[[Term], Made]) -> Carried[Made]:
 
     Parameters
     ----------
-    twin : Twin
-        The twin.
     trace : callable
         Turns one effect into expressions, or raises ``NotTraceable`` with the reason.
 
@@ -150,12 +130,8 @@ def weighted(term: Term, state: Any, builder: GraphBuilder, weights: Floats) -> 
 
     Parameters
     ----------
-    term : Term
-        The effect.
     state : State
         With stand-ins for what serving tells.
-    builder : GraphBuilder
-        Collects the nodes.
     weights : ndarray, shape (parameters,)
         Its fitted parameters.
 

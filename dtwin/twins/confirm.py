@@ -20,17 +20,10 @@ _FILE = "interventions.json"
 
 
 @dataclass(frozen=True)
-class Change:
+class _Change:
     """One parameter before and after.
 
-    Attributes
-    ----------
-    name, unit : str
-        Parameter.
-    before, after : float
-        Estimates.
-    before_uncertainty, after_uncertainty : float
-        Expanded, k = 2; unit of replication: the run.
+    ``before_uncertainty``, ``after_uncertainty``: expanded, k = 2; unit of replication: the run.
     """
 
     name: str
@@ -64,25 +57,14 @@ class Change:
 class Intervention:
     """One effect before and after somebody mended its cause.
 
-    Attributes
-    ----------
-    effect : str
-        Label, with axis.
-    what : str
-        What was done.
-    before_campaign, after_campaign : str
-        Measurements.
-    changes : tuple of Change
-        Its parameters.
-    confirmed : bool
-        Whether every parameter that was there went.
+    ``confirmed``: whether every parameter that was there went.
     """
 
     effect: str
     what: str
     before_campaign: str
     after_campaign: str
-    changes: tuple[Change, ...]
+    changes: tuple[_Change, ...]
     confirmed: bool
 
     def as_dict(self) -> dict[str, Any]:
@@ -95,14 +77,10 @@ def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Inte
 
     Parameters
     ----------
-    twins : Twins
-        Where the twin is.
     name, effect : str
         The twin, and the label of one of its effects: ``backlash:X``.
     after : str
         Campaign on the same machine after the cause was mended.
-    what : str
-        What was done, for the record.
 
     Returns
     -------
@@ -160,8 +138,8 @@ def interventions(twins: TwinShelf, name: str) -> list[dict[str, Any]]:
     return list(read_document(path)["interventions"]) if path.exists() else []
 
 
-def _change(before: Estimate, after: Estimate) -> Change:
-    return Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
+def _change(before: Estimate, after: Estimate) -> _Change:
+    return _Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
 
 
 def _keep(twins: Twins, name: str, found: Intervention) -> None:

@@ -50,8 +50,6 @@ class TwinWay:
         Returns what is known of that bundle from runs that were left out.
     grades : tuple of str
         Grades that confirm an effect.
-    quiet : tuple of str
-        Verdicts that miss nothing.
     little : float
         Share of the error before that may be left, whatever the verdict says of it.
     geometry : dict of str to str
@@ -70,14 +68,7 @@ class TwinWay:
 class Grading:
     """How well an effect of a twin is confirmed, by leaving it out and asking what is missing.
 
-    Attributes
-    ----------
-    label : str
-        Effect with axis.
-    grade : str
-        ``law-confirmed`` and the like; else what a diagnosis without it says.
-    confirmed : bool
-        Whether its law was confirmed.
+    ``grade``: ``law-confirmed`` and the like; else what a diagnosis without it says.
     """
 
     label: str
@@ -93,16 +84,8 @@ class Correction:
     ----------
     frozen : TwinBundle
         Bundle and what became of every effect.
-    version : RegisteredVersion
-        Where it is registered.
-    verdict : str
-        Of the diagnosis.
-    gradings : tuple of Grading
-        Of the effects that are corrected.
     objections : tuple of str
         Why it may only be tried; empty when nothing speaks against it.
-    gates : tuple of Verdict
-        Offline gates.
     predicted : tuple of dict
         RMS of every condition before, and after as the twin predicts it.
     virtual : bool
@@ -146,14 +129,8 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
 
     Parameters
     ----------
-    twins : Twins
-        Where the twin is.
-    name : str
-        The twin.
     trial : bool
         Go on although the twin is not confirmed; such a version can be tried, never promoted.
-    seed : int
-        Seed of permutations in the diagnosis.
 
     Raises
     ------

@@ -22,16 +22,9 @@ DEFAULT_CUTOFF = Cutoff(cycles_per_rev=DEFAULT_CYCLES_PER_REV)
 class EncoderSplit:
     """Measured error by who can see it.
 
-    Attributes
-    ----------
-    cutoff : Cutoff
-        Where quasi-static ends and dynamic begins.
-    obs : Observations
-        The runs whose controller was logged.
-    split : Split
-        Their parts.
-    runs_without : tuple of str
-        Runs without the controller's columns, which are left out.
+    ``cutoff``: where quasi-static ends and dynamic begins.
+    ``obs``: the runs whose controller was logged.
+    ``runs_without``: runs without the controller's columns, which are left out.
     """
 
     cutoff: Cutoff
@@ -71,15 +64,8 @@ class EncoderSplit:
 def controller_rows_um(runs: Sequence[Run]) -> Floats | None:
     """Return the controller's following error of runs on the grid of ``observe``.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        In the order in which they are observed.
-
-    Returns
-    -------
-    ndarray, shape (rows, 360), or None
-        um along the radius, NaN for runs without the columns; None when no run has them.
+    ``runs``: in the order in which they are observed.
+    Returns (rows, 360): um along the radius, NaN for runs without the columns; None when no run has them.
     """
     out = []
     for run in runs:
@@ -101,19 +87,9 @@ def encoder_split(
     Set-up terms are fitted to the measured error and to the controller's part alike, so that what
     a centre offset or the bar's zero would absorb is in neither.
 
-    Parameters
-    ----------
-    obs : Observations
-        The runs.
-    controller_um : ndarray, shape (rows, 360), or None
-        From ``controller_rows_um``.
-    cutoff : Cutoff
-        Where quasi-static ends and dynamic begins.
-
-    Returns
-    -------
-    EncoderSplit or None
-        None when no run has the controller's columns.
+    ``controller_um``, (rows, 360): from ``controller_rows_um``.
+    ``cutoff``: where quasi-static ends and dynamic begins.
+    None when no run has the controller's columns.
     """
     if controller_um is None:
         return None

@@ -12,19 +12,11 @@ from dtwin.errors import StoreError
 from dtwin.physics.effect import Effect
 from dtwin.train.residual_formula import ResidualFormula, formula_effect
 
-PREFIX = "learned_formula_"
+_PREFIX = "learned_formula_"
 
 
 class WithFormulas(Mapping[str, Effect]):
-    """A library and the formulas of a folder.
-
-    Parameters
-    ----------
-    library : mapping of str to Effect
-        Other effects.
-    folder : Path
-        Where formulas are kept.
-    """
+    """A library and the formulas of a folder."""
 
     def __init__(self, library: Mapping[str, Effect], folder: Path) -> None:
         self.library, self.folder = library, folder
@@ -39,7 +31,7 @@ class WithFormulas(Mapping[str, Effect]):
     def __getitem__(self, name: str) -> Effect:
         """Return an effect; see ``Library``."""
         path = self.folder / f"{name}.json"
-        if not name.startswith(PREFIX) or not path.exists():
+        if not name.startswith(_PREFIX) or not path.exists():
             return self.library[name]
         try:
             text = str(json.loads(path.read_text(encoding="utf-8"))["text"])
@@ -65,4 +57,4 @@ class WithFormulas(Mapping[str, Effect]):
 
 
 def _name_of(text: str) -> str:
-    return PREFIX + hashlib.sha256(text.encode()).hexdigest()[:8]
+    return _PREFIX + hashlib.sha256(text.encode()).hexdigest()[:8]

@@ -19,8 +19,6 @@ class Judged:
         With scores on what was left out.
     noise_floor_um : float
         What repeats disagree by.
-    rms_before_um : float
-        Error without a correction.
     conditions : tuple of tuple
         What was measured: a name or plane, and two numbers.
     """

@@ -24,26 +24,8 @@ if TYPE_CHECKING:
 def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:
     """Add the scaling law that describes unknown structure best.
 
-    Parameters
-    ----------
-    twins : Twins
-        Where the twin is.
-    name : str
-        The twin.
-    seed : int
-        Seed of permutations.
-
-    Returns
-    -------
-    twin : Twin
-        The new version.
-    gain : float
-        Mean relative gain on conditions that were left out of its fit.
-
-    Raises
-    ------
-    GateRefusal
-        When nothing is unknown, or no law holds on left-out conditions.
+    Returns ``twin``: the new version.
+    Returns ``gain``: mean relative gain on conditions that were left out of its fit.
     """
     twin, found = _unknown(twins, name, seed)
     obs = load(twins.home, twin.campaign).obs
@@ -66,28 +48,9 @@ def learn_law(twins: Twins, name: str, seed: int) -> tuple[Twin, float]:
 def learn_formula(twins: Twins, name: str, engine: Engine, seed: int) -> tuple[Twin, ResidualFormula]:
     """Add a formula for what is left, found by symbolic regression.
 
-    Parameters
-    ----------
-    twins : Twins
-        Where the twin is.
-    name : str
-        The twin.
-    engine : Engine
-        Symbolic regression.
-    seed : int
-        Of permutations and of the search.
-
-    Returns
-    -------
-    twin : Twin
-        The new version.
-    learned : ResidualFormula
-        The formula, and its gain on conditions that were left out.
-
-    Raises
-    ------
-    GateRefusal
-        When nothing is unknown, or the formulas do not hold on left-out conditions.
+    ``seed``: of permutations and of the search.
+    Returns ``twin``: the new version.
+    Returns ``learned``: the formula, and its gain on conditions that were left out.
     """
     twin, _ = _unknown(twins, name, seed)
     obs = load(twins.home, twin.campaign).obs

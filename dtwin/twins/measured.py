@@ -31,8 +31,6 @@ class Loaded:
 
     Attributes
     ----------
-    obs : Observations
-        The runs.
     data : dict
         Table versions, a hash of what was used, ``left_out``: runs and why, and ``amended``:
         what was stated anew.
@@ -51,10 +49,6 @@ class Comparison:
 
     Attributes
     ----------
-    twin : Twin
-        The twin, parameters as they are.
-    obs : Observations
-        The runs.
     residual_um : ndarray, shape (rows, n)
         Measured minus predicted.
     before_um : ndarray, shape (rows, n)
@@ -116,8 +110,6 @@ def load(home: Home, campaign: str) -> Loaded:
 
     Parameters
     ----------
-    home : Home
-        The lake.
     campaign : str
         Name in the lake, or a file or folder, which is ingested first.
 

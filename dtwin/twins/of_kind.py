@@ -18,17 +18,7 @@ if TYPE_CHECKING:
 
 
 def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> Twins | HeatTwins:
-    """Return the twins among which one of that name is, or would be.
-
-    Parameters
-    ----------
-    home : Home
-        Where twins are kept.
-    library : mapping of str to Effect
-        Effects of tests of a path.
-    name : str
-        The twin.
-    """
+    """Return the twins among which one of that name is, or would be."""
     return kind_named(kind_of(home, name)).twins(home, library)
 
 
@@ -37,10 +27,6 @@ def twins_for(home: Home, library: Mapping[str, Effect], campaign: str) -> tuple
 
     Parameters
     ----------
-    home : Home
-        Of the lake, and of the twins.
-    library : mapping of str to Effect
-        Effects of tests of a path.
     campaign : str
         Name in the lake, or a file or folder, which is ingested first.
 

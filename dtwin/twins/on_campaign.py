@@ -17,16 +17,10 @@ class TwinView:
 
     Attributes
     ----------
-    name : str
-        The twin.
-    version : int
-        Its newest version.
     diagnosed : bool
         Whether the campaign is the one that it was fitted to; otherwise it was compared.
     result : dict
         Diagnosis or comparison, as ``--json`` prints it.
-    text : str
-        The same for people.
     """
 
     name: str
@@ -51,8 +45,6 @@ def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
 
     Parameters
     ----------
-    home : Home
-        Where twins are kept.
     machine, campaign : str
         The machine, and a campaign of it in the lake.
     """

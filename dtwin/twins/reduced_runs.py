@@ -51,10 +51,7 @@ Reduced = tuple[Observations, Floats | None]
 def stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return what a reduction of these runs of the lake is made from.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Rows of the lake's table of runs.
+    ``rows``: rows of the lake's table of runs.
     """
     digest = hashlib.sha256(_code_sha256().encode())
     for row in rows:
@@ -65,14 +62,7 @@ def stamp_of(rows: Sequence[Mapping[str, Any]]) -> str:
 def read_reduced(home: Home, campaign: str, stamp: str) -> Reduced | None:
     """Return the runs and what the controller saw; None when they are to be made.
 
-    Parameters
-    ----------
-    home : Home
-        State folder.
-    campaign : str
-        Name in the lake.
-    stamp : str
-        As ``stamp_of`` gives it.
+    ``stamp``: as ``stamp_of`` gives it.
     """
     path = _path(home, campaign)
     try:
@@ -104,12 +94,7 @@ def read_reduced(home: Home, campaign: str, stamp: str) -> Reduced | None:
 def keep_reduced(home: Home, campaign: str, stamp: str, reduced: Reduced) -> None:
     """Keep reduced runs; where there is no room they are made again the next time.
 
-    Parameters
-    ----------
-    home, campaign, stamp
-        As in ``read_reduced``.
-    reduced : tuple of Observations and ndarray or None
-        What to keep.
+    ``home``, ``campaign``, ``stamp``: as in ``read_reduced``.
     """
     obs, controller = reduced
     if obs.grid is not CIRCLE:

@@ -38,12 +38,7 @@ _children: list[subprocess.Popen[bytes]] = []
 class Waiting:
     """A version of a twin that MLflow does not show yet, or not with its diagnosis.
 
-    Attributes
-    ----------
-    path : Path
-        Its file.
-    failed : str
-        Why it could not be logged; empty when nobody has tried.
+    ``failed``: why it could not be logged; empty when nobody has tried.
     """
 
     path: Path
@@ -62,17 +57,7 @@ class Waiting:
 def place_of(path: Path, document: Mapping[str, Any]) -> dict[str, str]:
     """Return where a version is in MLflow; empty while it waits.
 
-    Parameters
-    ----------
-    path : Path
-        File of the version.
-    document : mapping
-        What it holds; versions of earlier releases say there themselves where they are.
-
-    Raises
-    ------
-    StoreError
-        When the receipt is damaged.
+    ``document``: what it holds; versions of earlier releases say there themselves where they are.
     """
     file = _receipt(path)
     receipt = read_document(file, _HINT) if file.exists() else document.get("mlflow", {})
@@ -84,8 +69,6 @@ def waiting(home: Home, name: str = "*") -> list[Waiting]:
 
     Parameters
     ----------
-    home : Home
-        Of the twins.
     name : str
         One twin; all without.
     """
@@ -122,19 +105,8 @@ def waiting_text(found: Sequence[Waiting]) -> str:
 def log_soon(home: Home, name: str, *, at_once: bool) -> None:
     """Have what waits logged by a process that outlives this one, or ``at_once`` by this one.
 
-    Parameters
-    ----------
-    home : Home
-        Of the twins.
-    name : str
-        The twin that has something new.
-    at_once : bool
-        Wait for it.
-
-    Raises
-    ------
-    StoreError
-        When it was to be at once, and MLflow did not take it.
+    ``name``: the twin that has something new.
+    ``at_once``: wait for it.
     """
     if at_once:
         left = [item for item in log_waiting(home) if item.path.parent.name == name]

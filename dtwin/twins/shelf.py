@@ -25,13 +25,6 @@ _CAMPAIGNS = {PATHS: "a twin of circular, linear or sinusoidal campaigns"}
 def require_same_machine(name: str, machine: str, campaign: str, its_machine: str) -> None:
     """Refuse to compare a twin with measurements of another machine.
 
-    Parameters
-    ----------
-    name, machine : str
-        The twin, and what it is of.
-    campaign, its_machine : str
-        The measurements, and what they are of.
-
     Raises
     ------
     InputError
@@ -74,8 +67,6 @@ class TwinShelf:
 
     Parameters
     ----------
-    home : Home
-        Of the twins.
     kind : str
         Twins of this kind are found, others are refused: ``paths`` or ``volumetric``.
     """
@@ -163,13 +154,7 @@ class TwinShelf:
         self._write(document, f"v{document['version']:03d}.diagnosis.json")
 
     def history(self, name: str) -> list[dict[str, Any]]:
-        """Return every rung of a twin, oldest first.
-
-        Parameters
-        ----------
-        name : str
-            The twin.
-        """
+        """Return every rung of a twin, oldest first."""
         folder = self.folder(name)
         out = []
         for path in sorted(folder.glob(VERSIONS)):

@@ -15,21 +15,7 @@ from dtwin.physics.twin import FORMAT, Twin, ValidityBox
 def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
     """Return a twin from its stored form.
 
-    Parameters
-    ----------
-    document : dict
-        What ``Twin.as_dict`` returned.
-    library : mapping of str to Effect
-        Effects by name.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    StoreError
-        When the document is not a twin.
-    InputError
-        When it uses an effect that is not in the library.
+    ``document``: what ``Twin.as_dict`` returned.
     """
     if document.get("format") != FORMAT:
         raise StoreError(

@@ -32,8 +32,6 @@ class Twins(TwinShelf):
 
     Parameters
     ----------
-    home : Home
-        Where twins are kept.
     library : mapping of str to Effect, optional
         Effects; the built-in ones and those of entry points without.
     """
@@ -52,8 +50,6 @@ class Twins(TwinShelf):
             Name in the lake, or a file or folder.
         effects : sequence of str
             Names; ``name:axis`` takes one axis.
-        name : str
-            Name of the twin.
         robust : bool
             Give runs that are far off less weight.
         """
@@ -67,8 +63,6 @@ class Twins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         campaign : str, optional
             Other measurements than those of the fit.
 
@@ -91,15 +85,7 @@ class Twins(TwinShelf):
         return Comparison(twin, obs, residual, before, tuple(warnings), loaded.controller_um)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
-        """Find out what a twin lacks.
-
-        Parameters
-        ----------
-        name : str
-            The twin.
-        seed : int
-            Seed of permutations.
-        """
+        """Find out what a twin lacks."""
         twin = self.newest(name)
         loaded = load(self.home, twin.campaign)
         obs = loaded.obs
@@ -116,8 +102,6 @@ class Twins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         effect : str
             Name of the effect, or ``name:axis``.
         axis : str
@@ -140,11 +124,6 @@ class Twins(TwinShelf):
     def remove(self, name: str, effect: str, axis: str = "") -> Twin:
         """Take an effect out, refit, and store the new version.
 
-        Parameters
-        ----------
-        name, effect, axis : str
-            The twin, and what to take out.
-
         Raises
         ------
         InputError
@@ -164,8 +143,6 @@ class Twins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         version : int
             The version to go back to.
         """
@@ -182,13 +159,6 @@ class Twins(TwinShelf):
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:
         """Diagnose and add all that was found, until nothing more is found.
-
-        Parameters
-        ----------
-        name : str
-            The twin.
-        seed : int
-            Seed of permutations.
 
         Returns
         -------

@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from dtwin.own_address import is_foreign, names_this_computer
 
-READING = ("GET", "HEAD")
+_READING = ("GET", "HEAD")
 _MOVE_ON = (
     '<!doctype html><html lang="en"><meta charset="utf-8"><title>dtwin</title>'
     '<link rel="icon" href="data:,">'
@@ -38,17 +38,9 @@ _HEADERS = {
 class Access:
     """What a request needs.
 
-    Attributes
-    ----------
-    host : str
-        Address that the server listens on.
-    port : int
-        Its port.
-    private : bool
-        Whether reading needs the token too: where several people use the computer.
-    token : str
-        Needed for everything that changes something; for everything when others can reach
-        the server.
+    ``host``: address that the server listens on.
+    ``private``: whether reading needs the token too: where several people use the computer.
+    ``token``: needed for everything that changes something; for everything when others can reach the server.
     """
 
     host: str
@@ -64,7 +56,7 @@ class Access:
     @property
     def shared(self) -> bool:
         """Whether other computers can reach the server."""
-        return not is_loopback(self.host)
+        return not _is_loopback(self.host)
 
     @property
     def address(self) -> str:
@@ -82,7 +74,7 @@ class Access:
         return names_this_computer(header, also=self.host, any_address=self.shared)
 
 
-def is_loopback(host: str) -> bool:
+def _is_loopback(host: str) -> bool:
     """Tell whether only this computer can reach an address."""
     try:
         return ipaddress.ip_address(host).is_loopback
@@ -91,15 +83,7 @@ def is_loopback(host: str) -> bool:
 
 
 class Guarded:
-    """An application behind the checks of ``Access``.
-
-    Parameters
-    ----------
-    app : ASGI application
-        What is guarded.
-    access : Access
-        What a request needs.
-    """
+    """An application behind the checks of ``Access``."""
 
     def __init__(self, app: ASGIApp, access: Access) -> None:
         self.app = app
@@ -127,12 +111,12 @@ class Guarded:
         if not self.access.knows_host(headers.get("host")):
             return _refusal("the address names another computer", "open the printed address")
         given = QueryParams(scope["query_string"]).get("token")
-        if given is not None and scope["method"] in READING:
+        if given is not None and scope["method"] in _READING:
             return self._entered(scope, given)
         cookies = cookie_parser(headers.get("cookie", ""))
         allowed = self.access.knows(cookies.get(self.access.cookie))
         scope.setdefault("state", {})["allowed"] = allowed
-        if scope["method"] not in READING:
+        if scope["method"] not in _READING:
             if headers.get("origin") is None or is_foreign(headers["origin"], headers["host"]):
                 return _refusal("the request comes from another site", "use the workbench's page")
             if not allowed:

@@ -28,14 +28,7 @@ from dtwin.workbench.uploads import Trays
 class Bench:
     """State of one server.
 
-    Attributes
-    ----------
-    home : Home
-        What is worked on.
-    access : Access
-        Who may do what.
-    effects_path : Path or None
-        Folder of the user's own effects; their code is run.
+    ``effects_path``: folder of the user's own effects; their code is run.
     """
 
     home: Home
@@ -107,13 +100,7 @@ class Bench:
         return tables["runs"].version(), tables["amendments"].version()
 
     def stamp(self, campaign: str) -> str:
-        """Return a hash of the runs of a campaign: other campaigns do not change it.
-
-        Raises
-        ------
-        InputError
-            When the lake has no such campaign.
-        """
+        """Return a hash of the runs of a campaign: other campaigns do not change it."""
         rows = self.run_rows()
 
         def hashed() -> str:

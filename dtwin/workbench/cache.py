@@ -14,11 +14,6 @@ class Cache:
     """The newest results by key; a key holds the version of what it was made from.
 
     Two requests for the same absent key make it once.
-
-    Parameters
-    ----------
-    most : int
-        Results that are kept.
     """
 
     def __init__(self, most: int = 48) -> None:
@@ -28,15 +23,7 @@ class Cache:
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, make: Callable[[], Result]) -> Result:
-        """Return the result of a key, made now when it is absent.
-
-        Parameters
-        ----------
-        key : hashable
-            What it is, with versions.
-        make : callable
-            Makes it.
-        """
+        """Return the result of a key, made now when it is absent."""
         with self._lock:
             if key in self._kept:
                 self._kept.move_to_end(key)

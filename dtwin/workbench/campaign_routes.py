@@ -26,7 +26,7 @@ from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
 router = APIRouter()
 
 
-class Told(BaseModel):
+class _Told(BaseModel):
     """What is told of a table that lies alone; empty fields are not told."""
 
     machine: str = Field("", max_length=100)
@@ -42,7 +42,7 @@ class Told(BaseModel):
         return {name: value for name, value in self if value not in ("", None)}
 
 
-class Amendment(BaseModel):
+class _Amendment(BaseModel):
     """What is stated anew of a campaign, or of one run."""
 
     field: str = Field(max_length=120)
@@ -51,7 +51,7 @@ class Amendment(BaseModel):
     because: str = Field(max_length=500)
 
 
-class Reason(BaseModel):
+class _Reason(BaseModel):
     """Why a run is left out, or taken in again."""
 
     because: str = Field(max_length=500)
@@ -166,7 +166,7 @@ async def receive(request: Request, tray: str, name: str) -> JSONResponse:
 
 
 @router.post("/api/trays/{tray}/ingest")
-async def ingest_tray(request: Request, tray: str, told: Told | None = None) -> JSONResponse:
+async def ingest_tray(request: Request, tray: str, told: _Told | None = None) -> JSONResponse:
     """Ingest what a tray holds."""
     bench = bench_of(request)
     trays = bench.trays
@@ -182,7 +182,7 @@ async def ingest_tray(request: Request, tray: str, told: Told | None = None) -> 
 
 
 @router.post("/api/campaigns/{name}/amend")
-def amend_campaign(request: Request, name: str, wanted: Amendment) -> JSONResponse:
+def amend_campaign(request: Request, name: str, wanted: _Amendment) -> JSONResponse:
     """State anew what was stated wrongly; raw values never change."""
     bench = bench_of(request)
     bench.lake.campaign(name)
@@ -198,7 +198,7 @@ def amend_campaign(request: Request, name: str, wanted: Amendment) -> JSONRespon
 
 @router.post("/api/campaigns/{name}/runs/{run_id}/{verb}")
 def leave_run_out(
-    request: Request, name: str, run_id: str, verb: Literal["leave-out", "restore"], why: Reason
+    request: Request, name: str, run_id: str, verb: Literal["leave-out", "restore"], why: _Reason
 ) -> JSONResponse:
     """Leave a run out of every figure, twin and report, or take it in again."""
     bench = bench_of(request)

@@ -23,18 +23,8 @@ _SEVERITIES = ("error", "warning", "info")
 class Overview:
     """A campaign in one line.
 
-    Attributes
-    ----------
-    name, machine, kind, started, ingested : str
-        What, and when; ISO 8601.
-    runs, incomplete : int
-        Runs, and how many were cut short.
-    setups, planes, directions : tuple of str
-        What was measured.
-    radii_mm, feeds_mm_min : tuple of float
-        The grid.
-    findings : dict of str to int
-        Number of findings by severity.
+    ``name``, ``machine``, ``kind``, ``started``, ``ingested``: what, and when; ISO 8601.
+    ``runs``, ``incomplete``: runs, and how many were cut short.
     """
 
     name: str
@@ -55,10 +45,7 @@ class Overview:
 def overviews(rows: Sequence[Mapping[str, Any]]) -> list[Overview]:
     """Return the campaigns, the newest ingest first.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-        As ``Lake.runs`` returns them.
+    ``rows``: as ``Lake.runs`` returns them.
     """
     by_name: dict[str, list[Mapping[str, Any]]] = {}
     for row in rows:
@@ -70,15 +57,10 @@ def overviews(rows: Sequence[Mapping[str, Any]]) -> list[Overview]:
 def overview(name: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
     """Return a campaign in one line.
 
-    Parameters
-    ----------
-    name : str
-        The campaign.
-    rows : sequence of dict
-        Its rows, at least one.
+    ``rows``: its rows, at least one.
     """
     severities = Counter(f["severity"] for row in rows for f in findings_of(row))
-    severities.update(f.severity for f in campaign_findings(rows))
+    severities.update(f.severity for f in _campaign_findings(rows))
     return Overview(
         name=name,
         machine=rows[0]["machine"],
@@ -102,7 +84,7 @@ def findings_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
+def _campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
     """Return what is noteworthy about a campaign as a whole."""
     used = [Run(meta_of(row), {}) for row in rows if row["left_out"] is None]
     return [*judge_campaign(used), *amendment_findings(rows)]
@@ -115,7 +97,7 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """
     by_code: dict[str, dict[str, Any]] = {
         f"{f.code} {f.message}": {"severity": f.severity, "code": f.code, "message": f.message, "runs": []}
-        for f in campaign_findings(rows)
+        for f in _campaign_findings(rows)
     }
     for row in rows:
         for f in findings_of(row):
@@ -127,12 +109,7 @@ def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 def possible_effects(rows: Sequence[Mapping[str, Any]], library: Mapping[str, Effect]) -> list[Effect]:
     """Return the effects that can act in a campaign, set-up terms left out, by name.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-        Its rows, at least one.
-    library : mapping of str to Effect
-        Effects by name.
+    ``rows``: its rows, at least one.
     """
     planes = _distinct(rows, "plane")
     alone = {str(axis) for row in rows if (axis := meta_of(row).condition.get("axis"))}

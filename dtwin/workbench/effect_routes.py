@@ -28,7 +28,7 @@ router = APIRouter()
 _MAX_SOURCE = 200_000
 
 
-class EffectSource(BaseModel):
+class _EffectSource(BaseModel):
     """A file of the user's own effect."""
 
     name: str
@@ -75,7 +75,7 @@ def effect_template(name: str = "my_effect") -> Response:
 
 
 @router.post("/api/effects")
-def save(request: Request, wanted: EffectSource) -> JSONResponse:
+def save(request: Request, wanted: _EffectSource) -> JSONResponse:
     """Keep a file of an own effect, and say whether it works; a file that does not is not kept.
 
     Its code is run: the server must have been started with ``--effects-path``.

@@ -19,15 +19,7 @@ Grid = dict[str, Any]
 def grids_of(experiment: Mapping[str, Any] | None) -> list[Grid]:
     """Return the fewest grids that hold exactly the proposed conditions.
 
-    Parameters
-    ----------
-    experiment : dict or None
-        ``next_experiment`` of a diagnosis.
-
-    Raises
-    ------
-    InputError
-        When no run is proposed.
+    ``experiment``: ``next_experiment`` of a diagnosis.
     """
     if not experiment or not experiment["conditions"]:
         raise InputError(
@@ -63,12 +55,8 @@ def grids_of(experiment: Mapping[str, Any] | None) -> list[Grid]:
 def plan_toml(name: str, machine: str, grid: Grid) -> str:
     """Return a plan file.
 
-    Parameters
-    ----------
-    name, machine : str
-        Names of the campaign and of the machine.
-    grid : dict
-        One of ``grids_of``.
+    ``name``, ``machine``: names of the campaign and of the machine.
+    ``grid``: one of ``grids_of``.
     """
     head = f"[plan]\nname = {json.dumps(name)}\nmachine = {json.dumps(machine)}\nseed = 1\n"
     body = "\n".join(f"{key} = {json.dumps(value)}" for key, value in grid.items())
@@ -78,12 +66,8 @@ def plan_toml(name: str, machine: str, grid: Grid) -> str:
 def experiment_zip(name: str, machine: str, experiment: Mapping[str, Any] | None) -> bytes:
     """Return plans and programs of an experiment as one archive.
 
-    Parameters
-    ----------
-    name, machine : str
-        Names of the campaign and of the machine.
-    experiment : dict or None
-        ``next_experiment`` of a diagnosis.
+    ``name``, ``machine``: names of the campaign and of the machine.
+    ``experiment``: ``next_experiment`` of a diagnosis.
     """
     out = io.BytesIO()
     grids = grids_of(experiment)

@@ -22,14 +22,7 @@ router = APIRouter()
 def heat_page(request: Request, name: str, on: str = "") -> Response:
     """Show a twin of heat: how far it goes, what is missing, and its versions.
 
-    Parameters
-    ----------
-    request : Request
-        What was asked for.
-    name : str
-        The twin.
-    on : str
-        Other measurements than those of the fit.
+    ``on``: other measurements than those of the fit.
     """
     bench = bench_of(request)
     twins = HeatTwins(bench.home)

@@ -26,22 +26,10 @@ Work = Callable[[Tell], str]
 class Job:
     """A piece of work.
 
-    Attributes
-    ----------
-    id, title : str
-        Which, and what it does.
-    state : {"waiting", "running", "done", "failed", "interrupted"}
-        Where it is; ``interrupted`` when the server ended first.
-    stage : str
-        What is being done.
-    begun : str
-        ISO 8601.
-    seconds : float
-        Time spent so far.
-    address : str
-        Page to go to when it is done.
-    error : str
-        What went wrong, as the command line words it.
+    ``state``: where it is; ``interrupted`` when the server ended first.
+    ``begun``: ISO 8601.
+    ``address``: page to go to when it is done.
+    ``error``: what went wrong, as the command line words it.
     """
 
     id: str
@@ -64,11 +52,6 @@ class Jobs:
 
     Every change of state is kept in a file, so that a server that was killed says at its next
     start what it did not finish. What a job stores is whole or absent.
-
-    Parameters
-    ----------
-    folder : Path
-        Where jobs are noted.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -85,12 +68,7 @@ class Jobs:
     def start(self, title: str, work: Work) -> Job:
         """Queue work and return at once.
 
-        Parameters
-        ----------
-        title : str
-            What it does.
-        work : callable
-            Gets a function that tells the stage; returns the page to go to.
+        ``work``: gets a function that tells the stage; returns the page to go to.
         """
         begun = datetime.now(UTC).isoformat(timespec="seconds")
         job = Job(secrets.token_hex(8), title, begun=begun)

@@ -11,7 +11,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.locks import locked
 
-USUAL_PORT = 8765
+_USUAL_PORT = 8765
 
 
 @contextlib.contextmanager
@@ -40,10 +40,8 @@ def listening(host: str, port: int | None) -> socket.socket:
 
     Parameters
     ----------
-    host : str
-        Address.
     port : int or None
-        Port; without, ``USUAL_PORT``, or a free one when that is taken.
+        Port; without, ``_USUAL_PORT``, or a free one when that is taken.
 
     Raises
     ------
@@ -52,7 +50,7 @@ def listening(host: str, port: int | None) -> socket.socket:
     """
     if port is None:
         try:
-            return listening(host, USUAL_PORT)
+            return listening(host, _USUAL_PORT)
         except InputError:
             return listening(host, 0)
     try:

@@ -35,17 +35,10 @@ _CORRECTION = slice(COLUMNS.index("correction_x_um"), COLUMNS.index("correction_
 
 
 @dataclass(frozen=True)
-class Serving:
+class _Serving:
     """A process that serves a machine now.
 
-    Attributes
-    ----------
-    machine : str
-        Machine.
-    pid : int
-        Process.
-    since : str
-        ISO 8601.
+    ``since``: ISO 8601.
     """
 
     machine: str
@@ -57,7 +50,7 @@ class Serving:
 def live_page(request: Request) -> Response:
     """Show what is served now, and the sessions that ended."""
     home = bench_of(request).home
-    serving = servings(home)
+    serving = _servings(home)
     return rendered(
         request,
         "live.html",
@@ -78,8 +71,8 @@ def live(request: Request) -> dict[str, Any]:
 
 def _seen(home: Home) -> dict[str, Any]:
     return {
-        "serving": [vars(s) for s in servings(home)],
-        "sessions": [{k: s[k] for k in ("ended", "machine", "started")} for s in sessions(home)],
+        "serving": [vars(s) for s in _servings(home)],
+        "sessions": [{k: s[k] for k in ("machine", "started", "ended")} for s in sessions(home)],
     }
 
 
@@ -87,7 +80,7 @@ def _seen(home: Home) -> dict[str, Any]:
 def now(request: Request, machine: str) -> dict[str, Any]:
     """Return what a machine that is served does now, and the figures of the newest seconds when its loop shows them."""
     home = bench_of(request).home
-    if machine not in {s.machine for s in servings(home)}:
+    if machine not in {s.machine for s in _servings(home)}:
         raise _none(machine)
     seen = read_board(machine, home)
     state = live_state(seen, time.monotonic()).as_dict()
@@ -163,14 +156,14 @@ def _outside_share(session: Mapping[str, Any]) -> float:
 @router.post("/api/live/{machine}/stop")
 def stop(request: Request, machine: str) -> JSONResponse:
     """Ask the server of a machine to release its correction and end, as Ctrl-C does."""
-    for found in servings(bench_of(request).home):
+    for found in _servings(bench_of(request).home):
         if found.machine == machine:
             os.kill(found.pid, signal.SIGINT)
             return JSONResponse({"stopped": found.pid})
     raise InputError("nothing serves this machine now", code="live.none", got=machine[:80], hint="reload the page")
 
 
-def servings(home: Home) -> list[Serving]:
+def _servings(home: Home) -> list[_Serving]:
     """Return the processes that hold a machine's lease.
 
     The lock itself is not touched: taking it even for a moment could refuse a server that
@@ -186,7 +179,7 @@ def servings(home: Home) -> list[Serving]:
         except (OSError, ValueError, KeyError, TypeError):
             continue
         if holder == pid and pid > 1:
-            found.append(Serving(path.stem.removeprefix("machine-"), pid, since))
+            found.append(_Serving(path.stem.removeprefix("machine-"), pid, since))
     return found
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, Request
@@ -18,17 +20,22 @@ router = APIRouter()
 @router.get("/measuring")
 def measuring_page(request: Request) -> Response:
     """Show what is asked now."""
+    asked = desks(bench_of(request).home)
     found = [
         {"id": name, "name": folder.name, "folder": str(folder), "question": question}
-        for name, (folder, question) in desks(bench_of(request).home).items()
+        for name, (folder, question) in asked.items()
     ]
-    return rendered(request, "measuring.html", title="Measuring", desks=found)
+    return rendered(request, "measuring.html", title="Measuring", desks=found, seen=_open(asked))
 
 
 @router.get("/api/measuring")
 def measuring(request: Request) -> dict[str, Any]:
     """Return the questions that are open, by the desk's name."""
-    return {name: dict(asked) for name, (_, asked) in desks(bench_of(request).home).items()}
+    return _open(desks(bench_of(request).home))
+
+
+def _open(asked: Mapping[str, tuple[Path, Mapping[str, Any]]]) -> dict[str, Any]:
+    return {name: dict(question) for name, (_, question) in asked.items()}
 
 
 @router.post("/api/measuring/{desk}/{question}/{answer}")

@@ -20,7 +20,7 @@ from dtwin.workbench.pages import accepted, drawn, rendered
 router = APIRouter()
 
 
-class Comment(BaseModel):
+class _Comment(BaseModel):
     """Why something is promoted or rolled back; kept in the history."""
 
     comment: str = Field("", max_length=1000)
@@ -78,7 +78,7 @@ def model_figure(request: Request, machine: str, version: str, kind: str) -> Res
 
 
 @router.post("/api/models/{machine}/{version}/promote")
-def promote(request: Request, machine: str, version: str, why: Comment) -> JSONResponse:
+def promote(request: Request, machine: str, version: str, why: _Comment) -> JSONResponse:
     """Check a version and make it champion, or put it on trial; the gates decide."""
     bench = bench_of(request)
     registry = models.require_registry(bench.home)
@@ -106,7 +106,7 @@ def promote(request: Request, machine: str, version: str, why: Comment) -> JSONR
 
 
 @router.post("/api/models/{machine}/rollback")
-def roll_back(request: Request, machine: str, why: Comment) -> JSONResponse:
+def roll_back(request: Request, machine: str, why: _Comment) -> JSONResponse:
     """Go back to the previous champion and bar the present one."""
     bench = bench_of(request)
     registry = models.require_registry(bench.home)

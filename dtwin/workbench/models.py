@@ -25,22 +25,13 @@ _RADIUS = "leave_radius_mm_out"
 class Judged:
     """A version with everything that a reviewer asks for.
 
-    Attributes
-    ----------
-    version : RegisteredVersion
-        The version.
-    candidates : tuple of dict
-        Candidates of its training, best first: ``name``, ``promotable``, ``complexity``,
-        ``r2``, ``r2_text``, ``rms_um``, ``radius_rms_um``, ``worst``, ``p50_us``, ``p99_us``.
-    front : tuple of dict
-        Accuracy over complexity; empty when it was not kept.
-    floor_um, floor_dof, before_um : float
-        Noise floor, its degrees of freedom, 0 when not counted, and error without a model; NaN when
-        not logged.
-    verdicts : tuple of Verdict
-        Offline gates, as they judge now.
-    evidence : dict or None
-        Circles with and without correction.
+    ``candidates``: candidates of its training, best first: ``name``, ``promotable``, ``complexity``, ``r2``,
+    ``r2_text``, ``rms_um``, ``radius_rms_um``, ``worst``, ``p50_us``, ``p99_us``.
+    ``front``: accuracy over complexity; empty when it was not kept.
+    ``floor_um``, ``floor_dof``, ``before_um``: noise floor, its degrees of freedom, 0 when not counted, and error
+    without a model; NaN when not logged.
+    ``verdicts``: offline gates, as they judge now.
+    ``evidence``: circles with and without correction.
     """
 
     version: RegisteredVersion
@@ -69,13 +60,7 @@ def registry_of(home: Home) -> Registry | None:
 
 
 def require_registry(home: Home) -> Registry:
-    """Return the registry.
-
-    Raises
-    ------
-    InputError
-        When no model was registered yet.
-    """
+    """Return the registry."""
     found = registry_of(home)
     if found is None:
         raise InputError("no model is registered yet", code="model.unknown", hint="dtwin train CAMPAIGN")
@@ -83,15 +68,7 @@ def require_registry(home: Home) -> Registry:
 
 
 def judged(registry: Registry, machine: str, wanted: str) -> Judged:
-    """Return a version with everything that a reviewer asks for.
-
-    Parameters
-    ----------
-    registry : Registry
-        Where it is.
-    machine, wanted : str
-        The machine, and a version number or alias.
-    """
+    """Return a version with everything that a reviewer asks for."""
     from dtwin.train.candidate_runs import training_candidates, training_metrics
     from dtwin.train.evidence_record import newest
     from dtwin.train.promotion import check_version

@@ -17,18 +17,6 @@ def decimal(text: str, what: str) -> float:
 
     A single comma or point is the decimal sign. When both occur, the last one is, and the
     other one groups thousands, as the same sign twice does.
-
-    Parameters
-    ----------
-    text : str
-        What was typed.
-    what : str
-        What the number is, for the message.
-
-    Raises
-    ------
-    InputError
-        When it is not a finite number.
     """
     plain = re.sub(r"[\s\u00a0\u202f'\u2019]", "", text[: _MOST_CHARACTERS + 1]).replace("\u2212", "-")
     value = math.nan

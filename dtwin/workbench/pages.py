@@ -68,16 +68,7 @@ _ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
 def rendered(request: Request, template: str, status: int = 200, **context: Any) -> HTMLResponse:
     """Return a page.
 
-    Parameters
-    ----------
-    request : Request
-        What was asked for.
-    template : str
-        File of the template.
-    status : int
-        HTTP status.
-    context
-        What the template shows; everything is escaped.
+    ``context``: what the template shows; everything is escaped.
     """
     bench = bench_of(request)
     found = _ENVIRONMENT.get_template(template).render(

@@ -37,12 +37,8 @@ FLOOR_WORDS = {
 class Floor:
     """The noise floor of a campaign.
 
-    Attributes
-    ----------
-    um : float
-        RMS of one run about the mean of its condition; NaN when it is not known.
-    kind : {"repeats", "within_run", "none"}
-        Where it comes from; ``within_run`` is a lower bound.
+    ``um``: RMS of one run about the mean of its condition; NaN when it is not known.
+    ``kind``: where it comes from; ``within_run`` is a lower bound.
     """
 
     um: float
@@ -63,16 +59,8 @@ class Floor:
 class View:
     """A twin against its runs, ready to draw.
 
-    Attributes
-    ----------
-    key : tuple
-        Twin, version and table version that it was made from.
-    comparison : Comparison
-        Measured against predicted.
-    result : dict
-        Its figures.
-    measured_um, residual_um : ndarray, shape (conditions, n)
-        Means over the repeats; NaN where nothing was measured.
+    ``key``: twin, version and table version that it was made from.
+    ``measured_um``, ``residual_um``, (conditions, n): means over the repeats; NaN where nothing was measured.
     """
 
     key: tuple[str | int, ...]
@@ -105,10 +93,7 @@ class View:
 def observed(bench: Bench, campaign: str) -> Observations:
     """Return the runs of a campaign of the lake on the grid.
 
-    Raises
-    ------
-    InputError
-        When there is no such campaign, or it has no usable run.
+    Raises ``InputError`` when there is no such campaign, or it has no usable run.
     """
     return _loaded(bench, campaign).obs
 
@@ -166,16 +151,8 @@ def version_file(bench: Bench, name: str, version: int) -> Path:
 def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> View:
     """Return a twin against runs.
 
-    Parameters
-    ----------
-    bench : Bench
-        State of the server.
-    name : str
-        The twin.
-    version : int, optional
-        The newest without.
-    on : str
-        Campaign of other runs of the machine, for the newest version; empty for those of the fit.
+    ``version``: the newest without.
+    ``on``: campaign of other runs of the machine, for the newest version; empty for those of the fit.
     """
     twin = bench.twins.newest(name, version)
     campaign = on or twin.campaign
@@ -218,16 +195,9 @@ def chosen_conditions(found: View, wanted: Sequence[int]) -> list[int]:
 def overlay(found: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]) -> dict[str, Floats]:
     """Return curves by name.
 
-    Parameters
-    ----------
-    found : View
-        The twin against its runs.
-    conditions : sequence of int
-        Conditions, means over their repeats.
-    show : sequence of str
-        Of ``measured``, ``twin``, ``residual``.
-    runs : sequence of str
-        Single runs besides, as measured.
+    ``conditions``: conditions, means over their repeats.
+    ``show``: of ``measured``, ``twin``, ``residual``.
+    ``runs``: single runs besides, as measured.
     """
     curves: dict[str, Floats] = {}
     for number in conditions:
@@ -271,19 +241,8 @@ def floor_harmonics_um(found: View) -> Floats | None:
 def taken_away_um(bench: Bench, found: View, label: str) -> Floats:
     """Return what adding an effect would take from the mean residual of every condition.
 
-    Parameters
-    ----------
-    bench : Bench
-        State of the server.
-    found : View
-        The twin against its runs.
-    label : str
-        Effect with axis, for example ``backlash X``.
-
-    Returns
-    -------
-    ndarray, shape (conditions, n)
-        NaN where nothing was measured.
+    ``label``: effect with axis, for example ``backlash X``.
+    Returns (conditions, n): NaN where nothing was measured.
     """
     name, _, axis = label.partition(" ")
     instance = Instance(bench.library[name], axis)

@@ -42,13 +42,7 @@ _FOREVER = {"Cache-Control": "public, max-age=31536000, immutable"}
 
 
 def application(bench: Bench) -> Guarded:
-    """Return the workbench as an ASGI application.
-
-    Parameters
-    ----------
-    bench : Bench
-        What is worked on, and who may do what.
-    """
+    """Return the workbench as an ASGI application."""
     app = FastAPI(title="dtwin workbench", docs_url=None, redoc_url=None, openapi_url=None)
     app.state.bench = bench
     for part in (
@@ -86,18 +80,12 @@ def run(
 
     Parameters
     ----------
-    home : Home
-        What is worked on.
     host : str
         Address as it was asked for.
-    listening : socket
-        Where requests arrive.
     effects_path : Path or None
         Folder of the user's own effects.
     announce : callable
         Gets the address, once it answers.
-    private : bool
-        Whether reading needs the token too.
     """
     access = Access(host, int(listening.getsockname()[1]), private)
     bench = Bench(home, access, effects_path)

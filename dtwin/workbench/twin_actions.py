@@ -20,7 +20,7 @@ from dtwin.workbench.pages import accepted
 router = APIRouter()
 
 
-class FitRequest(BaseModel):
+class _FitRequest(BaseModel):
     """What to fit."""
 
     campaign: str
@@ -29,33 +29,33 @@ class FitRequest(BaseModel):
     robust: bool = False
 
 
-class NameRequest(BaseModel):
+class _NameRequest(BaseModel):
     """Name of a twin that is to be made."""
 
     name: str = Field(max_length=100)
 
 
-class EffectRequest(BaseModel):
+class _EffectRequest(BaseModel):
     """An effect, perhaps on one axis."""
 
     effect: str = Field(max_length=120)
     axis: str = Field("", max_length=20)
 
 
-class CorrectionRequest(BaseModel):
+class _CorrectionRequest(BaseModel):
     """Whether a correction may be registered although the twin is not confirmed."""
 
     trial: bool = False
 
 
-class VersionRequest(BaseModel):
+class _VersionRequest(BaseModel):
     """A version."""
 
     version: int
 
 
 @router.post("/api/twins")
-def fit(request: Request, wanted: FitRequest) -> JSONResponse:
+def fit(request: Request, wanted: _FitRequest) -> JSONResponse:
     """Fit effects to a campaign of the lake."""
     bench = bench_of(request)
     require_name(wanted.name, "the twin")
@@ -71,7 +71,7 @@ def fit(request: Request, wanted: FitRequest) -> JSONResponse:
 
 
 @router.post("/api/twins/{name}/add")
-def add(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
+def add(request: Request, name: str, wanted: _EffectRequest) -> JSONResponse:
     """Add an effect and refit."""
     bench = bench_of(request)
     twins = bench.twins_with(name)
@@ -86,7 +86,7 @@ def add(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
 
 
 @router.post("/api/twins/{name}/remove")
-def remove(request: Request, name: str, wanted: EffectRequest) -> JSONResponse:
+def remove(request: Request, name: str, wanted: _EffectRequest) -> JSONResponse:
     """Take an effect out and refit."""
     bench = bench_of(request)
     twins = bench.twins_with(name)
@@ -109,7 +109,7 @@ def learn(request: Request, name: str) -> JSONResponse:
 
 
 @router.post("/api/twins/{name}/rollback")
-def roll_back(request: Request, name: str, wanted: VersionRequest) -> JSONResponse:
+def roll_back(request: Request, name: str, wanted: _VersionRequest) -> JSONResponse:
     """Make a new version with the effects of an older one; nothing is deleted."""
     bench = bench_of(request)
     twins = bench.twins_with(name)
@@ -134,7 +134,7 @@ def diagnose(request: Request, name: str) -> JSONResponse:
 
 
 @router.post("/api/campaigns/{campaign}/find")
-def find(request: Request, campaign: str, wanted: NameRequest) -> JSONResponse:
+def find(request: Request, campaign: str, wanted: _NameRequest) -> JSONResponse:
     """Fit a twin of nothing but the set-ups, and add every effect that the runs can tell."""
     bench = bench_of(request)
     require_name(wanted.name, "the twin")
@@ -169,7 +169,7 @@ def discover(request: Request, name: str) -> JSONResponse:
 
 
 @router.post("/api/twins/{name}/correct")
-def correct(request: Request, name: str, wanted: CorrectionRequest) -> JSONResponse:
+def correct(request: Request, name: str, wanted: _CorrectionRequest) -> JSONResponse:
     """Register the correction that a confirmed twin stands for, or say why not."""
     bench = bench_of(request)
     bench.twins.newest(name)

@@ -41,8 +41,8 @@ from dtwin.workbench.pages import download, drawn, rendered
 
 _HARMONICS = 60
 router = APIRouter()
-Numbers = Annotated[list[int], Query()]
-Words = Annotated[list[str], Query()]
+_Numbers = Annotated[list[int], Query()]
+_Words = Annotated[list[str], Query()]
 
 
 @router.get("/twins")
@@ -183,9 +183,9 @@ def overlay(
     request: Request,
     name: str,
     kind: str,
-    condition: Numbers = [],  # noqa: B006
-    show: Words = [],  # noqa: B006
-    run: Words = [],  # noqa: B006
+    condition: _Numbers = [],  # noqa: B006
+    show: _Words = [],  # noqa: B006
+    run: _Words = [],  # noqa: B006
     magnification: str = "",
     on: str = "",
 ) -> Response:
@@ -214,7 +214,7 @@ def overlay(
 
 
 @router.get("/api/twins/{name}/runs")
-def runs(request: Request, name: str, condition: Numbers = [], on: str = "") -> dict[str, Any]:  # noqa: B006
+def runs(request: Request, name: str, condition: _Numbers = [], on: str = "") -> dict[str, Any]:  # noqa: B006
     """Return the runs of conditions."""
     found = reading.view(bench_of(request), name, on=on)
     chosen = reading.chosen_conditions(found, condition)
@@ -258,7 +258,7 @@ def ranked(request: Request, name: str) -> Response:
 
 
 @router.get("/api/twins/{name}/signature")
-def signature(request: Request, name: str, effect: str, condition: Numbers = []) -> Response:  # noqa: B006
+def signature(request: Request, name: str, effect: str, condition: _Numbers = []) -> Response:  # noqa: B006
     """Return what adding an effect would take away, over the residual."""
     bench = bench_of(request)
     found = reading.view(bench, name)

@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 
 MAX_TRAY_BYTES = 512 * 1024 * 1024
 MAX_UNPACKED_BYTES = 1024 * 1024 * 1024
-MAX_FILES = 5000
+_MAX_FILES = 5000
 _MAX_RATIO = 300
 _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH = 4
@@ -26,10 +26,7 @@ _ALLOWED = "a .b5r, a .csv, a .zip of a campaign folder, or all files of one wit
 class Trays:
     """Folders that uploads collect in.
 
-    Parameters
-    ----------
-    root : Path
-        Where; what an earlier server left there is removed.
+    ``root``: where; what an earlier server left there is removed.
     """
 
     def __init__(self, root: Path) -> None:
@@ -43,13 +40,7 @@ class Trays:
         return name
 
     def folder(self, name: str) -> Path:
-        """Return the folder of a tray.
-
-        Raises
-        ------
-        InputError
-            When there is no such tray.
-        """
+        """Return the folder of a tray."""
         folder = self.root / name
         if not re.fullmatch(r"[0-9a-f]{16}", name) or not folder.is_dir():
             raise InputError(
@@ -60,26 +51,14 @@ class Trays:
     async def receive(self, tray: str, name: str, body: AsyncIterator[bytes]) -> int:
         """Write one file of a tray and return its size.
 
-        Parameters
-        ----------
-        tray : str
-            The tray.
-        name : str
-            Path as the browser states it.
-        body : async iterator of bytes
-            Its content.
-
-        Raises
-        ------
-        InputError
-            When the name could leave the tray, or there is too much.
+        ``name``: path as the browser states it.
         """
         folder = self.folder(tray)
         path = folder / safe_path(name)
         present = [p for p in folder.rglob("*") if p.is_file()]
         left = MAX_TRAY_BYTES - sum(p.stat().st_size for p in present)
-        if len(present) >= MAX_FILES:
-            raise _too_much("files", str(len(present) + 1), str(MAX_FILES))
+        if len(present) >= _MAX_FILES:
+            raise _too_much("files", str(len(present) + 1), str(_MAX_FILES))
         path.parent.mkdir(parents=True, exist_ok=True)
         size = 0
         with path.open("wb") as file:
@@ -100,15 +79,7 @@ class Trays:
 def safe_path(name: str) -> PurePosixPath:
     """Return a relative path that stays where it is put.
 
-    Parameters
-    ----------
-    name : str
-        As a browser or an archive states it.
-
-    Raises
-    ------
-    InputError
-        When it is absolute, leaves its folder, is too deep, or has odd characters.
+    ``name``: as a browser or an archive states it.
     """
     parts = name.replace("\\", "/").split("/")
     if len(parts) > _MAX_DEPTH or not all(_PART.fullmatch(part) for part in parts):
@@ -122,21 +93,10 @@ def safe_path(name: str) -> PurePosixPath:
 
 
 def sources(folder: Path) -> list[Path]:
-    """Return what a tray holds that can be ingested; archives are unpacked first.
-
-    Parameters
-    ----------
-    folder : Path
-        The tray.
-
-    Raises
-    ------
-    InputError
-        When there is nothing, or an archive is not what it should be.
-    """
+    """Return what a tray holds that can be ingested; archives are unpacked first."""
     for archive in sorted(folder.rglob("*.[zZ][iI][pP]")):
         target = archive.with_name(f"{archive.stem}-unpacked")
-        unpack(archive, target)
+        _unpack(archive, target)
         archive.unlink()
     found = sorted(folder.rglob("campaign.toml"))
     homes = [toml.parent for toml in found]
@@ -158,26 +118,13 @@ def sources(folder: Path) -> list[Path]:
     )
 
 
-def unpack(archive: Path, target: Path) -> None:
-    """Unpack an archive that nobody vouches for.
-
-    Parameters
-    ----------
-    archive : Path
-        A zip file.
-    target : Path
-        Folder to make.
-
-    Raises
-    ------
-    InputError
-        When it is damaged, encrypted, would leave the folder, holds links, or grows too large.
-    """
+def _unpack(archive: Path, target: Path) -> None:
+    """Unpack an archive that nobody vouches for."""
     try:
         with zipfile.ZipFile(archive) as opened:
             members = [m for m in opened.infolist() if not m.is_dir()]
-            if len(members) > MAX_FILES:
-                raise _too_much("files", str(len(members)), str(MAX_FILES))
+            if len(members) > _MAX_FILES:
+                raise _too_much("files", str(len(members)), str(_MAX_FILES))
             left = MAX_UNPACKED_BYTES
             for member in members:
                 left -= _extract(opened, member, target, left)

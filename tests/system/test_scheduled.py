@@ -15,7 +15,7 @@ from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.lake.store import Lake
-from dtwin.lifecycle.drift import champion_of, check_drift, trained_rows
+from dtwin.lifecycle.drift import check_drift, trained_rows
 from dtwin.lifecycle.evidence import make_champion, measure
 from dtwin.lifecycle.recheck import recheck
 from dtwin.lifecycle.schedule import news, scheduled_training
@@ -68,7 +68,7 @@ def test_two_schedules_do_not_train_at_once(home: Home) -> None:
 
 def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Home) -> None:
     registry, lake = Registry(home), Lake(home.lake)
-    champion = champion_of(registry, MACHINE)
+    champion = registry.champion(MACHINE)
     assert champion is not None
     before = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
     assert len(before) == 24
@@ -92,7 +92,7 @@ def test_training_data_are_read_back_at_the_version_s_own_table_version(home: Ho
 
 def test_wear_is_a_diagnosis_and_other_noise_is_not(home: Home) -> None:
     measured(home, "sound", repeats_from=4)
-    champion = champion_of(Registry(home), MACHINE)
+    champion = Registry(home).champion(MACHINE)
     assert champion is not None
     sound = check_drift(home, champion, "sound")
     assert sound.error is not None

@@ -222,8 +222,6 @@ def response(chosen: Filter, readings: int, lobes: int = 2) -> Response:
 
     Parameters
     ----------
-    chosen : Filter
-        The filter.
     readings : int
         Readings per revolution.
     lobes : int

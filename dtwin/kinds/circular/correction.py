@@ -32,16 +32,7 @@ def freeze_circles(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
 def judge_circles(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -> Judged:
     """Fit the twin without one feed, then without one radius at a time, and predict it.
 
-    Parameters
-    ----------
-    frozen : TwinBundle
-        Its bundle.
-    twin : Twin
-        As it was fitted.
-    obs : Observations
-        The runs.
-    home : Home
-        Not used: the runs say everything.
+    ``home``: not used: the runs say everything.
     """
     left = frozen_residual_um(frozen.twin, obs)
     before = frozen_residual_um(replace(twin, terms=()), obs)

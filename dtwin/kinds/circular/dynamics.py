@@ -34,14 +34,8 @@ from dtwin.train.registry import Registry
 class Split:
     """A campaign with its dynamic parts.
 
-    Attributes
-    ----------
-    result : dict
-        JSON-ready: ``rows``, ``filter``, ``bias``, ``findings`` and what they belong to.
-    curves : dict of str to tuple of ndarray
-        By direction, fastest run: angle in degrees, radial error before and after, um.
-    tuning : Tuning or None
-        What the swarm found.
+    ``result``: JSON-ready: ``rows``, ``filter``, ``bias``, ``findings`` and what they belong to.
+    ``curves``: by direction, fastest run: angle in degrees, radial error before and after, um.
     """
 
     result: dict[str, Any]
@@ -64,12 +58,8 @@ def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split
 
     Parameters
     ----------
-    home : Home
-        Lake and registry.
     campaign : str
         Name in the lake, or a folder, which is ingested first.
-    request : DynamicsRequest
-        What to compute.
 
     Raises
     ------

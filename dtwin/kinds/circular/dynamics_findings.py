@@ -17,12 +17,8 @@ _MOST_TAKEN, _MOST_BIAS = 0.01, 0.5
 def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
     """Return what a reader must know before believing the figures.
 
-    Parameters
-    ----------
-    result : mapping
-        As :class:`Split` holds it.
-    measured : int
-        Fewest readings per revolution of a run, before resampling.
+    ``result``: as :class:`Split` holds it.
+    ``measured``: fewest readings per revolution of a run, before resampling.
     """
     rows = result["rows"]
     found: list[Finding] = []

@@ -45,8 +45,6 @@ def dynamics_page(result: Mapping[str, Any], curves: Curves, radius_mm: float) -
     ----------
     result, curves
         As ``dtwin.kinds.circular.dynamics.Split`` holds them.
-    radius_mm : float
-        Nominal radius.
     """
     findings = [(f["severity"], f["message"]) for f in result["findings"]]
     paragraphs = [_tuned(result["tuning"])] if result["tuning"] else []

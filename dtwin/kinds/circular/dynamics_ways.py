@@ -20,7 +20,7 @@ from dtwin.physics.observations import Observations
 from dtwin.physics.twin import chosen_terms
 from dtwin.schema import Floats
 
-FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
+_FILTERS = ("twin", "reference", "low-pass", "rts", "kalman", "ukf", "ukf-circle")
 """Ways to part static from dynamic: what a fitted twin says, the slow runs themselves, filters."""
 TWIN_EFFECTS = ("scale_mismatch", "squareness", "straightness", "servo_mismatch", "backlash", "reversal_spike")
 
@@ -32,23 +32,17 @@ class DynamicsRequest:
     Attributes
     ----------
     how : str
-        One of ``FILTERS``.
+        One of ``_FILTERS``.
     reference_feed_mm_min : float, optional
         Feed of the slow reference; the slowest of the campaign without.
     readings : int
         Readings per revolution after resampling by angle.
     q_um2, r_um2 : float, optional
         Variances of the Kalman filters; the published ones without.
-    cutoff_upr : float
-        Of the low-pass.
     alpha : float
         Of the unscented filters.
     tuned, fitness : str
         What the swarm varies (``ratio``, ``alpha``, empty for nothing), and how it judges.
-    swarm : SwarmSettings
-        Size and seed of the swarm.
-    effects : tuple of str
-        Of the twin.
     """
 
     how: str = "twin"
@@ -65,20 +59,7 @@ class DynamicsRequest:
 
 
 def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
-    """Return the filter that is asked for, None for the twin and for the slow reference.
-
-    Parameters
-    ----------
-    request : DynamicsRequest
-        What is wanted.
-    radius_mm : float
-        Nominal radius.
-
-    Raises
-    ------
-    InputError
-        When there is no such filter.
-    """
+    """Return the filter that is asked for, None for the twin and for the slow reference."""
     given = {"q_um2": request.q_um2, "r_um2": request.r_um2}
     variances = {k: v for k, v in given.items() if v is not None}
     if request.how in ("twin", "reference"):
@@ -92,19 +73,11 @@ def filter_of(request: DynamicsRequest, radius_mm: float) -> Filter | None:
     if request.how in ("ukf", "ukf-circle"):
         model = "circle" if request.how == "ukf-circle" else "random-walk"
         return UnscentedFilter(model, request.alpha, radius_mm=radius_mm, **variances)
-    raise InputError("no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(FILTERS))
+    raise InputError("no such filter", code="dynamics.filter", got=request.how[:40], allowed=", ".join(_FILTERS))
 
 
 def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
-    """Return the radial error about the least-squares circle, shape (n,).
-
-    Parameters
-    ----------
-    turn : Turn
-        One revolution.
-    radius_mm : float
-        Nominal radius.
-    """
+    """Return the radial error about the least-squares circle, shape (n,)."""
     circle = fit_circle(turn.angle_deg, turn.deviation_um, radius_mm)
     return residual_um(turn.angle_deg, turn.deviation_um, radius_mm, circle)
 
@@ -114,10 +87,6 @@ def twin_static_um(obs: Observations, effects: Sequence[str], library: Library |
 
     Parameters
     ----------
-    obs : Observations
-        Runs.
-    effects : sequence of str
-        Names.
     library : Library, optional
         Effects; the built-in ones without.
     """
@@ -136,8 +105,6 @@ def alpha_sensitivity(turn: Turn, chosen: Filter | None) -> dict[str, list[float
 
     Parameters
     ----------
-    turn : Turn
-        One revolution.
     chosen : Filter or None
         Anything but an unscented filter gives None.
 

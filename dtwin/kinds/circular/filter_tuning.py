@@ -28,14 +28,8 @@ _LOG10_RATIO = (-6.0, 2.0)
 class Judged:
     """How near a filtered turn comes to the slow reference.
 
-    Attributes
-    ----------
-    dtw_um, frechet_um : float
-        Distances of the radial errors.
-    difference : float
-        Relative difference of the circular deviations.
-    fitness : float
-        What is minimised.
+    ``dtw_um``, ``frechet_um``: distances of the radial errors.
+    ``difference``: relative difference of the circular deviations.
     """
 
     dtw_um: float
@@ -50,8 +44,6 @@ class Tuning:
 
     Attributes
     ----------
-    chosen : UnscentedFilter
-        The filter, set as found.
     tuned, fitness : str
         What was varied, and by which fitness it was judged.
     judged : Judged
@@ -60,10 +52,6 @@ class Tuning:
         What no filter at all would be given.
     history : tuple of float
         Best fitness after each iteration.
-    evaluations : int
-        Filters that were tried.
-    seconds : float
-        What it took.
     inert : bool
         Whether the fitness is the same wherever the swarm began: nothing was found.
     """
@@ -86,10 +74,7 @@ class Tuning:
 def _centred_um(deviation_um: Floats) -> Floats:
     """Return a closed turn without mean and centre offset, to first order of the offset.
 
-    Parameters
-    ----------
-    deviation_um : ndarray, shape (n,)
-        Readings at equal steps of the angle.
+    ``deviation_um``, (n,): readings at equal steps of the angle.
     """
     waves = np.fft.rfft(deviation_um)
     waves[:2] = 0.0
@@ -99,12 +84,8 @@ def _centred_um(deviation_um: Floats) -> Floats:
 def judge(static_um: Floats, reference_um: Floats, fitness: str) -> Judged:
     """Compare a filtered turn with the slow reference.
 
-    Parameters
-    ----------
-    static_um, reference_um : ndarray, shape (n,)
-        Turns at the same angles.
-    fitness : str
-        One of ``FITNESSES``.
+    ``static_um``, ``reference_um``, (n,): turns at the same angles.
+    ``fitness``: one of ``FITNESSES``.
     """
     first, second = _centred_um(static_um), _centred_um(reference_um)
     dtw, frechet = distances_um(first, second)
@@ -129,13 +110,9 @@ def tune(
     ----------
     turn_um, reference_um : ndarray, shape (n,)
         A fast and a slow turn at the same angles, in the order of travel.
-    start : UnscentedFilter
-        Model, and what is not varied.
     tuned : {"ratio", "alpha"}
         ``ratio``: process over measurement noise, which sets how much is smoothed. ``alpha``: the
         scaling of the sigma points, as published.
-    fitness : {"weighted_sum", "eq15"}
-        What is minimised.
     settings : SwarmSettings, optional
         By default the published 50 particles and 150 iterations.
 
@@ -177,12 +154,8 @@ def tune(
 def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:
     """Return the circular deviation that each filter leaves of a turn, um.
 
-    Parameters
-    ----------
-    turn_um : ndarray, shape (n,)
-        Readings at equal steps of the angle.
-    filters : sequence of Filter
-        For example one filter with many alphas.
+    ``turn_um``, (n,): readings at equal steps of the angle.
+    ``filters``: for example one filter with many alphas.
     """
     return [float(np.ptp(_centred_um(chosen.static_um(turn_um)))) for chosen in filters]
 
@@ -190,16 +163,7 @@ def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:
 def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, source: str) -> str:
     """Log a tuning as an MLflow run and return its id.
 
-    Parameters
-    ----------
-    registry : Registry
-        Where.
-    found : Tuning
-        The result.
-    settings : SwarmSettings
-        How it was searched.
-    source : str
-        Campaign or table that the turns come from.
+    ``source``: campaign or table that the turns come from.
     """
     tags = {"dtwin.campaign": source, "dtwin.kind": "filter tuning"}
     name = f"filter tuning {source}"

@@ -25,10 +25,10 @@ from dtwin.train.dataset import TICK_HZ
 from dtwin.train.traced import NotTraceable, Traced
 from dtwin.train.twin_terms import TwinBundle, carried, weighted
 
-ANGLE, DIRECTION, SPEED = "path_angle_rad", "direction_sign", "commanded_speed_mm_s"
-RADIUS, PLANE = "radius_mm", "plane_id"
+_ANGLE, _DIRECTION, _SPEED = "path_angle_rad", "direction_sign", "commanded_speed_mm_s"
+_RADIUS, _PLANE = "radius_mm", "plane_id"
 OUTPUT = "radial_um"
-_CONTROLLER_UNITS = {RADIUS: "mm", PLANE: "1"}
+_CONTROLLER_UNITS = {_RADIUS: "mm", _PLANE: "1"}
 _MARGIN = 1e-6
 _FARTHEST_RAD = 1e4
 _CLAMP_SHARE = 1.25
@@ -40,8 +40,6 @@ def twin_bundle(twin: Twin, obs: Observations, *, horizon_s: float = 0.0) -> Twi
 
     Parameters
     ----------
-    twin : Twin
-        The twin.
     obs : Observations
         The runs that it was fitted to: logged channels and their means come from there.
     horizon_s : float
@@ -130,9 +128,9 @@ def _mean(obs: Observations, name: str) -> float:
 def _traced(term: Term, twin: Twin, builder: GraphBuilder, logged: _Logged, horizon_s: float) -> dict[str, Expression]:
     """Return the predicted radial error of a term in every plane in which it acts."""
     weights = twin.values(term)
-    speed, radius = Traced([builder.input(SPEED)]), Traced([builder.input(RADIUS)])
-    sign = builder.input(DIRECTION)
-    angle = builder.input(ANGLE)
+    speed, radius = Traced([builder.input(_SPEED)]), Traced([builder.input(_RADIUS)])
+    sign = builder.input(_DIRECTION)
+    angle = builder.input(_ANGLE)
     if horizon_s:
         ahead = speed.columns[0] / radius.columns[0]
         angle = angle + sign * ahead * horizon_s
@@ -166,7 +164,7 @@ def _by_plane(builder: GraphBuilder, errors: Mapping[str, Expression], measured:
     """Return the error of the plane that the machine is in; zero where no effect acts."""
     if len(measured) == 1:
         return next(iter(errors.values()))
-    number = builder.input(PLANE)
+    number = builder.input(_PLANE)
     total: Expression | float = 0.0
     for plane, error in errors.items():
         place = PLANES.index(plane)
@@ -183,14 +181,14 @@ def _inputs(used: set[str], twin: Twin, obs: Observations) -> list[Input]:
     signs = [1.0 if d == "CCW" else -1.0 for d in box.directions]
     # Between standstill and the slowest feed the effects interpolate.
     ranges: dict[str, tuple[float, float]] = {
-        ANGLE: (-_FARTHEST_RAD, _FARTHEST_RAD),
-        DIRECTION: (min(signs), max(signs)),
-        SPEED: (0.0, box.feed_mm_min[1] / 60.0 * 1.02),
-        RADIUS: box.radius_mm,
-        PLANE: (min(ids), max(ids)),
+        _ANGLE: (-_FARTHEST_RAD, _FARTHEST_RAD),
+        _DIRECTION: (min(signs), max(signs)),
+        _SPEED: (0.0, box.feed_mm_min[1] / 60.0 * 1.02),
+        _RADIUS: box.radius_mm,
+        _PLANE: (min(ids), max(ids)),
     }
     # Whether or not the equation uses them: outside of what was measured nothing is corrected.
-    wanted = [ANGLE, DIRECTION, SPEED, RADIUS, PLANE]
+    wanted = [_ANGLE, _DIRECTION, _SPEED, _RADIUS, _PLANE]
     joints = [name for name in JOINT_RANGES if name in used]
     ranges |= {name: JOINT_RANGES[name] for name in joints}
     channels = sorted(used - set(wanted) - set(joints))
@@ -234,29 +232,18 @@ def radial_error_um(
 ) -> Floats:
     """Evaluate a bundle's radial error over path angles, slowly, for tables and checks.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        From ``twin_bundle``.
-    angle_rad : ndarray, shape (n,)
-        Path angles.
-    plane, direction, radius_mm, feed_mm_min
-        The circle.
-    covariates : mapping of str to float
-        Logged channels that the bundle asks for.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        um, positive outwards.
+    ``bundle``: from ``twin_bundle``.
+    ``angle_rad``, (n,): path angles.
+    ``covariates``: logged channels that the bundle asks for.
+    Returns (n,): um, positive outwards.
     """
     fixed = {
-        DIRECTION: 1.0 if direction == "CCW" else -1.0,
-        SPEED: feed_mm_min / 60.0,
-        RADIUS: radius_mm,
-        PLANE: float(PLANES.index(plane)),
+        _DIRECTION: 1.0 if direction == "CCW" else -1.0,
+        _SPEED: feed_mm_min / 60.0,
+        _RADIUS: radius_mm,
+        _PLANE: float(PLANES.index(plane)),
         **(covariates or {}),
     }
     graph = bundle.tick_graph
-    found = [graph.evaluate({**fixed, ANGLE: float(a)}, {})[0][OUTPUT] for a in angle_rad]
+    found = [graph.evaluate({**fixed, _ANGLE: float(a)}, {})[0][OUTPUT] for a in angle_rad]
     return np.array(found)

@@ -17,18 +17,10 @@ _CENTRE_PENALTY = 0.02
 class Sums:
     """Sums over the rows of one cell of the grid.
 
-    Attributes
-    ----------
-    gram : ndarray, shape (p, p)
-        X'X.
-    moment : ndarray, shape (p,)
-        X'y.
-    power : float
-        y'y.
-    rows : int
-        Number of rows.
-    penalty : ndarray, shape (p, p)
-        What is minimised besides the residual.
+    ``gram``, (p, p): X'X.
+    ``moment``, (p,): X'y.
+    ``power``: y'y.
+    ``penalty``, (p, p): what is minimised besides the residual.
     """
 
     gram: Floats
@@ -61,15 +53,10 @@ class Sums:
 def sums_of(design: Floats, target: Floats, absorbed: Floats | None = None) -> Sums:
     """Return the sums of one cell.
 
-    Parameters
-    ----------
-    design : ndarray, shape (n, p)
-        Terms with centre and radius of the set-up taken out.
-    target : ndarray, shape (n,)
-        Error with the same taken out.
-    absorbed : ndarray, shape (n, p), optional
-        What was taken out of the terms. It is held near zero: an equation that moves the
-        centre of the circle spends its clamp on what no measurement has asked for.
+    ``design``, (n, p): terms with centre and radius of the set-up taken out.
+    ``target``, (n,): error with the same taken out.
+    ``absorbed``, (n, p): what was taken out of the terms. It is held near zero: an equation that moves the centre of
+    the circle spends its clamp on what no measurement has asked for.
     """
     penalty = np.zeros((design.shape[1], design.shape[1]))
     if absorbed is not None:
@@ -88,12 +75,7 @@ def total(cells: Sequence[Sums]) -> Sums:
 def solve(sums: Sums, ridge: float) -> Floats:
     """Return ridge weights; the penalty is relative to each column's own size.
 
-    Parameters
-    ----------
-    sums : Sums
-        Over the training rows.
-    ridge : float
-        Penalty as a share of a column's mean square.
+    ``ridge``: penalty as a share of a column's mean square.
     """
     scale = np.sqrt(np.maximum(np.diag(sums.gram), 1e-300))
     scaled = (sums.gram + sums.penalty) / np.outer(scale, scale)
@@ -104,14 +86,8 @@ def solve(sums: Sums, ridge: float) -> Floats:
 def forward_order(sums: Sums, groups: Sequence[Sequence[int]], ridge: float) -> list[int]:
     """Return groups of columns in the order in which they reduce the residual most.
 
-    Parameters
-    ----------
-    sums : Sums
-        Over the training rows.
-    groups : sequence of sequence of int
-        Columns that enter together, such as cosine and sine.
-    ridge : float
-        As in :func:`solve`.
+    ``groups``: columns that enter together, such as cosine and sine.
+    ``ridge``: as in :func:`solve`.
     """
     scale = np.sqrt(np.maximum(np.diag(sums.gram), 1e-300))
     gram = sums.gram / np.outer(scale, scale)

@@ -14,7 +14,7 @@ from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.tape import Tape
 from dtwin.train.dataset import TICK_HZ, TickRun
 
-JOINTS = range(1, 7)
+_JOINTS = range(1, 7)
 # Wider than any play worth modelling, far narrower than any motion: gives the loaded flank.
 FLANK_RAD = 1e-4
 _MOVING_MM_S = 0.5
@@ -26,12 +26,8 @@ _ECCENTRICITIES = (1.0, 2.0, 3.0)
 class Gear:
     """Transmission error of one joint at one order.
 
-    Attributes
-    ----------
-    joint : int
-        1 to 6.
-    order : float
-        Cycles per turn of the joint.
+    ``joint``: 1 to 6.
+    ``order``: cycles per turn of the joint.
     """
 
     joint: int
@@ -40,30 +36,18 @@ class Gear:
 
 @dataclass(frozen=True)
 class Mode:
-    """A lightly damped structural mode that rings after the path starts or stops.
-
-    Attributes
-    ----------
-    frequency_hz, damping_ratio : float
-        Of the oscillator.
-    """
+    """A lightly damped structural mode that rings after the path starts or stops."""
 
     frequency_hz: float
     damping_ratio: float
 
 
 @dataclass(frozen=True)
-class Atom:
+class _Atom:
     """One term of the library, before it gets a coefficient.
 
-    Attributes
-    ----------
-    name : str
-        Readable form.
-    unit : str
-        Unit of the term; a coefficient has um over it.
-    cause : str
-        Physical cause that it stands for.
+    ``unit``: unit of the term; a coefficient has um over it.
+    ``cause``: physical cause that it stands for.
     """
 
     name: str
@@ -74,28 +58,21 @@ class Atom:
 class Library:
     """Terms that are linear in their coefficients, as products in one graph.
 
-    Parameters
-    ----------
-    gears : sequence of Gear
-        Orders found by the search.
-    modes : sequence of Mode
-        Structural modes.
-    horizon_s : float
-        Joint angles are taken this far ahead along the commanded motion, to make up for the
-        known delay between correction and motion. Zero in training.
+    ``horizon_s``: joint angles are taken this far ahead along the commanded motion, to make up for the known delay
+    between correction and motion. Zero in training.
     """
 
     def __init__(self, gears: Sequence[Gear], modes: Sequence[Mode], *, horizon_s: float = 0.0) -> None:
         self.gears = tuple(dict.fromkeys(gears))
         self.modes, self.horizon_s = tuple(modes), horizon_s
         self.builder = GraphBuilder()
-        self.atoms: dict[Atom, tuple[Expression, ...]] = {}
+        self.atoms: dict[_Atom, tuple[Expression, ...]] = {}
         self.initial: dict[str, float] = {}
         self.updates: dict[str, Expression] = {}
-        self._q = {j: self._ahead(j) for j in JOINTS}
-        self._lever = {j: self.builder.input(f"lever_{j}_mm_rad") for j in JOINTS}
-        self._flank = {j: self._loaded_flank(j) for j in JOINTS}
-        self._orders = {(j, order) for j in JOINTS for order in _ECCENTRICITIES}
+        self._q = {j: self._ahead(j) for j in _JOINTS}
+        self._lever = {j: self.builder.input(f"lever_{j}_mm_rad") for j in _JOINTS}
+        self._flank = {j: self._loaded_flank(j) for j in _JOINTS}
+        self._orders = {(j, order) for j in _JOINTS for order in _ECCENTRICITIES}
         self._orders |= {(gear.joint, gear.order) for gear in gears}
         self._waves: dict[tuple[int, float], tuple[Expression, Expression]] = {}
         self._calibration()
@@ -116,12 +93,8 @@ class Library:
 
         The terms run through every tick of a run, because some remember.
 
-        Parameters
-        ----------
-        runs : sequence of TickRun
-            Runs on the controller's clock.
-        only : sequence of int, optional
-            Numbers of the wanted terms; all by default.
+        ``runs``: runs on the controller's clock.
+        ``only``: numbers of the wanted terms; all by default.
         """
         terms = list(self.atoms.values())
         wanted = range(len(terms)) if only is None else only
@@ -184,7 +157,7 @@ class Library:
         return self.builder.apply("cos", angle), self.builder.apply("sin", angle)
 
     def _calibration(self) -> None:
-        for j in JOINTS:
+        for j in _JOINTS:
             lever, flank = self._lever[j], self._flank[j]
             self._atom(f"lever{j}", "mm/rad", "zero error", lever)
             self._atom(f"lever{j}*flank{j}", "mm/rad", "joint backlash", lever, flank)
@@ -255,18 +228,13 @@ class Library:
         return {"start": moving * (1.0 - before), "stop": before * (1.0 - moving)}
 
     def _atom(self, name: str, unit: str, cause: str, *factors: Expression) -> None:
-        self.atoms[Atom(name, unit, cause)] = factors
+        self.atoms[_Atom(name, unit, cause)] = factors
 
 
 def weighted_sum(builder: GraphBuilder, terms: Sequence[tuple[float, tuple[Expression, ...]]]) -> Expression:
     """Return the sum of weighted products, with what they share taken out of the brackets.
 
-    Parameters
-    ----------
-    builder : GraphBuilder
-        Builder of all factors.
-    terms : sequence of (weight, factors)
-        Products; terms whose factors begin alike share one bracket.
+    ``terms``: products; terms whose factors begin alike share one bracket.
     """
     brackets: dict[Expression, list[tuple[float, tuple[Expression, ...]]]] = {}
     parts: list[Expression] = []
@@ -288,15 +256,7 @@ def _balanced(builder: GraphBuilder, parts: Sequence[Expression]) -> Expression:
 
 
 def free_step(mode: Mode, dt_s: float) -> list[list[float]]:
-    """Return the exact step of ``x'' + 2 zeta w x' + w^2 x = 0``: ``[x, v] <- step [x, v]``.
-
-    Parameters
-    ----------
-    mode : Mode
-        Oscillator, underdamped.
-    dt_s : float
-        Length of the step.
-    """
+    """Return the exact step of ``x'' + 2 zeta w x' + w^2 x = 0``: ``[x, v] <- step [x, v]``."""
     w, zeta = 2.0 * np.pi * mode.frequency_hz, mode.damping_ratio
     wd = w * np.sqrt(1.0 - zeta**2)
     decay = np.exp(-zeta * w * dt_s)

@@ -43,8 +43,6 @@ class ServedCorrection:
 
     Parameters
     ----------
-    bundle : Bundle
-        What to serve.
     covariates : dict of str to float
         Logged channels that it asks for.
 
@@ -85,22 +83,9 @@ def measured_mill(
     The order of the three ways is drawn anew for every repeat, inside one mounting of the bar that
     no training saw. The unit of replication is the run.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        What to serve.
-    make_mill : callable
-        ``make_mill(seed=..., noise=..., setup_errors=..., corrections=...)`` returns the machine.
-    seed : int
-        Of noise, mountings and order.
-    plan : EvidencePlan
-        Circles.
-    delay_s : float
-        Between a correction and the motion that it causes; for the oracle, and for the report.
-    covariates : dict of str to float
-        Logged channels that the bundle asks for.
-    progress : callable, optional
-        Called with (done, total, what).
+    ``make_mill``: ``make_mill(seed=..., noise=..., setup_errors=..., corrections=...)`` returns the machine.
+    ``delay_s``: between a correction and the motion that it causes; for the oracle, and for the report.
+    ``covariates``: logged channels that the bundle asks for.
     """
     kept: dict[str, list[Run]] = {"measured": [], "oracle": []}
     acted: dict[str, dict[str, float]] = {}

@@ -18,19 +18,8 @@ _SMALLEST_GAIN = 0.03
 def find_modes(rows: Rows, residual_um: Floats, *, most: int = 4) -> list[Mode]:
     """Add one decaying oscillation after the other while the residual after starts falls.
 
-    Parameters
-    ----------
-    rows : Rows
-        Rows of all runs.
-    residual_um : ndarray, shape (n,)
-        What position-locked terms leave.
-    most : int
-        Largest number of modes.
-
-    Returns
-    -------
-    list of Mode
-        Strongest first.
+    ``residual_um``, (n,): what position-locked terms leave.
+    ``most``: largest number of modes.
     """
     since_s, directions = _after_start(rows)
     inside = np.flatnonzero((since_s < _AFTER_S) & (since_s > 0.0))

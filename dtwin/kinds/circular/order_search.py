@@ -31,23 +31,9 @@ def find_gears(
     (orthogonal matching pursuit); the best one is refined and joins them. The search ends
     when an order explains less than one per cent of what is left.
 
-    Parameters
-    ----------
-    rows : Rows
-        Rows of all runs.
-    explained : callable
-        Given the gears so far, returns the fitted prediction at all rows.
-    most : int
-        Largest number of orders.
-    every : int
-        Only each such row is looked at.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Returns
-    -------
-    list of Gear
-        In the order in which they were found.
+    ``explained``: given the gears so far, returns the fitted prediction at all rows.
+    ``most``: largest number of orders.
+    ``every``: only each such row is looked at.
     """
     some = np.arange(0, rows.n, every)
     q, lever, flank = (part[some] for part in _joint_state(rows))

@@ -23,15 +23,7 @@ _FEW, _MANY = 2, 5
 
 @dataclass(frozen=True)
 class SwarmSettings:
-    """How a swarm searches.
-
-    Attributes
-    ----------
-    particles, iterations : int
-        Size and steps.
-    seed : int
-        Of everything random.
-    """
+    """How a swarm searches."""
 
     particles: int = _PUBLISHED_PARTICLES
     iterations: int = _PUBLISHED_ITERATIONS
@@ -50,16 +42,8 @@ class SwarmSettings:
 class SwarmResult:
     """Best place of a swarm.
 
-    Attributes
-    ----------
-    place : ndarray, shape (m,)
-        Where.
-    value : float
-        What the function is there.
-    history : tuple of float
-        Best value after each iteration, the first one before any step.
-    evaluations : int
-        Calls of the function.
+    ``place``, (m,): where.
+    ``history``: best value after each iteration, the first one before any step.
     """
 
     place: Floats
@@ -73,19 +57,7 @@ def minimise(
 ) -> SwarmResult:
     """Return the best place that a swarm finds inside of bounds.
 
-    Parameters
-    ----------
-    function : callable
-        Takes a place, shape (m,); NaN counts as worse than anything.
-    bounds : sequence of (low, high)
-        For each coordinate.
-    settings : SwarmSettings
-        Size, steps, seed.
-
-    Raises
-    ------
-    InputError
-        When a bound is not a range.
+    ``function``: takes a place, shape (m,); NaN counts as worse than anything.
     """
     low, high = np.array(bounds, dtype=float).T
     if not (low < high).all():

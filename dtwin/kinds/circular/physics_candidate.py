@@ -34,21 +34,11 @@ def physics_candidate(
 ) -> Candidate:
     """Return the proposed equation of a physics fit.
 
-    Parameters
-    ----------
-    fit : PhysicsFit
-        Fitted library.
-    scores : dict of str to Scores
-        Of equations that were found and fitted without what they predict.
-    fresh_run_um : float
-        Error to expect of a fresh run of a trained condition.
-    machine : str
-        Machine that the bundle is for.
-    horizon_s : float
-        Known delay between a correction and the motion it causes; the equation looks as far
-        ahead along the commanded motion.
-    table_versions : dict of str to int
-        Versions of the lake's tables, for the bundle's provenance.
+    ``scores``: of equations that were found and fitted without what they predict.
+    ``fresh_run_um``: error to expect of a fresh run of a trained condition.
+    ``horizon_s``: known delay between a correction and the motion it causes; the equation looks as far ahead along the
+    commanded motion.
+    ``table_versions``: versions of the lake's tables, for the bundle's provenance.
     """
     design = fit.design[:, list(fit.chosen)]
     rest = fit.rows.target_um - design @ fit.weights
@@ -86,16 +76,7 @@ def physics_candidate(
 def _physics_bundle(fit: PhysicsFit, machine: str, *, horizon_s: float, table_versions: dict[str, int]) -> Bundle:
     """Freeze the chosen terms into a bundle.
 
-    Parameters
-    ----------
-    fit : PhysicsFit
-        Fitted library.
-    machine : str
-        Machine that it is for.
-    horizon_s : float
-        How far joint angles are taken ahead.
-    table_versions : dict of str to int
-        Versions of the lake's tables.
+    ``horizon_s``: how far joint angles are taken ahead.
     """
     library = Library(fit.library.gears, fit.library.modes, horizon_s=horizon_s)
     terms = list(library.atoms.values())

@@ -24,20 +24,15 @@ _SEARCH_EVERY = 4
 _NEVER_MOVES = 1e-9
 DEAD_SHARE = 1e-3
 _LAG_RANGE_S, _LAG_STEP_S, _LAG_ROUNDS = 0.040, 0.002, 2
-Cells = Mapping[tuple[float, float], Sums]
+_Cells = Mapping[tuple[float, float], Sums]
 
 
 @dataclass(frozen=True)
 class FrontPoint:
     """One size of the equation.
 
-    Attributes
-    ----------
-    terms : int
-        Number of terms.
-    held_out_rms_um, radius_out_rms_um : float
-        Error on feeds, and on radii, that only the coefficients were fitted without: it chooses the
-        size. What is reported of the chosen one is :func:`predicted_left_out`.
+    ``held_out_rms_um``, ``radius_out_rms_um``: error on feeds, and on radii, that only the coefficients were fitted
+    without: it chooses the size. What is reported of the chosen one is :func:`predicted_left_out`.
     """
 
     terms: int
@@ -51,18 +46,12 @@ class PhysicsFit:
 
     Attributes
     ----------
-    rows : Rows
-        Rows with refined alignment.
-    library : Library
-        All terms.
     design, absorbed : ndarray, shape (n, p)
         Terms at the rows, centre and radius of set-ups taken out; and what was taken out.
     chosen : tuple of int
         Columns of the proposed equation.
     weights : ndarray, shape (len(chosen),)
         Their coefficients, fitted on all rows.
-    front : tuple of FrontPoint
-        Error over size.
     lag_shift_s : float
         RMS by which the alignment of single runs was corrected.
     """
@@ -80,19 +69,8 @@ class PhysicsFit:
 def fit_physics(rows: Rows, columns: TermColumns | None = None, progress: Progress | None = None) -> PhysicsFit:
     """Fit the library to a campaign.
 
-    Parameters
-    ----------
-    rows : Rows
-        Rows of all runs, aligned by motion.
-    columns : TermColumns, optional
-        Terms of these runs, or of more, that other fits use too.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Raises
-    ------
-    InputError
-        When there is a single run: nothing can be left out to choose the number of terms.
+    ``rows``: rows of all runs, aligned by motion.
+    ``columns``: terms of these runs, or of more, that other fits use too.
     """
     columns = columns or TermColumns(rows.runs)
     library = _search(thinned(rows, _SEARCH_EVERY), columns, progress)
@@ -112,21 +90,9 @@ def predicted_left_out(rows: Rows, group: str, columns: TermColumns, progress: P
     Orders, modes, alignment of the runs, number of terms and coefficients are all found again
     without the group. The rows that are predicted keep the alignment by motion.
 
-    Parameters
-    ----------
-    rows : Rows
-        Rows of all runs, aligned by motion.
-    group : str
-        A field of the condition, left out by value.
-    columns : TermColumns
-        Terms of all runs.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        In um, centre and radius of the set-ups not taken out.
+    ``rows``: rows of all runs, aligned by motion.
+    ``group``: a field of the condition, left out by value.
+    Returns (n,): in um, centre and radius of the set-ups not taken out.
     """
     predicted = np.zeros(rows.n)
     values = np.unique(rows.label(group))
@@ -144,10 +110,7 @@ def predicted_fresh(fit: PhysicsFit) -> Floats:
 
     What to expect of a fresh run of a trained condition; not a nested figure.
 
-    Returns
-    -------
-    ndarray, shape (n,)
-        In um, centre and radius of the set-ups not taken out.
+    Returns (n,): in um, centre and radius of the set-ups not taken out.
     """
     rows, chosen = fit.rows, list(fit.chosen)
     design, absorbed = fit.design[:, chosen], fit.absorbed[:, chosen]
@@ -161,7 +124,7 @@ def predicted_fresh(fit: PhysicsFit) -> Floats:
     return predicted
 
 
-def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> Cells:
+def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> _Cells:
     """Return sums over the scored rows by (feed, radius), by run where there is one such pair."""
     labels = rows.label("feed_mm_min"), rows.label("radius_mm")
     if all(np.unique(label).size == 1 for label in labels):
@@ -174,7 +137,7 @@ def _cell_sums(rows: Rows, design: Floats, absorbed: Floats) -> Cells:
     return cells
 
 
-def _coefficients_out_rms(cells: Cells, axis: int, chosen: Sequence[int]) -> float:
+def _coefficients_out_rms(cells: _Cells, axis: int, chosen: Sequence[int]) -> float:
     """Return the RMS error over feeds (axis 0) or radii (1) that coefficients are fitted without."""
     squares, rows = 0.0, 0
     for value in sorted({key[axis] for key in cells}):
@@ -219,7 +182,7 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
     return rows, float(np.sqrt(np.mean((lags - start) ** 2)))
 
 
-def _front(library: Library, cells: Cells) -> tuple[list[int], list[FrontPoint]]:
+def _front(library: Library, cells: _Cells) -> tuple[list[int], list[FrontPoint]]:
     if len(cells) < 2:
         raise InputError(
             "the size of an equation cannot be chosen from a single run",

@@ -74,8 +74,6 @@ def study_recording(path: Path, library: Mapping[str, Effect], geometry: Mapping
     ----------
     path : Path
         A ``.b5r`` file whose runs stop every half turn and pass parts of the path twice.
-    library : mapping of str to Effect
-        Effects by name.
     geometry : dict, optional
         ``machine_geometry``; without one, effects of joints are left out.
 

@@ -16,21 +16,8 @@ def chosen_harmonics(passes: Passes, most: int, *, by_direction: bool) -> tuple[
 
     An order counts as three parameters: two amplitudes and its number, as shapes of effects do.
 
-    Parameters
-    ----------
-    passes : Passes
-        Both passes.
-    most : int
-        Parameters that may be used.
-    by_direction : bool
-        Each direction has orders of its own.
-
-    Returns
-    -------
-    parameters : int
-        Used.
-    columns : pair of ndarray, shape (n, k)
-        Model in both passes.
+    ``by_direction``: each direction has orders of its own.
+    Returns ``columns`` (n, k): model in both passes.
     """
     runs = range(len(passes.aligned))
     groups = [(run,) for run in runs] if by_direction else [tuple(runs)]

@@ -28,12 +28,7 @@ _RANK = 1e-6
 class Passes:
     """Both passes of every repeated stretch, all runs one after the other.
 
-    Attributes
-    ----------
-    aligned : tuple of Aligned
-        Runs.
-    y_um : tuple of ndarray, shape (n,)
-        Deviation in the first and in the second pass.
+    ``y_um``, (n,): deviation in the first and in the second pass.
     """
 
     aligned: tuple[Aligned, ...]
@@ -42,12 +37,7 @@ class Passes:
     def columns(self, term: Term, *, by_file: bool = False) -> tuple[Floats, Floats]:
         """Return an effect in the first and in the second pass, each of shape (n, k).
 
-        Parameters
-        ----------
-        term : Term
-            Effect and shape.
-        by_file : bool
-            At the angles that the file states, not at the aligned ones.
+        ``by_file``: at the angles that the file states, not at the aligned ones.
         """
         effect, axis = term.instance.effect, term.instance.axis
         whole = [effect.columns(a.file_state if by_file else a.state, axis, term.shape) for a in self.aligned]
@@ -56,10 +46,7 @@ class Passes:
     def both(self, whole: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Return rows of the first and of the second pass from rows of whole runs.
 
-        Parameters
-        ----------
-        whole : sequence of ndarray, shape (samples, ...)
-            One array for each run.
+        ``whole``, (samples, ...): one array for each run.
         """
         pairs = [
             (values[s.first : s.end], values[s.second])
@@ -73,14 +60,8 @@ class Passes:
 class Rung:
     """A step of the model.
 
-    Attributes
-    ----------
-    term : Term
-        What was added.
-    parameters : int
-        Linear parameters of the model so far, set-up included.
-    fit_um, held_out_um : float
-        RMS on the pass that was fitted, and on the other; mean square of both ways round.
+    ``parameters``: linear parameters of the model so far, set-up included.
+    ``fit_um``, ``held_out_um``: RMS on the pass that was fitted, and on the other; mean square of both ways round.
     """
 
     term: Term
@@ -90,13 +71,7 @@ class Rung:
 
 
 def passes_of(aligned: Sequence[Aligned]) -> Passes:
-    """Return both passes of what the runs repeat.
-
-    Parameters
-    ----------
-    aligned : sequence of Aligned
-        Runs.
-    """
+    """Return both passes of what the runs repeat."""
     whole = [a.run.samples["deviation_um"] for a in aligned]
     return Passes(tuple(aligned), Passes(tuple(aligned), (np.empty(0),) * 2).both(whole))
 
@@ -113,16 +88,8 @@ def setup_terms(library: Mapping[str, Effect], state: State) -> list[Term]:
 def candidate_terms(library: Mapping[str, Effect], state: State, *, joints: bool, clock: bool) -> Iterator[Term]:
     """Return every effect at every shape that may be tried.
 
-    Parameters
-    ----------
-    library : mapping of str to Effect
-        Effects by name.
-    state : State
-        Any run: tells axes and what was logged.
-    joints : bool
-        With effects of the joints.
-    clock : bool
-        With effects of the time since a stop.
+    ``state``: any run: tells axes and what was logged.
+    ``clock``: with effects of the time since a stop.
     """
     own = [e for e in library.values() if e.per != "joint" or joints]
     for effect in [*own, *((STOP_RINGING, ARC_DIP) if clock else ())]:
@@ -145,10 +112,7 @@ def candidate_terms(library: Mapping[str, Effect], state: State, *, joints: bool
 def judge(y: tuple[Floats, Floats], columns: tuple[Floats, Floats]) -> tuple[float, float]:
     """Return RMS on the pass fitted and on the other pass, both ways round, in um.
 
-    Parameters
-    ----------
-    y, columns : pair of ndarray, shape (n,) and (n, k)
-        First and second pass.
+    ``y``, ``columns``, (n,): first and second pass.
     """
     inside, outside = 0.0, 0.0
     for one, other in ((0, 1), (1, 0)):
@@ -168,19 +132,8 @@ def left_by_the_other(y: tuple[Floats, Floats], columns: tuple[Floats, Floats]) 
 def grow(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) -> list[Rung]:
     """Add one effect after the other, each the one that helps most on the other pass.
 
-    Parameters
-    ----------
-    passes : Passes
-        Both passes.
-    base : sequence of Term
-        Always in the model.
-    candidates : sequence of Term
-        What may be added.
-
-    Returns
-    -------
-    list of Rung
-        Until nothing takes away a hundredth of the error on the pass not fitted.
+    ``base``: always in the model.
+    Until nothing takes away a hundredth of the error on the pass not fitted.
     """
     pool = [(term, passes.columns(term)) for term in candidates]
     pool = [(t, c) for t, c in pool if all(np.abs(part).max() > 0.0 for part in c)]
@@ -204,12 +157,7 @@ def grow(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) -> li
 def best_of(passes: Passes, base: Sequence[Term], candidates: Sequence[Term]) -> tuple[Term, float] | None:
     """Return the one effect that helps most on the other pass, and the RMS it leaves in um.
 
-    Parameters
-    ----------
-    passes : Passes
-        Both passes.
-    base, candidates : sequence of Term
-        What is in the model, and what may be added.
+    ``base``, ``candidates``: what is in the model, and what may be added.
     """
     pool = [(term, passes.columns(term)) for term in candidates]
     if not pool:
@@ -224,14 +172,7 @@ def unseen_path_um(passes: Passes, columns: tuple[Floats, Floats], block: int = 
 
     One block in five is left out of the first pass and foretold in the second, and so round.
 
-    Parameters
-    ----------
-    passes : Passes
-        Both passes.
-    columns : pair of ndarray, shape (n, k)
-        Model in both passes.
-    block : int
-        Samples of a block.
+    ``columns``, (n, k): model in both passes.
     """
     fold = (np.arange(passes.y_um[0].size) // block) % 5
     total = 0.0
@@ -246,14 +187,7 @@ def unseen_path_um(passes: Passes, columns: tuple[Floats, Floats], block: int = 
 def harmonic_columns(passes: Passes, parameters: int, *, by_direction: bool) -> tuple[Floats, Floats]:
     """Return the lowest harmonics of the aligned angle, as many columns as asked for.
 
-    Parameters
-    ----------
-    passes : Passes
-        Both passes.
-    parameters : int
-        Number of columns.
-    by_direction : bool
-        Each direction has harmonics of its own.
+    ``by_direction``: each direction has harmonics of its own.
     """
     whole = []
     groups = len(passes.aligned) if by_direction else 1
@@ -284,12 +218,8 @@ def stack(parts: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
 def gains_um(y: tuple[Floats, Floats], model: tuple[Floats, Floats], pool: Sequence[tuple[Floats, Floats]]) -> Floats:
     """Return the RMS on the other pass with each candidate added, in um, shape (candidates,).
 
-    Parameters
-    ----------
-    y, model : pair of ndarray, shape (n,) and (n, k)
-        First and second pass.
-    pool : sequence of pair of ndarray, shape (n, any)
-        Candidates.
+    ``y``, ``model``, (n,): first and second pass.
+    ``pool``, (n, any): candidates.
     """
     mean_square = np.zeros(len(pool))
     for one, other in ((0, 1), (1, 0)):

@@ -24,16 +24,9 @@ _LAG_RANGE = (0.96, 1.04)
 class Stretch:
     """Part of a recording that is seen again one revolution later.
 
-    Attributes
-    ----------
-    run_id : str
-        Run.
-    first, end : int
-        Samples of the first pass, end excluded.
-    lag_samples : int
-        How much later the second pass is.
-    non_repeatable_um : float
-        RMS of one pass about the mean of both.
+    ``first``, ``end``: samples of the first pass, end excluded.
+    ``lag_samples``: how much later the second pass is.
+    ``non_repeatable_um``: RMS of one pass about the mean of both.
     """
 
     run_id: str
@@ -56,18 +49,8 @@ class Stretch:
 class Aligned:
     """A run with the angles that its stops give.
 
-    Attributes
-    ----------
-    run : Run
-        The run.
-    motion : Motion
-        Its stops.
-    state : State
-        State at every sample, angles aligned.
-    file_state : State
-        State at every sample, angles as the file says.
-    stretches : tuple of Stretch
-        What is seen twice.
+    ``state``: state at every sample, angles aligned.
+    ``file_state``: state at every sample, angles as the file says.
     """
 
     run: Run
@@ -88,17 +71,8 @@ class Aligned:
 def align(run: Run, geometry: Mapping[str, Any]) -> Aligned:
     """Align a run by its stops and find what it repeats.
 
-    Parameters
-    ----------
-    run : Run
-        A circular run that stops every half turn, longer than one revolution.
-    geometry : dict
-        ``machine_geometry``; empty when it is not known.
-
-    Raises
-    ------
-    InputError
-        When the run shows too few stops, or repeats nothing.
+    ``run``: a circular run that stops every half turn, longer than one revolution.
+    ``geometry``: ``machine_geometry``; empty when it is not known.
     """
     motion = motion_of(run)
     angle_deg = aligned_angle_deg(run, motion)
@@ -110,7 +84,7 @@ def align(run: Run, geometry: Mapping[str, Any]) -> Aligned:
             got=f"{len(motion.stops)} stops and {'a' if run.window else 'no'} marked window",
             allowed="two or more stops half a turn apart, and a marked window",
         )
-    stretches = repeated(run, motion)
+    stretches = _repeated(run, motion)
     if not stretches:
         raise InputError(
             "the recording repeats nothing, so nothing can be held out",
@@ -127,16 +101,8 @@ def align(run: Run, geometry: Mapping[str, Any]) -> Aligned:
     )
 
 
-def repeated(run: Run, motion: Motion) -> tuple[Stretch, ...]:
-    """Return the parts of half turns that are seen again, each with a lag of its own.
-
-    Parameters
-    ----------
-    run : Run
-        The run.
-    motion : Motion
-        Its stops.
-    """
+def _repeated(run: Run, motion: Motion) -> tuple[Stretch, ...]:
+    """Return the parts of half turns that are seen again, each with a lag of its own."""
     deviation = run.samples["deviation_um"]
     margin = round(_STOP_S * run.meta.sample_rate_hz)
     # What follows the last stop has no other half turn to be counted by.
@@ -154,10 +120,7 @@ def repeated(run: Run, motion: Motion) -> tuple[Stretch, ...]:
 def within_run_floor_um(stretches: tuple[Stretch, ...]) -> float:
     """Return the RMS of one pass about the mean of two, all stretches together, in um.
 
-    Parameters
-    ----------
-    stretches : tuple of Stretch
-        At least one.
+    ``stretches``: at least one.
     """
     weight = np.array([s.end - s.first for s in stretches], dtype=float)
     square = np.array([s.non_repeatable_um**2 for s in stretches])

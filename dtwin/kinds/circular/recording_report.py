@@ -44,8 +44,6 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
     ----------
     result : dict
         ``Study.result``.
-    curves : mapping of str to (angle_deg, error_um)
-        Measured and left, by name.
     """
     steps = [_step(step) for step in result["plan"]]
     return [
@@ -54,7 +52,7 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
         Section(
             "From set-up to floor",
             tables=[Table(_RUNG_HEAD, _rungs(result["ladders"][result["best"]]))],
-            figures=[waterfall(result)],
+            figures=[_waterfall(result)],
         ),
         Section(
             "Models side by side",
@@ -67,13 +65,10 @@ def recording_sections(result: Mapping[str, Any], curves: Mapping[str, tuple[Flo
     ]
 
 
-def waterfall(result: Mapping[str, Any]) -> go.Figure:
+def _waterfall(result: Mapping[str, Any]) -> go.Figure:
     """Return how the error on the pass not fitted fell, down to the look-up and the floor.
 
-    Parameters
-    ----------
-    result : dict
-        ``Study.result``.
+    ``result``: ``Study.result``.
     """
     rungs = result["ladders"][result["best"]]
     names = ["set-up only", *(f"{n}. {r['label']}" for n, r in enumerate(rungs, 1))]

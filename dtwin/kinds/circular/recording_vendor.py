@@ -37,14 +37,7 @@ def vendor_figures(
 ) -> dict[str, Any]:
     """Return what the vendor states, and what its kinds of terms leave when refitted.
 
-    Parameters
-    ----------
-    passes : Passes
-        Both passes of what repeats.
-    library : mapping of str to Effect
-        Effects by name.
-    diagnostics : dict of str to float
-        The vendor's own diagnosis.
+    ``passes``: both passes of what repeats.
     """
     state = passes.aligned[0].state
     terms = models.setup_terms(library, state)

@@ -17,16 +17,14 @@ if TYPE_CHECKING:
     import plotly.graph_objects as go
 
 _WAYS = ("CCW", "CW")
-Arc = tuple[Floats, Floats]
+_Arc = tuple[Floats, Floats]
 
 
 def circular_sheet(runs: Sequence[Run]) -> Sheet:
     """Evaluate every condition of a campaign.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With ``angle_deg`` and ``deviation_um``; runs with an error of quality are left out where there are others, and named.
+    ``runs``: with ``angle_deg`` and ``deviation_um``; runs with an error of quality are left out where there are
+    others, and named.
     """
     conditions: dict[tuple[str, float, float], list[Run]] = {}
     notes = []
@@ -87,13 +85,7 @@ def _pairs(runs: Sequence[Run]) -> list[tuple[Run, Run]]:
 
 
 def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
-    """Draw the first run of each direction about one centre.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Of one condition.
-    """
+    """Draw the first run of each direction about one centre."""
     pairs = _pairs(runs)
     shown = list(pairs[0]) if pairs else list(runs[:1])
     radius = float(shown[0].meta.radius_mm or 0.0)
@@ -111,6 +103,6 @@ def both_ways_figure(runs: Sequence[Run]) -> go.Figure:
     return polar_figure(curves, radius, title=title, plane=shown[0].meta.plane)
 
 
-def _arc(run: Run) -> Arc:
+def _arc(run: Run) -> _Arc:
     part = slice(*run.window) if run.window is not None else slice(None)
     return run.samples["angle_deg"][part], run.samples["deviation_um"][part]

@@ -14,7 +14,7 @@ from dtwin.schema import Direction, Run, RunMeta
 
 FEEDS_MM_MIN = (300.0, 600.0, 1200.0, 1800.0, 2400.0, 3000.0, 3600.0, 4800.0, 6000.0)
 QUICK_FEEDS_MM_MIN = (1200.0, 3000.0, 6000.0)
-RADIUS_MM, REPEATS = 50.0, 2
+RADIUS_MM, _REPEATS = 50.0, 2
 _EPOCH = datetime(2026, 3, 2, 9, 0, tzinfo=UTC)
 _BETWEEN = timedelta(minutes=5)
 
@@ -22,18 +22,13 @@ _BETWEEN = timedelta(minutes=5)
 def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
     """Return the published sweep: YZ, 50 mm, nine feeds, twice, both directions.
 
-    Parameters
-    ----------
-    quick : bool
-        Three of the feeds.
-    seed : int
-        Of the order.
+    ``quick``: three of the feeds.
     """
     grid = {
         "plane": ["YZ"],
         "radius_mm": [RADIUS_MM],
         "feed_mm_min": list(QUICK_FEEDS_MM_MIN if quick else FEEDS_MM_MIN),
-        "repeats": REPEATS,
+        "repeats": _REPEATS,
     }
     name = "hexapod-sweep-quick" if quick else "hexapod-sweep"
     head = {"name": name, "machine": "virtual-hexapod", "seed": seed}
@@ -43,10 +38,7 @@ def feed_sweep(*, quick: bool = False, seed: int = 1) -> Plan:
 class VirtualHexapodBench:
     """A hexapod that exists only as legs and equations, with ball bar and accelerometer.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the machine, its mountings and its noise.
+    ``seed``: seed of the machine, its mountings and its noise.
     """
 
     name = "virtual-hexapod"

@@ -25,7 +25,7 @@ from dtwin.train.symbolic import SUBSAMPLE, Engine, FittedFormula, refit
 
 # What a short formula could use: angles, senses, speed, time. Levers and unit vectors are left
 # to the physics library.
-INPUTS = (
+_INPUTS = (
     "path_angle_rad",
     "direction_sign",
     "q1_rad",
@@ -53,19 +53,6 @@ def symbolic_candidate(
 
     The scores are those of formulas that were searched, chosen and refitted without what they
     predict.
-
-    Parameters
-    ----------
-    rows : Rows
-        Rows of a campaign.
-    engine : Engine
-        Search engine.
-    machine : str
-        Machine that the bundle is for.
-    seed : int
-        Seed of search and subsample.
-    table_versions : dict of str to int
-        Versions of the lake's tables.
     """
     columns = _columns(rows)
     fitted = _searched(rows, columns, np.ones(rows.n, dtype=bool), engine, seed)
@@ -118,7 +105,7 @@ def _searched(
 
 def _columns(rows: Rows) -> dict[str, Floats]:
     table = np.concatenate([run.inputs[run.arc] for run in rows.runs]).astype(float)
-    return {name: table[:, PATH_INPUTS.index(name)] for name in INPUTS}
+    return {name: table[:, PATH_INPUTS.index(name)] for name in _INPUTS}
 
 
 def _elbow(fitted: list[FittedFormula]) -> FittedFormula:

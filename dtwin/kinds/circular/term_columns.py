@@ -17,10 +17,7 @@ class TermColumns:
 
     No measurement goes into them, so that folds that hold out different runs may share them.
 
-    Parameters
-    ----------
-    runs : sequence of TickRun
-        All runs, each with an id of its own.
+    ``runs``: all runs, each with an id of its own.
     """
 
     def __init__(self, runs: Sequence[TickRun]) -> None:
@@ -32,16 +29,9 @@ class TermColumns:
     ) -> Floats:
         """Return terms at the rows of runs, one run after the other, shape (rows, terms).
 
-        Parameters
-        ----------
-        library : Library
-            With joint angles not taken ahead.
-        runs : sequence of TickRun
-            Some of all runs.
-        only : sequence of int, optional
-            Numbers of the wanted terms; all by default.
-        every : int
-            Only each such row of a run.
+        ``library``: with joint angles not taken ahead.
+        ``only``: numbers of the wanted terms; all by default.
+        ``every``: only each such row of a run.
         """
         parts = [None, *library.gears, *library.modes]
         wanted = slice(None) if only is None else np.asarray(only, dtype=int)

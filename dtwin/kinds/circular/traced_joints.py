@@ -20,10 +20,8 @@ JOINT_RANGES: dict[str, tuple[float, float]] = {
 class TracedJoints:
     """What effects of joints ask a state for.
 
-    Attributes
-    ----------
-    q_rad, qd_rad_s, lever_mm : Traced
-        Tables of one row: angle, speed, and change of the radius per radian of each joint.
+    ``q_rad``, ``qd_rad_s``, ``lever_mm``: tables of one row: angle, speed, and change of the radius per radian of each
+    joint.
     """
 
     q_rad: Traced
@@ -37,15 +35,7 @@ class TracedJoints:
 
 
 def traced_joints(builder: GraphBuilder, horizon_s: float) -> TracedJoints:
-    """Return the joints where they will be when a correction takes effect.
-
-    Parameters
-    ----------
-    builder : GraphBuilder
-        Collects the nodes.
-    horizon_s : float
-        How far ahead.
-    """
+    """Return the joints where they will be when a correction takes effect."""
     numbers = range(1, _N_JOINTS + 1)
     speed = [builder.input(f"qd{j}_rad_s") for j in numbers]
     angle = [builder.input(f"q{j}_rad") for j in numbers]

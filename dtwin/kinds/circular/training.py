@@ -41,27 +41,8 @@ def train_campaign(
     Runs with a data-quality error are left out. The versions of the tables are recorded, so
     that the same rows can be read again.
 
-    Parameters
-    ----------
-    lake : Lake
-        Where the campaign is.
-    name : str
-        Campaign.
-    seed : int
-        Seed of everything random.
-    engine : Engine, optional
-        Free symbolic search; Operon by default.
-    recipes : sequence of Recipe
-        Comparison models.
-    workers : int
-        Comparison models fitted side by side.
-    progress : callable, optional
-        Called with (stage, done, total, what).
-
-    Raises
-    ------
-    InputError
-        When the campaign is unknown, or too few usable runs remain.
+    ``engine``: free symbolic search; Operon by default.
+    ``workers``: comparison models fitted side by side.
     """
     tell = progress or (lambda *_: None)
     campaign = lake.campaign(name)

@@ -26,7 +26,7 @@ RATE_HZ = 100.0
 ROOM_IN = 1.0
 # Below every place that an axis can start from.
 _FAR_IN = 100.0
-POSITION, DIRECTION = "position_mm", "direction_1"
+POSITION, _DIRECTION = "position_mm", "direction_1"
 # What bundles from before 2026-12 ask for.
 _INCHES = "position_in"
 SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=2000.0, stale_s=0.025)
@@ -39,7 +39,7 @@ def is_positioning_bundle(bundle: Bundle) -> bool:
 
 def told(position_mm: Floats, direction: Floats) -> dict[str, Floats]:
     """Return what the loop of an axis tells a bundle, by name of the input, shape (n,) each."""
-    return {POSITION: position_mm, _INCHES: position_mm / MM_PER_IN, DIRECTION: direction}
+    return {POSITION: position_mm, _INCHES: position_mm / MM_PER_IN, _DIRECTION: direction}
 
 
 def axis_number(bundle: Bundle) -> int:
@@ -72,17 +72,11 @@ def deployed_bundle(
 
     Parameters
     ----------
-    pair : DualNet
-        The networks.
-    name, machine : str
-        Of the bundle.
     reach_in : tuple of float
         Validity box of the position.
-    axis : {"X", "Y", "Z"}
-        That is corrected.
     """
     builder = GraphBuilder()
-    direction, position = builder.input(DIRECTION), builder.input(POSITION) / MM_PER_IN
+    direction, position = builder.input(_DIRECTION), builder.input(POSITION) / MM_PER_IN
     reverse = builder.apply("step", direction - 0.5)
     turned = _remainder(builder, position, pair.pitch_in, reach_in[1])
     slow = pair.full.expression(builder, (reverse, position))
@@ -94,7 +88,7 @@ def deployed_bundle(
         name=name,
         machine=machine,
         model_version=1,
-        inputs=(Input(DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0), _position(reach_in)),
+        inputs=(Input(_DIRECTION, "1", "none", RATE_HZ, "controller", 0.0, 1.0), _position(reach_in)),
         outputs=(output,),
         tick_graph=graph,
         safety=SAFETY,
@@ -106,12 +100,8 @@ def deployed_bundle(
 class Harmonics:
     """A cyclic error over one turn of the screw that closes, in inches.
 
-    Attributes
-    ----------
-    constant : float
-        Mean.
-    sine, cosine : ndarray, shape (orders,)
-        Amplitudes of orders 1, 2 ...
+    ``constant``: mean.
+    ``sine``, ``cosine``, (orders,): amplitudes of orders 1, 2 ...
     """
 
     constant: float
@@ -138,14 +128,7 @@ class Harmonics:
 def fit_harmonics(position_in: Floats, error_in: Floats, pitch_in: float, orders: int) -> Harmonics:
     """Fit a cyclic error by least squares.
 
-    Parameters
-    ----------
-    position_in, error_in : ndarray, shape (n,)
-        Positions at enough angles of the screw, and what is left at them.
-    pitch_in : float
-        Travel in one turn.
-    orders : int
-        Harmonics.
+    ``position_in``, ``error_in``, (n,): positions at enough angles of the screw, and what is left at them.
     """
     angle = np.outer(2.0 * np.pi * position_in / pitch_in, np.arange(1.0, orders + 1.0))
     design = np.hstack([np.ones((len(position_in), 1)), np.sin(angle), np.cos(angle)])
@@ -157,16 +140,9 @@ def fit_harmonics(position_in: Floats, error_in: Floats, pitch_in: float, orders
 class Flanks:
     """Both limits of slide minus screw: a slow network and a closing cyclic error for each.
 
-    Attributes
-    ----------
-    full : SmallNet
-        Inputs are direction and position.
-    forward, reverse : Harmonics
-        Of the flank that pushes up, and of the other.
-    pitch_in : float
-        Travel in one turn.
-    reach_in : tuple of float
-        Mapped travel; beyond it the ends are held.
+    ``full``: inputs are direction and position.
+    ``forward``, ``reverse``: of the flank that pushes up, and of the other.
+    ``reach_in``: mapped travel; beyond it the ends are held.
     """
 
     full: SmallNet
@@ -197,12 +173,8 @@ def flanks_of(
         Inputs are direction and position.
     averages : Averages
         Mean errors at enough angles of the screw.
-    pitch_in : float
-        Travel in one turn.
     orders : int
         Harmonics of the turn.
-    reach_in : tuple of float
-        Mapped travel.
     """
     x = averages.position_in
     rest = [
@@ -216,16 +188,7 @@ def flanks_of(
 def flanks_bundle(flanks: Flanks, name: str, machine: str, travel_in: tuple[float, float], axis: str = "Z") -> Bundle:
     """Return the equation of two fitted flanks, with a memory for the play.
 
-    Parameters
-    ----------
-    flanks : Flanks
-        The two limits.
-    name, machine : str
-        Of the bundle.
-    travel_in : tuple of float
-        Travel of the axis, the validity box.
-    axis : {"X", "Y", "Z"}
-        That is corrected.
+    ``travel_in``: travel of the axis, the validity box.
     """
     builder = GraphBuilder()
     limits = [
@@ -256,23 +219,9 @@ def remembering_bundle(
     corrected screw stands elsewhere, so each flank is taken where the correction puts the screw. Before
     the first motion the slide is taken to rest as after coming from below.
 
-    Parameters
-    ----------
-    builder : GraphBuilder
-        Of the limits.
-    limits : sequence of callable
-        Lower and upper limit of slide minus screw in inches, as a term of the graph, at a position of
-        the screw in inches. They hold their ends.
-    name, machine : str
-        Of the bundle.
-    travel_in : tuple of float
-        Travel of the axis, the validity box.
-    safety : SafetyLimits
-        Of the guard.
-    table_versions : mapping of str to int, optional
-        Versions of the lake's tables.
-    axis : {"X", "Y", "Z"}
-        That is corrected.
+    ``limits``: lower and upper limit of slide minus screw in inches, as a term of the graph, at a position of the screw
+    in inches. They hold their ends.
+    ``travel_in``: travel of the axis, the validity box.
     """
     position = builder.input(POSITION) / MM_PER_IN
     output = _output(axis)

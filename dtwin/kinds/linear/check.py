@@ -10,7 +10,7 @@ import numpy as np
 from dtwin.schema import Finding, Floats, Run
 
 # A slide that is further off than this has lost steps, or the unit is wrong.
-MAX_ERROR_UM = 5_000.0
+_MAX_ERROR_UM = 5_000.0
 # Positions closer than this are one target.
 TARGET_MM = 1e-3
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
@@ -27,12 +27,8 @@ def _targets_of(position_mm: Floats) -> Floats:
 def phases_of(position_mm: Floats, pitch_mm: float) -> int:
     """Return at how many different angles of the screw there are targets.
 
-    Parameters
-    ----------
-    position_mm : ndarray, shape (n,)
-        Targets.
-    pitch_mm : float
-        Travel in one turn of the screw.
+    ``position_mm``, (n,): targets.
+    ``pitch_mm``: travel in one turn of the screw.
     """
     turned = np.sort(np.mod(np.asarray(position_mm, float), pitch_mm))
     gaps = np.diff(turned, append=turned[0] + pitch_mm)
@@ -42,15 +38,12 @@ def phases_of(position_mm: Floats, pitch_mm: float) -> int:
 def judge_linear_run(run: Run) -> list[Finding]:
     """Return the findings of one positioning run.
 
-    Parameters
-    ----------
-    run : Run
-        With ``position_mm``, ``direction`` and ``error_um``.
+    ``run``: with ``position_mm``, ``direction`` and ``error_um``.
     """
     position, error = run.samples["position_mm"], run.samples["error_um"]
     findings = _missed(run)
     largest = float(np.max(np.abs(error)))
-    if largest > MAX_ERROR_UM:
+    if largest > _MAX_ERROR_UM:
         findings.append(
             Finding(
                 "reading.out_of_range",
@@ -79,10 +72,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
 def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
     """Return what the positioning runs of a campaign say together: repeats, drift.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With their samples.
+    ``runs``: with their samples.
     """
     findings: list[Finding] = []
     if len(runs) == 1:
@@ -190,10 +180,7 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
 def _run_deviations_um(runs: Sequence[Run]) -> Floats:
     """Return deviations from the mean over the runs, shape (runs, readings), in order of time.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Those whose targets and directions are not the first one's are left out.
+    ``runs``: those whose targets and directions are not the first one's are left out.
     """
     if not runs:
         return np.empty((0, 0))

@@ -47,16 +47,7 @@ def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) ->
     The unit of replication is the run, one sweep up and one down. The zero of the laser is taken from
     the runs that were not left out, as it is for tables.
 
-    Parameters
-    ----------
-    frozen : TwinBundle
-        Its bundle.
-    twin : Twin
-        As it was fitted.
-    obs : Observations
-        The runs.
-    home : Home
-        Not used: the runs say everything.
+    ``home``: not used: the runs say everything.
     """
     test = test_of_runs(obs)
     left = runs_left_out(test, lambda run: _foretold_um(frozen, twin, obs, run))
@@ -88,18 +79,7 @@ def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) ->
 
 
 def test_of_runs(obs: Observations) -> LinearTest:
-    """Return the readings of a campaign in matrices, targets that some run missed left out.
-
-    Parameters
-    ----------
-    obs : Observations
-        Sweeps of one axis.
-
-    Raises
-    ------
-    InputError
-        With fewer than two runs, or a run of one direction only.
-    """
+    """Return the readings of a campaign in matrices, targets that some run missed left out."""
     both = [_rows(obs, run) for run in np.unique(obs.run_of).tolist()]
     ways = [obs.sense[rows].tolist() for rows in both]
     if len(both) < _FEWEST_RUNS or any(sorted(way) != [-1.0, 1.0] for way in ways):

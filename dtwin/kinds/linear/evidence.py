@@ -21,7 +21,7 @@ from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 
 _DAYS = 3
-CLOCK = "machine clock, 10 ms cycle, one cycle late"
+_CLOCK = "machine clock, 10 ms cycle, one cycle late"
 _TARGETS = 60
 
 
@@ -32,23 +32,8 @@ def measured_days(
 
     Every day has its own drift and noise. The oracle is an exact map on the days without.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects a position.
-    logged : mapping of str to float
-        What its training logged: mapped travel and pitch.
-    truth : str
-        As for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
-    seed : int
-        Of the first day.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Raises
-    ------
-    InputError
-        When the bundle does not correct a position.
+    ``logged``: what its training logged: mapped travel and pitch.
+    ``truth``: as for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
     """
     if not is_positioning_bundle(bundle):
         raise InputError("the bundle does not correct a position", code="lathe.bundle", got=bundle.name)
@@ -71,7 +56,7 @@ def measured_days(
     shares = guard_shares(guards)
     return MeasuredWays(
         numbered(runs),
-        CLOCK,
+        _CLOCK,
         {"one cycle of the loop": PERIOD_S},
         tuple(oracle),
         {f"{plan.axis} {way}": shares for way in ("forward", "reverse")},
@@ -81,16 +66,8 @@ def measured_days(
 def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") -> Run:
     """Return readings of a test of one run as a run of the lake.
 
-    Parameters
-    ----------
-    test : LinearTest
-        Every target once in each direction.
-    axis : str
-        Letter of the axis.
-    day : int
-        When.
-    correction : str
-        As for :class:`RunMeta`.
+    ``test``: every target once in each direction.
+    ``correction``: as for :class:`RunMeta`.
     """
     there, back = test.position_mm, test.position_mm[::-1]
     n = len(there)
@@ -116,12 +93,8 @@ def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str, 
 
     Parameters
     ----------
-    reach_in : tuple of float
-        Mapped travel.
     pitch_in : float
         Travel in one turn of the screw.
-    machine, axis : str
-        Of the plan.
     """
     low, high = (round(end, 4) for end in reach_in)
     span = round(high - low, 4)

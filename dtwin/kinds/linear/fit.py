@@ -26,16 +26,7 @@ from dtwin.train.gates import Verdict
 class Fitted:
     """A fitted equation.
 
-    Attributes
-    ----------
-    bundle : Bundle
-        The equation.
-    pitch_in : float
-        Travel in one turn of the screw.
-    reach_in : tuple of float
-        Mapped travel.
-    figures : dict
-        What the fit leaves.
+    ``pitch_in``: travel in one turn of the screw.
     """
 
     bundle: Bundle
@@ -53,8 +44,6 @@ def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
         Campaign folder; None for the printed networks.
     model : str
         ``flanks``, ``pair`` or ``printed``.
-    seed : int
-        Of the networks' first weights.
 
     Raises
     ------
@@ -83,17 +72,6 @@ def judged(made: Fitted) -> list[Verdict]:
 
 def write_judged(made: Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False) -> bool:
     """Write a bundle with what the gates said in its provenance; return True.
-
-    Parameters
-    ----------
-    made : Fitted
-        The equation.
-    verdicts : sequence of Verdict
-        Of the gates.
-    out : Path
-        File.
-    force : bool
-        Replace what is there.
 
     Raises
     ------

@@ -34,18 +34,8 @@ _TOUCH_UM = 1e-6
 def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
     """Freeze the effects of a twin of an axis that a correction with memory can answer.
 
-    Parameters
-    ----------
-    twin : Twin
-        Fitted to positioning tests in both directions.
-    obs : Observations
-        The runs that it was fitted to: their targets are the mapped travel.
-
-    Raises
-    ------
-    InputError
-        When nothing is left to correct, the axis is not Z, a direction was not measured, the targets
-        do not show the screw, or the play is negative somewhere.
+    ``twin``: fitted to positioning tests in both directions.
+    ``obs``: the runs that it was fitted to: their targets are the mapped travel.
     """
     _require_both_ways(twin, obs)
     pitch_in(obs)
@@ -71,17 +61,9 @@ def flanks_twin_bundle(twin: Twin, obs: Observations) -> TwinBundle:
 def flank_graph(twin: Twin, obs: Observations) -> Graph:
     """Return the graph of both flanks at a position of the screw, without memory, in um.
 
-    Parameters
-    ----------
-    twin : Twin
-        With effects that can be carried only.
-    obs : Observations
-        The runs that it was fitted to.
-
-    Returns
-    -------
-    Graph
-        Input ``position_mm``; outputs ``forward`` and ``reverse``.
+    ``twin``: with effects that can be carried only.
+    ``obs``: the runs that it was fitted to.
+    Input ``position_mm``; outputs ``forward`` and ``reverse``.
     """
     builder = GraphBuilder()
     flanks = _Flanks(builder, twin, obs)
@@ -95,14 +77,7 @@ def reach_in(obs: Observations) -> tuple[float, float]:
 
 
 def pitch_in(obs: Observations) -> float:
-    """Return the travel in one turn of the screw, in inches.
-
-    Raises
-    ------
-    InputError
-        When it is not stated, or the targets meet the screw at too few angles: its error within a
-        turn would be folded into the slow ones.
-    """
+    """Return the travel in one turn of the screw, in inches."""
     told = obs.campaign.machine_geometry.get(PITCH)
     pitch_mm = float(told) if isinstance(told, int | float) else 0.0
     phases = phases_of(obs.grid.points, pitch_mm) if pitch_mm > 0.0 else 0

@@ -24,13 +24,10 @@ _UM_PER_IN = 25_400.0
 _PLACES = 41
 
 
-class PathAnswers:
+class _PathAnswers:
     """Answers of one bundle along paths; each path begins with a fresh memory.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Takes ``position_mm`` and perhaps ``direction_1``.
+    ``bundle``: takes ``position_mm`` and perhaps ``direction_1``.
     """
 
     def __init__(self, bundle: Bundle) -> None:
@@ -43,12 +40,8 @@ class PathAnswers:
         A bundle that asks for a direction gets the sign of the newest motion, as the published
         program computes it.
 
-        Parameters
-        ----------
-        position_in : ndarray, shape (n,)
-            Positions, tick by tick; the axis is taken to come from below.
-        standing : float, optional
-            Direction that is told while the axis stands still; that of the newest motion without.
+        ``position_in``, (n,): positions, tick by tick; the axis is taken to come from below.
+        ``standing``: direction that is told while the axis stands still; that of the newest motion without.
         """
         step = np.sign(np.diff(position_in, prepend=position_in[0] - 1.0))
         if standing is None:
@@ -66,30 +59,19 @@ class PathAnswers:
 def along(bundle: Bundle, position_in: Floats) -> Floats:
     """Return the predicted error in um of a bundle along successive positions, shape (n,).
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Takes ``position_mm`` and perhaps ``direction_1``.
-    position_in : ndarray, shape (n,)
-        Positions, tick by tick.
+    ``bundle``: takes ``position_mm`` and perhaps ``direction_1``.
+    ``position_in``, (n,): positions, tick by tick.
     """
-    return PathAnswers(bundle).along(position_in)
+    return _PathAnswers(bundle).along(position_in)
 
 
 def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, float]) -> list[Verdict]:
     """Judge the equation of a positioning error by everything that needs no machine.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The equation.
-    pitch_in : float
-        Travel in one turn of the screw.
-    reach_in : tuple of float
-        Mapped travel.
+    ``pitch_in``: travel in one turn of the screw.
     """
     places = np.linspace(reach_in[0] + 0.3 * pitch_in, reach_in[1] - 0.3 * pitch_in, _PLACES)
-    answers = PathAnswers(bundle)
+    answers = _PathAnswers(bundle)
     return [
         _seam(answers, pitch_in, reach_in),
         _outside(answers, reach_in),
@@ -101,12 +83,7 @@ def positioning_gates(bundle: Bundle, pitch_in: float, reach_in: tuple[float, fl
 def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     """Judge a registered equation by everything that needs no motion.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The equation.
-    metrics : mapping of str to float
-        What training logged: scores of runs left out, the screw, latency.
+    ``metrics``: what training logged: scores of runs left out, the screw, latency.
     """
     known = {name: metrics.get(name, float("nan")) for name in _LOGGED}
     pitch, low, high, share, rms, table, worst = known.values()
@@ -150,7 +127,7 @@ _LOGGED = (
 )
 
 
-def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
+def _seam(served: _PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -> Verdict:
     turns = np.arange(np.ceil(reach_in[0] / pitch_in) + 1, np.floor(reach_in[1] / pitch_in))
     worst = {}
     for name, sign in (("forward", 1.0), ("reverse", -1.0)):
@@ -166,7 +143,7 @@ def _seam(served: PathAnswers, pitch_in: float, reach_in: tuple[float, float]) -
     return Verdict("no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} um")
 
 
-def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
+def _outside(served: _PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     low, high = reach_in
     beyond = {low - 0.3: low, -0.1: low, -1.0: low, high + 0.3: high, high + 5.0: high}
     off: dict[float, float] = {}
@@ -183,7 +160,7 @@ def _outside(served: PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     )
 
 
-def _reversal(served: PathAnswers, places: Floats) -> Verdict:
+def _reversal(served: _PathAnswers, places: Floats) -> Verdict:
     worst, where = 0.0, float(places[0])
     for place in places.tolist():
         answers = served.along(np.array([place - 0.05, place, place - _COUNT_IN]))
@@ -198,7 +175,7 @@ def _reversal(served: PathAnswers, places: Floats) -> Verdict:
     )
 
 
-def _standstill(served: PathAnswers, places: Floats) -> Verdict:
+def _standstill(served: _PathAnswers, places: Floats) -> Verdict:
     worst = 0.0
     for place in places.tolist():
         jitter = place + _COUNT_IN * np.array([0.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0])

@@ -27,13 +27,9 @@ def without_run(test: LinearTest, run: int) -> LinearTest:
 def runs_left_out(test: LinearTest, expected_um: Callable[[int], Floats]) -> Floats:
     """Leave out every run in turn; return what is left of it, shape (2 targets, runs).
 
-    Parameters
-    ----------
-    test : LinearTest
-        Two runs or more.
-    expected_um : callable
-        Given the number of the run that is left out, returns the errors in both directions that the
-        others let expect, shape (2 targets,).
+    ``test``: two runs or more.
+    ``expected_um``: given the number of the run that is left out, returns the errors in both directions that the others
+    let expect, shape (2 targets,).
     """
     error = stacked(test)[2]
     return np.column_stack([error[:, k] - expected_um(k) for k in range(error.shape[1])])
@@ -53,12 +49,9 @@ def table_rms_um(test: LinearTest) -> float:
 def noise_floor_um(test: LinearTest) -> float:
     """Return what runs disagree by at the same target and direction: pooled standard deviation.
 
-    Parameters
-    ----------
-    test : LinearTest
-        Two runs or more; drift between the runs counts.
+    ``test``: two runs or more; drift between the runs counts.
     """
-    return spread_um(np.vstack([test.forward_um, test.reverse_um]))
+    return _spread_um(np.vstack([test.forward_um, test.reverse_um]))
 
 
 def scores_of(test: LinearTest, left: Floats) -> Scores:
@@ -69,7 +62,7 @@ def scores_of(test: LinearTest, left: Floats) -> Scores:
     ratios = {}
     for k in np.unique(part):
         # The laser was zeroed at the first target: near it there is nothing but noise to take away.
-        without = np.hypot(rms(error[part == k]), spread_um(error[part == k]))
+        without = np.hypot(rms(error[part == k]), _spread_um(error[part == k]))
         inside = position[part == k] * MM_PER_IN
         where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():z.0f} to {inside.max():z.0f} mm"
         ratios[where] = rms(left[part == k]) / without
@@ -97,6 +90,6 @@ def stacked(test: LinearTest) -> tuple[Floats, Floats, Floats]:
     return direction, position, np.vstack([test.forward_um, test.reverse_um])
 
 
-def spread_um(errors: Floats) -> float:
+def _spread_um(errors: Floats) -> float:
     """Return the pooled standard deviation over runs of errors, (targets, runs)."""
     return rms(errors.std(axis=1, ddof=1))

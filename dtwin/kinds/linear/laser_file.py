@@ -16,12 +16,12 @@ from dtwin.atomic import write_text
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
-COLUMNS = ("Position", "LasRead", "LinearError", "Status", "AirTemp", "AirPress", "MatTemp")
+_COLUMNS = ("Position", "LasRead", "LinearError", "Status", "AirTemp", "AirPress", "MatTemp")
 _AVERAGE_COLUMNS = ("Position", "LinearError")
 # Three numbers of six decimals are compared.
 _SIGN_TOLERANCE = 1e-6 + 1e-9
 _MAX_BYTES = 64 * 1024 * 1024
-_NAMES = frozenset(COLUMNS)
+_NAMES = frozenset(_COLUMNS)
 Sense = Literal["decrease", "increase"]
 _SENSES: tuple[Sense, ...] = ("decrease", "increase")
 
@@ -30,15 +30,10 @@ _SENSES: tuple[Sense, ...] = ("decrease", "increase")
 class LaserTest:
     """Content of a laser file.
 
-    Attributes
-    ----------
-    raw : ndarray, shape (n, 7)
-        ``COLUMNS`` in the order of measurement; lengths in the file's unit, temperatures in
-        degrees Fahrenheit, pressure in inches of mercury.
-    averages : ndarray, shape (m, 2)
-        Mean error at each target, forward sweep first; empty for a single run.
-    rejects : list of dict
-        Lines that hold no row: ``row`` (line number from 1), ``reason``, ``values``.
+    ``raw``, (n, 7): ``_COLUMNS`` in the order of measurement; lengths in the file's unit, temperatures in degrees
+    Fahrenheit, pressure in inches of mercury.
+    ``averages``, (m, 2): mean error at each target, forward sweep first; empty for a single run.
+    ``rejects``: lines that hold no row: ``row`` (line number from 1), ``reason``, ``values``.
     """
 
     raw: Floats
@@ -47,7 +42,7 @@ class LaserTest:
 
     def column(self, name: str) -> Floats:
         """Return one column of the raw rows, shape (n,)."""
-        values: Floats = self.raw[:, COLUMNS.index(name)]
+        values: Floats = self.raw[:, _COLUMNS.index(name)]
         return values
 
 
@@ -55,11 +50,6 @@ def read_laser_file(path: Path) -> LaserTest:
     """Read a laser file.
 
     The header may be broken over two lines and columns parted by tabs or blanks, as exports do.
-
-    Parameters
-    ----------
-    path : Path
-        Text file.
 
     Raises
     ------
@@ -76,20 +66,20 @@ def read_laser_file(path: Path) -> LaserTest:
     header: list[str] = []
     for number, line in enumerate(lines, start=1):
         words = line.split()
-        if words and words[0] == COLUMNS[0]:
+        if words and words[0] == _COLUMNS[0]:
             header = words
         elif words and set(words) <= _NAMES and header:
             header = [*header, *words]
         elif words and header:
             rows = averages if tuple(header) == _AVERAGE_COLUMNS else raw
-            width = len(_AVERAGE_COLUMNS) if rows is averages else len(COLUMNS)
+            width = len(_AVERAGE_COLUMNS) if rows is averages else len(_COLUMNS)
             values = _numbers(words, width)
             if values is not None:
                 rows.append(values)
             else:
                 reason = f"not {width} finite numbers"
                 rejects.append({"row": number, "reason": reason, "values": {"line": line[:120]}})
-        if raw and tuple(header) not in (COLUMNS, _AVERAGE_COLUMNS):
+        if raw and tuple(header) not in (_COLUMNS, _AVERAGE_COLUMNS):
             raise _wrong("the laser file has other columns", path, " ".join(header)[:120])
     if not raw:
         raise _wrong("the laser file holds no row of measurements", path, f"{len(lines)} lines")
@@ -97,16 +87,8 @@ def read_laser_file(path: Path) -> LaserTest:
 
 
 def write_laser_file(path: Path, test: LaserTest) -> Path:
-    """Write a laser file in one step.
-
-    Parameters
-    ----------
-    path : Path
-        File to write or replace.
-    test : LaserTest
-        What was measured.
-    """
-    lines = ["\t".join(COLUMNS)]
+    """Write a laser file in one step."""
+    lines = ["\t".join(_COLUMNS)]
     lines += [
         f"{p:z.5f}\t{reading:z.6f}\t{error:z.6f}\t{status:z.0f}\t{air:z.2f}\t{press:z.2f}\t{mat:z.2f}"
         for p, reading, error, status, air, press, mat in test.raw.tolist()
@@ -140,17 +122,8 @@ def linear_error(position: Floats, reading: Floats, start: float, sense: Sense) 
 def sign_rule(test: LaserTest) -> tuple[Sense | None, bool]:
     """Return the sense that explains the file's own errors, and whether their sign is the rule's.
 
-    Parameters
-    ----------
-    test : LaserTest
-        The file.
-
-    Returns
-    -------
-    sense : str or None
-        None when neither sense explains the errors, with either sign.
-    right : bool
-        False when the errors are commanded minus actual.
+    Returns ``sense``: none when neither sense explains the errors, with either sign.
+    Returns ``right``: false when the errors are commanded minus actual.
     """
     position, reading = test.column("Position"), test.column("LasRead")
     stated = test.column("LinearError")
@@ -170,15 +143,8 @@ def sweeps(position: Floats) -> list[tuple[slice, int]]:
     At a turn the same target is read twice, from one side and from the other; where one of the
     two is missing, the other belongs to the sweep before.
 
-    Parameters
-    ----------
-    position : ndarray, shape (n,)
-        Targets in the order of measurement.
-
-    Returns
-    -------
-    list of (slice, int)
-        Rows of each sweep, and +1 or -1 for its direction.
+    ``position``, (n,): targets in the order of measurement.
+    Rows of each sweep, and +1 or -1 for its direction.
     """
     found: list[tuple[slice, int]] = []
     begun, sign = 0, 0
@@ -205,4 +171,4 @@ def _numbers(words: list[str], width: int) -> list[float] | None:
 
 
 def _wrong(message: str, path: Path, got: str) -> InputError:
-    return InputError(message, code="laser.file", where=str(path), got=got, allowed=" ".join(COLUMNS))
+    return InputError(message, code="laser.file", where=str(path), got=got, allowed=" ".join(_COLUMNS))

@@ -30,18 +30,9 @@ Figures = dict[str, float | None]
 class LoopRun:
     """One corrected test.
 
-    Attributes
-    ----------
-    test : LinearTest
-        What the laser read.
-    figures : dict
-        The four figures of a before/after table, um.
-    ticks : int
-        Cycles of the loop.
-    guard : dict of str to int
-        How often each reason of the guard acted.
-    largest_step_um : float
-        Largest change of the correction in one cycle.
+    ``figures``: the four figures of a before/after table, um.
+    ``guard``: how often each reason of the guard acted.
+    ``largest_step_um``: largest change of the correction in one cycle.
     """
 
     test: LinearTest
@@ -52,18 +43,7 @@ class LoopRun:
 
 
 def campaign_test(folder: Path) -> tuple[str, LinearTest]:
-    """Return the machine and the readings of a positioning campaign.
-
-    Parameters
-    ----------
-    folder : Path
-        A campaign folder.
-
-    Raises
-    ------
-    InputError
-        When it is of another kind, lacks the pitch, or a direction.
-    """
+    """Return the machine and the readings of a positioning campaign."""
     campaign, sources, _ = open_source(folder)
     runs = [run for part, _ in sources for run in part]
     if campaign.kind != "linear":
@@ -94,17 +74,7 @@ def campaign_test(folder: Path) -> tuple[str, LinearTest]:
 def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
     """Return a recording of a whole plan in matrices.
 
-    Parameters
-    ----------
-    recording : LatheRecording
-        Every reading of the plan, none missed.
-    plan : LinearPlan
-        What was measured.
-
-    Raises
-    ------
-    InputError
-        When readings are missing.
+    ``recording``: every reading of the plan, none missed.
     """
     if len(recording.error_um) != plan.readings:
         raise InputError(
@@ -121,10 +91,6 @@ def measured(lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None 
 
     Parameters
     ----------
-    lathe : VirtualLathe
-        The machine.
-    plan : LinearPlan
-        What to measure.
     model : PositionModel, optional
         The correction; none without.
     """
@@ -140,10 +106,6 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
 
     Parameters
     ----------
-    lathe : VirtualLathe
-        The machine.
-    plan : LinearPlan
-        What to measure.
     bundle : Bundle
         Predicts the error from the commanded position.
     """
@@ -174,12 +136,8 @@ def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | N
 
     Parameters
     ----------
-    bundle : Bundle
-        The correction.
     truth : str
         As for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
-    seed : int
-        Of the day: wander and noise.
     plan : LinearPlan, optional
         What to measure; the published verification without.
     """

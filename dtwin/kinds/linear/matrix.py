@@ -25,8 +25,6 @@ class LinearTest:
         Targets that some run missed.
     pitch_mm : float or None
         Travel in one turn of the screw.
-    axis : str
-        That was measured.
     """
 
     position_mm: Floats
@@ -38,13 +36,7 @@ class LinearTest:
 
 
 def linear_test(runs: Sequence[Run]) -> LinearTest:
-    """Put the readings of runs into matrices.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Positioning runs of one axis.
-    """
+    """Put the readings of runs into matrices."""
     columns = [_by_target(run, way) for way in ("forward", "reverse") for run in runs]
     everywhere = set.intersection(*(set(c) for c in columns))
     anywhere = set.union(*(set(c) for c in columns))

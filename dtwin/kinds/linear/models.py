@@ -76,13 +76,7 @@ class Uncorrected:
 
 @dataclass(frozen=True)
 class Bidirectional:
-    """Two tables, chosen by direction; straight between entries, ends held.
-
-    Attributes
-    ----------
-    averages : Averages
-        Entries.
-    """
+    """Two tables, chosen by direction; straight between entries, ends held."""
 
     averages: Averages
 
@@ -118,14 +112,7 @@ class Unidirectional:
 class DualNet:
     """One network for the travel, one for a turn of the screw, added.
 
-    Attributes
-    ----------
-    full, cyclic : SmallNet
-        Inputs are direction and position; direction and position within the turn.
-    pitch_in : float
-        Travel in one turn.
-    trained : tuple of Trained
-        Figures of both trainings.
+    ``full``, ``cyclic``: inputs are direction and position; direction and position within the turn.
     """
 
     full: SmallNet
@@ -142,17 +129,7 @@ class DualNet:
 
 @dataclass(frozen=True)
 class SingleNet:
-    """One network of direction, position and position within the turn.
-
-    Attributes
-    ----------
-    net : SmallNet
-        Three inputs.
-    pitch_in : float
-        Travel in one turn.
-    trained : Trained
-        Figures of the training.
-    """
+    """One network of direction, position and position within the turn."""
 
     net: SmallNet
     pitch_in: float
@@ -171,24 +148,15 @@ def whole_turns(averages: Averages, pitch_in: float) -> tuple[Floats, Floats]:
     ----------
     averages : Averages
         Its first target must lie at a whole turn.
-    pitch_in : float
-        Travel in one turn.
     """
     direction, position, error = averages.every(pitch_in).stacked()
     return np.column_stack([direction, position]), error
 
 
-def one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floats, Floats]:
+def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floats, Floats]:
     """Return inputs (n, 2) and what a slow network leaves over a turn (n,), averaged over all turns.
 
-    Parameters
-    ----------
-    averages : Averages
-        Several targets in each turn.
-    full : SmallNet
-        The slow network.
-    pitch_in : float
-        Travel in one turn.
+    ``averages``: several targets in each turn.
     """
     direction, position, error = averages.stacked()
     rest = error - full.evaluate(np.column_stack([direction, position]))
@@ -213,12 +181,6 @@ def fit_dual(
     ----------
     averages : Averages
         Mean errors.
-    pitch_in : float
-        Travel in one turn.
-    seed : int
-        Of the first weights.
-    epochs : int
-        Most steps of each training.
     goals : sequence of float
         Sums of squared errors at which the trainings stop.
     hidden : sequence of int
@@ -228,7 +190,7 @@ def fit_dual(
     inputs, target = whole_turns(averages, pitch_in)
     reach = (float(averages.position_in[0]), float(averages.position_in[-1]))
     slow = train_net(new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=goals[0])
-    cells, rest = one_turn(averages, slow.net, pitch_in)
+    cells, rest = _one_turn(averages, slow.net, pitch_in)
     fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=goals[1])
     return DualNet(slow.net, fast.net, pitch_in, (slow, fast))
 
@@ -242,10 +204,6 @@ def fit_single(
     ----------
     averages : Averages
         Mean errors.
-    pitch_in : float
-        Travel in one turn.
-    seed : int
-        Of the first weights.
     epochs, goal, hidden
         As for :func:`fit_dual`.
     """

@@ -30,8 +30,6 @@ class Trained:
         Its sum of squared errors over the training data.
     epochs : int
         Steps that were taken.
-    seconds : float
-        Wall time.
     """
 
     net: SmallNet
@@ -53,16 +51,12 @@ def train_net(
 
     Parameters
     ----------
-    net : SmallNet
-        Where to start.
     inputs : ndarray, shape (n, inputs)
         Inputs.
     target : ndarray, shape (n,)
         Wanted outputs.
     algorithm : str
         One of ``ALGORITHMS``.
-    epochs : int
-        Most steps.
     goal : float
         Sum of squared errors at which to stop.
 

@@ -13,7 +13,7 @@ import numpy as np
 from dtwin.plan_file import broken_rule, filled, plan_settings, read_plan_file
 from dtwin.schema import Finding, Floats, require_name
 
-MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
+_MM_PER: Mapping[str, float] = {"in": 25.4, "mm": 1.0}
 # Angles of the screw that show five harmonics of its turn.
 _ENOUGH_PHASES = 11
 _AXES = "XYZ"
@@ -52,8 +52,6 @@ class LinearPlan:
         How far the axis goes beyond both ends before it turns.
     axis_low, axis_high : float
         Travel limits of the axis.
-    axes : str
-        Letters of the machine's axes.
     pitch : float
         Travel in one turn of the screw; 0 when unknown.
     laser_dwell_s, window : float
@@ -96,7 +94,7 @@ class LinearPlan:
 
     def mm(self, length: float) -> float:
         """Return a length of the plan in mm."""
-        return length * MM_PER[self.unit]
+        return length * _MM_PER[self.unit]
 
 
 def read_linear_plan(path: Path) -> LinearPlan:
@@ -118,17 +116,7 @@ def read_linear_plan(path: Path) -> LinearPlan:
 def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
     """Return a plan whose numbers obey every rule.
 
-    Parameters
-    ----------
-    stated : mapping
-        Attributes of a plan.
-    where : str
-        Where they come from, for error messages.
-
-    Raises
-    ------
-    InputError
-        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    ``where``: where they come from, for error messages.
     """
     plan = filled(LinearPlan, stated, where)
     _check_linear(plan, where)
@@ -136,19 +124,13 @@ def linear_plan(stated: Mapping[str, Any], where: str) -> LinearPlan:
 
 
 def _check_linear(plan: LinearPlan, where: str) -> None:
-    """Refuse a plan that breaks one of the thirteen rules of the published macro.
-
-    Raises
-    ------
-    InputError
-        With the rule, what was given and what is allowed.
-    """
+    """Refuse a plan that breaks one of the thirteen rules of the published macro."""
     require_name(plan.name, "plan.name")
     require_name(plan.machine, "plan.machine")
-    if plan.unit not in MM_PER:
+    if plan.unit not in _MM_PER:
         raise broken_rule("unit", "the unit of length is unknown", where, plan.unit, "in, mm")
     unit, span = plan.unit, plan.end - plan.start
-    inch = 25.4 / MM_PER[unit]
+    inch = 25.4 / _MM_PER[unit]
     smallest = _SMALLEST_STEP_IN * inch
     feeds = (_FEED_IN_MIN[0] * inch, _FEED_IN_MIN[1] * inch)
     over = _MOST_OVERSHOOT_IN * inch
@@ -228,15 +210,11 @@ def duration_s(plan: LinearPlan) -> float:
     return halts * (plan.dwell_s + _TURN_S) + travel / (plan.feed_min / 60.0)
 
 
-def phases(step: float, span: float, pitch: float, grain: float) -> int:
+def _phases(step: float, span: float, pitch: float, grain: float) -> int:
     """Return at how many angles of the screw targets lie.
 
-    Parameters
-    ----------
-    step, span, pitch : float
-        Of the targets, of the whole test, and of the screw, in one unit.
-    grain : float
-        Smallest length that is told apart.
+    ``step``, ``span``, ``pitch``: of the targets, of the whole test, and of the screw, in one unit.
+    ``grain``: smallest length that is told apart.
     """
     whole_step, whole_pitch = round(step / grain), round(pitch / grain)
     repeats = whole_pitch // math.gcd(whole_step, whole_pitch)
@@ -246,12 +224,7 @@ def phases(step: float, span: float, pitch: float, grain: float) -> int:
 def better_step(plan: LinearPlan, longest: float) -> float | None:
     """Return the step nearest to the planned one that divides the range and meets the screw often.
 
-    Parameters
-    ----------
-    plan : LinearPlan
-        Has a pitch.
-    longest : float
-        Longest step that may be advised.
+    ``plan``: has a pitch.
     """
     grain, span = _GRAIN[plan.unit], plan.end - plan.start
     whole = round(span / grain)
@@ -260,7 +233,7 @@ def better_step(plan: LinearPlan, longest: float) -> float | None:
         if whole % parts:
             continue
         step = whole // parts * grain
-        usable = step <= longest and phases(step, span, plan.pitch, grain) >= _ENOUGH_PHASES
+        usable = step <= longest and _phases(step, span, plan.pitch, grain) >= _ENOUGH_PHASES
         if usable and (best is None or abs(step - plan.step) < abs(best - plan.step)):
             best = round(step, 6)
     return best
@@ -269,10 +242,7 @@ def better_step(plan: LinearPlan, longest: float) -> float | None:
 def linear_advice(plan: LinearPlan) -> list[Finding]:
     """Say what the test cannot tell, and where laser and machine will miss each other.
 
-    Parameters
-    ----------
-    plan : LinearPlan
-        A plan that breaks no rule.
+    ``plan``: a plan that breaks no rule.
     """
     return [*_pitch_advice(plan), *_trigger_advice(plan), *_size_advice(plan)]
 
@@ -287,7 +257,7 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
             )
         ]
     span, unit, found = plan.end - plan.start, plan.unit, []
-    count = phases(plan.step, span, plan.pitch, _GRAIN[unit])
+    count = _phases(plan.step, span, plan.pitch, _GRAIN[unit])
     if count < _ENOUGH_PHASES:
         step = better_step(plan, math.inf)
         advised = "" if step is None else f"; {step:g} {unit} does better"
@@ -368,4 +338,4 @@ def _size_advice(plan: LinearPlan) -> list[Finding]:
 
 def targets_mm(plan: LinearPlan) -> Floats:
     """Return the targets in mm, shape (count,)."""
-    return np.array(plan.targets) * MM_PER[plan.unit]
+    return np.array(plan.targets) * _MM_PER[plan.unit]

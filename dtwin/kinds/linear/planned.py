@@ -50,11 +50,11 @@ def programs(plan: LinearPlan, control: str) -> dict[str, str]:
 
 def detected(plan: LinearPlan, noise_um: float) -> list[Detectable]:
     """Return the size from which each effect is seen on the sweeps."""
-    obs = observe(campaign_of(plan), _empty_runs(plan))
+    obs = observe(_campaign_of(plan), _empty_runs(plan))
     return detectable(obs, Library(), noise_um=noise_um)
 
 
-def campaign_of(plan: LinearPlan) -> Campaign:
+def _campaign_of(plan: LinearPlan) -> Campaign:
     """Return the campaign that a plan becomes."""
     pitch = {"screw_pitch_mm": plan.mm(plan.pitch)} if plan.pitch > 0.0 else {}
     return Campaign(plan.name, plan.machine, kind="linear", machine_geometry=pitch)

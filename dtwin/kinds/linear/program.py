@@ -15,19 +15,9 @@ def laser_program(plan: LinearPlan, control: str = "opencnc") -> str:
     end and sweeps down. Before the first run the program stops so that the laser can be zeroed at
     the start; after each run there is an optional stop.
 
-    Parameters
-    ----------
-    plan : LinearPlan
-        A checked plan.
-    control : str
-        ``opencnc``: machine coordinates in every block and ``G04F``, as the published test used;
-        ``iso``: ``G20``/``G21``, ``G04 P`` in milliseconds, ``M30``, axis in machine
-        coordinates by ``G53``. Neither was run on a control.
-
-    Raises
-    ------
-    InputError
-        When the control is unknown.
+    ``control``: ``opencnc``: machine coordinates in every block and ``G04F``, as the published test used; ``iso``:
+    ``G20``/``G21``, ``G04 P`` in milliseconds, ``M30``, axis in machine coordinates by ``G53``. Neither was run on a
+    control.
     """
     if control not in CONTROLS:
         raise InputError(

@@ -25,22 +25,11 @@ def read_laser_runs(
 ) -> tuple[list[Run], list[dict[str, Any]]]:
     """Read a laser file as runs, each one sweep forward and one back.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    campaign : Campaign
-        ``instrument.length_unit`` says whether lengths are ``mm`` or ``in``;
-        ``instrument.reading_period_s`` how long after one another readings were taken.
-    stated : mapping
-        The ``[[run]]`` entry.
-
-    Returns
-    -------
-    runs : list of Run
-        Ids are ``1``, ``2`` ...; repeats count on from the stated one.
-    rejects : list of dict
-        Lines without a row.
+    ``campaign``: ``instrument.length_unit`` says whether lengths are ``mm`` or ``in``; ``instrument.reading_period_s``
+    how long after one another readings were taken.
+    ``stated``: the ``[[run]]`` entry.
+    Returns ``runs``: ids are ``1``, ``2`` ...; repeats count on from the stated one.
+    Returns ``rejects``: lines without a row.
     """
     unit = campaign.instrument.get("length_unit")
     if not isinstance(unit, str) or unit not in MM_PER:
@@ -71,17 +60,8 @@ def read_laser_runs(
 def with_pitch(run: Run, campaign: Campaign) -> Run:
     """Return a positioning run with the screw's pitch among its conditions, directions checked.
 
-    Parameters
-    ----------
-    run : Run
-        A run of kind ``linear``.
-    campaign : Campaign
-        ``machine_geometry.screw_pitch_mm`` is the pitch.
-
-    Raises
-    ------
-    InputError
-        When a direction is neither ``forward`` nor ``reverse``, or the pitch is no length.
+    ``run``: a run of kind ``linear``.
+    ``campaign``: ``machine_geometry.screw_pitch_mm`` is the pitch.
     """
     unknown = sorted({str(d) for d in run.samples["direction"]} - {_FORWARD, _REVERSE})
     if unknown:

@@ -21,11 +21,6 @@ _TREND_DEGREE = 3
 def before_after_figures(test: LinearTest) -> dict[str, float | None]:
     """Return the four figures by which compensations are compared, in um.
 
-    Parameters
-    ----------
-    test : LinearTest
-        Readings.
-
     Returns
     -------
     dict
@@ -49,11 +44,6 @@ def _cyclic_um(test: LinearTest) -> float | None:
     """Return the peak-to-peak cyclic error of the screw in um; None when it cannot be seen.
 
     Harmonics of the screw's turn and a cubic trend are fitted to the averages of each direction.
-
-    Parameters
-    ----------
-    test : LinearTest
-        Readings with the pitch.
     """
     if test.pitch_mm is None:
         return None
@@ -75,10 +65,7 @@ def _cyclic_um(test: LinearTest) -> float | None:
 def positioning_result(runs: Sequence[Run]) -> dict[str, Any]:
     """Return all figures of the positioning runs of a campaign as a JSON-ready mapping.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With their samples; those with errors in one direction only are left out.
+    ``runs``: with their samples; those with errors in one direction only are left out.
     """
     usable = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
     if not usable:
@@ -146,10 +133,7 @@ def positioning_lines(result: Mapping[str, Any]) -> list[str]:
 def before_after_lines(figures: Mapping[str, Mapping[str, float | None]]) -> list[str]:
     """Return the four figures of one or more states beside each other, in um and percent.
 
-    Parameters
-    ----------
-    figures : mapping of str to mapping
-        By state, the uncompensated first; as :func:`before_after_figures` gives them.
+    ``figures``: by state, the uncompensated first; as :func:`before_after_figures` gives them.
     """
     names = list(figures)
     rows = []

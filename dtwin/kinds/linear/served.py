@@ -21,23 +21,17 @@ from dtwin.kinds.linear.simulate import (
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
-PERIOD_S = 0.01
+_PERIOD_S = 0.01
 
 
 class ServedLathe:
     """One axis on its way through a positioning program; the laser looks on.
 
-    Parameters
-    ----------
-    plan : LinearPlan or None
-        What the laser measures; one run of the published verification without.
-    truth : str
-        As for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
-    seed : int
-        Of the day.
+    ``plan``: what the laser measures; one run of the published verification without.
+    ``truth``: as for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
     """
 
-    period_s = PERIOD_S
+    period_s = _PERIOD_S
     provides = tuple(told(np.zeros(1), np.zeros(1)))
     channels_hz = 0.0
 
@@ -47,7 +41,7 @@ class ServedLathe:
         self._told = truth_of(self._lathe, truth, seed)
         self._motion = motion_of_plan(self._plan)
         begun, ended = self._motion.t_s[0], self._motion.t_s[-1]
-        self._t_s = np.arange(begun, ended + PERIOD_S, PERIOD_S)
+        self._t_s = np.arange(begun, ended + _PERIOD_S, _PERIOD_S)
         self._commanded_mm = self._motion.at(self._t_s)
         self._reverse = _reverse(self._commanded_mm)
         self._offset_um = np.zeros(len(self._t_s))

@@ -38,10 +38,7 @@ _FIGURES = (
 def positioning_sheet(runs: Sequence[Run]) -> Sheet:
     """Evaluate every axis of a campaign.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        With all columns; runs with an error of quality are left out where there are others, and named.
+    ``runs``: with all columns; runs with an error of quality are left out where there are others, and named.
     """
     axes: dict[str, list[Run]] = {}
     notes = []
@@ -87,13 +84,7 @@ def _again(errors_um: Floats, rng: np.random.Generator) -> Floats:
 
 
 def positioning_figure(runs: Sequence[Run]) -> go.Figure:
-    """Draw the mean of each direction over the position.
-
-    Parameters
-    ----------
-    runs : sequence of Run
-        Of one axis.
-    """
+    """Draw the mean of each direction over the position."""
     test = linear_test(runs)
     if not test.position_mm.size:
         raise InputError("no target was read in every run from both sides", code="sheet.targets")

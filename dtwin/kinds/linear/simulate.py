@@ -91,28 +91,11 @@ def simulate_lathe(
 ) -> tuple[int, tuple[Finding, ...]]:
     """Measure the virtual lathe and write a campaign folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets the program, the laser's file, ``truth.toml`` and, last, ``campaign.toml``.
-    plan : LinearPlan, optional
-        What to measure; the published mapping without.
-    truth : str
-        As for :func:`virtual_lathe`.
-    seed : int
-        Of the machine.
-    quick : bool
-        The published verification instead of the mapping.
-
-    Returns
-    -------
-    readings, alarms : tuple
-        Readings taken, and what the laser complained of.
-
-    Raises
-    ------
-    InputError
-        When the folder holds a campaign, or the laser took no reading.
+    ``folder``: gets the program, the laser's file, ``truth.toml`` and, last, ``campaign.toml``.
+    ``plan``: what to measure; the published mapping without.
+    ``truth``: as for :func:`virtual_lathe`.
+    ``quick``: the published verification instead of the mapping.
+    Readings taken, and what the laser complained of.
     """
     if (folder / "campaign.toml").exists():
         raise InputError(
@@ -135,18 +118,7 @@ def write_lathe_campaign(
 ) -> None:
     """Write what the laser recorded as a campaign folder; the campaign file comes last.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write.
-    plan : LinearPlan
-        What was measured.
-    recording : LatheRecording
-        The readings.
-    truth : dict
-        What no instrument knows.
-    corrected : bool
-        Whether a correction was in force.
+    ``corrected``: whether a correction was in force.
     """
     write_text(folder / "program.nc", laser_program(plan), "the program")
     write_laser_file(folder / "laser.txt", _laser_test(plan, recording))
@@ -176,15 +148,7 @@ def write_lathe_campaign(
 
 
 def _laser_test(plan: LinearPlan, recording: LatheRecording) -> LaserTest:
-    """Return the laser's rows in the plan's unit, with the averages at each target.
-
-    Parameters
-    ----------
-    plan : LinearPlan
-        What was measured.
-    recording : LatheRecording
-        The readings.
-    """
+    """Return the laser's rows in the plan's unit, with the averages at each target."""
     readings = recording.triggered.readings
     position = np.round([r.target_mm / MM_PER[plan.unit] for r in readings], 5)
     error = recording.error_um / UM_PER_MM / MM_PER[plan.unit]

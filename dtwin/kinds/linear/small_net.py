@@ -18,14 +18,8 @@ _ACTIVE = 4.0
 class SmallNet:
     """Weights.
 
-    Attributes
-    ----------
-    weights : ndarray, shape (hidden, inputs)
-        From inputs to neurons.
-    biases, out_weights : ndarray, shape (hidden,)
-        Of the neurons, and from them to the output.
-    out_bias : float
-        Of the output.
+    ``weights``, (hidden, inputs): from inputs to neurons.
+    ``biases``, ``out_weights``, (hidden,): of the neurons, and from them to the output.
     """
 
     weights: Floats
@@ -73,15 +67,7 @@ class SmallNet:
         )
 
     def expression(self, builder: GraphBuilder, inputs: Sequence[Expression]) -> Expression:
-        """Return the net as a term of a bundle's graph.
-
-        Parameters
-        ----------
-        builder : GraphBuilder
-            Receives the nodes.
-        inputs : sequence of Expression
-            One for each input.
-        """
+        """Return the net as a term of a bundle's graph."""
         terms = []
         for row, bias, out in zip(self.weights.tolist(), self.biases.tolist(), self.out_weights.tolist(), strict=True):
             weighted = [x * w for x, w in zip(inputs, row, strict=True)]
@@ -97,15 +83,6 @@ class SmallNet:
 
 def new_net(hidden: int, ranges: Sequence[tuple[float, float]], rng: np.random.Generator) -> SmallNet:
     """Return a net whose neurons share the input space evenly.
-
-    Parameters
-    ----------
-    hidden : int
-        Neurons.
-    ranges : sequence of (low, high)
-        Of each input.
-    rng : Generator
-        Source of the weights.
 
     Notes
     -----

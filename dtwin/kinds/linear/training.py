@@ -36,7 +36,7 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
-TABLE = "table and backlash"
+_TABLE = "table and backlash"
 _FEWEST_RUNS = 2
 _FEWEST_PHASES, _FEWEST_TURNS = 5, 8
 _MOST_ORDERS = 5
@@ -48,17 +48,7 @@ _FAMILIES: dict[str, _Family] = {"pair": "neural", "flanks": "symbolic"}
 
 @dataclass(frozen=True)
 class Screw:
-    """What the targets of a campaign show of a screw.
-
-    Attributes
-    ----------
-    pitch_in : float
-        Travel in one turn.
-    reach_in : tuple of float
-        Mapped travel.
-    phases : int
-        Angles of the screw at which there are targets.
-    """
+    """What the targets of a campaign show of a screw."""
 
     pitch_in: float
     reach_in: tuple[float, float]
@@ -66,20 +56,7 @@ class Screw:
 
 
 def screw_of(test: LinearTest, where: str) -> Screw:
-    """Return what a test shows of the screw.
-
-    Parameters
-    ----------
-    test : LinearTest
-        Readings.
-    where : str
-        For the message.
-
-    Raises
-    ------
-    InputError
-        When the pitch is unknown, or the targets meet the screw at too few angles.
-    """
+    """Return what a test shows of the screw."""
     if test.pitch_mm is None or len(test.position_mm) < 2:
         raise InputError(
             "the pitch of the screw is needed",
@@ -107,14 +84,7 @@ def screw_of(test: LinearTest, where: str) -> Screw:
 def fit_pair(averages: Averages, screw: Screw, seed: int) -> DualNet:
     """Train the published pair, with fewer neurons where the screw makes few turns.
 
-    Parameters
-    ----------
-    averages : Averages
-        Mean errors.
-    screw : Screw
-        Its pitch.
-    seed : int
-        Of the first weights.
+    ``averages``: mean errors.
     """
     turns = len(averages.every(screw.pitch_in).position_in)
     slow = min(_NEURONS[0], max(_FEWEST_NEURONS, turns // _TURNS_PER_NEURON))
@@ -124,33 +94,15 @@ def fit_pair(averages: Averages, screw: Screw, seed: int) -> DualNet:
 def flanks_from(pair: DualNet, averages: Averages, screw: Screw) -> Flanks:
     """Return the slow network of a pair with a closing cyclic error for each flank.
 
-    Parameters
-    ----------
-    pair : DualNet
-        Its slow network is kept.
-    averages : Averages
-        What the cyclic errors are fitted to.
-    screw : Screw
-        Says how many harmonics can be told.
+    ``averages``: what the cyclic errors are fitted to.
+    ``screw``: says how many harmonics can be told.
     """
     orders = min(_MOST_ORDERS, (screw.phases - 1) // 2)
     return flanks_of(pair.full, averages, screw.pitch_in, orders, screw.reach_in)
 
 
 def serving_bundle(model: PositionModel, machine: str, screw: Screw, axis: str = "Z") -> Bundle | None:
-    """Return the equation of a model, None when it is none.
-
-    Parameters
-    ----------
-    model : PositionModel
-        Fitted.
-    machine : str
-        That the bundle is for.
-    screw : Screw
-        Gives the validity box.
-    axis : {"X", "Y", "Z"}
-        That is corrected.
-    """
+    """Return the equation of a model, None when it is none."""
     if isinstance(model, DualNet):
         return deployed_bundle(model, "lathe-pair", machine, screw.reach_in, axis)
     if isinstance(model, Flanks):
@@ -167,23 +119,7 @@ def train_positioning(
     Every run, one sweep up and one down, is left out in turn: the unit of replication is the run.
     Runs with a data-quality error are left out altogether.
 
-    Parameters
-    ----------
-    lake : Lake
-        Where the campaign is.
-    name : str
-        Campaign.
-    seed : int
-        Of the networks' first weights.
-    engine : Engine, optional
-        Not used: no equation is searched for, their forms are given.
-    progress : callable, optional
-        Called with (stage, done, total, what).
-
-    Raises
-    ------
-    InputError
-        When it has fewer than two usable runs of one axis, or its targets do not show the screw.
+    ``engine``: not used: no equation is searched for, their forms are given.
     """
     tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
@@ -235,7 +171,7 @@ def _fitted(averages: Averages, screw: Screw, seed: int) -> dict[str, PositionMo
     pair = fit_pair(averages, screw, seed)
     return {
         "zero": Uncorrected(),
-        TABLE: Unidirectional(averages),
+        _TABLE: Unidirectional(averages),
         "two tables": Bidirectional(averages),
         "pair": pair,
         "flanks": flanks_from(pair, averages, screw),
@@ -288,7 +224,7 @@ def _candidate(
 
 def _with_table_score(found: Sequence[Candidate]) -> list[Candidate]:
     """Give every candidate the held-out error of the table that a control can do by itself."""
-    table = next(c for c in found if c.name == TABLE).held_out.rms_um
+    table = next(c for c in found if c.name == _TABLE).held_out.rms_um
     return [Candidate(**{**vars(c), "numbers": {**c.numbers, "table_rms_um": table}}) for c in found]
 
 

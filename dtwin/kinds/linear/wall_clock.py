@@ -24,13 +24,10 @@ _QUANTILES = (50.0, 99.0, 99.9, 100.0)
 Send = Callable[[int, float], None]
 
 
-class Cycles:
+class _Cycles:
     """What happened to each cycle.
 
-    Parameters
-    ----------
-    n : int
-        Cycles that are due.
+    ``n``: cycles that are due.
     """
 
     def __init__(self, n: int) -> None:
@@ -55,8 +52,6 @@ def paced(
         Predicts the error from the commanded position ``position_mm``.
     plan : LinearPlan
         The motion; it begins again when it has ended.
-    seconds : float
-        How long.
     priority : int
         As for :func:`dtwin.serve.realtime.realtime`; 0 leaves the scheduler alone.
     send : callable, optional
@@ -91,13 +86,13 @@ def paced(
     _correct(compiled, guard, float(position_mm[0]), PERIOD_S)
     compiled.reset()
     guard.reset()
-    cycles = Cycles(n)
+    cycles = _Cycles(n)
     with realtime(priority) as allowed:
         begun_s = _run(cycles, compiled, guard, position_mm, send)
     return _summary(cycles, begun_s, allowed, guard)
 
 
-def _run(cycles: Cycles, compiled: CompiledBundle, guard: Guard, position_mm: Floats, send: Send | None) -> float:
+def _run(cycles: _Cycles, compiled: CompiledBundle, guard: Guard, position_mm: Floats, send: Send | None) -> float:
     begun_s = time.perf_counter() + _LEAD_S
     last, number = -1, 0
     while number < len(position_mm):
@@ -131,7 +126,7 @@ def _correct(compiled: CompiledBundle, guard: Guard, position_mm: float, elapsed
     return float(guard.step(wanted, inputs, age_s=0.0, elapsed_s=elapsed_s)[2])
 
 
-def _summary(cycles: Cycles, begun_s: float, allowed: dict[str, str], guard: Guard) -> dict[str, Any]:
+def _summary(cycles: _Cycles, begun_s: float, allowed: dict[str, str], guard: Guard) -> dict[str, Any]:
     n = len(cycles.begun_s)
     done = np.isfinite(cycles.ready_s)
     due_s = begun_s + np.arange(n) * PERIOD_S

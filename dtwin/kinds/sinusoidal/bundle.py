@@ -20,7 +20,7 @@ from dtwin.units import unit_of
 
 SERVO_HZ = 8000.0
 PHASE, AMPLITUDE = COMMAND_PHASE, COMMAND_AMPLITUDE
-OUTPUT = "correction_z_um"
+_OUTPUT = "correction_z_um"
 # The sine follows a new window over this time: no step.
 _FOLLOW_S = 0.25
 Action = Literal["inverse", "subtract", "printed"]
@@ -52,18 +52,8 @@ def tone_bundle(
     one, so it must be iterated, and may diverge. ``printed`` is the source's equation, amplitude error times
     a sine with the phase error, which is not the error vector.
 
-    Parameters
-    ----------
-    amplitude, phase : Law
-        Amplitude error in um and lag in degrees, from features.
-    groups : ToneGroups
-        What they were fitted to; gives the validity box.
-    name, machine : str
-        Of the bundle.
-    action : {"inverse", "subtract", "printed"}
-        What is done with the prediction.
-    table_versions : dict of str to int, optional
-        Versions of the lake's tables.
+    ``amplitude``, ``phase``: amplitude error in um and lag in degrees, from features.
+    ``groups``: what they were fitted to; gives the validity box.
     """
     inputs = _inputs(amplitude, phase, groups)
     boxes = {i.name: (i.low, i.high) for i in inputs}
@@ -86,18 +76,11 @@ def two_rate_bundle(
 ) -> Bundle:
     """Freeze a window that tells gain and lag with the tick that makes the sine of them.
 
-    Parameters
-    ----------
-    window_graph : Graph
-        From features to ``amplitude_error_um``, ``phase_error_rad`` and ``gain_1``.
-    inputs : sequence of Input
-        Of both graphs: the validity box.
-    groups : ToneGroups
-        Give the window and the highest frequency.
-    reach_um : float
-        Largest correction that is expected, um.
-    name, machine, action, table_versions
-        As for :func:`tone_bundle`.
+    ``window_graph``: from features to ``amplitude_error_um``, ``phase_error_rad`` and ``gain_1``.
+    ``inputs``: of both graphs: the validity box.
+    ``groups``: give the window and the highest frequency.
+    ``reach_um``: largest correction that is expected, um.
+    ``name``, ``machine``, ``action``, ``table_versions``: as for :func:`tone_bundle`.
     """
     clamp = max(1.0, ROOM * reach_um)
     return create_bundle(
@@ -106,7 +89,7 @@ def two_rate_bundle(
         machine=machine,
         model_version=0,
         inputs=inputs,
-        outputs=[Output(OUTPUT, "base_z", "correction")],
+        outputs=[Output(_OUTPUT, "base_z", "correction")],
         states=[State("sent_re_1", "1", 1.0), State("sent_im_1", "1", 0.0)],
         window=groups.contract,
         window_graph=window_graph,
@@ -124,10 +107,7 @@ def two_rate_bundle(
 def command_inputs(groups: ToneGroups) -> list[Input]:
     """Return what a tick and a window must know of the command, whatever tells the error.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        Give the validity box. A sent tone is smaller than the commanded one where the slide overshoots.
+    ``groups``: give the validity box. A sent tone is smaller than the commanded one where the slide overshoots.
     """
     rate = groups.contract.rate_hz / groups.contract.hop
     smallest, largest = float(groups.amplitude_um.min()), float(groups.amplitude_um.max())
@@ -181,7 +161,7 @@ def _tick_graph(action: Action) -> Graph:
     if action == "printed":
         wave = builder.apply("sin", angle - lag)
         memory = {name: builder.state(name) for name in ("sent_re_1", "sent_im_1")}
-        return builder.graph({OUTPUT: -builder.input("amplitude_error_um") * wave}, memory)
+        return builder.graph({_OUTPUT: -builder.input("amplitude_error_um") * wave}, memory)
     cosine, sine = builder.apply("cos", lag), builder.apply("sin", lag)
     if action == "inverse":
         real, imaginary = cosine / gain, sine / gain
@@ -195,4 +175,4 @@ def _tick_graph(action: Action) -> Graph:
         updates[name] = before + share * (wanted - before)
     waves = builder.apply("sin", angle), builder.apply("cos", angle)
     added = (updates["sent_re_1"] - 1.0) * waves[0] + updates["sent_im_1"] * waves[1]
-    return builder.graph({OUTPUT: size * added}, updates)
+    return builder.graph({_OUTPUT: size * added}, updates)

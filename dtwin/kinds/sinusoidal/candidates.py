@@ -38,12 +38,8 @@ FORMS: dict[str, Callable[[ToneGroups], tuple[Law, Law]]] = {
 class Judged:
     """How well a way to predict does on what it did not see.
 
-    Attributes
-    ----------
-    scores : dict of str to Scores
-        Of the amplitude error, by what was left out.
-    numbers : dict of str to float
-        Of the phase error: ``leave_..._out.phase_r2`` and ``phase_mae_deg``.
+    ``scores``: of the amplitude error, by what was left out.
+    ``numbers``: of the phase error: ``leave_..._out.phase_r2`` and ``phase_mae_deg``.
     """
 
     scores: dict[str, Scores]
@@ -57,12 +53,7 @@ _FEWEST_FOR_NET = 24
 def judged(groups: ToneGroups, predict: Predict) -> Judged:
     """Leave out every frequency, then every amplitude, in turn.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        All groups.
-    predict : callable
-        Given groups to fit to and groups to predict, returns amplitude and phase errors.
+    ``predict``: given groups to fit to and groups to predict, returns amplitude and phase errors.
     """
     scores, numbers = {}, {}
     for name in HELD_OUT:
@@ -104,18 +95,8 @@ def law_candidates(
 ) -> list[Candidate]:
     """Return the candidates that are equations, each with its bundle.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        Groups that the accelerometer hears.
-    machine : str
-        That the bundles are for.
-    engine : Engine or None
-        Free search; Operon without.
-    seed : int
-        Of the search.
-    table_versions : dict of str to int
-        Versions of the lake's tables.
+    ``groups``: groups that the accelerometer hears.
+    ``engine``: free search; Operon without.
     """
     given = [form_candidate(groups, machine, name, table_versions) for name in FORMS]
     return [*given, searched_candidate(groups, machine, engine, seed, table_versions)]
@@ -198,12 +179,7 @@ def _law_candidate(
 def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
     """Return what equations are compared with: trivial ones, regressors on the features, NARX.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        Groups that the accelerometer hears.
-    seed : int
-        Of the regressors.
+    ``groups``: groups that the accelerometer hears.
     """
 
     def mean(train: ToneGroups, test: ToneGroups) -> Predicted:
@@ -266,12 +242,7 @@ def _narx(train: ToneGroups, test: ToneGroups) -> Predicted:
 def proposed(candidates: Sequence[Candidate], most_radius: float) -> str:
     """Return the equation with the smallest held-out error among those without dead terms.
 
-    Parameters
-    ----------
-    candidates : sequence of Candidate
-        All of them.
-    most_radius : float
-        Spectral radius beyond which an equation is proposed only when there is no other.
+    ``most_radius``: spectral radius beyond which an equation is proposed only when there is no other.
     """
     laws = [c for c in candidates if c.promotable]
     sound = [c for c in laws if c.numbers["dead_terms"] == 0.0 and c.numbers["spectral_radius"] <= most_radius]

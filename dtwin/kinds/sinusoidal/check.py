@@ -30,13 +30,7 @@ class Commanded:
 
 
 def commanded(run: Run) -> Commanded:
-    """Return frequency and amplitude that a run states.
-
-    Raises
-    ------
-    InputError
-        When one is missing or not positive.
-    """
+    """Return frequency and amplitude that a run states."""
     values = [run.meta.condition.get(name) for name in ("frequency_hz", "amplitude_um")]
     numbers = [float(v) for v in values if isinstance(v, int | float) and v > 0.0]
     if len(numbers) < 2:
@@ -53,17 +47,8 @@ def commanded(run: Run) -> Commanded:
 def with_bandwidth(run: Run, campaign: Campaign) -> Run:
     """Return a sinusoidal run with the axis's control bandwidth among its conditions, checked.
 
-    Parameters
-    ----------
-    run : Run
-        A run of kind ``sinusoidal``.
-    campaign : Campaign
-        ``machine_geometry.z_bandwidth_hz`` is the bandwidth, where it is known.
-
-    Raises
-    ------
-    InputError
-        When the run does not state its tone, or the bandwidth is no frequency.
+    ``run``: a run of kind ``sinusoidal``.
+    ``campaign``: ``machine_geometry.z_bandwidth_hz`` is the bandwidth, where it is known.
     """
     commanded(run)
     bandwidth = campaign.machine_geometry.get("z_bandwidth_hz")
@@ -84,12 +69,8 @@ def with_bandwidth(run: Run, campaign: Campaign) -> Run:
 def followed(run: Run, last_s: float | None = None) -> ToneErrors | None:
     """Return how encoder and tool follow the command, None without a probe at the tool.
 
-    Parameters
-    ----------
-    run : Run
-        With samples.
-    last_s : float, optional
-        Only this much of the end.
+    ``run``: with samples.
+    ``last_s``: only this much of the end.
     """
     samples = run.samples
     if "tool_z_mm" not in samples:
@@ -112,10 +93,7 @@ def heard(run: Run) -> Tone | None:
 def judge_sinusoidal_run(run: Run) -> list[Finding]:
     """Return the findings of one run of a tone.
 
-    Parameters
-    ----------
-    run : Run
-        With samples, and with signals where there are any.
+    ``run``: with samples, and with signals where there are any.
     """
     told = commanded(run)
     findings = _sampling(run, told) + _tone(run, told)
@@ -141,10 +119,7 @@ def judge_sinusoidal_run(run: Run) -> list[Finding]:
 def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
     """Return what the groups of a campaign lack together.
 
-    Parameters
-    ----------
-    runs : sequence of Run
-        Samples are not needed.
+    ``runs``: samples are not needed.
     """
     told = [commanded(run) for run in runs]
     count = Counter(told)

@@ -33,19 +33,8 @@ _FEWEST_FREQUENCIES, _FEWEST_AMPLITUDES = 3, 2
 def freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
     """Freeze a twin of tones, when there are enough of them to leave one out.
 
-    Parameters
-    ----------
-    twin : Twin
-        The twin.
-    obs : Observations
-        The runs that it was fitted to.
-    home : Home
-        Where the campaign's signals are: the window is that of its accelerometer.
-
-    Raises
-    ------
-    InputError
-        When there are too few frequencies or amplitudes, or nothing is left to correct.
+    ``obs``: the runs that it was fitted to.
+    ``home``: where the campaign's signals are: the window is that of its accelerometer.
     """
     groups = _groups(twin, home)
     counts = [len(np.unique(groups.label(name))) for name in HELD_OUT]
@@ -63,16 +52,7 @@ def freeze_tones(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
 def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -> Judged:
     """Fit the twin without one frequency, then without one amplitude at a time, and predict it.
 
-    Parameters
-    ----------
-    frozen : TwinBundle
-        Its bundle.
-    twin : Twin
-        As it was fitted.
-    obs : Observations
-        The runs, one tone each: the unit of replication.
-    home : Home
-        Where the campaign's signals are.
+    ``obs``: the runs, one tone each: the unit of replication.
     """
     groups = _groups(twin, home)
 

@@ -20,40 +20,28 @@ from dtwin.serve.bundle import Bundle
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 from dtwin.train.results import condition_name
 
-REPEATS = 3
+_REPEATS = 3
 _RECORDED_S = 4.0
 _AMPLITUDE_UM = SLOPE_UM_PER_MM * RIM_MM
 
 
 def measured_tones(bundle: Bundle, truth: str, *, seed: int, progress: Progress | None = None) -> MeasuredWays:
-    """Swing the tool at each frequency several times with and without a bundle, by turns.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects tones.
-    truth : str
-        Mechanism of the virtual slide.
-    seed : int
-        Of noise.
-    progress : callable, optional
-        Called with (done, total, what).
-    """
+    """Swing the tool at each frequency several times with and without a bundle, by turns."""
     slide = virtual_slide(truth)
     runs: list[Run] = []
     counts: dict[str, list[Mapping[str, int]]] = defaultdict(list)
-    for repeat in range(REPEATS):
+    for repeat in range(_REPEATS):
         for number, frequency in enumerate(TRIAL_HZ):
             command = ToneCommand(frequency, _swelling, np.zeros_like, AIR_S + _RECORDED_S)
             for way in (None, bundle):
-                drawn = 1000 * (seed + 1) + 10 * (REPEATS * number + repeat) + (way is not None)
+                drawn = 1000 * (seed + 1) + 10 * (_REPEATS * number + repeat) + (way is not None)
                 record = run_loop(slide, command, way, seed=drawn)
                 run = _run(record, frequency, drawn, len(runs), bundle.model_sha256 if way else "")
                 if way:
                     counts[condition_name(run.meta.condition)].append(record.guard)
                 runs.append(run)
         if progress is not None:
-            progress(repeat + 1, REPEATS, "tones")
+            progress(repeat + 1, _REPEATS, "tones")
     return MeasuredWays(
         numbered(runs),
         CLOCK,

@@ -32,10 +32,6 @@ class FittedTones:
     ----------
     candidate : Candidate
         With held-out scores and figures.
-    bundle : Bundle
-        What can be served.
-    verdicts : list of Verdict
-        Of the gates.
     told : list of str
         What the campaign shows before any equation.
     """
@@ -53,13 +49,6 @@ class FittedTones:
 
 def folder_groups(folder: Path, progress: Progress | None = None) -> tuple[str, ToneGroups]:
     """Return the machine and the groups of a campaign folder, runs with errors left out.
-
-    Parameters
-    ----------
-    folder : Path
-        A campaign folder.
-    progress : callable, optional
-        Called with (done, total, what).
 
     Raises
     ------
@@ -84,16 +73,8 @@ def fitted_tones(machine: str, everything: ToneGroups, model: str, action: Actio
 
     Parameters
     ----------
-    machine : str
-        That it is for.
-    everything : ToneGroups
-        All groups.
     model : str
         One of ``MODELS``.
-    action : str
-        What is done with the prediction.
-    seed : int
-        Of the search.
     """
     groups = heard_groups(everything)
     if model == _SEARCHED:
@@ -108,15 +89,6 @@ def fitted_tones(machine: str, everything: ToneGroups, model: str, action: Actio
 
 def write_tones(made: FittedTones, out: Path, *, force: bool = False) -> None:
     """Write the bundle.
-
-    Parameters
-    ----------
-    made : FittedTones
-        What was fitted.
-    out : Path
-        File.
-    force : bool
-        Replace what is there.
 
     Raises
     ------

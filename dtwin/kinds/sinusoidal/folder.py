@@ -32,22 +32,9 @@ def write_tone_campaign(
 ) -> None:
     """Write tones as a campaign folder; the campaign file comes last.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write.
-    runs : iterable of Run
-        The tones; each is written when it comes.
-    told : mapping
-        What no instrument knows.
-    truth : str
-        Which mechanism it was.
-    name, machine : str
-        Of the campaign.
-    shown : tuple
-        What to call with (done, total, what), and the total.
-    corrected : bool
-        Whether a correction was in force.
+    ``runs``: the tones; each is written when it comes.
+    ``shown``: what to call with (done, total, what), and the total.
+    ``corrected``: whether a correction was in force.
     """
     progress, count = shown
     measured = []

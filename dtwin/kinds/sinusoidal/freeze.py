@@ -37,20 +37,8 @@ def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinB
     The window tells frequency and amplitude of the sent command. From these the twin's own formulas tell
     gain and lag, and the command is divided by them.
 
-    Parameters
-    ----------
-    twin : Twin
-        Fitted to tones.
-    obs : Observations
-        The runs that it was fitted to.
-    groups : ToneGroups
-        Of the same campaign: its window, and the validity box.
-
-    Raises
-    ------
-    InputError
-        When nothing is left to correct, the axis is not Z, or the response swings between tones that
-        were measured.
+    ``obs``: the runs that it was fitted to.
+    ``groups``: of the same campaign: its window, and the validity box.
     """
     if obs.axes != ("Z",):
         raise InputError(
@@ -75,12 +63,7 @@ def tone_twin_bundle(twin: Twin, obs: Observations, groups: ToneGroups) -> TwinB
 def response_at(graph: Graph, frequency_hz: float, amplitude_um: float) -> complex:
     """Return tool over sent command as a vector, as a window graph tells it.
 
-    Parameters
-    ----------
-    graph : Graph
-        Of :func:`tone_twin_bundle`.
-    frequency_hz, amplitude_um : float
-        Of the sent tone.
+    ``graph``: of :func:`tone_twin_bundle`.
     """
     rms = amplitude_um / float(np.sqrt(2.0))
     told, _ = graph.evaluate({SENT_FREQUENCY: frequency_hz, SENT_RMS: rms}, {})
@@ -148,14 +131,7 @@ def _beside_the_sine(term: Term, twin: Twin, obs: Observations) -> float:
 def tone_of(predicted_um: Floats, obs: Observations, row: int) -> complex:
     """Return tool over command as a vector, from an error over the phase of the command.
 
-    Parameters
-    ----------
-    predicted_um : ndarray, shape (rows, n)
-        Tool minus command.
-    obs : Observations
-        Tones.
-    row : int
-        Which.
+    ``predicted_um``, (rows, n): tool minus command.
     """
     phase = np.radians(obs.grid.points)
     condition = obs.conditions[int(obs.condition_of[row])]

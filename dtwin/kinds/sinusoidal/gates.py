@@ -16,7 +16,7 @@ from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
 from dtwin.train.gates import Verdict, vectors_proved
 
-LEAST_R2 = {"r2": 0.98, "phase_r2": 0.95}
+_LEAST_R2 = {"r2": 0.98, "phase_r2": 0.95}
 MOST_ERROR_UM = 0.1
 # What is wrong falls to a tenth within six windows.
 MOST_RADIUS = 0.68
@@ -27,28 +27,14 @@ _STILL = 1e-3
 
 
 class AnsweredWindow:
-    """What a bundle sends once it has settled on one window.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects tones.
-    """
+    """What a bundle sends once it has settled on one window."""
 
     def __init__(self, bundle: Bundle) -> None:
         self.bundle = bundle
         self._compiled = CompiledBundle(bundle)
 
     def sent(self, features: Mapping[str, float], amplitude_um: float) -> complex:
-        """Return sent over commanded tone as a vector.
-
-        Parameters
-        ----------
-        features : mapping of str to float
-            Feature inputs by name.
-        amplitude_um : float
-            Commanded amplitude.
-        """
+        """Return sent over commanded tone as a vector."""
         self._compiled.window(np.array([features[n] for n in self.bundle.feature_inputs]))
         parts = []
         for angle in (np.pi / 2.0, 0.0):
@@ -69,13 +55,6 @@ def correction_radius(bundle: Bundle, groups: ToneGroups) -> tuple[float, str]:
     the next, the amplitude that is sent changes the features, and they the next amplitude; the features
     of every amplitude at a frequency are known from the campaign. That map is iterated, and its slope taken
     where it has come to; where it does not settle, the ratio of its last two changes is taken.
-
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects tones.
-    groups : ToneGroups
-        Of the campaign.
     """
     answers = AnsweredWindow(bundle)
     worst, where = 0.0, ""
@@ -134,12 +113,7 @@ def dead_terms(bundle: Bundle, groups: ToneGroups) -> list[str]:
 def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     """Judge a bundle for tones by everything that needs no motion.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The equations.
-    metrics : mapping of str to float
-        What training logged: held-out scores, spectral radius, dead terms, latency.
+    ``metrics``: what training logged: held-out scores, spectral radius, dead terms, latency.
     """
     used = features_used(bundle)
     radius = metrics.get("spectral_radius", float("nan"))
@@ -166,7 +140,7 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
 
 def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
     found = []
-    for name, least in LEAST_R2.items():
+    for name, least in _LEAST_R2.items():
         values = {g: metrics.get(f"leave_{g}_out.{name}", float("nan")) for g in HELD_OUT}
         told = ", ".join(f"{group} out: {value:z.4f}" for group, value in values.items())
         what = "amplitude" if name == "r2" else "phase"

@@ -36,8 +36,6 @@ class ToneGroups:
 
     Attributes
     ----------
-    contract : WindowContract
-        Window of the features.
     frequency_hz, amplitude_um : ndarray, shape (n,)
         Of the command.
     features : ndarray, shape (n, 12)
@@ -96,20 +94,7 @@ class ToneGroups:
 
 
 def load_tone_groups(lake: Lake, rows: list[dict[str, Any]]) -> ToneGroups:
-    """Read the groups of a campaign, runs with errors left out.
-
-    Parameters
-    ----------
-    lake : Lake
-        Where they are.
-    rows : list of dict
-        Rows of the table ``runs``.
-
-    Raises
-    ------
-    InputError
-        When too few groups can be used.
-    """
+    """Read the groups of a campaign, runs with errors left out."""
     usable = [r for r in rows if r["n_errors"] == 0 and r["status"] == "complete"]
     return groups_of([lake.load(row) for row in usable], f"campaign {rows[0]['campaign']}")
 
@@ -121,8 +106,6 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
     ----------
     runs : list of Run
         With samples and signals.
-    where : str
-        For the message.
 
     Raises
     ------
@@ -150,11 +133,6 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
 def heard_groups(everything: ToneGroups) -> ToneGroups:
     """Return the groups that the accelerometer hears.
 
-    Parameters
-    ----------
-    everything : ToneGroups
-        All groups of a campaign.
-
     Raises
     ------
     InputError
@@ -177,11 +155,6 @@ def noise_floor_um(groups: ToneGroups) -> tuple[float, int]:
     """Return what repeats of a tone disagree by in the amplitude error, and its degrees of freedom.
 
     NaN and 0 without repeats.
-
-    Parameters
-    ----------
-    groups : ToneGroups
-        Repeats are groups of the same frequency and amplitude.
     """
     tones = np.column_stack([groups.frequency_hz, groups.amplitude_um])
     place = np.unique(tones, axis=0, return_inverse=True)[1].ravel()
@@ -243,10 +216,7 @@ def exponent(acceleration: Floats, error_um: Floats) -> float:
 def feature_findings(groups: ToneGroups) -> list[str]:
     """Say which features are constants on clean tones, and which tell the same.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        All groups; the clean ones are those that the accelerometer hears almost alone.
+    ``groups``: all groups; the clean ones are those that the accelerometer hears almost alone.
     """
     clean = groups.only(groups.heard > _CLEAN)
     if clean.n < 3:

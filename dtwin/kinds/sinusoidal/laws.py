@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,14 +24,9 @@ _SYMBOLS = "add,sub,mul,div,square,sqrt,tanh,constant,variable"
 class Law:
     """One equation with its constants.
 
-    Attributes
-    ----------
-    formula : Formula
-        Over scaled features.
-    constants : ndarray, shape (k,)
-        Values.
-    scales : dict of str to float
-        What each feature is divided by, so that constants are of ordinary size.
+    ``formula``: over scaled features.
+    ``constants``, (k,): values.
+    ``scales``: what each feature is divided by, so that constants are of ordinary size.
     """
 
     formula: Formula
@@ -69,18 +64,10 @@ class Law:
         return f"{self.text()}   with {units}" if units else self.text()
 
 
-_Fitter = Callable[[ToneGroups], tuple[Law, Law]]
-
-
 def _given_form(groups: ToneGroups, amplitude: Sequence[str], phase: Sequence[str]) -> tuple[Law, Law]:
     """Fit equations whose form is given; the best of several starts is kept.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        To fit to.
-    amplitude, phase : sequence of str
-        Formulas with starting values; ``{rms}`` and the other short names stand for features.
+    ``amplitude``, ``phase``: formulas with starting values; ``{rms}`` and the other short names stand for features.
     """
     names = {n: c for n, c in zip(groups.contract.features, groups.names, strict=True)}
     scales = _scales_of(groups)
@@ -127,14 +114,7 @@ def searched(groups: ToneGroups, engine: Engine | None, seed: int) -> tuple[Law,
 
     Features that are constants on clean tones are not offered to the search.
 
-    Parameters
-    ----------
-    groups : ToneGroups
-        To search on.
-    engine : Engine or None
-        Search engine; Operon with this module's operators without.
-    seed : int
-        Of the search.
+    ``engine``: search engine; Operon with this module's operators without.
     """
     search = engine or OperonEngine(max_length=20, symbols=_SYMBOLS)
     scales, dead = _scales_of(groups), dead_features(groups)

@@ -26,16 +26,8 @@ CLOCK = "machine clock, 8 kHz"
 class ToneCommand:
     """What the slide shall do: a sine of slowly changing size about a slow path.
 
-    Attributes
-    ----------
-    frequency_hz : float
-        Of the sine.
-    amplitude_um : callable
-        Size over time in s, arrays in and out.
-    middle_um : callable
-        What the sine is about, over time.
-    duration_s : float
-        How long.
+    ``amplitude_um``: size over time in s, arrays in and out.
+    ``middle_um``: what the sine is about, over time.
     """
 
     frequency_hz: float
@@ -48,18 +40,11 @@ class ToneCommand:
 class LoopRecord:
     """One run of the loop.
 
-    Attributes
-    ----------
-    t_s, command_um, tool_um, correction_um : ndarray, shape (ticks,)
-        Command, tool and what arrived of the correction.
-    gains, lags_deg, left_um : ndarray, shape (windows,)
-        What each window told, and the error that it foretold of the corrected motion.
-    guard : dict of str to int
-        Ticks by what the guard did.
-    saturated : int
-        Ticks at which the analogue output was at its limit.
-    alarm : str
-        Why the correction was released; empty when it was not.
+    ``t_s``, ``command_um``, ``tool_um``, ``correction_um``, (ticks,): command, tool and what arrived of the correction.
+    ``gains``, ``lags_deg``, ``left_um``, (windows,): what each window told, and the error that it foretold of the
+    corrected motion.
+    ``saturated``: ticks at which the analogue output was at its limit.
+    ``alarm``: why the correction was released; empty when it was not.
     """
 
     t_s: Floats
@@ -89,25 +74,7 @@ def run_loop(
     sine is evaluated for the instant at which it will arrive. Until the first window there is no
     correction. When the divergence watch speaks, the correction goes to zero and stays there.
 
-    Parameters
-    ----------
-    slide : Slide
-        The mechanism.
-    command : ToneCommand
-        What it shall do.
-    bundle : Bundle or None
-        Corrects tones; None for the motion without.
-    seed : int
-        Of all noise.
-    instruments : Instruments, optional
-        Others than the usual.
-    path : AnaloguePath, optional
-        Another than the usual.
-
-    Raises
-    ------
-    InputError
-        When the bundle does not correct tones.
+    ``bundle``: corrects tones; None for the motion without.
     """
     if bundle is not None and (not is_tone_bundle(bundle) or bundle.window is None):
         raise InputError(

@@ -22,12 +22,8 @@ _EXPLODED_UM = 1e4
 class Narx:
     """Linear in its lags, which is what a linear slide asks for.
 
-    Attributes
-    ----------
-    own, command : ndarray, shapes (lags,) and (lags + 1,)
-        Weights of earlier errors, and of the command now and earlier.
-    rate_hz : float
-        Samples a second of the model.
+    ``own``, ``command``: weights of earlier errors, and of the command now and earlier.
+    ``rate_hz``: samples a second of the model.
     """
 
     LAGS: ClassVar[int] = 6
@@ -54,12 +50,7 @@ class Narx:
     def errors(self, trace: Floats, frequency_hz: float) -> tuple[float, float]:
         """Return amplitude error in um and lag in degrees of the last second, from the command alone.
 
-        Parameters
-        ----------
-        trace : ndarray, shape (2, n)
-            Command and tool; only the command is used.
-        frequency_hz : float
-            Of the tone.
+        ``trace``, (2, n): command and tool; only the command is used.
         """
         command = trace[0, ::_EVERY]
         error = lfilter(self.command, np.concatenate([[1.0], -self.own]), command)

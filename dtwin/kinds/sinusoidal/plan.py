@@ -40,24 +40,10 @@ class ToneGroup:
 class TonePlan:
     """Every amplitude at every frequency, several times.
 
-    Attributes
-    ----------
-    name, machine : str
-        Names of the campaign and of the machine.
-    frequencies_hz, amplitudes_um : tuple of float
-        What is commanded.
-    repeats : int
-        How often each group is measured.
-    seconds : float
-        Length of each group.
-    axis : str
-        The axis that moves.
-    bandwidth_hz : float
-        Control bandwidth of the axis; 0 when unknown.
-    sample_hz : float
-        Rate of the instruments.
-    seed : int
-        Of the order: every repeat is a pass over all groups in an order of its own.
+    ``name``, ``machine``: names of the campaign and of the machine.
+    ``repeats``: how often each group is measured.
+    ``bandwidth_hz``: control bandwidth of the axis; 0 when unknown.
+    ``seed``: of the order: every repeat is a pass over all groups in an order of its own.
     """
 
     name: str
@@ -91,17 +77,7 @@ class TonePlan:
 def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:
     """Return a plan whose numbers obey every rule.
 
-    Parameters
-    ----------
-    stated : mapping
-        Attributes of a plan.
-    where : str
-        Where they come from, for error messages.
-
-    Raises
-    ------
-    InputError
-        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    ``where``: where they come from, for error messages.
     """
     plan = filled(TonePlan, stated, where)
     rules = (
@@ -136,10 +112,7 @@ def duration_s(plan: TonePlan) -> float:
 def tone_advice(plan: TonePlan) -> list[Finding]:
     """Say what may harm the slide, and what the campaign cannot tell.
 
-    Parameters
-    ----------
-    plan : TonePlan
-        A plan that breaks no rule.
+    ``plan``: a plan that breaks no rule.
     """
     return [*_drive_advice(plan), *_sampling_advice(plan), *_size_advice(plan)]
 

@@ -19,12 +19,8 @@ _MOST_POINTS = 4000
 class Surface:
     """A cut surface along its spiral.
 
-    Attributes
-    ----------
-    x_mm, turned_rad : ndarray, shape (n,)
-        Radius and spindle angle.
-    wanted_um, cut_um : ndarray, shape (n,)
-        Height as commanded and as cut.
+    ``x_mm``, ``turned_rad``, (n,): radius and spindle angle.
+    ``wanted_um``, ``cut_um``, (n,): height as commanded and as cut.
     """
 
     x_mm: Floats
@@ -36,10 +32,7 @@ class Surface:
 def trial_figures(rows: Sequence[Mapping[str, Any]]) -> list[go.Figure]:
     """Return form and phase error over the tool's frequency, without and with.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        ``rows`` of ``dtwin.kinds.sinusoidal.trial.trial``.
+    ``rows``: ``rows`` of ``dtwin.kinds.sinusoidal.trial.trial``.
     """
     frequency = [row["frequency_hz"] for row in rows]
     figures = []
@@ -66,15 +59,7 @@ def trial_figures(rows: Sequence[Mapping[str, Any]]) -> list[go.Figure]:
 
 
 def surface_figures_of(frequency_hz: float, cut: tuple[Surface, Surface]) -> list[go.Figure]:
-    """Return the height error over the face at one frequency, without and with, on one scale.
-
-    Parameters
-    ----------
-    frequency_hz : float
-        Of the tool.
-    cut : tuple of Surface
-        Without, and with.
-    """
+    """Return the height error over the face at one frequency, without and with, on one scale."""
     largest = float(np.max(np.abs(cut[0].cut_um - cut[0].wanted_um)))
     figures = []
     for surface, title in zip(cut, ("without", "with"), strict=True):

@@ -16,10 +16,7 @@ from dtwin.schema import Run
 def tone_result(run: Run) -> dict[str, Any]:
     """Return ``tone``: how a run followed its tone, JSON-ready.
 
-    Parameters
-    ----------
-    run : Run
-        Of kind ``sinusoidal``.
+    ``run``: of kind ``sinusoidal``.
     """
     told, errors, sensed = commanded(run), followed(run), heard(run)
     figures: dict[str, Any] = asdict(told)
@@ -47,10 +44,7 @@ _COLUMNS = (
 def tone_lines(runs: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return one line for each run with what encoder and tool did, and its findings.
 
-    Parameters
-    ----------
-    runs : sequence of mapping
-        From ``dtwin.report.checking.run_result``.
+    ``runs``: from ``dtwin.report.checking.run_result``.
     """
     rows = []
     for run in runs:
@@ -76,10 +70,7 @@ _FIGURES = (
 def _trial_table(found: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of surfaces without and with a correction.
 
-    Parameters
-    ----------
-    found : mapping
-        From ``dtwin.kinds.sinusoidal.trial.trial``.
+    ``found``: from ``dtwin.kinds.sinusoidal.trial.trial``.
     """
     head = ["Hz", "rpm", *(f"{title}: without, with" for title, _, _ in _FIGURES), "alarm"]
     rows = []

@@ -17,7 +17,7 @@ from dtwin.schema import Floats, Run, SignalGroup
 
 _ACCELERATION = "tool_z_g"
 # Before a group is recorded: five seconds for a window, and some to settle.
-AIR_S = 7.0
+_AIR_S = 7.0
 _SWELL_S = 1.0
 
 
@@ -30,19 +30,8 @@ def tone_check(*, quick: bool) -> TonePlan:
 class ServedSlide:
     """The slide at 8 kHz; probe, encoder and accelerometer look on.
 
-    Parameters
-    ----------
-    plan : TonePlan
-        Tones, one after the other; each swings for seven seconds before it is recorded.
-    truth : str
-        As for :func:`dtwin.kinds.sinusoidal.simulate.virtual_slide`.
-    seed : int
-        Of all noise.
-
-    Raises
-    ------
-    InputError
-        When the plan's axis or rate is not that of the slide.
+    ``plan``: tones, one after the other; each swings for seven seconds before it is recorded.
+    ``truth``: as for :func:`dtwin.kinds.sinusoidal.simulate.virtual_slide`.
     """
 
     name = "virtual slow tool servo, axis Z"
@@ -56,7 +45,7 @@ class ServedSlide:
         self._plan, self._truth, self._seed = plan, truth, seed
         self._slide, self._instruments = virtual_slide(truth), Instruments()
         self._room = Room(plan, self._slide, seed)
-        self._group_ticks = round((AIR_S + plan.seconds) * SERVO_HZ)
+        self._group_ticks = round((_AIR_S + plan.seconds) * SERVO_HZ)
         self._path = AnaloguePath()
         self._arriving = np.zeros(self._path.delay_ticks)
         self._rng = np.random.default_rng(seed * 10_007)
@@ -118,8 +107,8 @@ class ServedSlide:
         motion = self._machine.run(wave + arrived)
         felt = float(self._channel.sampled_g(motion, EVERY)[0])
         self._sample = {COMMANDED: float(wave[0]), SENT: float(wave[0] + arrived[0]), _ACCELERATION: felt}
-        if t_s[0] >= AIR_S:
-            self._kept.append((t_s[0] - AIR_S, wave[0], motion.encoder_um[0], motion.tool_um[0], felt))
+        if t_s[0] >= _AIR_S:
+            self._kept.append((t_s[0] - _AIR_S, wave[0], motion.encoder_um[0], motion.tool_um[0], felt))
 
     def _close_group(self, number: int) -> None:
         t_s, wave, encoder, tool, felt = np.array(self._kept).T

@@ -28,13 +28,7 @@ TRUTHS = ("linear", "hardening", "friction")
 
 @dataclass(frozen=True)
 class Grid:
-    """Groups of a campaign: every amplitude at every frequency.
-
-    Attributes
-    ----------
-    frequencies_hz, amplitudes_um : tuple of float
-        What is commanded.
-    """
+    """Groups of a campaign: every amplitude at every frequency."""
 
     frequencies_hz: tuple[float, ...] = (1.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0)
     amplitudes_um: tuple[float, ...] = tuple(float(a) for a in range(1, 12))
@@ -80,19 +74,6 @@ def record_group(
 ) -> tuple[dict[str, Floats], SignalGroup]:
     """Command one tone, six seconds without other word, and return what the instruments record.
 
-    Parameters
-    ----------
-    slide : Slide
-        The mechanism.
-    instruments : Instruments
-        Probe, encoder, accelerometer.
-    frequency_hz, amplitude_um : float
-        Of the command.
-    seed : int
-        Of noise.
-    seconds : float
-        Length of the group.
-
     Returns
     -------
     samples, acceleration : tuple
@@ -119,19 +100,7 @@ def record_group(
 
 
 def virtual_runs(grid: Grid, slide: Slide, seed: int, instruments: Instruments | None = None) -> Iterator[Run]:
-    """Return the groups of a campaign as runs, without writing anything.
-
-    Parameters
-    ----------
-    grid : Grid
-        What is commanded.
-    slide : Slide
-        The mechanism.
-    seed : int
-        Of all noise.
-    instruments : Instruments, optional
-        Others than the usual.
-    """
+    """Return the groups of a campaign as runs, without writing anything."""
     seen_by = instruments or Instruments()
     for number, (frequency, amplitude) in enumerate(grid.groups, start=1):
         recorded = record_group(slide, seen_by, frequency, amplitude, seed * 10_007 + number)
@@ -143,23 +112,8 @@ def planned_runs(
 ) -> Iterator[Run]:
     """Return the groups of a plan as runs: the slide follows the room, so that repeats differ.
 
-    Parameters
-    ----------
-    plan : TonePlan
-        What is commanded, in which order.
-    slide : Slide
-        The mechanism at the room's mean temperature.
-    seed : int
-        Of all noise.
-    instruments : Instruments, optional
-        Others than the usual.
-    drift : RoomDrift, optional
-        Another room than the usual.
-
-    Raises
-    ------
-    InputError
-        When the virtual slide cannot be driven or read as planned.
+    ``plan``: what is commanded, in which order.
+    ``slide``: the mechanism at the room's mean temperature.
     """
     require_own_axis(plan)
     room, seen_by = Room(plan, slide, seed, drift), instruments or Instruments()
@@ -178,13 +132,7 @@ def planned_runs(
 
 
 def require_own_axis(plan: TonePlan) -> None:
-    """Refuse a plan that the virtual slide cannot follow.
-
-    Raises
-    ------
-    InputError
-        When axis or rate are not those of the slide.
-    """
+    """Refuse a plan that the virtual slide cannot follow."""
     if plan.axis != "Z" or plan.sample_hz != SAMPLE_HZ:
         raise InputError(
             "the virtual slide cannot do this",
@@ -197,16 +145,7 @@ def require_own_axis(plan: TonePlan) -> None:
 class Room:
     """The room of a planned campaign: what the slide is like at each group, and its thermometer.
 
-    Parameters
-    ----------
-    plan : TonePlan
-        Gives the times.
-    slide : Slide
-        The mechanism at the room's mean temperature.
-    seed : int
-        Of the room.
-    drift : RoomDrift, optional
-        Another room than the usual.
+    ``slide``: the mechanism at the room's mean temperature.
     """
 
     def __init__(self, plan: TonePlan, slide: Slide, seed: int, drift: RoomDrift | None = None) -> None:
@@ -235,18 +174,7 @@ def tone_run(
 ) -> Run:
     """Return a recorded tone as a run.
 
-    Parameters
-    ----------
-    number : int
-        Of the group, from 1.
-    frequency_hz, amplitude_um : float
-        What was commanded.
-    recorded : tuple
-        Samples, and the accelerometer's signals.
-    repeat : int
-        Which repeat it is.
-    covariates : mapping, optional
-        What was logged beside it.
+    ``number``: of the group, from 1.
     """
     condition: dict[str, float | str] = {"axis": "Z", "frequency_hz": frequency_hz, "amplitude_um": amplitude_um}
     meta = RunMeta(
@@ -273,29 +201,9 @@ def simulate_turning(
 ) -> int:
     """Measure a campaign of tones; return the number of groups.
 
-    Parameters
-    ----------
-    folder : Path
-        Campaign folder to write.
-    truth : str
-        As for :func:`virtual_slide`.
-    seed : int
-        Of all noise.
-    quick : bool
-        24 groups instead of the published 99.
-    grid : Grid, optional
-        Other groups.
-    plan : TonePlan, optional
-        Groups, repeats and order instead of a grid; the slide then follows the room.
-    instruments : Instruments, optional
-        Others than the usual.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Raises
-    ------
-    InputError
-        When the folder holds a campaign, or the slide is unknown.
+    ``truth``: as for :func:`virtual_slide`.
+    ``quick``: 24 groups instead of the published 99.
+    ``plan``: groups, repeats and order instead of a grid; the slide then follows the room.
     """
     if (folder / "campaign.toml").exists():
         raise InputError(

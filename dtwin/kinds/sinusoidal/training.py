@@ -30,18 +30,7 @@ def train_tones(
 
     Groups with a data-quality error, and groups that the accelerometer does not hear, are left out.
 
-    Parameters
-    ----------
-    lake : Lake
-        Where the campaign is.
-    name : str
-        Campaign.
-    seed : int
-        Of everything random.
-    engine : Engine, optional
-        Free symbolic search; Operon by default.
-    progress : callable, optional
-        Called with (stage, done, total, what).
+    ``engine``: free symbolic search; Operon by default.
     """
     tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
@@ -78,13 +67,7 @@ def train_tones(
 
 
 def what_was_seen(everything: ToneGroups) -> list[str]:
-    """Say what the groups show before any equation: what is heard, constants, exponents.
-
-    Parameters
-    ----------
-    everything : ToneGroups
-        All groups of a campaign.
-    """
+    """Say what the groups show before any equation: what is heard, constants, exponents."""
     groups = heard_groups(everything)
     acceleration = groups.feature("rms")
     deaf = everything.n - groups.n

@@ -30,14 +30,8 @@ _SWELL_S = 1.0
 _RIM_SHARE = 0.9
 
 
-def bicuspid(frequency_hz: float) -> ToneCommand:
-    """Return the command of the surface at a tool frequency of twice the spindle's.
-
-    Parameters
-    ----------
-    frequency_hz : float
-        Of the tool.
-    """
+def _bicuspid(frequency_hz: float) -> ToneCommand:
+    """Return the command of the surface at a tool frequency of twice the spindle's."""
     per_s = _FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
     cut_s = RIM_MM / per_s
 
@@ -49,7 +43,7 @@ def bicuspid(frequency_hz: float) -> ToneCommand:
 
 
 def _surface_of(record: LoopRecord, frequency_hz: float) -> Surface:
-    """Return what the tool left of a run of :func:`bicuspid`."""
+    """Return what the tool left of a run of :func:`_bicuspid`."""
     per_s = _FEED_UM_PER_REV / 1000.0 * frequency_hz / 2.0
     x = RIM_MM - per_s * (record.t_s - AIR_S)
     cut = (record.t_s >= AIR_S) & (x > 0.0)
@@ -60,19 +54,9 @@ def _surface_of(record: LoopRecord, frequency_hz: float) -> Surface:
 def _surface_figures(surface: Surface, frequency_hz: float) -> dict[str, float]:
     """Return form and phase error of a surface.
 
-    Parameters
-    ----------
-    surface : Surface
-        What was cut.
-    frequency_hz : float
-        Of the tool.
-
-    Returns
-    -------
-    dict
-        ``form_um``: amplitude at the rim minus the wanted one, without sign; ``phase_deg``: its lag,
-        without sign; ``vector_um``: length of the difference of both; ``peak_to_valley_um`` and
-        ``rms_um`` of the height error over the whole surface.
+    ``form_um``: amplitude at the rim minus the wanted one, without sign; ``phase_deg``: its lag, without sign;
+    ``vector_um``: length of the difference of both; ``peak_to_valley_um`` and ``rms_um`` of the height error over the
+    whole surface.
     """
     t = surface.turned_rad / (np.pi * frequency_hz)
     rim = surface.x_mm >= _RIM_SHARE * RIM_MM
@@ -109,14 +93,8 @@ def trial(
         Corrects tones.
     truth : str
         As for :func:`dtwin.kinds.sinusoidal.simulate.virtual_slide`.
-    seed : int
-        Of noise.
-    frequencies_hz : sequence of float
-        Of the tool.
     slide : Slide, optional
         A mechanism instead of ``truth``.
-    progress : callable, optional
-        Called with (done, total, what).
 
     Returns
     -------
@@ -126,7 +104,7 @@ def trial(
     mechanism = slide or virtual_slide(truth)
     rows, surfaces = [], {}
     for done, frequency in enumerate(frequencies_hz, start=1):
-        command = bicuspid(frequency)
+        command = _bicuspid(frequency)
         records = [run_loop(mechanism, command, given, seed=seed + done) for given in (None, bundle)]
         cut = _surface_of(records[0], frequency), _surface_of(records[1], frequency)
         surfaces[float(frequency)] = cut

@@ -18,8 +18,8 @@ from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 _POSITION_HZ, _TEMPERATURE_HZ = 100.0, 1.0 / 30.0
 # Heat moves slowly, axes at rapid traverse do not: 100 um over a second's way. Dropped at the edge of the
 # box, the correction of a whole season would jump; it fades instead.
-SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=100.0, stale_s=0.1, outside="shrink", shrink_span=0.25)
-BEYOND_C = 2.0
+_SAFETY = SafetyLimits(clamp_um=250.0, slew_um_s=100.0, stale_s=0.1, outside="shrink", shrink_span=0.25)
+_BEYOND_C = 2.0
 _LINEAR = {"X": ("y", "z"), "Z": ("y",), "0": ("x", "y", "z"), "Y": ()}
 
 
@@ -34,25 +34,11 @@ def volumetric_bundle(
 ) -> Bundle:
     """Return the error of the tool point from what thermocouples and scales read.
 
-    Parameters
-    ----------
-    models : sequence of ThermalModel
-        One for each error motion, without memory: the previous cycle is not there in serving.
-    strokes_mm : mapping of str to tuple of float
-        Ends of the strokes, the validity box of the positions.
-    begun_c : mapping of str to float
-        What each thermocouple read in the reference: the correction is zero there.
-    seen_c : mapping of str to tuple of float
-        What each read in training; 2 degC more are allowed.
-    name, machine : str
-        Of the bundle.
-    switched_off : collection of str
-        Error motions that are worse than none.
-
-    Raises
-    ------
-    InputError
-        When a model has a memory, or nothing is left to correct.
+    ``models``: one for each error motion, without memory: the previous cycle is not there in serving.
+    ``strokes_mm``: ends of the strokes, the validity box of the positions.
+    ``begun_c``: what each thermocouple read in the reference: the correction is zero there.
+    ``seen_c``: what each read in training; 2 degC more are allowed.
+    ``switched_off``: error motions that are worse than none.
     """
     remembering = [model.name for model in models if model.memory]
     kept = [model for model in models if model.name not in switched_off]
@@ -78,7 +64,7 @@ def volumetric_bundle(
     graph = builder.graph({f"error_{axis}_um": builder.total(parts[axis] or [0.0]) for axis in "xyz"})
     inputs = [Input(f"{axis}_mm", "mm", "base", _POSITION_HZ, "controller", *strokes_mm[axis]) for axis in "xyz"]
     inputs += [
-        Input(s, "degC", "none", _TEMPERATURE_HZ, "covariate", seen_c[s][0] - BEYOND_C, seen_c[s][1] + BEYOND_C)
+        Input(s, "degC", "none", _TEMPERATURE_HZ, "covariate", seen_c[s][0] - _BEYOND_C, seen_c[s][1] + _BEYOND_C)
         for s in sensors
     ]
     return create_bundle(
@@ -89,7 +75,7 @@ def volumetric_bundle(
         inputs=tuple(inputs),
         outputs=tuple(Output(f"error_{axis}_um", f"base_{axis}") for axis in "xyz"),
         tick_graph=graph,
-        safety=SAFETY,
+        safety=_SAFETY,
         provenance=Provenance(code_version=__version__, evidence="none"),
     )
 

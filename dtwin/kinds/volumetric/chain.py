@@ -57,16 +57,10 @@ _SEEN = 1e-9
 class Coefficient:
     """A named error motion.
 
-    Attributes
-    ----------
-    name : str
-        As in ISO 230-1, with the order.
-    letter : str
-        X, Y, Z for a displacement, A, B, C for a turn.
-    axis : str
-        Axis that moves, or ``0`` for the whole machine.
-    order : int
-        Order of the polynomial over the stroke.
+    ``name``: as in ISO 230-1, with the order.
+    ``letter``: X, Y, Z for a displacement, A, B, C for a turn.
+    ``axis``: axis that moves, or ``0`` for the whole machine.
+    ``order``: order of the polynomial over the stroke.
     """
 
     name: str
@@ -83,10 +77,7 @@ class Coefficient:
 def coefficient(name: str) -> Coefficient:
     """Return a coefficient by name.
 
-    Raises
-    ------
-    InputError
-        When the name means nothing.
+    Raises ``InputError`` when the name means nothing.
     """
     letters = name[1:2]
     rigid = len(name) == 3 and name[2:] == "0"
@@ -108,24 +99,9 @@ def design(
 ) -> Floats:
     """Return what a unit of each coefficient does to the tool point.
 
-    Parameters
-    ----------
-    position_mm : ndarray, shape (n, 3)
-        Positions x, y, z of the axes.
-    strokes_mm : mapping of str to tuple of float
-        Ends of the stroke of ``x``, ``y`` and ``z``.
-    names : sequence of str
-        Coefficients.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, len(names))
-        um per unit.
-
-    Raises
-    ------
-    InputError
-        When a name means nothing.
+    ``position_mm``, (n, 3): positions x, y, z of the axes.
+    ``strokes_mm``: ends of the stroke of ``x``, ``y`` and ``z``.
+    Returns (n, 3, len(names)): um per unit.
     """
     position = np.asarray(position_mm, float)
     out = np.zeros((len(position), 3, len(names)))
@@ -156,16 +132,10 @@ def _profile(position: Floats, strokes_mm: Mapping[str, tuple[float, float]], wh
 class Identifiability:
     """What a set of readings can tell.
 
-    Attributes
-    ----------
-    rank, wanted : int
-        Of the columns less what the poses take up, and their number.
-    condition : float
-        Condition number of the normalised columns.
-    unseen : tuple of str
-        Coefficients that change nothing that is measured.
-    entangled : tuple of str
-        Coefficients that others can imitate.
+    ``rank``, ``wanted``: of the columns less what the poses take up, and their number.
+    ``condition``: condition number of the normalised columns.
+    ``unseen``: coefficients that change nothing that is measured.
+    ``entangled``: coefficients that others can imitate.
     """
 
     rank: int
@@ -178,12 +148,7 @@ class Identifiability:
 def identifiability(columns: Floats, names: Sequence[str]) -> Identifiability:
     """Say which coefficients readings can tell.
 
-    Parameters
-    ----------
-    columns : ndarray, shape (m, k)
-        What each coefficient does to the readings, less what else is fitted.
-    names : sequence of str
-        Coefficients.
+    ``columns``, (m, k): what each coefficient does to the readings, less what else is fitted.
     """
     size = np.linalg.norm(columns, axis=0)
     seen = size > _SEEN * max(float(size.max()), 1e-300)

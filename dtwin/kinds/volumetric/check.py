@@ -7,8 +7,8 @@ import numpy as np
 from dtwin.kinds.volumetric.plan import FEWEST_TABLE_BALLS, MOST_DRIFT_UM
 from dtwin.schema import Finding, Floats, Run, SignalGroup
 
-FIXED_POSE = 0
-MAX_ERROR_UM = 2_000.0
+_FIXED_POSE = 0
+_MAX_ERROR_UM = 2_000.0
 _STUCK_C = 1e-6
 _PLAUSIBLE_C = (-20.0, 90.0)
 
@@ -16,10 +16,7 @@ _PLAUSIBLE_C = (-20.0, 90.0)
 def judge_volumetric_run(run: Run) -> list[Finding]:
     """Return the findings of one cycle.
 
-    Parameters
-    ----------
-    run : Run
-        With ``x_mm`` ... ``error_z_um``, ``pose_1`` and ``ball_1``; pose 0 are the balls on the table.
+    ``run``: with ``x_mm`` ... ``error_z_um``, ``pose_1`` and ``ball_1``; pose 0 are the balls on the table.
     """
     if "pose_1" not in run.samples or "ball_1" not in run.samples:
         return [
@@ -39,7 +36,7 @@ def judge_volumetric_run(run: Run) -> list[Finding]:
 
 def _range(error: Floats) -> list[Finding]:
     largest = float(np.abs(error).max())
-    if largest <= MAX_ERROR_UM:
+    if largest <= _MAX_ERROR_UM:
         return []
     text = f"a ball was found {largest:z.0f} um beside its place: wrong ball, wrong unit, or a missed touch"
     return [Finding("balls.out_of_range", "error", text, {"largest_um": largest})]
@@ -47,7 +44,7 @@ def _range(error: Floats) -> list[Finding]:
 
 def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
     """Judge the balls on the table: without three of them the machine's own shift is unknown."""
-    there = pose == FIXED_POSE
+    there = pose == _FIXED_POSE
     balls = np.unique(ball[there])
     if len(balls) < FEWEST_TABLE_BALLS:
         text = f"{len(balls)} balls on the table were measured: shifts and turns of the whole machine need three"

@@ -31,16 +31,8 @@ _DAY_H = 24.0
 class HeatLoaded:
     """A campaign, ready to look at.
 
-    Attributes
-    ----------
-    series : HeatSeries
-        Error motions and temperatures.
-    balls : tuple of Balls
-        Where each cycle measured.
-    units : tuple of ndarray, each of shape (balls, 3, motions)
-        What a unit of each motion does there, in um.
-    data : dict
-        Table versions, number of cycles, and a hash of what was used.
+    ``units``, (balls, 3, motions): what a unit of each motion does there, in um.
+    ``data``: table versions, number of cycles, and a hash of what was used.
     """
 
     series: HeatSeries
@@ -53,10 +45,7 @@ class HeatLoaded:
 
         What the motions themselves leave, noise and what moves within a cycle, is not in it.
 
-        Parameters
-        ----------
-        left : ndarray, shape (cycles, motions)
-            What is left of the motions.
+        ``left``, (cycles, motions): what is left of the motions.
         """
         hours = self.series.hour
         squares: dict[tuple[int, int, int], list[Floats]] = {}
@@ -84,19 +73,8 @@ class HeatLoaded:
 def load_heat(home: Home, campaign: str, wanted: Sequence[str] = ()) -> HeatLoaded:
     """Return the usable cycles of a ball-array campaign.
 
-    Parameters
-    ----------
-    home : Home
-        The lake.
-    campaign : str
-        Name in the lake, or a folder, which is ingested first.
-    wanted : sequence of str
-        Error motions to identify beside the usual ones.
-
-    Raises
-    ------
-    InputError
-        When there is no such campaign, it is of another kind, or its balls cannot tell the motions.
+    ``campaign``: name in the lake, or a folder, which is ingested first.
+    ``wanted``: error motions to identify beside the usual ones.
     """
     lake = Lake(home.lake)
     name = in_lake(home, campaign)

@@ -24,8 +24,8 @@ from dtwin.train.registry import RegisteredVersion, Registry
 
 _DAY_H = 24.0
 # A span has at least so many cycles: fewer say nothing of their scatter.
-FEWEST_CYCLES = 8
-CLOCK = "measured without it, the prediction taken off afterwards"
+_FEWEST_CYCLES = 8
+_CLOCK = "measured without it, the prediction taken off afterwards"
 
 
 def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Progress | None = None) -> Evidence:
@@ -36,20 +36,6 @@ def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Pro
     A correction of micrometres does not change the heat, so that it is taken off what was measured. Where a
     temperature lies outside of the validity box it fades, as in serving. Nothing was served: only a
     virtual machine is judged so.
-
-    Parameters
-    ----------
-    home : Home
-        Lake and registry.
-    version : RegisteredVersion
-        The version.
-    progress : callable, optional
-        Called with (done, total, what).
-
-    Raises
-    ------
-    GateRefusal
-        When the lake holds no other campaign.
     """
     registry, lake = Registry(home), Lake(home.lake)
     bundle = Bundle.from_dict(registry.bundle(version))
@@ -90,7 +76,7 @@ def volumetric_evidence(home: Home, version: RegisteredVersion, *, progress: Pro
             "each cycle keeps of its error, by a 95 % interval that counts as many cycles as their "
             "correlation leaves.",
         ),
-        {"clock": CLOCK},
+        {"clock": _CLOCK},
     )
 
 
@@ -99,12 +85,8 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
 
     Where cycles are far apart, several days are taken together.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Corrects the tool point by temperatures.
-    measured : Session
-        Another campaign than that of its fit.
+    ``bundle``: corrects the tool point by temperatures.
+    ``measured``: another campaign than that of its fit.
     """
     correction, trusted = _corrections(bundle, measured)
     was, left, noise = [], [], []
@@ -114,7 +96,7 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
         seen = measured.artefact.predicted_um(where, values)
         noise.append(rms(distance_changes_um(where, moved - seen)))
     apart_h = float(np.median(np.diff(measured.hour)))
-    span_h = _DAY_H * math.ceil(FEWEST_CYCLES * apart_h / _DAY_H)
+    span_h = _DAY_H * math.ceil(_FEWEST_CYCLES * apart_h / _DAY_H)
     day = np.floor((measured.hour - measured.hour[0]) / span_h).astype(int)
     # The first cycles are the reference: there is nothing to take away.
     day[:REFERENCE_CYCLES] = -1

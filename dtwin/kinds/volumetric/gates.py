@@ -7,23 +7,18 @@ from collections.abc import Mapping
 from dtwin.serve.bundle import Bundle
 from dtwin.train.gates import Verdict, bounded_output, latency_gate, vectors_proved
 
-LEAST_R2 = 0.5
+_LEAST_R2 = 0.5
 
 
 def volumetric_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
     """Judge a bundle for heat by everything that needs no other campaign.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        The equation.
-    metrics : mapping of str to float
-        What training logged: scores of hours left out, latency.
+    ``metrics``: what training logged: scores of hours left out, latency.
     """
     r2 = metrics.get("leave_hours_out.r2", float("nan"))
     worst = metrics.get("leave_hours_out.worst_slice_ratio", float("inf"))
     return [
-        Verdict("held-out hours", r2 >= LEAST_R2, f"R2 {r2:z.3f}; at least {LEAST_R2}"),
+        Verdict("held-out hours", r2 >= _LEAST_R2, f"R2 {r2:z.3f}; at least {_LEAST_R2}"),
         Verdict(
             "no slice worse than no correction",
             worst < 1.0,

@@ -37,8 +37,6 @@ class Mover:
 
     Attributes
     ----------
-    motion : str
-        Which.
     seen_um : float
         RMS at the balls of what the twin does not explain of it.
     seen_p : float
@@ -49,8 +47,6 @@ class Mover:
         Share of it, beyond its uncertainty, that temperatures tell on hours left out.
     p_value : float
         Of the hypothesis that they tell nothing, after Holm.
-    sensors : tuple of str
-        Temperatures that tell it best.
     channel : str or None
         Temperature logged beside the thermocouples that tells it, when they do not.
     bodies : tuple of str
@@ -104,10 +100,6 @@ class HeatDiagnosis:
 
     Attributes
     ----------
-    verdict : str
-        What is said.
-    headline : str
-        In words.
     figures : dict of str to float
         Errors at the balls, as :func:`dtwin.kinds.volumetric.heat_twin.heat_figures` has them.
     lack_of_fit_p : float
@@ -118,10 +110,6 @@ class HeatDiagnosis:
         Those that the verdict is about.
     quiet : tuple of str
         Motions that move, but by less than counts.
-    where : tuple of dict
-        Where the residual is largest.
-    next_experiment : dict or None
-        What would tell candidates apart.
     """
 
     verdict: Verdict
@@ -190,17 +178,7 @@ class HeatDiagnosis:
 
 
 def diagnose_heat(series: HeatSeries, fitted: HeatFit, where: Sequence[dict[str, Any]]) -> HeatDiagnosis:
-    """Find out what a twin lacks.
-
-    Parameters
-    ----------
-    series : HeatSeries
-        The campaign.
-    fitted : HeatFit
-        The twin's terms, fitted to it.
-    where : sequence of dict
-        Where the residual is largest.
-    """
+    """Find out what a twin lacks."""
     left = series.values - fitted.expected
     still = holm([_still_p(series, left[:, i], i) for i in range(len(series.names))])
     moving = [i for i in range(len(series.names)) if still[i] < _ALPHA]

@@ -13,7 +13,7 @@ from dtwin.errors import InputError
 from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal
 from dtwin.schema import Floats
 
-SPANS = 5
+_SPANS = 5
 FEWEST_CYCLES = 15
 _NUMBERED = re.compile(r"_?\d*_c$")
 
@@ -28,19 +28,7 @@ def require_temperatures(
 ) -> None:
     """Refuse a campaign without the temperatures that are wanted.
 
-    Parameters
-    ----------
-    wanted, measured : collection of str
-        Names; measured are those without gaps.
-    campaign : str
-        Which.
-    offered : sequence of str
-        What to name instead.
-
-    Raises
-    ------
-    InputError
-        When one is missing.
+    ``wanted``, ``measured``: names; measured are those without gaps.
     """
     absent = [name for name in wanted if name not in measured]
     if absent:
@@ -60,28 +48,15 @@ class HeatSeries:
     The residual of a cycle at the balls is what the motions leave themselves, and ``r' G r`` of what
     is left of the motions: the least squares that found them make the two add up.
 
-    Attributes
-    ----------
-    campaign, machine : str
-        Which.
-    hour : ndarray, shape (n,)
-        Begin of each cycle.
-    names : tuple of str
-        Error motions that were identified, all at once.
-    values : ndarray, shape (n, m)
-        Error motions, um or um/m.
-    covariance : ndarray, shape (n, m, m)
-        Of the values, from what the probe's noise does to them.
-    at_balls : ndarray, shape (n, m, m)
-        Mean square at the balls, per coordinate, of a product of two motions: ``G``.
-    left_ms_um2 : ndarray, shape (n,)
-        Mean square per coordinate of what the motions leave.
-    rise_c : dict of str to ndarray, shape (n,)
-        Every temperature without gaps, since the reference.
-    begun_c : dict of str to float
-        What they read in the reference.
-    thermocouples : tuple of str
-        Those of them that sit on the machine; the others were logged beside them.
+    ``hour``, (n,): begin of each cycle.
+    ``names``: error motions that were identified, all at once.
+    ``values``, (n, m): error motions, um or um/m.
+    ``covariance``, (n, m, m): of the values, from what the probe's noise does to them.
+    ``at_balls``, (n, m, m): mean square at the balls, per coordinate, of a product of two motions: ``G``.
+    ``left_ms_um2``, (n,): mean square per coordinate of what the motions leave.
+    ``rise_c``, (n,): every temperature without gaps, since the reference.
+    ``begun_c``: what they read in the reference.
+    ``thermocouples``: those of them that sit on the machine; the others were logged beside them.
     """
 
     campaign: str
@@ -125,12 +100,7 @@ class HeatSeries:
     def rms_um(self, left: Floats, cycles: Sequence[int] | slice = slice(None)) -> float:
         """Return the RMS at the balls when this is left of the motions.
 
-        Parameters
-        ----------
-        left : ndarray, shape (n, m)
-            Motions less what was predicted.
-        cycles : sequence of int, optional
-            Some of them.
+        ``left``, (n, m): motions less what was predicted.
         """
         squares = self.left_ms_um2 + np.einsum("ni,nij,nj->n", left, self.at_balls, left)
         return float(np.sqrt(squares[cycles].mean()))
@@ -141,16 +111,10 @@ class HeatSeries:
 
     def spans(self) -> list[NDArray[np.int64]]:
         """Return spans of neighbouring cycles, which are left out of a fit as a whole."""
-        return [np.asarray(s, np.int64) for s in np.array_split(np.arange(len(self.hour)), SPANS)]
+        return [np.asarray(s, np.int64) for s in np.array_split(np.arange(len(self.hour)), _SPANS)]
 
     def rises(self, names: Sequence[str]) -> Floats:
-        """Return temperatures by name, shape (n, names).
-
-        Raises
-        ------
-        InputError
-            When one was not measured here, or has gaps.
-        """
+        """Return temperatures by name, shape (n, names)."""
         require_temperatures(names, self.rise_c, self.campaign, [*self.bodies, *self.offered])
         return np.column_stack([np.zeros((len(self.hour), 0)), *(self.rise_c[n] for n in names)])
 
@@ -165,21 +129,8 @@ class HeatSeries:
     def driven(self, name: str, motion: Floats, sensors: Sequence[str]) -> tuple[ThermalModel, Floats]:
         """Fit a motion to temperatures; return the model and what it says of hours that were left out.
 
-        Parameters
-        ----------
-        name : str
-            The motion.
-        motion : ndarray, shape (n,)
-            Its values.
-        sensors : sequence of str
-            Temperatures to choose from.
-
-        Returns
-        -------
-        ThermalModel
-            Without memory.
-        ndarray, shape (n,)
-            Spans of hours left out in turn; the temperatures were chosen without them, too.
+        ``motion``, (n,): its values.
+        Returns (n,): spans of hours left out in turn; the temperatures were chosen without them, too.
         """
         key = (name.encode() + motion.tobytes(), tuple(sensors))
         if key not in self._fits:

@@ -29,8 +29,6 @@ class HeatFit:
 
     Attributes
     ----------
-    models : tuple of ThermalModel
-        One for each term.
     expected : ndarray, shape (n, m)
         What they say of every motion; 0 for those that the twin does not have.
     left_out : ndarray, shape (n, m)
@@ -48,16 +46,10 @@ class HeatTwin:
 
     Attributes
     ----------
-    name : str
-        Of the twin.
     version : int
         From 1.
     machine, campaign, action : str
         What it is of, what it was fitted to, and what was done to it.
-    terms : tuple of HeatTerm
-        Its error motions.
-    models : tuple of ThermalModel
-        One for each term.
     uncertainties : tuple of tuple of float
         Expanded (k = 2) uncertainty of what a kelvin does, for each model.
     seen_c : dict of str to tuple of float
@@ -66,8 +58,6 @@ class HeatTwin:
         Errors before and after, and the noise floor, in um.
     by_condition : tuple of dict
         The same for every day.
-    data : dict
-        Versions of the tables.
     """
 
     name: str
@@ -228,12 +218,6 @@ def heat_twin_of(
 
     Parameters
     ----------
-    fitted : HeatFit
-        The fit.
-    series : HeatSeries
-        What it was fitted to.
-    terms : sequence of HeatTerm
-        Its terms.
     name, version, action, data
         As of :class:`HeatTwin`.
     """
@@ -261,8 +245,6 @@ def heat_figures(series: HeatSeries, left: Floats) -> dict[str, float]:
 
     Parameters
     ----------
-    series : HeatSeries
-        The campaign.
     left : ndarray, shape (n, m)
         What is left of the motions.
     """

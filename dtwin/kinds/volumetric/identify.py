@@ -20,14 +20,9 @@ Numbers = NDArray[np.int64]
 class Balls:
     """Readings of one cycle.
 
-    Attributes
-    ----------
-    position_mm : ndarray, shape (n, 3)
-        Nominal places.
-    error_um : ndarray, shape (n, 3)
-        Measured minus nominal, as the machine's scales say.
-    pose, ball : ndarray of int, shape (n,)
-        Pose of the array, 0 for balls that stand on the table; number of the ball.
+    ``position_mm``, (n, 3): nominal places.
+    ``error_um``, (n, 3): measured minus nominal, as the machine's scales say.
+    ``pose``, ``ball``, (n,): pose of the array, 0 for balls that stand on the table; number of the ball.
     """
 
     position_mm: Floats
@@ -40,16 +35,9 @@ class Balls:
 class Identified:
     """Error motions of one cycle.
 
-    Attributes
-    ----------
-    values, uncertainty : ndarray, shape (coefficients,)
-        Since the reference cycle; standard uncertainty from the residual.
-    left_um : float
-        RMS of the residual of the poses that were fitted, per coordinate.
-    held_out_um : float
-        The same in the poses that were not, the place of the array in each fitted; NaN without.
-    readings : int
-        Coordinates that were used.
+    ``values``, ``uncertainty``, (coefficients,): since the reference cycle; standard uncertainty from the residual.
+    ``left_um``: RMS of the residual of the poses that were fitted, per coordinate.
+    ``held_out_um``: the same in the poses that were not, the place of the array in each fitted; NaN without.
     """
 
     values: Floats
@@ -63,14 +51,9 @@ class Identified:
 class Settled:
     """Error motions of one cycle with the places of the array taken out.
 
-    Attributes
-    ----------
-    values : ndarray, shape (coefficients,)
-        Since the reference cycle.
-    covariance : ndarray, shape (coefficients, coefficients)
-        Of the values, from the residual.
-    moved_um : ndarray, shape (n, 3)
-        How the tool point moved, less where the array stood otherwise than in the reference.
+    ``values``, (coefficients,): since the reference cycle.
+    ``covariance``, (coefficients, coefficients): of the values, from the residual.
+    ``moved_um``, (n, 3): how the tool point moved, less where the array stood otherwise than in the reference.
     """
 
     values: Floats
@@ -90,19 +73,11 @@ class _Prepared:
 class Artefact:
     """How readings are turned into error motions.
 
-    Attributes
-    ----------
-    strokes_mm : mapping of str to tuple of float
-        Ends of the strokes.
-    held_out : tuple of int
-        Poses that are left out of the fit.
-    pose_repeat_um : float
-        How well the array comes back to the place of the reference cycle (um, and um/m for its
-        turn): a standard deviation; infinite when it may stand anywhere.
-    noise_um : float
-        Standard deviation of how the probe finds a coordinate in two cycles.
-    names : tuple of str
-        Coefficients to find.
+    ``strokes_mm``: ends of the strokes.
+    ``held_out``: poses that are left out of the fit.
+    ``pose_repeat_um``: how well the array comes back to the place of the reference cycle (um, and um/m for its turn): a
+    standard deviation; infinite when it may stand anywhere.
+    ``noise_um``: standard deviation of how the probe finds a coordinate in two cycles.
     """
 
     strokes_mm: Mapping[str, tuple[float, float]]
@@ -115,10 +90,7 @@ class Artefact:
     def variation_um(self, cycle: Balls, reference: Balls) -> tuple[Balls, Floats]:
         """Return the balls that both cycles have, and how the tool point moved there, shape (n, 3).
 
-        Parameters
-        ----------
-        cycle, reference : Balls
-            Readings; where the machine goes too far its scales read less.
+        ``cycle``, ``reference``: readings; where the machine goes too far its scales read less.
         """
         place = {key: i for i, key in enumerate(_keys(reference))}
         kept = [(i, place[key]) for i, key in enumerate(_keys(cycle)) if key in place]
@@ -130,17 +102,7 @@ class Artefact:
     def identify(self, balls: Balls, moved_um: Floats) -> Identified:
         """Return the error motions that explain how the tool point moved.
 
-        Parameters
-        ----------
-        balls : Balls
-            Where it was measured.
-        moved_um : ndarray, shape (n, 3)
-            How it moved.
-
-        Raises
-        ------
-        InputError
-            When the balls cannot tell the coefficients.
+        ``moved_um``, (n, 3): how it moved.
         """
         ready = self._prepared(balls)
         found, noise_um = self._solved(ready, moved_um)
@@ -153,17 +115,7 @@ class Artefact:
     def settle(self, balls: Balls, moved_um: Floats) -> Settled:
         """Return error motions from all poses, held out or not, and the movement less the places.
 
-        Parameters
-        ----------
-        balls : Balls
-            Where it was measured.
-        moved_um : ndarray, shape (n, 3)
-            How the tool point moved.
-
-        Raises
-        ------
-        InputError
-            When the balls cannot tell the coefficients, or when poses are held out.
+        ``moved_um``, (n, 3): how the tool point moved.
         """
         if self.held_out:
             raise InputError("no pose may be held out here", code="volumetric.held_out")

@@ -16,15 +16,10 @@ from dtwin.schema import Floats
 class IntervalCurve:
     """Statistics of an error over windows of growing length.
 
-    Attributes
-    ----------
-    steps : ndarray of int, shape (k,)
-        Length of the windows in time steps; a window has one sample more.
-    worst, mean, p95 : ndarray, shape (k,)
-        Of the range inside a window.
-    p95_spread : ndarray, shape (k,)
-        95th percentile of the standard deviation inside a window: in 95 % of the jobs of that
-        length the error varies less.
+    ``steps``, (k,): length of the windows in time steps; a window has one sample more.
+    ``worst``, ``mean``, ``p95``, (k,): of the range inside a window.
+    ``p95_spread``, (k,): 95th percentile of the standard deviation inside a window: in 95 % of the jobs of that length
+    the error varies less.
     """
 
     steps: Floats
@@ -37,17 +32,8 @@ class IntervalCurve:
 def interval_curve(series: Floats, steps: Sequence[int]) -> IntervalCurve:
     """Return the statistics of a series over sliding windows.
 
-    Parameters
-    ----------
-    series : ndarray, shape (n,) or (n, points)
-        An error at equal time steps; of several points the pooled windows count.
-    steps : sequence of int
-        Lengths from 1 to n - 1: n - length windows of length + 1 samples each.
-
-    Raises
-    ------
-    InputError
-        When a length does not fit.
+    ``series``, (n,) or (n, points): an error at equal time steps; of several points the pooled windows count.
+    ``steps``: lengths from 1 to n - 1: n - length windows of length + 1 samples each.
     """
     values = series.reshape(len(series), -1)
     bad = [s for s in steps if not 1 <= s <= len(values) - 1]
@@ -71,10 +57,7 @@ def interval_curve(series: Floats, steps: Sequence[int]) -> IntervalCurve:
 def worse_steps(before: IntervalCurve, after: IntervalCurve) -> list[int]:
     """Return the window lengths at which a correction makes the error vary more.
 
-    Parameters
-    ----------
-    before, after : IntervalCurve
-        Without and with the correction, over the same windows.
+    ``before``, ``after``: without and with the correction, over the same windows.
     """
     more = after.p95_spread > before.p95_spread
     return [int(s) for s in before.steps[more]]

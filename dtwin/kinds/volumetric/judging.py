@@ -29,8 +29,6 @@ def models_of(
 
     Parameters
     ----------
-    training : Session
-        Where they are fitted.
     offered : sequence of str
         Other logged temperatures that may be used, too.
     static : bool
@@ -45,7 +43,7 @@ def models_of(
     return made, whole
 
 
-def predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
+def _predicted(models: Sequence[ThermalModel], measured: Session) -> Floats:
     """Return the error motions that the models expect, in free run, shape (cycles, coefficients)."""
     return np.column_stack([model.run(measured.rise_of(model.sensors)) for model in models])
 
@@ -55,8 +53,6 @@ def judged(models: Sequence[ThermalModel], measured: Session, training: Session 
 
     Parameters
     ----------
-    models : sequence of ThermalModel
-        One for each coefficient.
     measured : Session
         Another campaign than that of the fit, when the figures shall say anything.
     training : Session, optional
@@ -68,7 +64,7 @@ def judged(models: Sequence[ThermalModel], measured: Session, training: Session 
         ``distances`` between balls, ``coefficients``, ``lines`` (how much an error changes in how
         long), ``slots``, ``unexplained`` and ``worse``.
     """
-    expected = predicted(models, measured)
+    expected = _predicted(models, measured)
     left = measured.values - expected
     rows = [_row(model, measured, i, left[:, i]) for i, model in enumerate(models)]
     lines = _lines(measured, left)
@@ -139,12 +135,7 @@ def _row(model: ThermalModel, measured: Session, column: int, left: Floats) -> d
 def distance_changes_um(where: Balls, moved_um: Floats) -> Floats:
     """Return how the distances between balls of the same pose change, shape (pairs,).
 
-    Parameters
-    ----------
-    where : Balls
-        Where the balls are.
-    moved_um : ndarray, shape (n, 3)
-        How the tool point moves there.
+    ``moved_um``, (n, 3): how the tool point moves there.
     """
     found = []
     for pose in sorted(set(where.pose.tolist()) - {0}):

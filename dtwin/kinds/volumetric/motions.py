@@ -18,8 +18,6 @@ class Family:
 
     Attributes
     ----------
-    name, title : str
-        Identifier, and name in words.
     meaning, looks_like, separate_by, remedy : str
         What it is, what balls show, which test tells its causes apart, what to do about it.
     """

@@ -12,7 +12,7 @@ from dtwin.schema import Finding
 # Beyond this a ball moves too far while the others are touched.
 MOST_DRIFT_UM = 6.0
 # Error motions of the chain XZY, and the place of the array in each pose.
-MOTIONS, PLACE = 24, 6
+_MOTIONS, _PLACE = 24, 6
 FEWEST_TABLE_BALLS = 3
 _FEWEST_BALLS, _FEWEST_POSES = 3, 4
 _REDUNDANCY = 3.0
@@ -23,22 +23,11 @@ _FEWEST_CYCLES = 20
 class BallPlan:
     """Cycles of a ball array over days.
 
-    Attributes
-    ----------
-    name, machine : str
-        Names of the campaign and of the machine.
-    hours : float
-        Length of the campaign.
-    every_h : float
-        From the begin of a cycle to that of the next.
-    balls, poses : int
-        Balls of the array, and how often it is put elsewhere in a cycle.
-    table_balls : int
-        Balls that stand on the table, touched at both ends of a cycle.
-    ball_s : float
-        Time for one ball.
-    drift_um_h : float
-        How fast the error of the machine changes when it changes fastest; 0 when unknown.
+    ``name``, ``machine``: names of the campaign and of the machine.
+    ``every_h``: from the begin of a cycle to that of the next.
+    ``balls``, ``poses``: balls of the array, and how often it is put elsewhere in a cycle.
+    ``table_balls``: balls that stand on the table, touched at both ends of a cycle.
+    ``drift_um_h``: how fast the error of the machine changes when it changes fastest; 0 when unknown.
     """
 
     name: str
@@ -70,17 +59,7 @@ class BallPlan:
 def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
     """Return a plan whose numbers obey every rule.
 
-    Parameters
-    ----------
-    stated : mapping
-        Attributes of a plan.
-    where : str
-        Where they come from, for error messages.
-
-    Raises
-    ------
-    InputError
-        When a setting is unknown, missing or of the wrong type, or a rule is broken.
+    ``where``: where they come from, for error messages.
     """
     plan = filled(BallPlan, stated, where)
     rules = (
@@ -104,10 +83,7 @@ def ball_plan(stated: Mapping[str, Any], where: str) -> BallPlan:
 def ball_advice(plan: BallPlan) -> list[Finding]:
     """Say what the campaign cannot tell.
 
-    Parameters
-    ----------
-    plan : BallPlan
-        A plan that breaks no rule.
+    ``plan``: a plan that breaks no rule.
     """
     return [*_drift_advice(plan), *_ball_advice(plan), *_length_advice(plan)]
 
@@ -151,7 +127,7 @@ def _ball_advice(plan: BallPlan) -> list[Finding]:
             )
         )
     told = 3 * (plan.balls * plan.poses + plan.table_balls)
-    unknown = MOTIONS + PLACE * plan.poses
+    unknown = _MOTIONS + _PLACE * plan.poses
     short = plan.balls < _FEWEST_BALLS or plan.poses < _FEWEST_POSES
     if short or told < _REDUNDANCY * unknown:
         found.append(
@@ -159,7 +135,7 @@ def _ball_advice(plan: BallPlan) -> list[Finding]:
                 "plan.too_few_balls",
                 "warning",
                 f"{plan.balls} balls in {plan.poses} poses give {told} readings for {unknown} unknowns "
-                f"({MOTIONS} error motions and the place of the array in each pose); {_REDUNDANCY:g} for "
+                f"({_MOTIONS} error motions and the place of the array in each pose); {_REDUNDANCY:g} for "
                 f"each unknown, {_FEWEST_BALLS} balls and {_FEWEST_POSES} poses are needed to hold poses "
                 "out as a check",
                 {"readings_1": float(told), "unknowns_1": float(unknown)},

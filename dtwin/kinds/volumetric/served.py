@@ -14,7 +14,7 @@ from dtwin.machines.thermal_network import SCHEDULES
 from dtwin.machines.volumetric import CYCLE_S, READING_S, VolumetricMill
 from dtwin.schema import Floats
 
-PERIOD_S = 0.02
+_PERIOD_S = 0.02
 # From one ball to the next, and at rest before the probe touches; nothing moves between.
 _TRAVEL, _REST = 50, 50
 _BALL = _TRAVEL + _REST
@@ -26,22 +26,14 @@ class ServedMill:
 
     States are sent while the mill goes to a ball and rests there; the time between is left out.
 
-    Parameters
-    ----------
-    plan : BallPlan or None
-        Hours, and how often; three days, every third hour, without.
-    truth : {"surface", "pockets"}
-        Where its thermocouples sit.
-    schedule : str
-        As for :func:`dtwin.kinds.volumetric.simulate.simulate_volumetric`.
-    seed : int
-        Of the machine.
-    quick : bool
-        Six cycles, where there is no plan.
+    ``plan``: hours, and how often; three days, every third hour, without.
+    ``truth``: where its thermocouples sit.
+    ``schedule``: as for :func:`dtwin.kinds.volumetric.simulate.simulate_volumetric`.
+    ``quick``: six cycles, where there is no plan.
     """
 
     name = "virtual three-axis mill"
-    period_s = PERIOD_S
+    period_s = _PERIOD_S
     axes = ("x", "y", "z")
     channels_hz = 0.0
 
@@ -72,7 +64,7 @@ class ServedMill:
         ball, within = divmod(tick, _BALL)
         share = min((within + 1) / _TRAVEL, 1.0)
         x, y, z = (self._from_mm[ball] + share * (self._to_mm[ball] - self._from_mm[ball])).tolist()
-        now_s = float(self._at_s[ball]) - (_BALL - 1 - within) * PERIOD_S
+        now_s = float(self._at_s[ball]) - (_BALL - 1 - within) * _PERIOD_S
         found = {"timestamp_s": now_s, "x_mm": x, "y_mm": y, "z_mm": z}
         if within == 0:
             number = ball // self._per_cycle

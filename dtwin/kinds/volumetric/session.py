@@ -28,8 +28,6 @@ class Session:
 
     Attributes
     ----------
-    campaign : str
-        Name.
     hour : ndarray, shape (cycles,)
         Begin of each cycle.
     artefact : Artefact
@@ -89,12 +87,8 @@ def session(home: Home, campaign: str, progress: Progress) -> Session:
 
     Parameters
     ----------
-    home : Home
-        Of the lake.
     campaign : str
         Name in the lake, or a folder, which is ingested first.
-    progress : callable
-        Called with (done, total, what).
 
     Raises
     ------
@@ -105,22 +99,7 @@ def session(home: Home, campaign: str, progress: Progress) -> Session:
 
 
 def session_in(lake: Lake, name: str, progress: Progress) -> Session:
-    """Identify the error motions of every cycle of a campaign that is in the lake.
-
-    Parameters
-    ----------
-    lake : Lake
-        Where it is.
-    name : str
-        Campaign.
-    progress : callable
-        Called with (done, total, what).
-
-    Raises
-    ------
-    InputError
-        As for :func:`session`.
-    """
+    """Identify the error motions of every cycle of a campaign that is in the lake."""
     known = lake.campaign(name)
     if known.kind != "volumetric":
         raise InputError(

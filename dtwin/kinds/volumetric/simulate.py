@@ -52,16 +52,12 @@ def simulate_volumetric(
     ----------
     folder : Path
         Gets two files for each cycle, and, last, ``campaign.toml``.
-    progress : callable
-        Called with (done, total, what).
     schedule : {"training", "validation"}
         What heats the machine: 234 h in spring, or 169 h in another order in a warmer season.
     seed : int
         Of the machine; both campaigns of one machine need the same.
     quick : bool
         Every third cycle only.
-    parameters : VolumetricParameters, optional
-        What the machine is like.
     plan : BallPlan, optional
         Hours, and how often; the array and its poses are the machine's own.
 
@@ -104,20 +100,8 @@ def write_ball_campaign(
 ) -> None:
     """Write cycles that were measured as a campaign folder; the campaign file comes last.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write.
-    name, machine : str
-        Of the campaign and of its machine.
-    cycles : sequence of int
-        Hours at which they began.
-    readings : sequence of BallReadings
-        What the probe found.
-    mill : VolumetricMill
-        The machine, for its temperatures.
-    corrected : bool
-        Whether a correction was in force.
+    ``cycles``: hours at which they began.
+    ``corrected``: whether a correction was in force.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for cycle, found in zip(cycles, readings, strict=True):
@@ -139,20 +123,7 @@ def parameters_of(truth: str) -> VolumetricParameters:
 
 
 def planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:
-    """Return the hours at which cycles begin.
-
-    Parameters
-    ----------
-    plan : BallPlan
-        What shall be measured.
-    mill : VolumetricMill
-        The machine.
-
-    Raises
-    ------
-    InputError
-        When the virtual mill has another array, or is not heated for so long.
-    """
+    """Return the hours at which cycles begin."""
     own = {
         "balls": len(array_balls(1)),
         "poses": len(AZIMUTHS_DEG),

@@ -13,15 +13,7 @@ SLOTS = 16
 def slot_places_mm(strokes_mm: dict[str, tuple[float, float]]) -> Floats:
     """Return where the slots are milled: a four by four grid in the lower middle of the volume.
 
-    Parameters
-    ----------
-    strokes_mm : dict of str to tuple of float
-        Ends of the strokes.
-
-    Returns
-    -------
-    ndarray, shape (16, 3)
-        The grid is ours: the source's drawing cannot be read.
+    Returns (16, 3): the grid is ours: the source's drawing cannot be read.
     """
     low = {axis: reach[0] + 0.25 * (reach[1] - reach[0]) for axis, reach in strokes_mm.items()}
     high = {axis: reach[0] + 0.75 * (reach[1] - reach[0]) for axis, reach in strokes_mm.items()}
@@ -32,17 +24,8 @@ def slot_places_mm(strokes_mm: dict[str, tuple[float, float]]) -> Floats:
 def slot_errors_um(depth_um: Floats, start: int) -> Floats:
     """Return the depth error of the slots against the first one.
 
-    Parameters
-    ----------
-    depth_um : ndarray, shape (hours, 16)
-        Error along the tool at every slot's place, hour by hour.
-    start : int
-        Hour of the first slot.
-
-    Raises
-    ------
-    InputError
-        When the test does not fit into the series.
+    ``depth_um``, (hours, 16): error along the tool at every slot's place, hour by hour.
+    ``start``: hour of the first slot.
     """
     if not 0 <= start <= len(depth_um) - SLOTS:
         raise InputError(

@@ -29,10 +29,6 @@ class ThermalModel:
 
     Attributes
     ----------
-    name : str
-        The coefficient.
-    sensors : tuple of str
-        Temperatures that it uses.
     per_k : ndarray, shape (sensors,)
         Its unit per kelvin.
     memory : float
@@ -86,25 +82,11 @@ def fit_thermal(
     Of the models whose residual is at most 15 % above that of the one with the best criterion, the
     one with the fewest parameters is kept.
 
-    Parameters
-    ----------
-    name : str
-        The coefficient.
-    motion : ndarray, shape (cycles,)
-        Since the reference cycle.
-    rise_c : ndarray, shape (cycles, sensors)
-        Temperatures since the reference cycle; a sensor with gaps is not offered.
-    sensors : sequence of str
-        Names of the columns.
-    most : int
-        Largest number of inputs to try.
-    static : bool
-        Try models without memory only.
-
-    Raises
-    ------
-    InputError
-        With too few cycles.
+    ``motion``, (cycles,): since the reference cycle.
+    ``rise_c``, (cycles, sensors): temperatures since the reference cycle; a sensor with gaps is not offered.
+    ``sensors``: names of the columns.
+    ``most``: largest number of inputs to try.
+    ``static``: try models without memory only.
     """
     if len(motion) < _FEWEST_CYCLES:
         raise InputError(
@@ -143,10 +125,7 @@ def independent(values: Floats) -> float:
 def inflation(rise_c: Floats) -> Floats:
     """Return the variance inflation of each input by the others, shape (sensors,).
 
-    Parameters
-    ----------
-    rise_c : ndarray, shape (cycles, sensors)
-        Inputs of one model.
+    ``rise_c``, (cycles, sensors): inputs of one model.
     """
     centred = rise_c - rise_c.mean(axis=0)
     size = np.linalg.norm(centred, axis=0)

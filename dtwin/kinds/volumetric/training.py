@@ -21,8 +21,8 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
-HELD_OUT = "hours"
-SPANS = 5
+_HELD_OUT = "hours"
+_SPANS = 5
 _Fit = Callable[[str, Floats, Floats, Sequence[str]], ThermalModel]
 
 
@@ -34,23 +34,8 @@ def train_volumetric(
     Heat lasts: neighbouring cycles are no replicates. Five spans of hours are left out in turn, each as
     a whole; another campaign of the machine, under another schedule, is the judge of a promotion.
 
-    Parameters
-    ----------
-    lake : Lake
-        Where the campaign is.
-    name : str
-        Campaign.
-    seed : int
-        Logged; nothing here is random.
-    engine : Engine, optional
-        Not used: no equation is searched for.
-    progress : callable, optional
-        Called with (stage, done, total, what).
-
-    Raises
-    ------
-    InputError
-        When too few cycles can be used, or the balls cannot tell the error motions.
+    ``seed``: logged; nothing here is random.
+    ``engine``: not used: no equation is searched for.
     """
     tell = progress or (lambda *_: None)
     campaign, versions = lake.campaign(name), dict(lake.versions())
@@ -88,12 +73,8 @@ def serving_bundle(
 
     Parameters
     ----------
-    models : sequence of ThermalModel
-        One for each error motion.
     training : Session
         Gives what the thermocouples read, in the reference and in all.
-    machine : str
-        That the bundle is for.
     switched_off : collection of str
         Error motions that are worse than none.
     """
@@ -140,7 +121,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         family=family,
         promotable=bundle is not None,
         complexity=sum(len(m.sensors) for m in models),
-        scores={HELD_OUT: _scores(measured, expected, spans)},
+        scores={_HELD_OUT: _scores(measured, expected, spans)},
         train_rms_um=rms(np.concatenate(_distances(measured, fitted))),
         latency=None if bundle is None else bundle_latency(bundle),
         equation="" if bundle is None else "\n".join(_readable(m) for m in models),
@@ -153,7 +134,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
 def _left_out(fit: _Fit, measured: Session) -> tuple[Floats, list[Any]]:
     """Return what is expected of cycles that were left out of the fit, and the spans of cycles."""
     expected = np.zeros_like(measured.values)
-    spans = np.array_split(np.arange(len(measured.hour)), SPANS)
+    spans = np.array_split(np.arange(len(measured.hour)), _SPANS)
     for span in spans:
         kept = np.ones(len(measured.hour), bool)
         kept[span] = False
@@ -197,13 +178,13 @@ def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores
     was, left = np.concatenate(before), np.concatenate(after)
     r2 = 1.0 - float(np.sum(left**2) / np.sum((was - was.mean()) ** 2))
     return Scores(
-        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans), len(measured.hour)
+        _HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans), len(measured.hour)
     )
 
 
 def _what_was_seen(measured: Session, engine: Engine | None) -> list[str]:
     told = [
-        f"errors are changes of the distances between balls of an array; {SPANS} spans of hours were left "
+        f"errors are changes of the distances between balls of an array; {_SPANS} spans of hours were left "
         "out in turn, each as a whole",
         "models with a memory are not candidates: serving does not know the cycle before; "
         "dtwin volumetric fit compares them",

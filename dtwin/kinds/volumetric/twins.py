@@ -39,14 +39,8 @@ class HeatComparison:
     ----------
     twin : HeatTwin
         The twin, its parameters as they are.
-    series : HeatSeries
-        The campaign.
     left : ndarray, shape (cycles, motions)
         Motions less what the twin says of them.
-    where : tuple of dict
-        Where the residual is largest.
-    warnings : tuple of str
-        What a reader must know.
     """
 
     twin: HeatTwin
@@ -93,13 +87,7 @@ class HeatComparison:
 
 
 class HeatTwins(TwinShelf):
-    """The twins of a home that are of ball arrays.
-
-    Parameters
-    ----------
-    home : Home
-        Where twins are kept.
-    """
+    """The twins of a home that are of ball arrays."""
 
     def __init__(self, home: Home) -> None:
         super().__init__(home, KIND)
@@ -113,8 +101,6 @@ class HeatTwins(TwinShelf):
             Name in the lake, or a folder.
         effects : sequence of str
             Error motions or families, as :func:`dtwin.kinds.volumetric.motions.heat_terms` takes them.
-        name : str
-            Name of the twin.
         robust : bool
             Not for this kind.
 
@@ -140,8 +126,6 @@ class HeatTwins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         campaign : str, optional
             Other measurements than those of the fit.
 
@@ -165,8 +149,6 @@ class HeatTwins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         seed : int
             Not used: nothing here is random.
         """
@@ -178,8 +160,6 @@ class HeatTwins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         effect, axis : str
             What to add. A motion that the twin has may be driven by more temperatures than before:
             ``EX0@foundation_c``.
@@ -219,8 +199,6 @@ class HeatTwins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         version : int
             The version to go back to.
         """
@@ -232,8 +210,6 @@ class HeatTwins(TwinShelf):
 
         Parameters
         ----------
-        name : str
-            The twin.
         seed : int
             Not used.
 
@@ -300,13 +276,7 @@ class HeatTwins(TwinShelf):
 
 
 def _joined(twin: HeatTwin, more: Sequence[HeatTerm]) -> tuple[HeatTerm, ...]:
-    """Return the terms of a twin with others; a motion that it has gets their temperatures, too.
-
-    Raises
-    ------
-    InputError
-        When nothing is new.
-    """
+    """Return the terms of a twin with others; a motion that it has gets their temperatures, too."""
     terms = {term.motion: term for term in twin.terms}
     for term in more:
         terms[term.motion] = _widened(terms.get(term.motion), twin, term)

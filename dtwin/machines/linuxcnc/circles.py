@@ -65,8 +65,6 @@ class Trace:
 
     Attributes
     ----------
-    circle : Circle
-        What was programmed.
     t_s : ndarray, shape (n,)
         From the first sample of the turn.
     command_mm, encoder_mm, offset_mm : ndarray, shape (n, 3)
@@ -180,8 +178,6 @@ def traces(samples: Floats, circles: Sequence[Circle]) -> list[Trace]:
     ----------
     samples : ndarray, shape (n, 13)
         From ``read_samples``.
-    circles : sequence of Circle
-        What the program ran.
 
     Raises
     ------

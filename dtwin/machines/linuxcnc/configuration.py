@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from dtwin.errors import InputError
+from dtwin.units import is_number
 
 AXES = "XYZ"
 TRAVEL_MM = 150.0
@@ -59,13 +60,7 @@ class MillFaults:
     noise: float = 0.2
 
     def hal_lines(self, seed: int) -> list[str]:
-        """Return HAL commands that give the machine its faults.
-
-        Parameters
-        ----------
-        seed : int
-            Of the bar's noise.
-        """
+        """Return HAL commands that give the machine its faults."""
         lines = [f"setp plant.{f.name.replace('_', '-')} {getattr(self, f.name):.9g}" for f in fields(self)]
         # Neighbouring seeds must not begin alike.
         return [*lines, f"setp plant.noise-state {1 + (seed * 2654435761) % (2**32 - 2)}"]
@@ -98,9 +93,8 @@ def read_faults(path: Path) -> MillFaults:
             "the faults cannot be read", code="linuxcnc.faults", where=str(path), got=str(error)[:120]
         ) from error
     for name, value in given.items():
-        number = isinstance(value, int | float) and not isinstance(value, bool)
         low, high = _RANGES.get(name, (-1.0, 1.0))
-        if name not in names or not number or not low <= value <= high:
+        if name not in names or not is_number(value) or not low <= value <= high:
             raise InputError(
                 "this is no fault of the simulated mill",
                 code="linuxcnc.faults",
@@ -114,10 +108,7 @@ def read_faults(path: Path) -> MillFaults:
 def ini_text(compensation: Mapping[str, str]) -> str:
     """Return LinuxCNC's ini file.
 
-    Parameters
-    ----------
-    compensation : mapping of str to str
-        Name of a compensation file in the same folder, by axis.
+    ``compensation``: name of a compensation file in the same folder, by axis.
     """
     lines = [
         "[EMC]",

@@ -15,7 +15,7 @@ from dtwin.errors import DeviceError, MissingPart
 from dtwin.links.opened import OpenAndClose
 from dtwin.machines.linuxcnc.configuration import MillFaults, ini_text
 
-PACKAGES = "linuxcnc-uspace linuxcnc-uspace-dev gcc libc6-dev make iproute2"
+_PACKAGES = "linuxcnc-uspace linuxcnc-uspace-dev gcc libc6-dev make iproute2"
 _PROGRAMS = {
     "linuxcnc": "linuxcnc-uspace",
     "halcompile": "linuxcnc-uspace-dev",
@@ -58,7 +58,7 @@ def require_linuxcnc() -> None:
                 f"{program} is not installed",
                 code="linuxcnc.missing",
                 where=f"package {package}",
-                hint=f"apt-get install --no-install-recommends {PACKAGES}",
+                hint=f"apt-get install --no-install-recommends {_PACKAGES}",
             )
     tried = _quiet(["unshare", *_NAMESPACES, "ip", "link", "set", "lo", "up"])
     if tried.returncode:
@@ -83,12 +83,8 @@ class LinuxcncSession(OpenAndClose):
 
     Parameters
     ----------
-    faults : MillFaults
-        What is wrong with the machine.
     compensation : mapping of str to str, optional
         Text of a compensation file, by axis.
-    seed : int
-        Of the bar's noise.
 
     Attributes
     ----------
@@ -157,7 +153,7 @@ class LinuxcncSession(OpenAndClose):
                     f"halcompile does not compile {source.name}",
                     code="linuxcnc.halcompile",
                     got=(built.stderr or built.stdout).strip()[-300:],
-                    hint=f"apt-get install --no-install-recommends {PACKAGES}",
+                    hint=f"apt-get install --no-install-recommends {_PACKAGES}",
                 )
         for axis, text in self.compensation.items():
             (self.folder / f"{axis.lower()}.comp").write_text(text)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from dtwin.physics._second_order import answer_to_force
 from dtwin.physics.effect import Effect, Law, Parameter, Shape, ShapeParameter, moves, travelled_mm
-from dtwin.physics.second_order import answer_to_force
 from dtwin.physics.state import State
 from dtwin.schema import Floats
 

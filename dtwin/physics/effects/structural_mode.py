@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dtwin.physics._second_order import mode_columns
 from dtwin.physics.effect import Effect, Law, Parameter, ShapeParameter
-from dtwin.physics.second_order import mode_columns
 
 EFFECT = Effect(
     name="structural_mode",

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dtwin.acquire.daq import AccelerometerChannel, AccelerometerTask, module_rates_hz
+from dtwin.acquire.daq import AccelerometerChannel, AccelerometerTask
 from dtwin.errors import DeviceError, InputError, MissingPart
 
 X = AccelerometerChannel("wrist_x_g", "cDAQ1Mod1/ai0")
@@ -34,14 +34,6 @@ def test_senseless_set_ups_are_refused(
     with pytest.raises(InputError) as caught:
         AccelerometerTask(channels, rate_hz, block_s=block_s)
     assert caught.value.code == "daq.setup"
-
-
-def test_rates_are_those_of_the_module() -> None:
-    rates = module_rates_hz()
-    assert rates[0] == 51_200.0
-    assert rates[1] == 25_600.0
-    assert rates[4] == 10_240.0
-    assert rates[-1] == pytest.approx(1651.6, abs=0.05)
 
 
 def test_a_server_that_is_not_there_is_named() -> None:

@@ -130,11 +130,6 @@ def test_a_device_that_takes_nothing_is_said(peer: SerialPeer) -> None:
         assert caught.value.code == "serial.stuck"
 
 
-def test_a_port_without_modem_lines_is_no_error(peer: SerialPeer) -> None:
-    with SerialLink(peer.port, 8) as link:
-        assert link.reset_device() is False
-
-
 def test_an_absent_port_names_those_that_are_here(tmp_path: Path) -> None:
     with pytest.raises(DeviceError) as caught:
         SerialLink(str(tmp_path / "ttyX"), 8).open()

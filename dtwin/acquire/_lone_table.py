@@ -1,0 +1,56 @@
+"""A table of measurements that lies alone: what must be told besides, and its campaign of one run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from dtwin.acquire._tabular import kind_of_table, read_columns
+from dtwin.acquire.campaign_folder import RUN_KEYS, CampaignFolder, campaign_from, entry_from
+from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
+
+_EXAMPLE = {"plane": "XY", "radius_mm": "150", "feed_mm_min": "2000", "axis": "X"}
+
+
+def open_table(path: Path, told: Mapping[str, Any]) -> CampaignFolder:
+    """Return a campaign of one run: a table that lies alone, and what is told of it.
+
+    ``path``: ``.csv`` or ``.parquet``.
+    ``told``: settings of a run as in ``campaign.toml``, besides ``campaign``, ``machine`` and ``axis``. Direction and
+    campaign may be left away: the angle runs one way, the file has a name.
+    """
+    kind = kind_of_table(path)
+    needed = kind_named(kind).stated
+    missing = [name for name in needed or () if told.get(name) is None]
+    if needed is None or missing:
+        raise InputError(
+            f"a table of a {kind} test does not say under which conditions it was measured",
+            code="ingest.condition",
+            where=str(path),
+            got=", ".join(sorted(k for k, v in told.items() if v is not None)) or "the file alone",
+            allowed="" if needed is None else "with " + ", ".join(needed),
+            hint="name it in a campaign.toml: docs/how-to/ingest-your-own.md"
+            if needed is None
+            else f"dtwin ingest {path.name} "
+            + " ".join(f"--{name.split('_')[0]} {_EXAMPLE[name]}" for name in needed)
+            + " --machine NAME",
+        )
+    run = {n: v for n, v in told.items() if v is not None and n in RUN_KEYS}
+    if kind_named(kind).goes_round and "direction" not in run:
+        angle = read_columns(path, kind)[0]["angle_deg"]
+        run["direction"] = "CCW" if angle[-1] > angle[0] else "CW"
+    if told.get("axis") is not None:
+        run["condition"] = {"axis": told["axis"]}
+    name = told.get("campaign") or safe_name(path.stem)
+    head = {"name": name, "machine": told.get("machine") or "unknown", "kind": kind}
+    entry = entry_from({"id": safe_name(path.stem), "file": path.name, **run}, 1, path)
+    return CampaignFolder(campaign_from(head, path), (entry,))
+
+
+def safe_name(text: str) -> str:
+    """Return a text as a name: what is not allowed in one becomes a hyphen."""
+    name = re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip("-._")[:80].lower()
+    return re.sub(r"\.{2,}", ".", name) or "unnamed"

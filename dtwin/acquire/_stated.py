@@ -1,0 +1,104 @@
+"""Checks of what a campaign file or an amendment states: bad values are told with their place."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from datetime import date, datetime
+from typing import Any
+
+from dtwin.errors import InputError
+from dtwin.units import is_number, require_units
+
+_DEEPEST = 6
+_LONGEST = 400
+_CORRECTION = re.compile(r"([0-9a-f]{64}|mixed)?")
+
+
+def _number(value: object, name: str, where: str) -> float:
+    """Return a finite number; truth values and text are none."""
+    if is_number(value):
+        return float(value)
+    raise _refused(name, where, value, "a finite number")
+
+
+def positive(value: object, name: str, where: str) -> float:
+    """Return a number above 0 and below 10 million."""
+    found = _number(value, name, where)
+    if 0.0 < found < 1e7:
+        return found
+    raise _refused(name, where, value, "a positive number")
+
+
+def count(value: object, name: str, where: str) -> int:
+    """Return a whole number from 1 to a million."""
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 1_000_000:
+        return value
+    raise _refused(name, where, value, "a whole number from 1")
+
+
+def iso_time(value: object, name: str, where: str) -> str:
+    """Return a time as ISO 8601 text, empty when none is stated."""
+    if isinstance(value, datetime | date):
+        return value.isoformat()
+    try:
+        if isinstance(value, str) and (not value or datetime.fromisoformat(value)):
+            return value
+    except ValueError:
+        pass
+    raise _refused(name, where, value, "a time such as 2026-03-02T08:00:00Z")
+
+
+def covariates(value: object, where: str) -> dict[str, float]:
+    """Return numbers that were logged once for a run; each name ends with its unit."""
+    if not isinstance(value, Mapping):
+        raise _refused("covariates", where, value, "a table of numbers")
+    require_units(value, where)
+    return {name: _number(v, f"covariates.{name}", where) for name, v in value.items()}
+
+
+def condition(value: object, where: str) -> dict[str, float | str]:
+    """Return what was set for a run: numbers and words by name."""
+    if not isinstance(value, Mapping):
+        raise _refused("condition", where, value, "a table of numbers and words")
+    return {
+        name: v
+        if isinstance(v, str) and len(v) <= _LONGEST
+        else v
+        if isinstance(v, int) and not isinstance(v, bool) and abs(v) < 2**53
+        else _number(v, f"condition.{name}", where)
+        for name, v in value.items()
+    }
+
+
+def correction(value: object, name: str, where: str) -> str:
+    """Return the checksum of a model that was served, ``mixed``, or nothing."""
+    if isinstance(value, str) and _CORRECTION.fullmatch(value):
+        return value
+    raise _refused(name, where, value, "64 hexadecimal digits, as dtwin record writes them")
+
+
+def table(value: object, name: str, where: str) -> dict[str, Any]:
+    """Return a table whose numbers are finite and that is not nested too deep."""
+    if not isinstance(value, Mapping):
+        raise _refused(name, where, value, "a table")
+    for key, part in value.items():
+        _plain(part, f"{name}.{key}", where, _DEEPEST)
+    return dict(value)
+
+
+def _plain(value: object, name: str, where: str, deepest: int) -> None:
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        _number(value, name, where)
+    elif isinstance(value, Mapping | list) and deepest:
+        parts = value.items() if isinstance(value, Mapping) else enumerate(value)
+        for key, part in parts:
+            _plain(part, f"{name}.{key}", where, deepest - 1)
+    elif not isinstance(value, str | bool | datetime | date):
+        raise _refused(name, where, value, "numbers, words, lists and tables")
+
+
+def _refused(name: str, where: str, value: object, allowed: str) -> InputError:
+    shown = f"{value:.3g}" if isinstance(value, float) and math.isfinite(value) else repr(value)
+    return InputError(f"{name} is not usable", code="campaign.value", where=where, got=shown[:60], allowed=allowed)

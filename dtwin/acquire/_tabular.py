@@ -1,0 +1,151 @@
+"""Measured columns from CSV and Parquet files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from dtwin.acquire.xmlsafe import require_bounded
+from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named, kinds
+from dtwin.units import require_units
+
+_MAX_TABLE_BYTES = 512 * 1024**2
+_LONGEST_HEAD = 65_536
+# Text that names a state rather than measuring something.
+_TEXT_COLUMNS = frozenset({"direction"})
+
+
+def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
+    """Read the samples of one run.
+
+    ``path``: ``.csv`` or ``.parquet``.
+    ``kind``: kind of campaign; decides which columns must be there.
+    Returns ``columns`` (n,): columns without the rejected rows.
+    Returns ``rejects``: rows that hold no usable number, each with ``row`` (from 0), ``reason`` and ``values``.
+    """
+    table = _read_table(path)
+    columns = {name: _as_array(table, name, path) for name in table.column_names}
+    required = kind_named(kind).columns
+    missing = [name for name in required if name not in columns]
+    if missing:
+        raise InputError(
+            f"a {kind} run lacks columns",
+            code="columns.missing",
+            where=str(path),
+            got=", ".join(table.column_names)[:200],
+            allowed=", ".join(required),
+        )
+    floats = [name for name, values in columns.items() if values.dtype.kind == "f"]
+    require_units(floats, str(path))
+    return _drop_bad_rows(columns, floats, path)
+
+
+def kind_of_table(path: Path) -> str:
+    """Return the kind of campaign whose columns a table has."""
+    names = set(_names(path))
+    for kind in kinds():
+        if names.issuperset(kind.columns):
+            return kind.name
+    raise InputError(
+        "the columns are those of no kind of test",
+        code="columns.missing",
+        where=str(path),
+        got=", ".join(sorted(names))[:200],
+        allowed="; ".join(f"{kind.name}: {', '.join(kind.columns)}" for kind in kinds()),
+        hint="rename the columns",
+    )
+
+
+def _read_table(path: Path) -> pa.Table:
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".parquet"):
+        raise InputError(
+            "unknown kind of table",
+            code="table.type",
+            where=str(path),
+            got=suffix or "no ending",
+            allowed=".csv, .parquet",
+        )
+    require_bounded(path, _MAX_TABLE_BYTES)
+    try:
+        if suffix == ".parquet":
+            return pq.read_table(path, page_checksum_verification=True)
+        return pa_csv.read_csv(path, **_dialect(path))
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _malformed(path, error) from error
+
+
+def _names(path: Path) -> list[str]:
+    if path.suffix.lower() != ".csv":
+        return list(_read_table(path).column_names)
+    require_bounded(path, _MAX_TABLE_BYTES)
+    try:
+        with pa_csv.open_csv(path, **_dialect(path)) as opened:
+            return list(opened.schema.names)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _malformed(path, error) from error
+
+
+def _dialect(path: Path) -> dict[str, Any]:
+    """Return how a file parts its columns and writes decimals, by its first line.
+
+    Spreadsheets of many countries part columns by semicolons and write decimal commas.
+    """
+    with path.open("rb") as file:
+        head = file.readline(_LONGEST_HEAD)
+    european = b";" in head and b"," not in head
+    return {
+        "parse_options": pa_csv.ParseOptions(delimiter=";" if european else ","),
+        "convert_options": pa_csv.ConvertOptions(decimal_point="," if european else "."),
+    }
+
+
+def _malformed(path: Path, error: Exception) -> InputError:
+    return InputError(
+        "the table cannot be read",
+        code="table.malformed",
+        where=str(path),
+        got=str(error)[:200],
+        allowed="columns parted by commas with decimal points, or by semicolons with decimal commas or points",
+        hint="the file may be cut short or damaged",
+    )
+
+
+def _as_array(table: pa.Table, name: str, path: Path) -> NDArray[Any]:
+    column = table.column(name)
+    if name in _TEXT_COLUMNS:
+        return np.array(column.cast(pa.string()).to_pylist(), dtype=object)
+    try:
+        return column.cast(pa.float64()).to_numpy()
+    except (pa.ArrowException, ValueError) as error:
+        raise InputError(
+            "a column is not numeric", code="columns.number", where=f"{path} {name[:60]}", got=str(error)[:120]
+        ) from error
+
+
+def _drop_bad_rows(
+    columns: dict[str, NDArray[Any]], floats: list[str], path: Path
+) -> tuple[dict[str, NDArray[Any]], list[dict[str, Any]]]:
+    finite = np.ones(len(columns[floats[0]]), dtype=bool)
+    for name in floats:
+        finite &= np.isfinite(columns[name])
+    if not finite.any():
+        raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
+    if finite.all():
+        return columns, []
+    rejects = [
+        {
+            "row": int(row),
+            "reason": "not finite: " + ", ".join(n for n in floats if not np.isfinite(columns[n][row])),
+            "values": {name: repr(columns[name][row].item()) for name in floats},
+        }
+        for row in np.flatnonzero(~finite)
+    ]
+    return {name: values[finite] for name, values in columns.items()}, rejects

@@ -1,0 +1,114 @@
+"""Lines over TCP, read without blocking: what state feeds and axis links share."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import time
+
+from dtwin.errors import DeviceError, InputError
+
+_CONNECT_S = 2.0
+_CHUNK = 1 << 16
+
+
+class LineSocket:
+    """A connection whose other end sends lines.
+
+    ``address``: ``HOST:PORT``.
+    ``longest``: a line of more bytes is thrown away.
+    ``overlong``: lines that were thrown away for their length.
+    """
+
+    def __init__(self, address: str, what: str, longest: int) -> None:
+        host, _, port = address.rpartition(":")
+        if not host or not port.isdigit() or not 0 < int(port) < 65536:
+            raise InputError(
+                f"this is no address of a {what}", code="states.address", got=address[:80], allowed="HOST:PORT"
+            )
+        self.address, self.host, self._what = address, host, what
+        self._place, self._longest = (host, int(port)), longest
+        self._socket: socket.socket | None = None
+        self._held = b""
+        self.overlong = 0
+
+    @property
+    def connected(self) -> bool:
+        """Whether it was opened and not closed."""
+        return self._socket is not None
+
+    def open(self) -> None:
+        """Connect.
+
+        Raises ``DeviceError`` when nobody answers.
+        """
+        if self._socket is not None:
+            return
+        try:
+            self._socket = socket.create_connection(self._place, _CONNECT_S)
+        except OSError as error:
+            raise self.fault("states.absent", f"no {self._what} answers ({error})") from error
+        self._socket.setblocking(False)
+        # One small line at a time, and each is waited for.
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._held = b""
+
+    def lines(self, until_s: float) -> list[bytes]:
+        """Return the whole lines that have come, waiting for the first until a monotonic time."""
+        while True:
+            if self._socket is None:
+                raise self.fault("states.closed", f"the {self._what} is not open")
+            left_s = max(until_s - time.monotonic(), 0.0)
+            ready, _, _ = select.select([self._socket], [], [], left_s)
+            found = self._received(self._socket) if ready else []
+            if found or time.monotonic() >= until_s:
+                return found
+
+    def send(self, line: bytes) -> None:
+        """Send a line, its end included, without waiting.
+
+        Raises ``DeviceError`` when the other end does not read, or the connection is broken.
+        """
+        if self._socket is None:
+            raise self.fault("states.closed", f"the {self._what} is not open")
+        try:
+            sent = self._socket.send(line)
+        except BlockingIOError as error:
+            raise self.fault("states.full", f"the {self._what} reads nothing") from error
+        except OSError as error:
+            raise self.fault("states.lost", f"the {self._what} broke ({error})") from error
+        if sent != len(line):
+            raise self.fault("states.full", f"the {self._what} reads too slowly")
+
+    def close(self) -> None:
+        """Close the connection; safe to call twice."""
+        held, self._socket = self._socket, None
+        if held is not None:
+            held.close()
+
+    def fault(self, code: str, text: str) -> DeviceError:
+        """Return an error about this connection."""
+        return DeviceError(
+            text,
+            code=code,
+            where=f"{self._what} at {self.address}",
+            hint="check the program beside the control, then serve again",
+        )
+
+    def _received(self, connection: socket.socket) -> list[bytes]:
+        received = b""
+        with contextlib.suppress(BlockingIOError):
+            try:
+                received = connection.recv(_CHUNK)
+            except BlockingIOError:
+                raise
+            except OSError as error:
+                raise self.fault("states.lost", f"the {self._what} broke ({error})") from error
+            if not received:
+                raise self.fault("states.lost", f"the {self._what} closed the connection")
+        *found, self._held = (self._held + received).split(b"\n")
+        if len(self._held) > self._longest:
+            self._held = b""
+            self.overlong += 1
+        return found

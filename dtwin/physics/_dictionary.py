@@ -1,0 +1,168 @@
+"""The library as columns whose products are known: sets of effects are compared in microseconds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.physics.candidates import Candidates, likely_pitches
+from dtwin.physics.problem import Problem, Term, least_visible
+from dtwin.schema import Floats
+
+_PITCH = "pitch_mm"
+_Index = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An effect in one shape."""
+
+    term: Term
+    columns: slice
+    free: int
+
+    @property
+    def label(self) -> str:
+        """Name with axis."""
+        return self.term.label
+
+
+class Dictionary:
+    """Effects in the shapes of their grids, beside what is known.
+
+    ``problem``: whitened campaign with what is known.
+    """
+
+    def __init__(self, problem: Problem, candidates: Candidates) -> None:
+        self._problem, self._candidates = problem, candidates
+        self._residual = problem.residual.ravel()
+        self.total = float(self._residual @ self._residual)
+        self.entries: list[Entry] = []
+        # A column is a row here. Room is left for more of them.
+        self._room, self._room_gram = np.empty((0, len(self._residual))), np.empty((0, 0))
+        self._right = np.empty(0)
+        self._sizes: list[tuple[_Index, _Index, Floats]] | None = None
+        grids = [Term(instance, shape) for instance in candidates.instances for shape in candidates.grid(instance)]
+        self.add(grids)
+
+    def add(self, terms: Iterable[Term]) -> list[Entry]:
+        """Take more effects in; those that nothing can be seen of are left out."""
+        new, parts, at = [], [], len(self._right)
+        for term in terms:
+            whitened = self._candidates.whitened(self._problem, term)
+            size = np.sqrt((whitened**2).sum(axis=0))
+            whitened = whitened[:, size > 0.0] / size[size > 0.0]
+            basis = self._problem.basis
+            left = whitened - basis @ (basis.T @ whitened)
+            left = left[:, (left**2).sum(axis=0) > least_visible(term)]
+            k = left.shape[1]
+            if not k:
+                continue
+            effect = term.instance.effect
+            new.append(Entry(term, slice(at, at + k), k + len(effect.shapes)))
+            parts.append(left)
+            at += k
+        if new:
+            self._append(np.concatenate(parts, axis=1))
+            self.entries += new
+            self._sizes = None
+        return new
+
+    def _append(self, added: Floats) -> None:
+        now, then = len(self._right), len(self._right) + added.shape[1]
+        if then > len(self._room):
+            room, gram = np.empty((2 * then, len(self._residual))), np.empty((2 * then, 2 * then))
+            room[:now], gram[:now, :now] = self._room[:now], self._gram
+            self._room, self._room_gram = room, gram
+        self._room[now:then] = added.T
+        cross = self._room[:then] @ added
+        self._room_gram[:then, now:then], self._room_gram[now:then, :then] = cross, cross.T
+        self._right = np.concatenate([self._right, added.T @ self._residual])
+
+    @property
+    def _gram(self) -> Floats:
+        return self._room_gram[: len(self._right), : len(self._right)]
+
+    def add_pitches(self, chosen: Sequence[Entry]) -> None:
+        """Take in the pitches at which what a set leaves repeats most, and those of the axis's screw in it."""
+        left = self._residual - self.fitted(chosen)
+        rows = left.reshape(self._problem.obs.n_rows, -1)
+        have = {e.label: e.term for e in chosen}
+        periodic = [
+            instance
+            for instance in self._candidates.instances
+            if instance.effect.shapes and instance.effect.shapes[0].name == _PITCH
+        ]
+        for instance in periodic:
+            # An axis has one screw.
+            pitches = [
+                term.shape[_PITCH]
+                for label, term in have.items()
+                if term.instance.axis == instance.axis and _PITCH in term.shape and label != instance.label
+            ]
+            if instance.label not in have:
+                pitches += likely_pitches(self._problem.obs, rows, instance, 1)
+            self.add(Term(instance, {_PITCH: pitch}) for pitch in pitches)
+
+    def fitted(self, chosen: Sequence[Entry]) -> Floats:
+        """Return what a set explains, whitened, shape (rows * n,)."""
+        index = _indices(chosen)
+        if not len(index):
+            return np.zeros_like(self._residual)
+        root = _root(self._gram[np.ix_(index, index)])
+        return np.asarray((root @ (root.T @ self._right[index])) @ self._room[index])
+
+    def explained(self, chosen: Sequence[Entry]) -> float:
+        """Return the sum of squares that a set explains."""
+        index = _indices(chosen)
+        if not len(index):
+            return 0.0
+        root = _root(self._gram[np.ix_(index, index)])
+        return float(((root.T @ self._right[index]) ** 2).sum())
+
+    def gains(self, chosen: Sequence[Entry]) -> Floats:
+        """Return what each entry would explain beside a set, shape (entries,)."""
+        index = _indices(chosen)
+        right, gram = self._right, self._gram
+        if len(index):
+            root = _root(gram[np.ix_(index, index)])
+            along = root.T @ gram[index]
+            right = right - along.T @ (root.T @ right[index])
+        out = np.zeros(len(self.entries))
+        for index, columns, least in self._by_size():
+            own = gram[columns[:, :, None], columns[:, None, :]]
+            if len(chosen):
+                part = along[:, columns].transpose(1, 2, 0)
+                own = own - part @ part.transpose(0, 2, 1)
+            values, vectors = np.linalg.eigh(own)
+            turned = (right[columns][:, None, :] @ vectors)[:, 0, :]
+            seen = values > least[:, None]
+            out[index] = np.where(seen, turned**2 / np.where(seen, values, 1.0), 0.0).sum(axis=1)
+        return out
+
+    def _by_size(self) -> list[tuple[_Index, _Index, Floats]]:
+        """Return, for each number k of columns, the entries with k, their columns and what is too little to see."""
+        if self._sizes is None:
+            sizes = np.array([e.columns.stop - e.columns.start for e in self.entries], dtype=int)
+            starts = np.array([e.columns.start for e in self.entries], dtype=int)
+            least = np.array([least_visible(e.term) for e in self.entries])
+            self._sizes = [
+                (index, starts[index][:, None] + np.arange(k), least[index])
+                for k in np.unique(sizes)
+                for index in [np.flatnonzero(sizes == k)]
+            ]
+        return self._sizes
+
+
+def _indices(chosen: Sequence[Entry]) -> _Index:
+    return np.concatenate([np.arange(e.columns.start, e.columns.stop) for e in chosen] or [np.empty(0, dtype=int)])
+
+
+def _root(gram: Floats) -> Floats:
+    """Return a root of the inverse, without the directions that are not determined."""
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-9 * max(float(values[-1]), 1e-300)
+    return np.asarray(vectors[:, keep] / np.sqrt(values[keep]))

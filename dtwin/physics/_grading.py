@@ -1,0 +1,61 @@
+"""Whether the laws of what was found hold, and what that makes of a name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dtwin.physics._laws import LawTest, law_tests
+from dtwin.physics._rivals import Found
+from dtwin.physics.candidates import Candidate
+from dtwin.physics.diagnosis import Grade
+
+SHOWN = 8
+
+
+def laws_of(effect: Found, effects: int) -> Mapping[str, list[LawTest]]:
+    """Test the laws of an effect and its rivals with all other effects taken out, by label.
+
+    What cannot be seen beside it may be a part of it only: its law is not that of the whole. The
+    p-values are Bonferroni's over all the effects found; few of them have a channel that may be late.
+    """
+    out = {}
+    for candidate in effect.group[:SHOWN]:
+        if candidate.term.label not in effect.absorbed:
+            tests = law_tests(effect.problem, effect.candidates, candidate, effect.level)
+            out[candidate.term.label] = [
+                test if test.variable == "delay" else replace(test, p_value=min(1.0, effects * test.p_value))
+                for test in tests
+            ]
+    return out
+
+
+def survivors(effect: Found, tests: Mapping[str, Sequence[LawTest]]) -> list[Candidate]:
+    """Return the members of a group whose laws hold.
+
+    Where that of the top one does not, one with more parameters only hides that.
+    """
+    most = effect.top.visible.shape[1] if _broken(tests.get(effect.label, ())) else np.inf
+    return [c for c in effect.group if c.visible.shape[1] <= most and not _broken(tests.get(c.term.label, ()))]
+
+
+def _broken(tests: Sequence[LawTest]) -> bool:
+    return any(test.broken for test in tests)
+
+
+def variables(candidate: Candidate, tests: Sequence[LawTest]) -> tuple[list[str], list[str]]:
+    """Return the variables of a law that were confirmed, and those that were not."""
+    law = candidate.term.instance.effect.law
+    wanted = [name for name, exponent in (("feed", law.feed), ("radius", law.radius)) if exponent is not None]
+    wanted += ["direction"] if law.direction != "mixed" else []
+    confirmed = {test.variable for test in tests if test.confirmed}
+    return [n for n in wanted if n in confirmed], [n for n in wanted if n not in confirmed]
+
+
+def grade_of(candidate: Candidate, tests: Sequence[LawTest], alone: bool) -> Grade:
+    """Grade a name: its law counts as confirmed when every variable of it was."""
+    law = candidate.term.instance.effect.law
+    enough = law.feed is not None and not _broken(tests) and not variables(candidate, tests)[1]
+    return "law-confirmed" if enough and alone else "shape-consistent"

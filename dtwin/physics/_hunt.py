@@ -1,0 +1,226 @@
+"""Which set of effects leaves least for what it costs, in one whitening."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.physics._dictionary import Dictionary, Entry
+from dtwin.physics._shapes import refined_together
+from dtwin.physics.candidates import Candidates
+from dtwin.physics.localise import condition_means
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Problem, Term, weighted_like
+from dtwin.physics.whitening import from_harmonics, inverse_root, smoothed
+from dtwin.schema import Floats
+
+# An effect must explain this share of what is left beyond noise, which may be misfit.
+_SHARE_OF_REST = 0.1
+# More left than this many times the noise is misfit.
+_MISFIT = 1.05
+_ROUNDS = 3
+_PASSES = 8
+_MOVES = 40
+_SETTLED = 1e-3
+# What happens so near to a reversal hangs on a fraction of a millisecond.
+_NEAR_REVERSAL_DEG = 2.6
+# So many times the mean square of what is left elsewhere is sharp.
+_SHARP = 1.5
+
+
+def best_set(
+    problem: Problem, candidates: Candidates, known: Sequence[Term], beside: Callable[[Problem], Problem]
+) -> tuple[list[Term], Observations, list[Term]]:
+    """Return the effects that explain a campaign best, and the observations that told.
+
+    ``problem``: whitened campaign with what the twin knows.
+    ``beside``: takes out of a problem what is neither the twin's nor the library's.
+    Returns ``obs``: the campaign; without the neighbourhood of reversals when the library's laws do not hold to within
+    the noise, there or everywhere.
+
+    Notes
+    -----
+    The first round takes the noise of the repeats. Where the best set leaves more, the laws of
+    the library are not exact: what is left, harmonic by harmonic, then counts as noise, so that
+    a further effect must stand out of the misfit as well.
+    """
+    noise = problem.noise
+    assert noise is not None
+    level = float(np.nanmean(noise.variance))
+    obs = problem.obs
+    hunt = _Hunt(problem, candidates, level)
+    chosen = hunt.run([])
+    everywhere = [entry.term for entry in chosen]
+    for number in range(_ROUNDS - 1):
+        if hunt.left(chosen) < _MISFIT * level * obs.mask.sum():
+            break
+        if number == 0 and obs.grid.kind == "circular":
+            obs = _away_from_reversals(obs)
+            candidates = Candidates(obs, candidates.instances)
+        terms = [entry.term for entry in chosen]
+        before = beside(weighted_like(obs, known, noise))
+        weights, level = _misfit_as_noise(before, terms)
+        problem = beside(weighted_like(obs, known, replace(noise, weights=weights)))
+        hunt = _Hunt(problem, candidates, level)
+        chosen = hunt.run(hunt.dictionary.add(terms))
+    terms = [entry.term for entry in chosen]
+    if obs is problem.obs and obs.grid.kind == "circular" and _is_sharp(problem, terms):
+        obs = _away_from_reversals(obs)
+    return terms, obs, everywhere
+
+
+class _Hunt:
+    """Adds, drops and replaces effects until nothing lowers the cost.
+
+    ``problem``: whitened campaign with what is known.
+    ``level``: variance of a whitened coefficient.
+    """
+
+    def __init__(self, problem: Problem, candidates: Candidates, level: float) -> None:
+        self._problem, self._candidates = problem, candidates
+        self.dictionary = Dictionary(problem, candidates)
+        runs = int(problem.obs.run_of.max()) + 1
+        # Schwarz's criterion over runs for every number, and the choice among all effects.
+        self._per_number = level * float(np.log(runs))
+        self._per_effect = 2.0 * level * float(np.log(max(2, len(candidates.instances))))
+        self._noise = level * float(problem.obs.mask.sum())
+
+    def left(self, chosen: Sequence[Entry]) -> float:
+        """Return the sum of squares that a set leaves."""
+        return self.dictionary.total - self.dictionary.explained(chosen)
+
+    def run(self, chosen: list[Entry]) -> list[Entry]:
+        """Return the best set that is reached from one."""
+        best, least = chosen, np.inf
+        for _ in range(_PASSES):
+            chosen = self._improved(self._grown(chosen))
+            chosen = self._improved(self._refined(chosen))
+            other = self._two_replaced(chosen)
+            if other is not chosen:
+                chosen = self._improved(self._refined(other))
+            cost = self._cost(chosen)
+            if cost >= least - self._per_effect:
+                break
+            best, least = chosen, cost
+        return best
+
+    def _price(self, entry: Entry) -> float:
+        return self._per_number * entry.free + self._per_effect
+
+    def _cost(self, chosen: Sequence[Entry]) -> float:
+        return self.left(chosen) + sum(self._price(entry) for entry in chosen)
+
+    def _is_worth(self, gain: float, left: float, entry: Entry) -> bool:
+        return gain > max(self._price(entry), _SHARE_OF_REST * (left - self._noise))
+
+    def _best(self, chosen: Sequence[Entry]) -> tuple[Entry, float] | None:
+        """Return the entry that would lower the cost most beside a set, and its gain."""
+        have = {entry.label for entry in chosen}
+        gains = self.dictionary.gains(chosen)
+        free = [
+            (float(gain) - self._price(entry), number)
+            for number, (gain, entry) in enumerate(zip(gains, self.dictionary.entries, strict=True))
+            if entry.label not in have
+        ]
+        if not free:
+            return None
+        number = max(free)[1]
+        return self.dictionary.entries[number], float(gains[number])
+
+    def _grown(self, chosen: list[Entry]) -> list[Entry]:
+        while True:
+            self.dictionary.add_pitches(chosen)
+            found = self._best(chosen)
+            if found is None or not self._is_worth(found[1], self.left(chosen) - found[1], found[0]):
+                return chosen
+            chosen = [*chosen, found[0]]
+
+    def _improved(self, chosen: list[Entry]) -> list[Entry]:
+        for _ in range(_MOVES):
+            changed = self._moved(chosen)
+            if changed is None:
+                break
+            chosen = changed
+        return chosen
+
+    def _moved(self, chosen: list[Entry]) -> list[Entry] | None:
+        """Return the set without its weakest effect, or with the best replacement of one."""
+        left, cost = self.left(chosen), self._cost(chosen)
+        best: tuple[float, list[Entry]] | None = None
+        weakest: tuple[float, list[Entry]] | None = None
+        for number, entry in enumerate(chosen):
+            rest = chosen[:number] + chosen[number + 1 :]
+            own = self.left(rest) - left
+            if not self._is_worth(own, left, entry):
+                weakest = min(weakest or (np.inf, rest), (own, rest), key=lambda pair: pair[0])
+            found = self._best(rest)
+            if found is None or found[0].label == entry.label:
+                continue
+            other = [*rest, found[0]]
+            changed = self._cost(other)
+            if changed < cost - 1e-9 * self.dictionary.total and (best is None or changed < best[0]):
+                best = changed, other
+        if weakest is not None:
+            return weakest[1]
+        return None if best is None else best[1]
+
+    def _two_replaced(self, chosen: list[Entry]) -> list[Entry]:
+        """Return the set with two effects replaced by one or two others, where that is cheaper."""
+        best, least = chosen, self._cost(chosen) - _SETTLED * self._noise / len(chosen or [0])
+        for i in range(len(chosen)):
+            for j in range(i):
+                rest = [entry for k, entry in enumerate(chosen) if k not in (i, j)]
+                for _ in range(2):
+                    found = self._best(rest)
+                    if found is None:
+                        break
+                    rest = [*rest, found[0]]
+                    cost = self._cost(rest)
+                    if cost < least:
+                        best, least = rest, cost
+        return best
+
+    def _refined(self, chosen: list[Entry]) -> list[Entry]:
+        terms = refined_together(self._problem, self._candidates, [e.term for e in chosen], self._per_number)
+        changed = [t for t, e in zip(terms, chosen, strict=True) if t is not e.term]
+        new = {entry.label: entry for entry in self.dictionary.add(changed)}
+        return [new.get(entry.label, entry) for entry in chosen]
+
+
+def _near_reversal(obs: Observations) -> NDArray[np.bool_]:
+    angle = np.degrees(obs.grid.phase_rad)
+    return np.abs((angle + 45.0) % 90.0 - 45.0) < _NEAR_REVERSAL_DEG
+
+
+def _away_from_reversals(obs: Observations) -> Observations:
+    """Return a campaign of circles without what lies near the ends of the axes."""
+    mask = obs.mask & ~_near_reversal(obs)[None, :]
+    return replace(obs, mask=mask, y_um=np.where(mask, obs.y_um, 0.0))
+
+
+def _is_sharp(problem: Problem, terms: Sequence[Term]) -> bool:
+    """Tell whether what effects leave, on the mean of the repeats, is larger near reversals."""
+    obs = problem.obs
+    rows = _left(problem, terms) / problem.weights
+    power = condition_means(obs, from_harmonics(rows) * obs.mask) ** 2
+    near = _near_reversal(obs)
+    return bool(power[:, near].mean() > _SHARP * power[:, ~near].mean())
+
+
+def _left(problem: Problem, terms: Sequence[Term]) -> Floats:
+    """Return what a set leaves, whitened, shape (rows, n)."""
+    obs = problem.obs
+    dictionary = Dictionary(problem, Candidates(obs, []))
+    rest = problem.residual.ravel() - dictionary.fitted(dictionary.add(terms))
+    return np.asarray(rest.reshape(obs.n_rows, obs.n_bins))
+
+
+def _misfit_as_noise(problem: Problem, terms: Sequence[Term]) -> tuple[Floats, float]:
+    """Return the weights that make what a set leaves white, and its variance then."""
+    obs = problem.obs
+    rows: Floats = _left(problem, terms) / problem.weights
+    weights = inverse_root(smoothed((rows**2).mean(axis=0)))
+    return weights, float(((rows * weights) ** 2).sum() / obs.mask.sum())

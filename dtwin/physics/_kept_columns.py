@@ -1,0 +1,52 @@
+"""Columns of effects that depend on nothing but the condition, kept between fits."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+
+from dtwin.physics.effect import Instance, Shape
+from dtwin.physics.state import State
+from dtwin.schema import Floats
+
+# Of 360 values and one or two columns each: at most about 50 MB.
+_MOST = 8192
+_lock = threading.Lock()
+_kept: OrderedDict[Hashable, Floats] = OrderedDict()
+
+
+def kept_columns(instance: Instance, shape: Shape, condition: Hashable, make: Callable[[], Floats]) -> Floats:
+    """Return columns of an effect under a condition, computed when they were not yet.
+
+    A diagnosis asks for the same few hundred shapes of every effect each time; machines are
+    measured under the same conditions again and again.
+
+    ``condition``: all that the columns depend on besides; as ``condition_key`` gives it.
+    Returns (n, parameters): read-only.
+    """
+    key = (instance.effect.regressors, instance.label, tuple(sorted(shape.items())), condition)
+    with _lock:
+        found = _kept.get(key)
+        if found is not None:
+            _kept.move_to_end(key)
+            return found
+    made = make()
+    made.setflags(write=False)
+    with _lock:
+        _kept[key] = made
+        while len(_kept) > _MOST:
+            _kept.popitem(last=False)
+    return made
+
+
+def condition_key(state: State) -> Hashable:
+    """Return all that tells a condition from another, as something that can be looked up."""
+    geometry = json.dumps(dict(state.geometry), sort_keys=True, default=repr)
+    condition = state.plane, state.radius_mm, state.feed_mm_s, state.direction, geometry
+    if state.kind == "circular":
+        return condition
+    # On a circle the points are always the same; along an axis every test chooses its own.
+    where = tuple((a, state.position_mm[a].tobytes()) for a in state.axes)
+    return state.kind, condition, where

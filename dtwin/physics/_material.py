@@ -1,0 +1,147 @@
+"""Which of the effects found are more than how far the laws of others are off."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from dtwin.physics._dictionary import Dictionary, Entry
+from dtwin.physics.candidates import Candidates
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Problem, Term, unweighted
+from dtwin.physics.whitening import from_harmonics, harmonic_numbers
+from dtwin.schema import Floats
+
+# Smaller effects are not reported: the library's laws are not exact either.
+IMMATERIAL = 0.08
+_INEXACT = 0.05
+_LEAST = 0.02
+# As RMS, of what all explain.
+_MUCH = 0.1
+_MOSTLY = 0.5
+# A simpler effect stands in for another one when it loses no more than this of what that explains.
+_STANDS_IN = 0.05
+
+
+def floor_um(problem: Problem) -> float:
+    """Return the noise floor; zero where it is not known."""
+    return problem.noise.floor_um if problem.noise is not None else 0.0
+
+
+def material(
+    terms: Sequence[Term], obs: Observations, known: Sequence[Term], candidates: Candidates, problem: Problem
+) -> tuple[list[Term], dict[str, list[Term]]]:
+    """Return the effects that are more than how far the laws of others are off, and their stand-ins.
+
+    Every effect must explain a fiftieth, as RMS, of what all explain, and a twentieth of what those
+    explain whose harmonics are its own; one of several shapes a twentieth of all. A stand-in, by the label of
+    the effect, is a simpler effect that loses no more in its place than laws are off.
+    """
+    if not terms:
+        return [], {}
+    dictionary = Dictionary(unweighted(obs, known), Candidates(obs, candidates.instances))
+    found = dictionary.add(terms)
+    floor = (IMMATERIAL * floor_um(problem)) ** 2 * float(obs.mask.sum())
+    whole = dictionary.explained(found)
+    floor = max(floor, _LEAST**2 * whole)
+    # What has several shapes can take that of any misfit.
+    least = {
+        entry.label: max(floor, _INEXACT**2 * (whole if len(entry.term.shape) > 1 else alike))
+        for entry, alike in zip(found, _alike(dictionary, found, obs), strict=True)
+    }
+    chosen = _worthwhile(dictionary, found, least)
+    stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least[e.label]) for e in chosen}
+    return [entry.term for entry in chosen], stand_ins
+
+
+def hidden_by_mask(
+    everywhere: Sequence[Term],
+    found: Sequence[Term],
+    obs: Observations,
+    known: Sequence[Term],
+    candidates: Candidates,
+    problem: Problem,
+) -> list[Term]:
+    """Return the effects that explain much beside those found, and most of it where the search did not look.
+
+    ``everywhere``: effects that explain the whole campaign best.
+    ``found``: effects that were found in a part of it.
+    ``known``, ``candidates``, ``problem``: what the twin knows, the library, and the whole campaign.
+    """
+    whole = Dictionary(unweighted(problem.obs, known), Candidates(problem.obs, []))
+    chosen = whole.add(found)
+    have = {entry.label for entry in chosen}
+    rest = [entry for entry in whole.add(everywhere) if entry.label not in have]
+    least = _MUCH**2 * whole.explained([*chosen, *rest])
+    out: list[Term] = []
+    while rest:
+        before = whole.explained(chosen)
+        best = max(rest, key=lambda entry: whole.explained([*chosen, entry]))
+        if whole.explained([*chosen, best]) - before < least:
+            break
+        rest.remove(best)
+        fitted = whole.fitted([*chosen, best]) - whole.fitted(chosen)
+        hidden = fitted.reshape(obs.n_rows, obs.n_bins)
+        if _is_hidden(hidden, obs) and not _replaces(best, chosen, whole):
+            chosen = [*chosen, best]
+            out.append(best.term)
+    return out
+
+
+def _replaces(new: Entry, chosen: list[Entry], dictionary: Dictionary) -> bool:
+    """Tell whether one of the effects chosen explains little beside a new one: that stands in its place."""
+    after = [*chosen, new]
+    both, one = dictionary.explained(after), dictionary.explained(chosen)
+    return any(
+        both - dictionary.explained([e for e in after if e is not entry])
+        < _MOSTLY * (one - dictionary.explained([e for e in chosen if e is not entry]))
+        for entry in chosen
+    )
+
+
+def _is_hidden(coefficients: Floats, obs: Observations) -> bool:
+    """Tell whether most of what an effect does lies outside of the part that is looked at."""
+    um = from_harmonics(coefficients)
+    return bool((um**2)[~obs.mask].sum() > _MOSTLY * (um**2).sum())
+
+
+def _alike(dictionary: Dictionary, found: list[Entry], obs: Observations) -> list[float]:
+    """Return, for each effect, the sum of squares of all effects in so far as their harmonics are its own."""
+    number = harmonic_numbers(obs.n_bins)
+    fitted = [dictionary.fitted([e]).reshape(obs.n_rows, obs.n_bins) for e in found]
+    power = np.array([np.bincount(number, (f**2).sum(axis=0)) for f in fitted])
+    share = np.sqrt(power / np.maximum(power.sum(axis=1, keepdims=True), 1e-300))
+    sums = ((share @ share.T) ** 2) @ power.sum(axis=1)
+    return np.minimum(sums, dictionary.explained(found)).tolist()
+
+
+def _stand_ins(dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float) -> list[Term]:
+    rest = [e for e in chosen if e is not entry]
+    have = {e.label for e in chosen}
+    own = dictionary.explained(chosen) - dictionary.explained(rest)
+    enough = own - min(least, _STANDS_IN * own)
+    gains = zip(dictionary.gains(rest).tolist(), dictionary.entries, strict=True)
+    near = [
+        (gain, other) for gain, other in gains if gain > enough and other.free < entry.free and other.label not in have
+    ]
+    # The best shape of each: the last one wins.
+    best = {other.label: other.term for _, other in sorted(near, key=lambda pair: pair[0])}
+    return list(best.values())
+
+
+def _worthwhile(dictionary: Dictionary, found: list[Entry], least: Mapping[str, float]) -> list[Entry]:
+    """Return the best of the effects found where each must explain so much: drop, add and exchange."""
+
+    def worth(entries: list[Entry]) -> float:
+        return dictionary.explained(entries) - sum(least[e.label] for e in entries)
+
+    chosen, most = found, worth(found)
+    while True:
+        rest = [e for e in found if e not in chosen]
+        fewer = [chosen[:i] + chosen[i + 1 :] for i in range(len(chosen))]
+        moves = [*fewer, *([*entries, e] for entries in [chosen, *fewer] for e in rest)]
+        best = max(moves, key=worth, default=chosen)
+        if worth(best) <= most:
+            return chosen
+        chosen, most = best, worth(best)

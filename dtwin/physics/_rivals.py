@@ -1,0 +1,208 @@
+"""What cannot be told from the effects that were found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dtwin.physics._dictionary import Dictionary, Entry
+from dtwin.physics._shapes import refined
+from dtwin.physics.candidates import Candidate, Candidates, probes
+from dtwin.physics.cross_validation import left_out_gain
+from dtwin.physics.problem import Problem, Term, least_visible
+from dtwin.physics.score import NoiseLevel, misfit, noise_level, score_test
+from dtwin.schema import Floats
+
+_GROUP_GAIN = 0.5
+# Between the shapes of the grid an effect may explain more.
+_NEAR = 0.3
+_GROUP_P = 0.05
+# The shape of the top effect was chosen among many: what has fewer numbers is not ruled out so soon.
+_SIMPLER_P = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """One effect that was found, with its rivals.
+
+    ``top``: the effect, tested against what all the others leave.
+    ``group``: it, and what these runs cannot tell from it, best first.
+    ``absorbed``: those of the group that cannot be seen beside the effect: they may be there as well.
+    ``problem``: the campaign with all the other effects that were found.
+    ``candidates``: the library where it was tested.
+    ``gain``: gain on conditions that were left out.
+    ``size_um``: RMS of what it explains beside all the others.
+    ``fitted_um``, (rows, n): what it does.
+    """
+
+    top: Candidate
+    group: tuple[Candidate, ...]
+    absorbed: frozenset[str]
+    problem: Problem
+    candidates: Candidates
+    level: NoiseLevel
+    gain: float
+    size_um: float
+    fitted_um: Floats
+
+    @property
+    def label(self) -> str:
+        """Name with axis."""
+        return self.top.term.label
+
+
+def described(
+    terms: Sequence[Term],
+    stand_ins: Mapping[str, Sequence[Term]],
+    problem: Problem,
+    candidates: Candidates,
+    whole: Problem,
+    plain: Problem,
+    everywhere: Candidates,
+) -> tuple[Found, ...]:
+    """Return effects with their rivals, the one that explains most first.
+
+    Tests are made where laws hold to within the noise. Sizes are told everywhere, and a rival must
+    not be ruled out there either.
+    """
+    out = []
+    beyond = misfit(candidates.given(problem, terms))
+    rough = NoiseLevel(misfit=misfit(everywhere.given(whole, terms)))
+    dictionary = Dictionary(problem, candidates)
+    chosen = {entry.label: entry for entry in dictionary.add(terms)}
+    for term in terms:
+        others = [t for t in terms if t is not term]
+        given = candidates.given(problem, others)
+        level = replace(noise_level(given, probes(given)), misfit=beyond)
+        top = candidates.tested_term(given, term, level)
+        if top is None:
+            continue
+        rivals, _ = candidates.tested(given, level, but=_far(dictionary, chosen, term))
+        bare = everywhere.given(plain, others)
+        group, absorbed = _group(given, candidates, level, top, rivals, whole is not problem)
+        if whole is not problem:
+            beside = everywhere.given(whole, others)
+            group = group[:1] + tuple(
+                c for c in group[1:] if c.term.label in absorbed or _adds_nothing(beside, top, c, everywhere, rough)
+            )
+        have = {c.term.label for c in group}
+        simpler = [t for t in stand_ins.get(term.label, ()) if t.label not in have]
+        tested = [candidates.tested_term(given, t, level) for t in simpler]
+        group += tuple(c for c in tested if c is not None)
+        group += _sets(problem, candidates, terms, term, rivals, group, level)
+        gain = left_out_gain(given, candidates.whitened(given, term))
+        visible = everywhere.visible(bare, term)
+        fitted = (visible @ (visible.T @ bare.residual.ravel())).reshape(bare.residual.shape)
+        size_um = everywhere.size_um(bare, term)
+        out.append(Found(top, group, absorbed, given, candidates, level, gain, size_um, fitted))
+    return tuple(sorted(out, key=lambda f: -f.size_um))
+
+
+def _far(dictionary: Dictionary, chosen: Mapping[str, Entry], term: Term) -> set[str]:
+    """Return the labels of what is no rival of a term: it explains too little in its place."""
+    rest = [entry for label, entry in chosen.items() if label != term.label]
+    gains = dictionary.gains(rest)
+    own = dictionary.explained(list(chosen.values())) - dictionary.explained(rest)
+    most: dict[str, float] = {}
+    for gain, entry in zip(gains, dictionary.entries, strict=True):
+        most[entry.label] = max(most.get(entry.label, 0.0), float(gain))
+    return {
+        entry.label
+        for entry in dictionary.entries
+        if entry.label in chosen
+        or (most[entry.label] < _NEAR * own and entry.term.instance.effect.name not in term.instance.effect.confusables)
+    }
+
+
+def _group(
+    problem: Problem,
+    candidates: Candidates,
+    level: NoiseLevel,
+    top: Candidate,
+    tested: Sequence[Candidate],
+    in_part: bool,
+) -> tuple[tuple[Candidate, ...], frozenset[str]]:
+    """Return what cannot be told from the top effect, and the labels of what cannot be seen beside it.
+
+    What leaves it nothing significant to explain, a 95 % confidence set. Where only a part of the
+    data is looked at, also what is simpler, explains half as much alone and nothing beside it: how
+    much of the two is there is not known.
+    """
+    group, hidden = [top], set()
+    beside = problem.extended(top.visible, candidates.whitened(problem, top.term))
+    for found in sorted(tested, key=lambda c: -c.score.gain):
+        if found.score.gain < _GROUP_GAIN * top.score.gain:
+            continue
+        other = refined_candidate(problem, candidates, found, level)
+        invisible = not candidates.visible(beside, other.term).shape[1]
+        if in_part and invisible and _numbers(other.term) < _numbers(top.term):
+            hidden.add(other.term.label)
+        elif not _adds_nothing(problem, top, other, candidates, level):
+            continue
+        group.append(other)
+    return tuple(group), frozenset(hidden)
+
+
+def _numbers(term: Term) -> int:
+    effect = term.instance.effect
+    return len(effect.parameters) + len(effect.shapes)
+
+
+def _sets(
+    problem: Problem,
+    candidates: Candidates,
+    terms: Sequence[Term],
+    term: Term,
+    rivals: Sequence[Candidate],
+    group: Sequence[Candidate],
+    level: NoiseLevel,
+) -> tuple[Candidate, ...]:
+    """Return what only together with its like on other axes is a rival of an effect, or of its likes.
+
+    Three lobes of a cup are two bowed guideways at one radius: neither bow alone is its rival, nor is
+    the cup one of either bow alone.
+    """
+    name = term.instance.effect.name
+    own = [t for t in terms if t.instance.effect.name == name]
+    given = candidates.given(problem, [t for t in terms if t not in own])
+    have = {c.term.label for c in group}
+    out: list[Candidate] = []
+    for other in term.instance.effect.confusables:
+        like = [c for c in rivals if c.term.instance.effect.name == other]
+        numbers = sum(_numbers(c.term) for c in like)
+        # What needs more numbers is no plainer explanation.
+        if len(like) + len(own) < 3 or not 0 < numbers <= sum(map(_numbers, own)):
+            continue
+        with_them = candidates.given(given, [c.term for c in like])
+        whitened = np.concatenate([candidates.whitened(given, t) for t in own], axis=1)
+        left, _ = with_them.visible(whitened, least=least_visible(term))
+        within = term.instance.effect.within_condition
+        if not left.shape[1] or (
+            score_test(with_them, left, with_them.residual, level, within=within).p_value > _GROUP_P
+        ):
+            out += [c for c in like if c.term.label not in have]
+    return tuple(out)
+
+
+def refined_candidate(problem: Problem, candidates: Candidates, candidate: Candidate, level: NoiseLevel) -> Candidate:
+    """Return a candidate in the shape, within its grid, that leaves least."""
+    term = refined(problem, candidate.term, bounded=True)
+    if term is candidate.term:
+        return candidate
+    return candidates.at(problem, candidate, term, level)
+
+
+def _adds_nothing(
+    problem: Problem, top: Candidate, other: Candidate, candidates: Candidates, level: NoiseLevel
+) -> bool:
+    visible = candidates.visible(problem, other.term)
+    given = problem.extended(visible, candidates.whitened(problem, other.term))
+    left = candidates.visible(given, top.term)
+    if not left.shape[1]:
+        return True
+    simpler = _numbers(other.term) < _numbers(top.term)
+    within = top.term.instance.effect.within_condition
+    score = score_test(given, left, given.residual, level, within=within)
+    return score.p_value > (_SIMPLER_P if simpler else _GROUP_P)

@@ -1,0 +1,152 @@
+"""Shape parameters: variable projection, the linear part solved for each try."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from dtwin.physics.candidates import Candidates
+from dtwin.physics.problem import Problem, Term
+from dtwin.schema import Floats
+
+_MOST_TRIES = 12
+_MOST_TOGETHER = 8
+_MARGIN = 1e-3
+_ABSENT = 1e-6
+_STEP = 1e-4
+
+
+def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
+    """Return a term with the shape near its own that leaves least.
+
+    ``problem``: campaign with everything else that is known.
+    ``term``: effect and the shape to start from.
+    ``bounded``: stay within the grid of the effect, as diagnosis does. Beyond it many effects turn into others:
+    friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
+    The same when no other shape is better, or when the effect has none.
+    """
+    names = [shape.name for shape in term.instance.effect.shapes]
+    if not names:
+        return term
+    # Its own cache, dropped afterwards: hardly any shape is asked for twice.
+    candidates = Candidates(problem.obs, [term.instance])
+    residual = problem.residual.ravel()
+
+    def left(logs: Floats) -> Floats:
+        shape = dict(zip(names, np.exp(logs), strict=True))
+        visible = candidates.visible(problem, replace(term, shape=shape))
+        return np.asarray(residual - visible @ (visible.T @ residual))
+
+    begun = np.log([term.shape[name] for name in names])
+    found = scipy.optimize.least_squares(
+        left,
+        begun,
+        bounds=_bounds(term, begun, bounded),
+        method="trf",
+        x_scale="jac",
+        max_nfev=_MOST_TRIES,
+        diff_step=[1e-4] * len(names),
+    )
+    if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
+        return term
+    return replace(term, shape=dict(zip(names, np.exp(found.x).tolist(), strict=True)))
+
+
+def refined_together(
+    problem: Problem, candidates: Candidates, terms: Sequence[Term], enough: float
+) -> tuple[Term, ...]:
+    """Return terms with the shapes, within their grids, that leave least when all are fitted.
+
+    ``problem``: campaign with what is known besides.
+    ``terms``: effects with the shapes to start from.
+    ``enough``: a step that lowers the sum of squares by less is the last one.
+    """
+    shaped = [term for term in terms if term.instance.effect.shapes]
+    if not shaped:
+        return tuple(terms)
+    for term in terms:
+        if not term.instance.effect.shapes:
+            visible = candidates.visible(problem, term)
+            problem = problem.extended(visible, candidates.whitened(problem, term))
+    sizes = [len(term.instance.effect.shapes) for term in shaped]
+    parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
+    projected = _Projected(problem, shaped, parts)
+    begun = np.log([term.shape[s.name] for term in shaped for s in term.instance.effect.shapes])
+    ranges = [_bounds(t, begun[part], True) for t, part in zip(shaped, parts, strict=True)]
+    low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
+    before = float((projected.left(begun) ** 2).sum())
+    found = scipy.optimize.least_squares(
+        projected.left,
+        begun,
+        projected.slopes,
+        bounds=(low, high),
+        x_scale="jac",
+        max_nfev=_MOST_TOGETHER,
+        ftol=max(1e-8, min(0.1, enough / max(before, 1e-300))),
+    )
+    if 2.0 * found.cost >= before:
+        return tuple(terms)
+    new = {t.label: _at(t, found.x[part]) for t, part in zip(shaped, parts, strict=True)}
+    return tuple(new.get(term.label, term) for term in terms)
+
+
+class _Projected:
+    """What effects leave as their shapes change, all amplitudes fitted, and its slopes after Kaufman (1975)."""
+
+    def __init__(self, problem: Problem, terms: Sequence[Term], parts: Sequence[slice]) -> None:
+        self._problem, self._terms, self._parts = problem, terms, parts
+        self._residual = problem.residual.ravel()
+        self._kept: dict[tuple[int, bytes], Floats] = {}
+
+    def left(self, logs: Floats) -> Floats:
+        """Return the residual, shape (rows * n,)."""
+        columns, inverse = self._solved(logs)
+        return np.asarray(self._residual - columns @ (inverse @ (columns.T @ self._residual)))
+
+    def slopes(self, logs: Floats) -> Floats:
+        """Return how the residual changes with every logarithm of a shape, shape (rows * n, shapes)."""
+        columns, inverse = self._solved(logs)
+        amplitude = inverse @ (columns.T @ self._residual)
+        out, at = np.empty((len(self._residual), len(logs))), 0
+        for number, part in enumerate(self._parts):
+            now = self._columns(number, logs[part])
+            own, at = amplitude[at : at + now.shape[1]], at + now.shape[1]
+            for i in range(part.start, part.stop):
+                moved = logs.copy()
+                moved[i] += _STEP
+                out[:, i] = (self._columns(number, moved[part]) - now) @ own / -_STEP
+        return np.asarray(out - columns @ (inverse @ (columns.T @ out)))
+
+    def _solved(self, logs: Floats) -> tuple[Floats, Floats]:
+        every = [self._columns(n, logs[part]) for n, part in enumerate(self._parts)]
+        columns: Floats = np.concatenate(every, axis=1)
+        inverse = np.asarray(np.linalg.pinv(columns.T @ columns, rcond=1e-10, hermitian=True), float)
+        return columns, inverse
+
+    def _columns(self, number: int, logs: Floats) -> Floats:
+        # The solver changes one shape at a time and comes back.
+        key = number, logs.tobytes()
+        if key not in self._kept:
+            problem, term = self._problem, _at(self._terms[number], logs)
+            columns = problem.obs.harmonics(term.instance, term.shape) * problem.weights[:, None]
+            whitened = columns.reshape(-1, columns.shape[2])
+            self._kept[key] = whitened - problem.basis @ (problem.basis.T @ whitened)
+        return self._kept[key]
+
+
+def _at(term: Term, logs: Floats) -> Term:
+    names = [shape.name for shape in term.instance.effect.shapes]
+    return replace(term, shape=dict(zip(names, np.exp(logs).tolist(), strict=True)))
+
+
+def _bounds(term: Term, begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:
+    """Return the range of each shape in logarithms; the solver wants a start inside."""
+    ranges = [
+        (min(shape.grid), max(shape.grid)) if within_grid and shape.grid else shape.bounds
+        for shape in term.instance.effect.shapes
+    ]
+    low, high = np.log(np.maximum(ranges, _ABSENT)).T
+    return np.minimum(low, begun) - _MARGIN, np.maximum(high, begun) + _MARGIN

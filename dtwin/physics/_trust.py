@@ -1,0 +1,115 @@
+"""Which of the effects found may be a part of something unknown that looks like them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dtwin.physics import localise
+from dtwin.physics._laws import share_that_follows
+from dtwin.physics._rivals import Found
+from dtwin.physics.observations import Observations
+from dtwin.physics.search import Search
+from dtwin.physics.whitening import from_harmonics, harmonic_numbers, to_harmonics
+from dtwin.schema import Floats
+
+# An effect so many times larger than what moves like it and is not resolved is itself.
+_LARGER = 3.0
+# Half of an effect, or of the mean square of what is left.
+_HALF = 0.5
+# An effect that is a smaller share of what is left hangs on it, whatever it follows.
+_TINY = 0.25
+# Spectra that agree less are of different things.
+_APART = 0.4
+
+
+def trusted(found: Search, doubted: Sequence[Found], much: bool) -> list[Found]:
+    """Return the effects that are not a part of something unknown that looks like them.
+
+    What is unknown is what is left, where that is much, and what the effects do whose laws do not
+    hold. An effect that moves with the condition as that does must be larger than those, and much
+    larger than what is left; otherwise its part is unknown as well. Where its harmonics are others,
+    or its amplitude follows its own law and not that of what is unknown, it is none of it, unless
+    it is tiny beside it.
+    """
+    obs = found.plain.obs
+    unknown = localise.in_angle(found.plain) * float(much)
+    least_um = _TINY * _rms_um(localise.condition_means(obs, unknown))
+    unknown = _LARGER * unknown + sum_um(doubted, obs)
+    kept = [f for f in found.found if f not in doubted]
+    # What moves with a channel, but not as the library says, may also stand still in part.
+    moving = [f for f in doubted if f.top.term.instance.effect.within_condition]
+    if moving:
+        does = [localise.condition_means(obs, _does_um(f, obs)) for f in kept]
+        power = _harmonics(localise.condition_means(obs, sum_um(moving, obs)), obs)
+        kept = [f for f, own in zip(kept, does, strict=True) if _overlap(_harmonics(own, obs), power) < _APART]
+    while True:
+        means = localise.condition_means(obs, unknown)
+        doubtful = [
+            f
+            for f in kept
+            if f.size_um < _rms_um(means) * _alike(f, means, obs)
+            and (f.size_um < least_um or not (_is_apart(f, means, obs) or _is_other(f, means, obs)))
+        ]
+        if not doubtful:
+            return kept
+        kept = [f for f in kept if f not in doubtful]
+        unknown = unknown + sum_um(doubtful, obs)
+
+
+def _rms_um(means: Floats) -> float:
+    return float(np.sqrt((means**2).sum() / max(float((means != 0.0).sum()), 1.0)))
+
+
+def sum_um(effects: Sequence[Found], obs: Observations) -> Floats:
+    """Return what effects do together, shape (rows, n)."""
+    return sum((_does_um(f, obs) for f in effects), np.zeros(obs.y_um.shape))
+
+
+def _does_um(effect: Found, obs: Observations) -> Floats:
+    return np.asarray(from_harmonics(effect.fitted_um) * obs.mask)
+
+
+def _alike(effect: Found, means: Floats, obs: Observations) -> float:
+    """Return the share, as an amplitude, of condition means that moves with the condition as an effect."""
+    does = localise.condition_means(obs, _does_um(effect, obs))
+    amplitude = np.sqrt((does**2).mean(axis=1))
+    if effect.top.term.instance.effect.law.direction == "odd":
+        amplitude = amplitude * np.array([c.sense for c in obs.conditions])
+    along = amplitude @ means / max(float(np.linalg.norm(amplitude)), 1e-300)
+    return float(np.sqrt((along**2).sum() / max(float((means**2).sum()), 1e-300)))
+
+
+def _is_apart(effect: Found, means: Floats, obs: Observations) -> bool:
+    """Tell whether condition means are mostly one harmonic, and an effect has little of theirs.
+
+    What has many harmonics can leave others than those that an effect takes of it.
+    """
+    power = _harmonics(means, obs)
+    own = _harmonics(localise.condition_means(obs, _does_um(effect, obs)), obs)
+    return bool(power.max() > _HALF and _overlap(own, power) < _APART)
+
+
+def _harmonics(means: Floats, obs: Observations) -> Floats:
+    """Return the share of each harmonic in the mean square of condition means."""
+    power = np.bincount(harmonic_numbers(obs.n_bins), (to_harmonics(means) ** 2).mean(axis=0))
+    return np.asarray(power / max(float(power.sum()), 1e-300))
+
+
+def _overlap(first: Floats, second: Floats) -> float:
+    """Return how far two spectra agree, from 0 to 1, after Bhattacharyya."""
+    return float(np.sqrt(first * second).sum())
+
+
+def _is_other(effect: Found, means: Floats, obs: Observations) -> bool:
+    """Tell whether no half of an effect can be a part of condition means that moves as these do."""
+    if effect.top.term.instance.effect.within_condition:
+        return False
+    sense = np.array([c.sense for c in obs.conditions])
+    for signs in (np.ones(len(sense)), sense):
+        amplitude = np.sqrt((means**2).mean(axis=1)) * signs
+        share, uncertainty = share_that_follows(effect, amplitude[obs.condition_of])
+        if share + 2.0 * uncertainty > _HALF:
+            return False
+    return True
