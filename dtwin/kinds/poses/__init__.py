@@ -1,0 +1,1 @@
+"""Robot poses: a robot is sent to many poses, and an instrument measures where its tool is."""

@@ -1,0 +1,122 @@
+"""Tables of robot poses in the dialect and under the headers that they come with.
+
+``[campaign.instrument.columns]`` names the house's column for a foreign header, with the unit that the file
+has: ``"Goal x" = "target_x_m"``. Metres and radians become millimetres and degrees.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.errors import InputError
+from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+
+_MOST_BYTES = 256 * 1024**2
+_SCALES = {"_m": ("_mm", 1000.0), "_rad": ("_deg", 180.0 / np.pi), "_um": ("_mm", 1e-3)}
+_STAMP_DIGITS = 14
+
+
+def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
+    """Return one table as a run, and the rows that hold no usable number.
+
+    Raises
+    ------
+    InputError
+        When a column is missing, with those that the file has.
+    """
+    text = read_bounded(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
+    lines = text.splitlines()
+    semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
+    rows = [row for row in csv.reader(lines, delimiter=";" if semicolon else ",") if any(row)]
+    recipe = campaign.instrument.get("columns", {})
+    named = [str(recipe.get(head.strip(), head.strip())) for head in (rows[0] if rows else [])]
+    body = [row if len(row) == len(named) else [""] * len(named) for row in rows[1:]]
+    wanted = {
+        n: i
+        for i, n in enumerate(named)
+        if n == "t_s" or n.startswith(("joint_", "measured_", "error_", "target_", "ambient_"))
+    }
+    values = {name: _numbers([row[i] for row in body]) for name, i in wanted.items()}
+    columns: dict[str, Floats] = {}
+    for name, column in values.items():
+        ending = next((e for e in _SCALES if name.endswith(e)), "")
+        new, scale = _SCALES.get(ending, (ending, 1.0))
+        columns[name.removesuffix(ending) + new] = column * scale
+    _require(columns, path, rows[0] if rows else [])
+    findings = _timed(columns, len(body))
+    need = np.stack([v for n, v in columns.items() if n.startswith(("joint_", "measured_", "error_"))], axis=1)
+    good = np.isfinite(need).all(axis=1)
+    if not good.any():
+        raise InputError("no row holds finite numbers", code="table.no_rows", where=str(path))
+    rejects = [
+        {"row": int(r), "reason": "not finite", "values": {n: repr(c[r].item()) for n, c in columns.items()}}
+        for r in np.flatnonzero(~good)
+    ]
+    gone = {n for n, c in columns.items() if not np.isfinite(c[good]).all()}
+    samples = {n: c[good] for n, c in columns.items() if n not in gone}
+    if gone:
+        said = f"columns with gaps are left out: {', '.join(sorted(gone))}"
+        findings.append(Finding("poses.gaps", "warning", said))
+    meta = RunMeta(run_id="poses", kind="poses", sample_rate_hz=float("nan"))
+    return [Run(meta, samples, source=str(path), findings=tuple(findings))], rejects
+
+
+def _numbers(cells: list[str]) -> Floats:
+    """Return cells as numbers; decimal commas and points may be mixed within a column."""
+    out = np.full(len(cells), np.nan)
+    for i, cell in enumerate(cells):
+        try:
+            out[i] = float(cell.strip().replace(",", "."))
+        except ValueError:
+            continue
+    return out
+
+
+def _require(columns: Mapping[str, Floats], path: Path, heads: list[str]) -> None:
+    measured = {f"measured_{a}_mm" for a in "xyz"}
+    by_error = {f"{what}_{a}_mm" for what in ("target", "error") for a in "xyz"}
+    if "joint_1_deg" in columns and (measured <= set(columns) or by_error <= set(columns)):
+        return
+    raise InputError(
+        "a table of poses lacks columns",
+        code="columns.missing",
+        where=str(path),
+        got=", ".join(heads)[:200],
+        allowed="joint_1_deg …, and measured_x_mm … or target_x_mm … with error_x_mm …",
+        hint='other headers: [campaign.instrument.columns] with lines such as "Goal x" = "target_x_m"',
+    )
+
+
+def _timed(columns: dict[str, Floats], n: int) -> list[Finding]:
+    """Give the rows their times; the number of the row stands for a time that is not known."""
+    stamps = columns.get("t_s")
+    if stamps is not None and np.isfinite(stamps).all():
+        if stamps.min() > 10.0 ** (_STAMP_DIGITS - 1):
+            stamps = _seconds(stamps)
+        if np.ptp(stamps) > 0.0:
+            order = np.argsort(stamps, kind="stable")
+            for name in columns:
+                columns[name] = columns[name][order]
+            columns["t_s"] = stamps[order] - stamps[order[0]]
+            if (np.diff(order) > 0).all():
+                return []
+            return [Finding("poses.order", "info", "rows were not in the order of their times: they are sorted")]
+    columns["t_s"] = np.arange(n, dtype=np.float64)
+    said = "the times of the rows are not known: t_s is the number of the row, and drift over time is not judged"
+    return [Finding("poses.times", "warning", said)]
+
+
+def _seconds(stamps: Floats) -> Floats:
+    """Return stamps such as 20200714163904 in seconds; of a stamp that is none, all are the same."""
+    texts = [f"{s:.0f}" for s in stamps]
+    iso = [f"{s[:4]}-{s[4:6]}-{s[6:8]}T{s[8:10]}:{s[10:12]}:{s[12:14]}" for s in texts]
+    try:
+        return np.array(iso, dtype="datetime64[s]").astype(np.float64)
+    except ValueError:
+        return np.zeros(len(stamps))

@@ -1,0 +1,75 @@
+"""Robot poses measured by a tracker: ISO 9283, and a twin of the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, cast
+
+from dtwin.kinds.kind import FileReader, Kind
+
+if TYPE_CHECKING:
+    from dtwin.config import Home
+    from dtwin.kinds.kind import TwinReport
+    from dtwin.physics.effect import Effect
+    from dtwin.schema import Campaign, Finding, Run
+    from dtwin.twins.verbs import Twins
+
+
+class _Poses(Kind):
+    name = "poses"
+    columns = ("t_s", "joint_1_deg")
+    # Those of arms of up to nine joints, and of both ways to write a measurement.
+    campaign_columns = (
+        *(f"joint_{j}_deg" for j in range(1, 10)),
+        *(f"{what}_{a}_mm" for what in ("measured", "target", "error") for a in "xyz"),
+        "ambient_c",
+    )
+    always_fitted = "The instrument's frame and the tool are always fitted."
+    instead: ClassVar[Mapping[str, str]] = {
+        "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm",
+        "sheet": "dtwin check CAMPAIGN tells the figures of ISO 9283",
+    }
+
+    @property
+    def readers(self) -> Mapping[str, FileReader]:
+        from dtwin.kinds.poses.read import read_poses
+
+        return {".csv": read_poses}
+
+    def completed(self, run: Run, campaign: Campaign) -> Run:
+        from dtwin.kinds.poses.data import with_chain
+
+        return with_chain(run, campaign)
+
+    def judge_run(self, run: Run) -> list[Finding]:
+        from dtwin.kinds.poses.check import judge_poses
+
+        return judge_poses(run)
+
+    def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
+        from dtwin.kinds.poses.check import problem_of
+        from dtwin.kinds.poses.data import chain_in
+        from dtwin.kinds.poses.iso9283 import figures
+
+        told = {run.meta.run_id: figures(run, chain_in(run), problem_of(run).poses.place) for run in runs}
+        return {"iso9283": told}
+
+    def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
+        from dtwin.kinds.poses.iso9283 import lines
+
+        return [line for run, found in result["iso9283"].items() for line in lines(run, found)]
+
+    def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
+        from dtwin.kinds.poses.twins import PoseTwins
+
+        # The same verbs, for a twin of an arm.
+        return cast("Twins", PoseTwins(home))
+
+    @property
+    def twin_report(self) -> TwinReport:
+        from dtwin.kinds.poses import twin_report
+
+        return twin_report
+
+
+KIND = _Poses()
