@@ -1,0 +1,154 @@
+"""Poses of a robot: the generator shares no formula with the fit, it multiplies exponentials of screws."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from dtwin.acquire.ingest import open_source
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.poses.chain import KNOWN, frames
+from dtwin.kinds.poses.diagnosis import diagnose
+from dtwin.kinds.poses.effects import Term, terms_of
+from dtwin.kinds.poses.fit import Grams, parameters
+from dtwin.kinds.poses.series import series_of
+from dtwin.kinds.poses.twins import PoseTwins
+from dtwin.kinds.registry import kind_named
+from dtwin.schema import Floats
+
+# Axes of a UR10 at rest, and a point on each, mm: read off the maker's drawing.
+_AXES = np.array([[0, 0, 1], [0, -1, 0], [0, -1, 0], [0, -1, 0], [0, 0, -1], [0, -1, 0]], dtype=float)
+_POINTS = np.array(
+    [
+        [0, 0, 0],
+        [0, 0, 127.3],
+        [-612, 0, 127.3],
+        [-1184.3, 0, 127.3],
+        [-1184.3, -163.941, 127.3],
+        [-1184.3, -163.941, 11.6],
+    ],
+    dtype=float,
+)
+_TOOL = np.array([-1184.3, -163.941 - 92.2 - 80.0, 11.6 + 30.0])
+
+
+def _measured(joints: Floats, sag_mrad_m: float = 0.0) -> Floats:
+    """Return tool points (n, 3): screws one after the other; joint 2 gives way to the weight of the forearm."""
+    out = []
+    for angles in joints:
+        bent = angles.copy()
+        reach = 0.612 * np.cos(angles[1]) + 0.5723 * np.cos(angles[1] + angles[2])
+        bent[1] += 1e-3 * sag_mrad_m * -reach
+        here = np.eye(4)
+        for axis, point, angle in zip(_AXES, _POINTS, bent, strict=True):
+            x, y, z = axis
+            screw = np.zeros((4, 4))
+            screw[:3, :3] = [[0, -z, y], [z, 0, -x], [-y, x, 0]]
+            screw[:3, 3] = -np.cross(axis, point)
+            here = here @ expm(screw * angle)
+        out.append((here @ [*_TOOL, 1.0])[:3])
+    turn = Rotation.from_euler("xyz", [20, -30, 110], degrees=True).as_matrix()
+    return np.array(out) @ turn.T + [2000.0, -1500.0, 300.0]
+
+
+def _joints(n: int, seed: int) -> Floats:
+    rng = np.random.default_rng(seed)
+    one = rng.uniform([-2, -2.2, -2.0, -2.5, -2.5, -2.5], [2, -0.6, 2.0, 2.5, 2.5, 2.5], (n, 6))
+    return np.concatenate([one, one[: n // 5]])
+
+
+def _grams(error: Floats, sag: float = 0.0, seed: int = 0) -> Grams:
+    joints, rng = _joints(300, seed), np.random.default_rng(100 + seed)
+    measured = _measured(joints + error, sag) + rng.normal(0.0, 0.03, (len(joints), 3))
+    return Grams(series_of(np.degrees(joints), measured, KNOWN["ur10"], None))
+
+
+def test_screws_and_chain_tell_the_same_robot() -> None:
+    grams = _grams(np.zeros(6))
+    assert np.abs(grams.series.error_mm).max() < 0.2
+    assert grams.series.floor_mm == pytest.approx(0.03 * np.sqrt(3.0), rel=0.25)
+    assert grams.series.repeats == 60
+    at = frames(np.zeros((1, 6)), KNOWN["ur10"])
+    assert at.origin_mm[-1, 0] == pytest.approx([-1184.3, -256.141, 11.6])
+
+
+def test_a_zero_of_a_joint_is_named_and_nothing_else() -> None:
+    grams = _grams(np.array([0, 0, 1.2e-3, 0, 0, 0]))
+    said = diagnose(grams, ())
+    assert (said.verdict, said.additions[0]) == ("missing_effect", "joint_zero@J3")
+    assert said.additions == ("joint_zero@J3",)
+    after = diagnose(grams, (Term("joint_zero", 3),))
+    assert after.verdict == "nothing_missing"
+    told = parameters(grams, [Term("joint_zero", 3)])[0]
+    assert told.value == pytest.approx(1.2, abs=2.0 * told.k2)
+
+
+def test_a_sound_robot_lacks_nothing() -> None:
+    for seed in range(4):
+        assert diagnose(_grams(np.zeros(6), seed=seed), ()).verdict == "nothing_missing"
+
+
+def test_sag_is_named_where_it_was_put() -> None:
+    said = diagnose(_grams(np.zeros(6), sag=1.0), ())
+    assert "gravity_sag@J2" in said.additions
+
+
+def test_what_frame_and_tool_hide_has_no_number() -> None:
+    told = {(p.term.label, p.name): p.value for p in parameters(_grams(np.zeros(6)), terms_of(["joint_zero"], 6))}
+    hidden = {label for (label, _), value in told.items() if np.isnan(value)}
+    assert hidden == {"joint_zero@J1", "joint_zero@J6"}
+
+
+def test_the_uncertainty_covers_what_was_put_in() -> None:
+    put = np.array([0, 0.5e-3, 0, 0, 0, 0])
+    found = [parameters(_grams(put, seed=s), [Term("joint_zero", 2)])[0] for s in range(12)]
+    assert sum(abs(p.value - 0.5) < p.k2 for p in found) >= 10
+
+
+def _campaign(folder: Path, scale: float = 1.0, *, decimal: str = ",") -> Path:
+    joints = _joints(60, 3)
+    measured = _measured(joints + [0, 0, 2e-3, 0, 0, 0])
+    folder.mkdir()
+    rows = [";".join([*(f"J{j}" for j in range(1, 7)), "X", "Y", "Z", "stamp"])]
+    for n, (angles, point) in enumerate(zip(joints, measured * scale, strict=True)):
+        cells = [f"{v:.9f}".replace(".", decimal if n % 2 else ".") for v in (*angles, *point)]
+        rows.append(";".join([*cells, "2,02011E+13"]))
+    (folder / "poses.csv").write_text("\n".join(rows), encoding="utf-8")
+    names = [f'J{j} = "joint_{j}_rad"' for j in range(1, 7)] + [f'{a} = "measured_{a.lower()}_mm"' for a in "XYZ"]
+    head = (
+        '[campaign]\nname = "tracker"\nmachine = "arm"\nkind = "poses"\n[campaign.machine_geometry]\nchain = "ur10"\n'
+    )
+    recipe = "[campaign.instrument.columns]\n" + "\n".join([*names, 'stamp = "t_s"'])
+    runs = '\n[[run]]\nid = "r"\nfile = "poses.csv"\n'
+    (folder / "campaign.toml").write_text(head + recipe + runs, encoding="utf-8")
+    return folder
+
+
+def _codes(folder: Path) -> set[str]:
+    _, runs = open_source(folder)[:2]
+    return {f.code for found, _ in runs for run in found for f in (*run.findings, *kind_named("poses").judge_run(run))}
+
+
+def test_mixed_decimals_and_dead_stamps_are_read_and_said(tmp_path: Path) -> None:
+    assert _codes(_campaign(tmp_path / "c")) == {"poses.times", "poses.repeats"}
+
+
+def test_metres_under_a_name_of_millimetres_are_an_error(tmp_path: Path) -> None:
+    assert "poses.chain" in _codes(_campaign(tmp_path / "c", 1e-3))
+
+
+def test_the_verbs_of_a_twin_work_on_poses(tmp_path: Path) -> None:
+    twins = PoseTwins(Home(tmp_path / "home"))
+    first = twins.fit(str(_campaign(tmp_path / "c")), ["joint_zero@J2"], "arm")
+    second = twins.add("arm", "joint_zero", "J3")
+    assert second.figures["mean_after_mm"] < 0.1 * first.figures["mean_after_mm"]
+    found = twins.compare("arm").as_dict()
+    assert found["mean_same_mounting_mm"] == pytest.approx(second.figures["mean_after_mm"], rel=0.05)
+    assert twins.remove("arm", "joint_zero@J3").labels == ("joint_zero@J2",)
+    with pytest.raises(InputError, match="unknown effect"):
+        twins.add("arm", "rust")
