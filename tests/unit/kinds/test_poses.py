@@ -112,7 +112,7 @@ def test_the_uncertainty_covers_what_was_put_in() -> None:
 
 def _campaign(folder: Path, scale: float = 1.0, *, decimal: str = ",") -> Path:
     joints = _joints(60, 3)
-    measured = _measured(joints + [0, 0, 2e-3, 0, 0, 0])
+    measured = _measured(joints + np.array([0, 0, 2e-3, 0, 0, 0]))
     folder.mkdir()
     rows = [";".join([*(f"J{j}" for j in range(1, 7)), "X", "Y", "Z", "stamp"])]
     for n, (angles, point) in enumerate(zip(joints, measured * scale, strict=True)):
