@@ -47,7 +47,7 @@ class Comparison:
         )
         return (
             f"candidate {self.candidate} leaves {what} than champion {self.champion} "
-            f"({self.candidate_um:z.1f} against {self.champion_um:z.1f} um) on {self.n_runs} runs" + known
+            f"({self.candidate_um:z.1f} against {self.champion_um:z.1f} µm) on {self.n_runs} runs" + known
         )
 
     def table(self) -> tuple[list[str], list[list[str]]]:

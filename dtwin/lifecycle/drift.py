@@ -149,11 +149,11 @@ def check_drift(home: Home, champion: RegisteredVersion, campaign: str, progress
     excess = float(np.sqrt(max(0.0, error.rms_um**2 - expected**2)))
     drifted = excess > error.noise_floor_um
     reason = (
-        f"champion {champion.version} leaves {error.rms_um:z.1f} um on {error.n_runs} runs of "
-        f"{campaign} that it never saw, {expected:z.1f} um were registered with it "
-        f"({left_out} left out): grown by {excess:z.1f} um in quadrature, "
+        f"champion {champion.version} leaves {error.rms_um:z.1f} µm on {error.n_runs} runs of "
+        f"{campaign} that it never saw, {expected:z.1f} µm were registered with it "
+        f"({left_out} left out): grown by {excess:z.1f} µm in quadrature, "
         f"{'more' if drifted else 'not more'} than the noise floor of "
-        f"{error.noise_floor_um:z.1f} um"
+        f"{error.noise_floor_um:z.1f} µm"
     )
     return DriftCheck(champion.version, campaign, error, expected, left_out, excess, drifted, reason)
 

@@ -261,6 +261,6 @@ def _named(condition: tuple[str, float, float]) -> str:
 
 def _told(check: ConditionCheck) -> str:
     return (
-        f"{check.name} {check.before_um:z.1f} -> {check.after_um:z.1f} um, by {check.growth_um:+z.1f} "
-        f"± {check.half_width_um:z.1f} um over {check.pairs} pairs"
+        f"{check.name} {check.before_um:z.1f} -> {check.after_um:z.1f} µm, by {check.growth_um:+z.1f} "
+        f"± {check.half_width_um:z.1f} µm over {check.pairs} pairs"
     )
