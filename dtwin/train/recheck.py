@@ -1,4 +1,4 @@
-"""Whether a champion still helps: circles with and without it, later, interleaved and randomised."""
+"""Whether a champion still helps: runs with and without it, later, interleaved and randomised."""
 
 from __future__ import annotations
 
@@ -11,12 +11,8 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.machines.cobot import CircleCondition, VirtualCobot
-from dtwin.progress import Progress
 from dtwin.schema import Floats
-from dtwin.serve.bundle import Bundle
 from dtwin.statistics import t_quantile
-from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
 from dtwin.train.evidence import Evidence
 from dtwin.train.results import condition_name
 
@@ -99,60 +95,6 @@ class Recheck:
         """Return a JSON-ready mapping."""
         rows = [asdict(c) | {"worse": c.worse, "better": c.better} for c in self.conditions]
         return {"verdict": self.verdict, "reason": self.reason, "conditions": rows}
-
-
-def interleaved_runs(
-    bundle: Bundle,
-    cobot: VirtualCobot,
-    *,
-    tcp_mm: Floats,
-    conditions: Sequence[tuple[str, float, float]],
-    blocks: int = 3,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> list[CheckedRun]:
-    """Measure circles with and without a correction on the virtual cobot, in random order.
-
-    Every block holds each condition in both directions, with and without, in an order of its own.
-    The bar stays mounted; centre and radius of a set-up are fitted for each way as in the
-    evidence for promotion.
-
-    Parameters
-    ----------
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point.
-    blocks : int
-        Passes over all of it.
-    """
-    rng = np.random.default_rng([seed, 83])
-    jobs = [
-        (condition, direction, way)
-        for condition in conditions
-        for direction in ("CCW", "CW")
-        for way in ("uncompensated", "compensated")
-    ]
-    found: dict[Any, list[dict[str, Any]]] = defaultdict(list)
-    order = [(block, jobs[i]) for block in range(blocks) for i in rng.permutation(len(jobs))]
-    total = len(order)
-    for number, (block, ((plane, radius, feed), direction, way)) in enumerate(order):
-        recording, _ = run_circle(
-            cobot,
-            bundle,
-            tcp_mm,
-            CircleCondition(plane, radius, feed, direction),
-            f"recheck-{seed}-{plane}-{radius:g}",
-            1000 * (seed + 1) + number,
-            way,
-        )
-        run = evaluate_circle(recording, direction) | {"block": block}
-        found[(plane, radius, feed), way].append(run)
-        if progress is not None:
-            progress(number + 1, total, f"{plane} R{radius:g} F{feed:g}, {way}")
-    return [
-        CheckedRun(plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms))
-        for ((plane, radius, feed), way), runs in found.items()
-        for run, rms in zip(runs, rms_per_run(runs), strict=True)
-    ]
 
 
 def judge(runs: Sequence[CheckedRun]) -> Recheck:
