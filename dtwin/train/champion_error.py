@@ -99,5 +99,5 @@ def _stated(row: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def um_text(value_um: float) -> str:
-    """Return micrometres for people; of errors below one, nanometres count."""
-    return f"{value_um:z.1f}" if not 0.0 < value_um < 1.0 else f"{value_um:z.3f}"
+    """Return micrometres for people: one decimal, two digits below one."""
+    return f"{value_um:.2g}" if 0.0 < value_um < 1.0 else f"{value_um:z.1f}"

@@ -13,6 +13,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 from dtwin.statistics import t_quantile
+from dtwin.train.champion_error import um_text
 from dtwin.train.evidence import Evidence
 from dtwin.train.results import condition_name
 
@@ -141,7 +142,8 @@ def judge_evidence(evidence: Evidence) -> Recheck:
             c["before_um"],
             c["after_um"],
             c["after_um"] - c["before_um"],
-            math.hypot(c["before_ci_um"], c["after_ci_um"]),
+            # Both ways of one cycle, where nothing was served, are a pair.
+            c.get("growth_ci_um", math.hypot(c["before_ci_um"], c["after_ci_um"])),
             c["n_with"],
         )
         for c in evidence.conditions
@@ -202,7 +204,8 @@ def _named(condition: tuple[str, float, float]) -> str:
 
 
 def _told(check: ConditionCheck) -> str:
+    digits = 1 if check.before_um >= 1.0 else 3
     return (
-        f"{check.name} {check.before_um:z.1f} -> {check.after_um:z.1f} um, by {check.growth_um:+z.1f} "
-        f"± {check.half_width_um:z.1f} um over {check.pairs} pairs"
+        f"{check.name} {um_text(check.before_um)} -> {um_text(check.after_um)} um, by {check.growth_um:+z.{digits}f} "
+        f"± {um_text(check.half_width_um)} um over {check.pairs} pairs"
     )

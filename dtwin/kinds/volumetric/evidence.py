@@ -160,6 +160,7 @@ def _condition(
         "after_um": float(left.mean()),
         "before_ci_um": ci[0],
         "after_ci_um": ci[1],
+        "growth_ci_um": _half_width(left - was),
         "floor_um": float(noise.mean()),
         "n_without": len(was),
         "n_with": len(was),
