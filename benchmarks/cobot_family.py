@@ -156,7 +156,7 @@ def text(found: list[dict[str, Any]]) -> str:
             cells += [f"{before:z.1f} -> {after:z.1f}", f"{best:z.1f}"]
         r2 = ", ".join(f"{group} {value:z.3f}" for group, value in one["r2"].items())
         rows.append([one["member"], r2, "yes" if one["passed"] else "no", *cells])
-    head = ["cobot", "R2 left out", "gates", "unseen feed, um", "oracle", "trained feed, um", "oracle"]
+    head = ["cobot", "R2 left out", "gates", "unseen feed, µm", "oracle", "trained feed, µm", "oracle"]
     return table(head, rows)
 
 

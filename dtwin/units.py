@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable
 from typing import TypeGuard
@@ -46,6 +47,11 @@ _LARGEST = sys.float_info.max
 def is_number(value: object) -> TypeGuard[float]:
     """Tell whether a value that was read is a finite number; a truth value is none."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+
+
+def shown_unit(unit: str) -> str:
+    """Return a unit as people read it: ``um/(m/s2)`` as µm/(m/s²)."""
+    return re.sub(r"(?<=s)2\b", "²", re.sub(r"\bu(?=m\b|rad\b)", "µ", unit))
 
 
 def unit_of(column: str) -> str | None:

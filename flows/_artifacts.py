@@ -74,7 +74,7 @@ def publish_held_out_error(report: TrainingReport) -> None:
     """
     rows = [(c.name, {"held-out RMS": c.held_out.rms_um}) for c in report.candidates]
     svg = _plots.bars(
-        "error on conditions left out, um RMS", rows, floor=report.noise_floor_um, longest=1.5 * report.rms_before_um
+        "error on conditions left out, µm RMS", rows, floor=report.noise_floor_um, longest=1.5 * report.rms_before_um
     )
     text = _plots.markdown("held-out error by candidate", svg)
     publish_markdown(f"held-out-error-{report.campaign}", text, f"Candidates trained on {report.campaign}")
@@ -112,7 +112,7 @@ def publish_evidence(machine: str, version: str, evidence: Mapping[str, Any]) ->
         )
         for c in evidence["conditions"]
     ]
-    svg = _plots.bars(f"error, um ({evidence['kind']} evidence)", rows)
+    svg = _plots.bars(f"error, µm ({evidence['kind']} evidence)", rows)
     publish_markdown(
         f"before-and-after-{machine}",
         _plots.markdown("before, oracle and after by condition", svg),

@@ -68,7 +68,7 @@ def _publish(cell: str, seen: dict[str, Any], stopped: str) -> None:
     came = f"stopped: {stopped}" if stopped else "done"
     _artifacts.publish_table(
         f"cell-{cell}",
-        ("part", "step", "live twin", "state", "s", "error without, um", "error, um"),
+        ("part", "step", "live twin", "state", "s", "error without, µm", "error, µm"),
         rows,
         f"{done} of {len(rows)} steps; {came}",
     )

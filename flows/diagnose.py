@@ -18,10 +18,10 @@ WHAT_IT_IS = (
     "never saw."
 )
 _FIGURES = (
-    ("circular deviation um", "circular_deviation_um"),
-    ("RMS um", "rms_um"),
-    ("centre a um", "centre_a_um"),
-    ("centre b um", "centre_b_um"),
+    ("circular deviation µm", "circular_deviation_um"),
+    ("RMS µm", "rms_um"),
+    ("centre a µm", "centre_a_um"),
+    ("centre b µm", "centre_b_um"),
     ("mean feed mm/min", "feed_mm_min"),
 )
 

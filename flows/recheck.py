@@ -64,7 +64,7 @@ def publish_recheck(done: Rechecked) -> None:
     came = f"withdrawn, {now}" if done.withdrawn else "kept"
     _artifacts.publish_table(
         f"recheck-{name}",
-        ("condition", "without um", "with um", "growth um", "± um", "pairs"),
+        ("condition", "without µm", "with µm", "growth µm", "± µm", "pairs"),
         [
             [c.name, *(f"{v:z.1f}" for v in (c.before_um, c.after_um, c.growth_um, c.half_width_um)), str(c.pairs)]
             for c in done.found.conditions

@@ -52,7 +52,7 @@ def publish_training(registered: Registered) -> None:
     _artifacts.publish_table(
         f"comparison-{report.campaign}",
         *comparison_table(report.candidates),
-        f"{report.rms_before_um:z.1f} um RMS without a model, noise floor "
+        f"{report.rms_before_um:z.1f} µm RMS without a model, noise floor "
         f"{report.noise_floor_text}, {report.n_runs} runs; table versions: "
         + ", ".join(f"{name} {number}" for name, number in report.table_versions.items()),
     )

@@ -179,14 +179,14 @@ def _alpha(seed: int) -> list[Line]:
     found = alpha_sensitivity(turn, UnscentedFilter())
     assert found is not None
     lines = []
-    for model, paper in (("random-walk", "about 1.5 um"), ("circle", "about 1.5 um")):
+    for model, paper in (("random-walk", "about 1.5 µm"), ("circle", "about 1.5 µm")):
         values = np.array([v for a, v in zip(found["alpha"], found[model], strict=True) if a >= 1e-4])
         width = float(np.ptp(values))
         lines.append(
             Line(
                 f"circular deviation over alpha, {model}",
                 paper,
-                f"{width:.2g} um, relative {width / values.mean():.1e}",
+                f"{width:.2g} µm, relative {width / values.mean():.1e}",
                 yes_or_no(1.0 / FACTOR <= width / _ALPHA_UM <= FACTOR),
                 "A5" if model == "random-walk" else "",
             )
@@ -205,8 +205,8 @@ def _deviations() -> Line:
             told.append(f"{ours:z.1f}")
     return Line(
         "machines 2 and 3 without vibration: circular deviation CW, CCW",
-        "7.3, 7.8, 20, 24 um",
-        f"{', '.join(told)} um, worst by {max(off):z.1f}",
+        "7.3, 7.8, 20, 24 µm",
+        f"{', '.join(told)} µm, worst by {max(off):z.1f}",
         # Of the signs that the source does not print, those were taken that come nearest to these.
         calibrated(max(off) <= _NEAR_UM),
         "A4",
@@ -224,9 +224,9 @@ def _still(cases: Sequence[Case], judged: bool) -> list[Line]:
         lines.append(
             Line(
                 f"{how}: what vibration below CD changes after it",
-                "at most 1.7 um (UKF)",
-                f"{abs(worst.off_um):z.1f} um ({worst.machine}); takes {eaten:z.1f} um RMS out of still "
-                f"machines, DC3 wrong by up to {wrong:z.1f} um",
+                "at most 1.7 µm (UKF)",
+                f"{abs(worst.off_um):z.1f} µm ({worst.machine}); takes {eaten:z.1f} µm RMS out of still "
+                f"machines, DC3 wrong by up to {wrong:z.1f} µm",
                 _of_the_source(how, judged, abs(worst.off_um) <= _WITHIN_UM),
                 "A8",
             )
@@ -312,15 +312,15 @@ def _sweep_lines(sweep: Sequence[dict[str, float]]) -> list[Line]:
         Line(
             f"hexapod: DC3 rises clearly beyond {_SLOW_MM_MIN:g} mm/min",
             "yes",
-            f"up to it {min(slow):z.1f} to {max(slow):z.1f} um, beyond {min(fast):z.1f} to "
-            f"{max(fast):z.1f} um, most at {largest['feed_mm_min']:g}",
+            f"up to it {min(slow):z.1f} to {max(slow):z.1f} µm, beyond {min(fast):z.1f} to "
+            f"{max(fast):z.1f} µm, most at {largest['feed_mm_min']:g}",
             # Its motors and modes are invented: they set where it rises.
             calibrated(min(fast) > max(slow)),
         ),
         Line(
             "hexapod: DC3 by the low-pass against what is true",
             "-",
-            f"wrong by up to {worst:z.1f} um: lag and bending with the speed pass it",
+            f"wrong by up to {worst:z.1f} µm: lag and bending with the speed pass it",
             "not judged",
         ),
     ]

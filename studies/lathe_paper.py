@@ -215,8 +215,8 @@ def _scatter(target: str, what: str, paper: str, found: Sequence[Mapping[str, fl
         lines.append(
             Line(
                 f"{what}: {title}",
-                f"{theirs:z.1f} um",
-                f"{middle:z.1f} +- {spread:z.1f} um, worst {values.max():z.1f} ({len(values)} campaigns)",
+                f"{theirs:z.1f} µm",
+                f"{middle:z.1f} +- {spread:z.1f} µm, worst {values.max():z.1f} ({len(values)} campaigns)",
                 answer,
                 target,
             )

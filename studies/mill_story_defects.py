@@ -61,7 +61,7 @@ def defects(
         "sign flipped": Way(wrong_way(bundle)),
         "axes swapped": Way(bundle, _changed(lambda mm: mm[::-1])),
         f"{STALE_S:g} s old, stamped as new": Way(bundle, _changed(_late)),
-        f"8-bit output, {QUANTUM_UM:z.2f} um": Way(bundle, _changed(_rounded)),
+        f"8-bit output, {QUANTUM_UM:z.2f} µm": Way(bundle, _changed(_rounded)),
         "a Gaussian term that never fires": Way(with_dead_term(bundle)),
     }
     session = later_session(ways, seed=seed, repeats=repeats, progress=progress)

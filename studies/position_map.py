@@ -30,8 +30,8 @@ TRAINED, REPEATS = 3, 4
 # shakes with 1 g RMS.
 RANGES = {
     "path angle": (0.0, 2.0 * np.pi),
-    "following error X, um": (-5.0, 5.0),
-    "following error Y, um": (-5.0, 5.0),
+    "following error X, µm": (-5.0, 5.0),
+    "following error Y, µm": (-5.0, 5.0),
     "accelerometer RMS, g": (0.0, 1.0),
 }
 HARMONICS = 8
@@ -201,8 +201,8 @@ def _verdict(influence: dict[str, float], sessions: Sequence[dict[str, Any]]) ->
     worth = (
         f"R² {same['r2']:z.3f} on left-out runs of the same mounting, whose mean square is the "
         f"mounting to {100 * mounting:z.1f} %; with the bar mounted anew it leaves "
-        f"{anew['after_um']:z.1f} um where the machine's own error is "
-        f"{anew['mounting_out_before_um']:z.1f} um"
+        f"{anew['after_um']:z.1f} µm where the machine's own error is "
+        f"{anew['mounting_out_before_um']:z.1f} µm"
     )
     if anew["after_um"] > anew["mounting_out_before_um"]:
         return f"a position map of one session: {dead}; {worth}"

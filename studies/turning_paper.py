@@ -96,9 +96,9 @@ def calibration_lines(slide: Slide) -> list[Line]:
     """
     at = {f: _measured(slide, f) for f in PRINTED_UM}
     rows = [
-        ("encoder, 5 um at 30 Hz", 5.74, at[30.0].encoder_um, "um"),
+        ("encoder, 5 µm at 30 Hz", 5.74, at[30.0].encoder_um, "um"),
         ("encoder lag at 30 Hz", 1.06, at[30.0].encoder_lag_deg, "deg"),
-        ("tool, 5 um at 30 Hz", 7.29, at[30.0].tool_um, "um"),
+        ("tool, 5 µm at 30 Hz", 7.29, at[30.0].tool_um, "um"),
         ("tool lag at 30 Hz", 4.13, at[30.0].tool_lag_deg, "deg"),
         ("amplitude error at 5 Hz", 0.12, at[5.0].amplitude_error_um, "um"),
         ("amplitude error at 40 Hz", 4.35, at[40.0].amplitude_error_um, "um"),
@@ -115,9 +115,9 @@ def calibration_lines(slide: Slide) -> list[Line]:
     vector = at[30.0].total_um
     lines.append(
         Line(
-            "total error vector, 5 um at 30 Hz",
-            "1.97 um, but its own figures make 2.33",
-            f"{vector:z.2f} um",
+            "total error vector, 5 µm at 30 Hz",
+            "1.97 µm, but its own figures make 2.33",
+            f"{vector:z.2f} µm",
             "not judged",
         )
     )
@@ -273,8 +273,8 @@ def surface_lines(cut: Mapping[str, Any]) -> list[Line]:
     return [
         Line(
             "surface at 40 Hz: form error",
-            "2.42 -> 0.31 um (-87 %)",
-            f"{before['form_um']:z.2f} -> {after['form_um']:z.3f} um (-{100 * less['form_um']:z.1f} %)",
+            "2.42 -> 0.31 µm (-87 %)",
+            f"{before['form_um']:z.2f} -> {after['form_um']:z.3f} µm (-{100 * less['form_um']:z.1f} %)",
             by_what_is_left(1.0 - less["form_um"], _FORM_LEFT),
         ),
         Line(

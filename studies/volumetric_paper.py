@@ -85,7 +85,7 @@ def _lines(own: dict[str, Any], other: dict[str, Any]) -> list[Line]:
         d = result["distances"]
         out.append(
             Line(
-                f"{label}, um",
+                f"{label}, µm",
                 f"{before:g} -> {after:g} (-{printed:g} %)",
                 f"{d[f'{key}_um']:z.1f} -> {d[f'{key}_left_um']:z.1f} (-{d[f'{key}_reduction_pct']:z.0f} %)",
                 by_what_is_left(d[f"{key}_left_um"] / d[f"{key}_um"], after / before),
@@ -110,7 +110,7 @@ def _lines(own: dict[str, Any], other: dict[str, Any]) -> list[Line]:
 
 def _slot_line(other: dict[str, Any]) -> Line:
     slots = other["slots"]
-    what = "slots in 15 h, mean and largest range, um"
+    what = "slots in 15 h, mean and largest range, µm"
     if slots is None:
         ours = "not computed: cycles are not hourly"
         return Line(what, "57.5 -> 29.5, 112 -> 54", ours, "not judged")

@@ -139,7 +139,7 @@ def show(result: dict[str, dict[str, Any]]) -> None:
             continue
         print(
             f"{link}: {one['tries']} freezes, {one['failures']} failures; longest change "
-            f"{one['longest_um']:.3f} um, allowed {one['allowed_um']:.3f} um in {one['period_ms']:g} ms"
+            f"{one['longest_um']:.3f} µm, allowed {one['allowed_um']:.3f} µm in {one['period_ms']:g} ms"
         )
         print(
             "  " + ", ".join(f"{k} {v}" for k, v in sorted(one.items()) if k[:7] in ("jumps, ", "tries, ", "journal"))

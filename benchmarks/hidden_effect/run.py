@@ -49,8 +49,8 @@ Key = tuple[str, int]
 def _check_sum() -> str:
     """Return what identifies the code that is examined: what the marking has loaded of it.
 
-    Where a module lies, what it imports and exports, which of its names are private, and what is said in
-    comments and docstrings, is not part of it.
+    Where a module lies, what it imports and exports, which of its names are private, how µm is spelt, and what
+    is said in comments and docstrings, is not part of it.
     """
     files = [sys.modules[n].__file__ for n in sys.modules if n.startswith("dtwin.physics")]
     digests = sorted(_code_of(Path(file)) for file in files if file is not None)
@@ -62,7 +62,8 @@ def _code_of(file: Path) -> str:
     for node in ast.walk(tree):
         if isinstance(body := getattr(node, "body", None), list):
             node.body = [n for n in body if not _says_nothing(n)]
-    return hashlib.sha256(re.sub(r"'_+(?=[a-zA-Z])", "'", ast.dump(tree)).encode()).hexdigest()
+    code = re.sub(r"'_+(?=[a-zA-Z])", "'", ast.dump(tree)).replace("µm", "um")
+    return hashlib.sha256(code.encode()).hexdigest()
 
 
 def _says_nothing(node: ast.stmt) -> bool:

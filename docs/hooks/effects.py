@@ -8,6 +8,7 @@ from mkdocs.structure.files import File, Files
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
 from dtwin.report.signature import FEED_MM_MIN, RADIUS_MM, signature_svg
+from dtwin.units import shown_unit
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -46,8 +47,12 @@ def _index(library: Library) -> str:
 
 def _page(effect: Effect, library: Library) -> str:
     confused = ", ".join(f"[{library[c].title}]({c}.md)" for c in effect.confusables) or "nothing"
-    parameters = "\n".join(f"| {p.name.replace('_', ' ')} | {p.unit} | {p.typical:g} |" for p in effect.parameters)
-    shapes = "\n".join(f"| {s.name.replace('_', ' ')} | {s.unit} | searched, from {s.start:g} |" for s in effect.shapes)
+    parameters = "\n".join(
+        f"| {p.name.replace('_', ' ')} | {shown_unit(p.unit)} | {p.typical:g} |" for p in effect.parameters
+    )
+    shapes = "\n".join(
+        f"| {s.name.replace('_', ' ')} | {shown_unit(s.unit)} | searched, from {s.start:g} |" for s in effect.shapes
+    )
     needs = f"\nNeeds the logged columns {', '.join(effect.needs)}.\n" if effect.needs else ""
     return f"""# {effect.title}
 

@@ -281,8 +281,8 @@ def _repeats(run: Run, motion: Motion) -> list[Finding]:
         Finding(
             "repeat.revolutions",
             "info",
-            f"consecutive revolutions, lead-in of {motion.lead_in_samples} samples left out: {repeatable:z.1f} um RMS repeats "
-            f"(correlation {correlation:z.2f}), {rest:z.1f} um does not",
+            f"consecutive revolutions, lead-in of {motion.lead_in_samples} samples left out: {repeatable:z.1f} µm RMS repeats "
+            f"(correlation {correlation:z.2f}), {rest:z.1f} µm does not",
             {"correlation_1": correlation, "repeatable_um": repeatable, "non_repeatable_um": rest},
         )
     ]

@@ -46,7 +46,7 @@ def _too_small(run: Run) -> list[Finding]:
                 Finding(
                     "reading.too_small",
                     "error",
-                    f"{name} spreads by {spread:.2g} um RMS, less than any instrument resolves: are these millimetres?",
+                    f"{name} spreads by {spread:.2g} µm RMS, less than any instrument resolves: are these millimetres?",
                     {"spread_um": spread},
                 )
             )

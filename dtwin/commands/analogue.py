@@ -70,7 +70,7 @@ def status(port: Port, as_json: Json = False) -> None:
 @app_analogue.command("hold")
 def hold(
     port: Port,
-    offset: Annotated[str, typer.Option(help="x,y,z in um, like 25,0,0.")],
+    offset: Annotated[str, typer.Option(help="x,y,z in µm, like 25,0,0.")],
     seconds: Annotated[float, typer.Option(help="How long.")] = 10.0,
     calibration: Calibration = None,
     pwm: Annotated[bool, typer.Option("--pwm", help="The eight-bit output.")] = False,
@@ -86,7 +86,7 @@ def hold(
     except ValueError:
         wanted = np.zeros(0)
     if wanted.shape != (3,) or not np.isfinite(wanted).all():
-        raise InputError("three numbers are needed", code="analogue.offset", got=offset[:40], allowed="x,y,z in um")
+        raise InputError("three numbers are needed", code="analogue.offset", got=offset[:40], allowed="x,y,z in µm")
     known = (AxisCalibration(),) * 3 if calibration is None else load(calibration)
     until_s = time.monotonic() + seconds
     with AnalogueOutput(port, known, output="pwm" if pwm else "dac", watchdog_ms=200) as output:
@@ -117,7 +117,7 @@ def calibrate_inputs(
     if port is not None:
         with AnalogueOutput(port, load(out)) as output:
             output.store_neutral()
-    head = ("axis", "um per V (k = 2)", "neutral, V (k = 2)", "noise, um", "cross-talk", "readings")
+    head = ("axis", "µm per V (k = 2)", "neutral, V (k = 2)", "noise, µm", "cross-talk", "readings")
     emit(
         {"file": str(out), "axes": {k: asdict(v) for k, v in fits.items()}},
         lambda: f"{table(head, calibration_rows(fits))}\n{out} written",

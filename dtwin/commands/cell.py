@@ -104,7 +104,7 @@ def _text(seen: Mapping[str, Any]) -> str:
         ]
         for s in seen["steps"]
     ]
-    head = ("part", "step", "its twin", "state", "s", "error without, um", "error, um")
+    head = ("part", "step", "its twin", "state", "s", "error without, µm", "error, µm")
     asked = f"; asked to stop: {seen['stop_asked']}" if seen["stop_asked"] else ""
     return "\n".join(
         [

@@ -307,7 +307,7 @@ def _require_plan_options(
             hint="add --check, or leave it away",
         )
     if noise_um is not None and not noise_um > 0.0:
-        raise InputError("the noise must be positive", code="plan.noise", got=f"{noise_um:g} um", allowed="> 0")
+        raise InputError("the noise must be positive", code="plan.noise", got=f"{noise_um:g} µm", allowed="> 0")
     if control is None:
         return
     if out is None:
@@ -357,9 +357,9 @@ def _detectable_text(payload: Mapping[str, Any]) -> str:
         ]
         for d in payload["detectable"]
     ]
-    head = ("effect", "detected from (power 80 %)", "typical size", "visible RMS, um")
+    head = ("effect", "detected from (power 80 %)", "typical size", "visible RMS, µm")
     return (
-        f"what this plan could detect when repeats disagree by {payload['noise_um']:g} um RMS, "
+        f"what this plan could detect when repeats disagree by {payload['noise_um']:g} µm RMS, "
         "alike at all harmonics:\n" + table(head, rows)
     )
 

@@ -164,7 +164,7 @@ def robot_targets(
         payload,
         lambda: (
             f"{out} written: {len(made)} targets by {found.describe()}\n"
-            f"  longest correction {longest_um:z.1f} um, {untouched} not corrected (the last "
+            f"  longest correction {longest_um:z.1f} µm, {untouched} not corrected (the last "
             f"column says why); evidence: {compiled.bundle.provenance.evidence}"
         ),
         as_json=as_json,

@@ -116,7 +116,7 @@ def _said(out: Path, runs: int, served: dict[str, object]) -> str:
     lines = [f"{out}: {runs} runs, every sample of the controller there"]
     if served:
         lines.append(
-            f"served live: {served['acted']}, largest {served['largest_um']:z.1f} um, "
+            f"served live: {served['acted']}, largest {served['largest_um']:z.1f} µm, "
             f"dropped by the controller's watchdog {served['watchdog_trips']} times, "
             f"circles not corrected throughout: {served['interrupted']}"
         )

@@ -87,7 +87,7 @@ def train(
     }
 
     def text() -> str:
-        head = f"{campaign}: {result.rms_before_um:z.1f} um RMS without a model, noise floor {result.noise_floor_text}"
+        head = f"{campaign}: {result.rms_before_um:z.1f} µm RMS without a model, noise floor {result.noise_floor_text}"
         gates = "\n".join(verdict_lines(found.verdicts))
         return "\n".join(
             [

@@ -39,7 +39,7 @@ def recheck(
         seed=seed,
         progress=ProgressLine("runs", quiet=as_json),
     )
-    head = ("condition", "without um", "with um", "growth um", "± um", "pairs")
+    head = ("condition", "without µm", "with µm", "growth µm", "± µm", "pairs")
 
     def text() -> str:
         rows = [[c.name, c.before_um, c.after_um, c.growth_um, c.half_width_um, c.pairs] for c in done.found.conditions]

@@ -118,7 +118,7 @@ def render_served(served: Served) -> str:
     lines = [
         head,
         f"  ended: {status.ended}; the correction is {kept}",
-        f"  longest correction {status.largest_um:z.1f} um, clamp {served.clamp_um:z.1f} um",
+        f"  longest correction {status.largest_um:z.1f} µm, clamp {served.clamp_um:z.1f} µm",
         _tick_line(status),
         "",
         _percentiles("stage_us", timing["stage_us"]),

@@ -180,7 +180,7 @@ def learn_effect(
         from dtwin.train.symbolic import OperonEngine
 
         twin, learned = twins.learn_formula(name, OperonEngine(), seed=seed)
-        gain, said = learned.gain, f"\nformula, um: {learned.shown}"
+        gain, said = learned.gain, f"\nformula, µm: {learned.shown}"
     else:
         twin, gain = twins.learn(name, seed=seed)
         said = ""
@@ -294,7 +294,7 @@ def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None
         payload,
         lambda: (
             f"{twin_text(twin)}\nthis step: {micrometres(before['rms_after_um'])} -> "
-            f"{micrometres(after_um)} um RMS\nnext: dtwin twin diagnose {twin.name}"
+            f"{micrometres(after_um)} µm RMS\nnext: dtwin twin diagnose {twin.name}"
         ),
         as_json=as_json,
     )

@@ -48,7 +48,7 @@ class Comparison:
         )
         return (
             f"candidate {self.candidate} leaves {what} than champion {self.champion} "
-            f"({um_text(self.candidate_um)} against {um_text(self.champion_um)} um) on {self.n_runs} runs" + known
+            f"({um_text(self.candidate_um)} against {um_text(self.champion_um)} µm) on {self.n_runs} runs" + known
         )
 
     def table(self) -> tuple[list[str], list[list[str]]]:

@@ -128,11 +128,11 @@ def check_drift(home: Home, champion: RegisteredVersion, campaign: str, progress
     excess = float(np.sqrt(max(0.0, error.rms_um**2 - expected**2)))
     drifted = excess > error.noise_floor_um
     reason = (
-        f"champion {champion.version} leaves {um_text(error.rms_um)} um on {error.n_runs} runs of "
-        f"{campaign} that it never saw, {um_text(expected)} um were registered with it "
-        f"({left_out} left out): grown by {um_text(excess)} um in quadrature, "
+        f"champion {champion.version} leaves {um_text(error.rms_um)} µm on {error.n_runs} runs of "
+        f"{campaign} that it never saw, {um_text(expected)} µm were registered with it "
+        f"({left_out} left out): grown by {um_text(excess)} µm in quadrature, "
         f"{'more' if drifted else 'not more'} than the noise floor of "
-        f"{um_text(error.noise_floor_um)} um"
+        f"{um_text(error.noise_floor_um)} µm"
     )
     return DriftCheck(champion.version, campaign, error, expected, left_out, excess, drifted, reason)
 

@@ -218,8 +218,8 @@ def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
 
 def _table_notes(request: Request, tables: Sequence[AxisTable]) -> list[str]:
     notes = [
-        f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:z.2f} um off; "
-        f"a table of {MOST_TRIPLETS} rows is not enough for {TOLERANCE_UM:g} um"
+        f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:z.2f} µm off; "
+        f"a table of {MOST_TRIPLETS} rows is not enough for {TOLERANCE_UM:g} µm"
         for t in tables
         if t.interpolation_um > TOLERANCE_UM and request.points is None
     ]
@@ -236,8 +236,8 @@ def _program(twin: Twin, request: Request) -> Export:
         raise InputError(
             "the tolerance makes no sense",
             code="export.tolerance",
-            got=f"{request.tolerance_um:g} um",
-            allowed="0.001 to 100 um",
+            got=f"{request.tolerance_um:g} µm",
+            allowed="0.001 to 100 µm",
         )
     raw = read_bounded(request.program, _MAX_PROGRAM_BYTES)
     try:

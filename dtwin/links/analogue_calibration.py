@@ -158,13 +158,13 @@ def _line(axis: str, volts: Floats, moved_um: Floats) -> AxisFit:
         raise _refused(axis, f"this input moves {AXES[largest]}: wires are swapped", slopes[largest])
     um_per_v = float(slopes[own])
     if not _SANE_UM_PER_V[0] <= abs(um_per_v) <= _SANE_UM_PER_V[1]:
-        raise _refused(axis, f"{um_per_v:.3g} um per volt is no correction input", um_per_v)
+        raise _refused(axis, f"{um_per_v:.3g} µm per volt is no correction input", um_per_v)
     left = moved_um[:, own] - design @ np.array([um_per_v, offsets[own]])
     dof = max(len(volts) - 2, 1)
     noise = float(np.sqrt((left**2).sum() / dof))
     span = float(np.ptp(moved_um[:, own]))
     if float(np.abs(left).max()) > _MOST_BENT * span:
-        raise _refused(axis, "the answer is not a line", f"{np.abs(left).max():.3g} um off it")
+        raise _refused(axis, "the answer is not a line", f"{np.abs(left).max():.3g} µm off it")
     cross = {other: float(slopes[i] / um_per_v) for i, other in enumerate(AXES) if other != axis}
     worst = max(cross, key=lambda other: abs(cross[other]))
     if abs(cross[worst]) > _MOST_CROSS_TALK:

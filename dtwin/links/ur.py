@@ -191,7 +191,7 @@ class UrLink:
                 "a correction must be finite and numbered",
                 code="ur.correction",
                 got=f"{list(offset_um)}, sequence {sequence}",
-                allowed=f"finite um, sequence 1 to {layout.SEQUENCE_LIMIT}",
+                allowed=f"finite µm, sequence 1 to {layout.SEQUENCE_LIMIT}",
             )
         self._memory.write_correction(sequence, offset_um)
         os.eventfd_write(self._correction_ready, 1)

@@ -47,7 +47,7 @@ class ScalingLaw:
         wave = f"cos({self.harmonic}t + p)" if self.harmonic else "1"
         feed = "" if self.feed == 0.0 else f" (F/F0)^{self.feed:g}"
         radius = "" if self.radius == 0.0 else f" (R/R0)^{self.radius:g}"
-        return f"{self.amplitude_um:.3g} um {sign}{wave}{feed}{radius}"
+        return f"{self.amplitude_um:.3g} µm {sign}{wave}{feed}{radius}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""

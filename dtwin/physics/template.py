@@ -13,7 +13,7 @@ from dtwin.physics.state import State
 
 
 def columns(state: State, axis: str, shape: dict) -> np.ndarray:
-    """Return um of error for one unit of the parameter, one row for each point.
+    """Return µm of error for one unit of the parameter, one row for each point.
 
     state.position_mm["X"], state.velocity_mm_s["X"], state.acceleration_mm_s2["X"]: motion
     state.sensitivity["X"]: how much an error along X changes the measured length

@@ -70,7 +70,7 @@ class ToneCondition(OneAxis):
 
     def __str__(self) -> str:
         """Return it as people write it."""
-        return f"{self.axis} {self.frequency_hz:g} Hz {self.amplitude_um:g} um"
+        return f"{self.axis} {self.frequency_hz:g} Hz {self.amplitude_um:g} µm"
 
 
 def tone_row(run: Run, time_h: float) -> Row:

@@ -168,7 +168,7 @@ def _train(work: Work, screen: Screen, size: DemoSize, sections: list[Section]) 
     head, rows = comparison_table(report.candidates)
     screen.say(table(head, rows))
     screen.say(
-        f"error without a model {report.rms_before_um:z.1f} um RMS, noise floor "
+        f"error without a model {report.rms_before_um:z.1f} µm RMS, noise floor "
         f"{report.noise_floor_text} (unit of replication: the run)\n"
         + "".join(f"{line}\n" for line in report.told)
         + f"proposed: {report.proposed}, registered as version {registered.version.version}"

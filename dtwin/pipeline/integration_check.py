@@ -42,9 +42,9 @@ class IntegrationCheck:
         """Return one sentence."""
         return (
             f"double integration of ideal accelerations ({_COUPLING_HZ:g} Hz coupling, restarted "
-            f"every {1000 * _WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} um RMS for this "
-            f"error of {self.error_um:z.0f} um; with the spectral threshold that a particle swarm "
-            f"finds best, {self.filtered_um:z.1f} um that correlate {self.filtered_correlation:z.2f} "
+            f"every {1000 * _WINDOW_S:z.0f} ms) would answer {self.answer_um:z.0f} µm RMS for this "
+            f"error of {self.error_um:z.0f} µm; with the spectral threshold that a particle swarm "
+            f"finds best, {self.filtered_um:z.1f} µm that correlate {self.filtered_correlation:z.2f} "
             "with it"
         )
 

@@ -50,7 +50,7 @@ def recording_section(path: Path, result: Mapping[str, Any]) -> Section:
         tables.append(Table(head, rows))
         findings += [(f["severity"], f"{run['run']}: {f['message']}") for f in run["findings"]]
         lines = ", ".join(
-            f"{line['frequency_hz']:z.2f} Hz ({line['amplitude_um']:z.1f} um)" for line in run["spectrum"]["lines"]
+            f"{line['frequency_hz']:z.2f} Hz ({line['amplitude_um']:z.1f} µm)" for line in run["spectrum"]["lines"]
         )
         findings.append(("info", f"{run['run']}: strongest lines {lines}"))
     by_file = {r.meta.run_id: _centred(r, r.samples["angle_deg"], r.window) for r in runs}
@@ -97,7 +97,7 @@ def training_section(report: TrainingReport) -> Section:
         "Candidates",
         [
             f"Campaign {report.campaign} on {report.machine}: {report.n_runs} runs, "
-            f"{report.n_rows} rows. Error without a model {report.rms_before_um:z.1f} um RMS"
+            f"{report.n_rows} rows. Error without a model {report.rms_before_um:z.1f} µm RMS"
             + (" after centre and radius of each set-up" if "feed_mm_min" in proposed.scores else "")
             + f"; noise floor {report.noise_floor_text}: {report.floor_is}.",
             *report.told,
@@ -207,11 +207,11 @@ def evidence_table(evidence: Mapping[str, Any]) -> tuple[list[str], list[list[st
     head = [
         "condition",
         "trained",
-        "before um",
-        "after um",
+        "before µm",
+        "after µm",
         "reduction",
-        "oracle um",
-        "floor um",
+        "oracle µm",
+        "floor µm",
         "runs",
         "outside box",
         "worse",
@@ -249,11 +249,11 @@ _LEFT_OUT = {
     "hours": "span of hours",
 }
 _FIGURES = (
-    ("centre along first axis, um", "centre_a_um", "centre_a_um"),
-    ("centre along second axis, um", "centre_b_um", "centre_b_um"),
+    ("centre along first axis, µm", "centre_a_um", "centre_a_um"),
+    ("centre along second axis, µm", "centre_b_um", "centre_b_um"),
     ("least-squares radius, mm", "radius_mm", "best_radius_mm"),
-    ("circular deviation, um", "circular_deviation_um", "circularity_um"),
-    ("RMS about the circle, um", "rms_um", ""),
+    ("circular deviation, µm", "circular_deviation_um", "circularity_um"),
+    ("RMS about the circle, µm", "rms_um", ""),
     ("mean feed, mm/min", "feed_mm_min", "feed_mm_min"),
 )
 

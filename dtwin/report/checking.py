@@ -200,9 +200,9 @@ def render_check(result: dict[str, Any]) -> str:
     for pair in result["bidirectional"][:_MAX_DETAILED]:
         lines.append(
             f"\n{' and '.join(pair['runs'])}: circular deviation G(b) of both directions "
-            f"{pair['circular_deviation_common_centre_um']:z.1f} um about a common centre, "
-            f"{pair['circular_deviation_own_centres_um']:z.1f} um about their own; hysteresis H "
-            f"{pair['hysteresis_um']:z.1f} um at {pair['hysteresis_angle_deg']:z.0f} deg, between samples; "
+            f"{pair['circular_deviation_common_centre_um']:z.1f} µm about a common centre, "
+            f"{pair['circular_deviation_own_centres_um']:z.1f} µm about their own; hysteresis H "
+            f"{pair['hysteresis_um']:z.1f} µm at {pair['hysteresis_angle_deg']:z.0f} deg, between samples; "
             "as the file's indices say"
         )
     figures = kind.figure_lines(result)
@@ -212,12 +212,12 @@ def render_check(result: dict[str, Any]) -> str:
 
 
 _ROWS = (
-    ("centre along first axis, um", "centre_a_um", "centre_a_um"),
-    ("centre along second axis, um", "centre_b_um", "centre_b_um"),
+    ("centre along first axis, µm", "centre_a_um", "centre_a_um"),
+    ("centre along second axis, µm", "centre_b_um", "centre_b_um"),
     ("least-squares radius, mm", "radius_mm", "best_radius_mm"),
-    ("circular deviation, um", "circular_deviation_um", "circularity_um"),
-    ("the same, minimum zone, um", "circular_deviation_mz_um", ""),
-    ("RMS about the circle, um", "rms_um", ""),
+    ("circular deviation, µm", "circular_deviation_um", "circularity_um"),
+    ("the same, minimum zone, µm", "circular_deviation_mz_um", ""),
+    ("RMS about the circle, µm", "rms_um", ""),
     ("mean feed, mm/min", "feed_mm_min", "feed_mm_min"),
 )
 
@@ -245,10 +245,10 @@ def _render_run(run: dict[str, Any]) -> list[str]:
         head = ("", "by the file's indices", "vendor's file says", "aligned by the stops")
         lines += ["  " + line for line in table(head, rows).splitlines()]
         strongest = ", ".join(
-            f"{line['frequency_hz']:z.2f} Hz {line['amplitude_um']:z.1f} um" for line in run["spectrum"]["lines"]
+            f"{line['frequency_hz']:z.2f} Hz {line['amplitude_um']:z.1f} µm" for line in run["spectrum"]["lines"]
         )
         bands = ", ".join(f"{b['from_hz']:g}-{b['to_hz']:g} Hz {b['rms_um']:z.1f}" for b in run["spectrum"]["bands_um"])
-        lines += [f"  strongest lines: {strongest}", f"  bands, um RMS: {bands}"]
+        lines += [f"  strongest lines: {strongest}", f"  bands, µm RMS: {bands}"]
     return lines + [f"  {f['severity']}: {f['message']}" for f in run["findings"]]
 
 

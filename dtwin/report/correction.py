@@ -31,7 +31,7 @@ def correction_text(found: Mapping[str, Any]) -> str:
         f"{found['version']} of {found['machine']}",
         table(("effect", "corrected", "grade", "how, or why not"), terms),
         "",
-        table(("condition", "before, um RMS", "predicted, um RMS"), predicted),
+        table(("condition", "before, µm RMS", "predicted, µm RMS"), predicted),
         "",
         *gates,
         *([f"left: {found['left']}"] if found["left"] else []),

@@ -22,7 +22,7 @@ def encoder_text(found: Mapping[str, Any]) -> str:
     ``found``: ``encoder_split`` of a comparison.
     """
     head, rows = _cells(found)
-    lines = ["", f"measured error by who can see it, um RMS +- noise floor; {_said(found)}"]
+    lines = ["", f"measured error by who can see it, µm RMS +- noise floor; {_said(found)}"]
     return "\n".join([*lines, table(head, rows), *_notes(found)])
 
 
@@ -39,7 +39,7 @@ def encoder_section(found: Mapping[str, Any]) -> Section:
         "What the controller saw",
         [
             "Measured error = what the controller saw (encoder minus command, along the radius) "
-            f"+ quasi-static + dynamic error; {_said(found)}. Each cell: um RMS over the runs of "
+            f"+ quasi-static + dynamic error; {_said(found)}. Each cell: µm RMS over the runs of "
             "the condition ± what its repeats disagree by.",
             *_notes(found),
         ],
@@ -91,7 +91,7 @@ def _figure(found: Mapping[str, Any]) -> go.Figure:
                 x=[c[part]["rms_um"] for c in found["conditions"]],
                 orientation="h",
                 marker_color=COLOURS[_COLOURS[part]],
-                hovertemplate="%{y}: %{x:z.2f} um<extra>" + shown + "</extra>",
+                hovertemplate="%{y}: %{x:z.2f} µm<extra>" + shown + "</extra>",
             )
             for part, shown in _SHOWN.items()
         ]

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from dtwin.physics.fit import Estimate
 from dtwin.physics.twin import Twin
 from dtwin.report.signature import signature_svg
+from dtwin.units import shown_unit
 
 
 @dataclass(frozen=True)
@@ -58,25 +59,26 @@ def faults(twin: Twin, width: int = 72) -> list[Fault]:
 def size_of(estimates: Sequence[Estimate]) -> str:
     """Return the size of an effect with k = 2.
 
-    Parameters of one unit, as the cosine and the sine of a wave, are told as one amplitude; the uncertainty of
-    that takes them as uncorrelated.
+    Cosines and sines of waves are told as one amplitude: the root of the sum of their squares, its uncertainty
+    with both taken as uncorrelated.
     """
     told = [e for e in estimates if e.identifiable]
     if not told:
         return "its size is not told by these runs"
-    if len(told) > 1 and len({e.unit for e in told}) == 1:
-        size = math.hypot(*(e.value for e in told))
-        spread = math.hypot(*(e.value * e.uncertainty for e in told)) / size if size else math.nan
-        return _with_k2(size, spread, told[0].unit)
-    return "; ".join(
-        _with_k2(e.value, e.uncertainty, e.unit) + (f" ({e.name.replace('_', ' ')})" if len(told) > 1 else "")
-        for e in told
-    )
+    waves = [e for e in told if e.name.startswith(("cosine", "sine"))]
+    sizes = [(e.name.replace("_", " "), e.value, e.uncertainty, e.unit) for e in told if e not in waves]
+    if waves:
+        amplitude = math.hypot(*(e.value for e in waves))
+        spread = math.hypot(*(e.value * e.uncertainty for e in waves)) / amplitude if amplitude else math.nan
+        sizes.append(("amplitude", amplitude, spread, waves[0].unit))
+    if len(sizes) == 1:
+        return _with_k2(*sizes[0][1:])
+    return "; ".join(f"{name} {_with_k2(value, spread, unit)}" for name, value, spread, unit in sizes)
 
 
 def _with_k2(value: float, uncertainty: float, unit: str) -> str:
     """Return a value rounded to two digits of its uncertainty."""
-    words = unit.replace("um", "µm").replace("ms2", "ms²")
+    words = shown_unit(unit)
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return f"{value:z.3g} {words}"
     decimals = max(1 - math.floor(math.log10(uncertainty)), 0)

@@ -128,7 +128,7 @@ def _turn_figure(arm_mm: Floats, radius_mm: float, seen_um: Floats, radial_um: F
     figure.update_layout(
         title=f"The newest circle of R{radius_mm:g} as the controller's own encoders see it",
         xaxis_title=f"angle in the {'XYZ'[first]}{'XYZ'[second]} plane, degrees",
-        yaxis_title="radial deviation, um",
+        yaxis_title="radial deviation, µm",
     )
     return styled(figure)
 

@@ -83,7 +83,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, 
                 text=[c["name"] for c in chosen],
                 mode="markers+text" if promotable else "markers",
                 textposition="top center",
-                hovertemplate="%{text}<br>%{x:.3g} us, %{y:z.1f} um<extra></extra>",
+                hovertemplate="%{text}<br>%{x:.3g} us, %{y:z.1f} µm<extra></extra>",
                 name="expression, promotable" if promotable else "comparison only",
                 marker={"size": 12, "color": colour, "symbol": "circle" if promotable else "square"},
             )
@@ -105,7 +105,7 @@ def comparison_figure(candidates: Sequence[Mapping[str, Any]], floor_um: float, 
     figure.update_layout(
         title="Error on conditions left out against time of one row (hover for names)",
         xaxis={"title": "median time of one row, us", "type": "log"},
-        yaxis={"title": "held-out RMS, um", **axis},
+        yaxis={"title": "held-out RMS, µm", **axis},
     )
     return styled(figure)
 
@@ -168,7 +168,7 @@ def front_figure(front: Sequence[Mapping[str, Any]], floor_um: float, floor_dof:
     figure.update_layout(
         title="Accuracy and complexity of the physics library (orders and modes found on all runs)",
         xaxis_title="terms",
-        yaxis={"title": "RMS, um", "rangemode": "tozero"},
+        yaxis={"title": "RMS, µm", "rangemode": "tozero"},
     )
     return styled(figure)
 

@@ -142,7 +142,7 @@ def error_figure(
         figure.add_trace(
             go.Scatter(x=_short(angle), y=_short(error), mode="lines", name=name, line={"color": colour, "width": 1.5})
         )
-    figure.update_layout(title=title, xaxis_title=x_title, yaxis_title="error, um")
+    figure.update_layout(title=title, xaxis_title=x_title, yaxis_title="error, µm")
     if floor_um is not None:
         draw_floor_band(figure, floor_um)
     return styled(figure)
@@ -168,7 +168,7 @@ def draw_floor_band(figure: go.Figure, floor_um: float) -> None:
         opacity=0.25,
         line_width=0,
         layer="below",
-        annotation_text=f"noise floor ±{floor_um:z.2f} um",
+        annotation_text=f"noise floor ±{floor_um:z.2f} µm",
         annotation_position="bottom right",
         annotation_bgcolor=BEHIND_TEXT,
     )
@@ -181,7 +181,7 @@ def floor_rings(floor_um: float | None) -> list[tuple[str, float, dict[str, Any]
     """
     if floor_um is None or not np.isfinite(floor_um):
         return []
-    name, line = f"noise floor ±{floor_um:z.2f} um", {"color": COLOURS["floor"], "width": 0}
+    name, line = f"noise floor ±{floor_um:z.2f} µm", {"color": COLOURS["floor"], "width": 0}
     inner = {"line": line, "showlegend": False, "hoverinfo": "skip"}
     outer = {"line": line, "fill": "tonext", "fillcolor": "rgba(153,153,153,0.25)"}
     return [("", -floor_um, inner), (name, floor_um, {**outer, "hoverinfo": "skip"})]
@@ -219,17 +219,17 @@ def spectrum_figure(frequency_hz: Floats, amplitude_um: Floats, floor_um: float,
             mode="lines",
             name="amplitude",
             line={"color": COLOURS["measured"], "width": 1.3},
-            hovertemplate="%{x:z.2f} Hz: %{y:z.3f} um<extra></extra>",
+            hovertemplate="%{x:z.2f} Hz: %{y:z.3f} µm<extra></extra>",
         )
     )
     if np.isfinite(floor_um):
         figure.add_hline(
             y=floor_um,
             line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise of one line {floor_um:z.3f} um",
+            annotation_text=f"noise of one line {floor_um:z.3f} µm",
         )
     figure.update_layout(
-        title=title, xaxis_title="frequency, Hz", yaxis={"title": "amplitude, um", "rangemode": "tozero"}
+        title=title, xaxis_title="frequency, Hz", yaxis={"title": "amplitude, µm", "rangemode": "tozero"}
     )
     return styled(figure)
 

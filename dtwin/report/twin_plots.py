@@ -80,7 +80,7 @@ def overlay_figure(
                 name=name,
                 line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
                 customdata=_closed(curve),
-                hovertemplate="%{theta:z.0f} deg<br>%{customdata:z.2f} um<extra>" + name + "</extra>",
+                hovertemplate="%{theta:z.0f} deg<br>%{customdata:z.2f} µm<extra>" + name + "</extra>",
             )
         )
     figure.update_layout(
@@ -124,11 +124,11 @@ def along_figure(curves: Mapping[str, Floats], *, title: str, floor_um: float, g
                 mode="lines",
                 name=name,
                 line={"color": colour, "width": 1.6, "dash": _dash_of(name)},
-                hovertemplate="%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} um<extra>" + name + "</extra>",
+                hovertemplate="%{x:.4g} " + _unit(grid) + "<br>%{y:.3g} µm<extra>" + name + "</extra>",
             )
         )
     draw_floor_band(figure, floor_um)
-    figure.update_layout(title=title, xaxis=_axis(grid), yaxis_title="error, um")
+    figure.update_layout(title=title, xaxis=_axis(grid), yaxis_title="error, µm")
     return styled(figure)
 
 
@@ -155,7 +155,7 @@ def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, t
                 y=np.round(harmonic_amplitudes_um(curve)[1 : most + 1], 4),
                 name=name,
                 marker_color=colour,
-                hovertemplate="%{x} times: %{y:z.3f} um<extra>" + name + "</extra>",
+                hovertemplate="%{x} times: %{y:z.3f} µm<extra>" + name + "</extra>",
             )
         )
     if floor_um is not None:
@@ -172,7 +172,7 @@ def harmonics_figure(curves: Mapping[str, Floats], floor_um: Floats | None, *, t
         title=title,
         barmode="group",
         xaxis_title="undulations along the path",
-        yaxis={"title": "amplitude, um", "rangemode": "tozero"},
+        yaxis={"title": "amplitude, µm", "rangemode": "tozero"},
     )
     return styled(figure)
 
@@ -219,7 +219,7 @@ def residual_map(
             zmax=limit,
             colorscale=[[0.0, "#D55E00"], [0.5, "#FFFFFF"], [1.0, "#0072B2"]],
             colorbar={"title": "um"},
-            hovertemplate="%{y}<br>%{x:.4g} " + _unit(grid) + ": %{z:.3g} um<extra></extra>",
+            hovertemplate="%{y}<br>%{x:.4g} " + _unit(grid) + ": %{z:.3g} µm<extra></extra>",
         )
     )
     figure.update_layout(
@@ -259,10 +259,10 @@ def waterfall_figure(rungs: Sequence[Mapping[str, Any]], begun: str = "set-up on
         figure.add_hline(
             y=floor,
             line={"color": COLOURS["floor"], "dash": "dash"},
-            annotation_text=f"noise floor {micrometres(floor)} um",
+            annotation_text=f"noise floor {micrometres(floor)} µm",
             annotation_bgcolor=BEHIND_TEXT,
         )
-    figure.update_layout(title="Error from version to version", yaxis_title="RMS, um")
+    figure.update_layout(title="Error from version to version", yaxis_title="RMS, µm")
     return styled(figure)
 
 
@@ -297,7 +297,7 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
         )
     figure.update_layout(
         title="Predicted error after adding each (blue: reported)",
-        xaxis_title="RMS, um",
+        xaxis_title="RMS, µm",
         height=max(320, 170 + 30 * len(rows)),
     )
     return styled(figure)
@@ -333,7 +333,7 @@ def _magnifier(drawn: Sequence[Floats], radius_mm: float, fitting: float) -> dic
 def _floor_words(floor_um: float) -> str:
     if not math.isfinite(floor_um):
         return "noise floor not known"
-    return f"noise floor {micrometres(floor_um)} um RMS of one run"
+    return f"noise floor {micrometres(floor_um)} µm RMS of one run"
 
 
 def _drawn(curve: Floats, radius_mm: float, factor: float) -> list[float]:

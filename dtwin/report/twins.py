@@ -21,6 +21,7 @@ from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
 from dtwin.schema import Floats
 from dtwin.statistics import deviation_interval
+from dtwin.units import shown_unit
 
 if TYPE_CHECKING:
     from dtwin.twins.measured import Comparison
@@ -50,7 +51,7 @@ def condition_words(condition: Mapping[str, Any]) -> str:
         place = f"{condition['plane']} R{condition['radius_mm']:g}"
         return f"{place} F{condition['feed_mm_min']:g} {condition['direction']}"
     if "frequency_hz" in condition:
-        tone = f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+        tone = f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} µm"
         return f"{condition['axis']} {tone}"
     return f"{condition['axis']} {condition['direction']}"
 
@@ -62,13 +63,13 @@ def parameter_table(twin: Twin) -> Table:
             f"{e.effect} {e.axis}".strip(),
             e.name.replace("_", " "),
             f"{number(e.value, 4)} ± {number(e.uncertainty, 2)}" if e.identifiable else "not told",
-            e.unit,
+            shown_unit(e.unit),
         )
         for e in twin.estimates
     ]
     for term in twin.terms:
         rows += [
-            (term.label, shape.name.replace("_", " "), number(term.shape[shape.name], 4), shape.unit)
+            (term.label, shape.name.replace("_", " "), number(term.shape[shape.name], 4), shown_unit(shape.unit))
             for shape in term.instance.effect.shapes
         ]
     return Table(("effect", "parameter", "value (k = 2)", "unit"), rows)
@@ -80,8 +81,8 @@ def twin_text(twin: Twin) -> str:
     head = (
         f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, "
         f"campaign {twin.campaign}\n"
-        f"error {micrometres(figures['rms_before_um'])} -> {micrometres(figures['rms_after_um'])} um RMS, of which "
-        f"repeats agree on {number(figures['systematic_rms_um'])} um; noise floor "
+        f"error {micrometres(figures['rms_before_um'])} -> {micrometres(figures['rms_after_um'])} µm RMS, of which "
+        f"repeats agree on {number(figures['systematic_rms_um'])} µm; noise floor "
         f"{_floor_words(figures)} (unit of replication: the run)\n"
     )
     shown = parameter_table(twin)
@@ -100,14 +101,14 @@ def _floor_words(figures: Mapping[str, Any]) -> str:
     """
     floor_um, dof = figures["noise_floor_um"], figures.get("noise_floor_dof", 0)
     if not dof:
-        return f"{number(floor_um)} um"
+        return f"{number(floor_um)} µm"
     low, high = deviation_interval(floor_um, dof)
-    return f"{number(floor_um)} um, {number(low)} to {number(high)} at 95 %"
+    return f"{number(floor_um)} µm, {number(low)} to {number(high)} at 95 %"
 
 
 def comparison_text(result: Mapping[str, Any]) -> str:
     """Return a comparison for the terminal."""
-    head = ("condition", "runs", "before, um", "after, um")
+    head = ("condition", "runs", "before, µm", "after, µm")
     rows = [
         (condition_words(c), c["runs"], micrometres(c["rms_before_um"]), micrometres(c["rms_after_um"]))
         for c in result["conditions"]
@@ -116,8 +117,8 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         f"twin {result['twin']} version {result['version']} against campaign "
         f"{result['campaign']} ({result['runs']} runs)",
         table(head, rows),
-        f"residual {micrometres(result['residual_rms_um'])} um RMS, of which repeats agree on "
-        f"{number(result['systematic_rms_um'])} um; noise floor {_floor_words(result)}",
+        f"residual {micrometres(result['residual_rms_um'])} µm RMS, of which repeats agree on "
+        f"{number(result['systematic_rms_um'])} µm; noise floor {_floor_words(result)}",
         f"in words: {result['headline']}",
         "largest:",
         *(f"  {place_words(place)}" for place in result["where"]),
@@ -131,12 +132,12 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
     lines = [
         f"{result['verdict']}: {result['headline']}",
-        f"residual {micrometres(result['residual_rms_um'])} um RMS, repeats agree on "
-        f"{number(result['systematic_rms_um'])} um of it; noise floor "
-        f"{number(result['noise_floor_um'])} um; lack of fit p = {number(result['lack_of_fit_p'], 2)}",
+        f"residual {micrometres(result['residual_rms_um'])} µm RMS, repeats agree on "
+        f"{number(result['systematic_rms_um'])} µm of it; noise floor "
+        f"{number(result['noise_floor_um'])} µm; lack of fit p = {number(result['lack_of_fit_p'], 2)}",
     ]
     if result["candidates"]:
-        head = ("effect", "after, um", "left-out gain", "p", "grade", "in group")
+        head = ("effect", "after, µm", "left-out gain", "p", "grade", "in group")
         rows = [
             (
                 f"{c['effect']} {c['axis']}".strip(),
@@ -196,7 +197,7 @@ def found_table(result: Mapping[str, Any]) -> Table:
         )
         for group in result.get("found", [])
     ]
-    head = ("found", "explains, um", "size (k = 2)", "left-out gain", "grade", "law tested over", "not over")
+    head = ("found", "explains, µm", "size (k = 2)", "left-out gain", "grade", "law tested over", "not over")
     return Table(head, rows)
 
 
@@ -207,7 +208,7 @@ def _unresolved_lines(result: Mapping[str, Any]) -> list[str]:
         return []
     share = f"{100 * rest['share']:z.0f} % of what repeats agree on"
     return [
-        f"not resolved: {micrometres(rest['systematic_rms_um'])} um RMS, {share} "
+        f"not resolved: {micrometres(rest['systematic_rms_um'])} µm RMS, {share} "
         f"(p = {number(rest['p_value'], 2)}): {rest['words']}",
         *(f"  {place_words(place)}" for place in rest["where"][:3]),
     ]
@@ -215,7 +216,7 @@ def _unresolved_lines(result: Mapping[str, Any]) -> list[str]:
 
 def history_text(rungs: Sequence[Mapping[str, Any]]) -> str:
     """Return the rungs of a twin for the terminal."""
-    head = ("version", "action", "before, um", "after, um", "floor, um", "verdict", "group")
+    head = ("version", "action", "before, µm", "after, µm", "floor, µm", "verdict", "group")
     rows = [
         (
             r["version"],
@@ -239,8 +240,8 @@ def effect_text(effect: Effect) -> str:
         f"radius^{law.radius:g}" if law.radius is not None else "radius: no power law",
         f"{law.direction} in direction",
     ]
-    parameters = ", ".join(f"{p.name} ({p.unit})" for p in effect.parameters)
-    shapes = ", ".join(f"{s.name} ({s.unit})" for s in effect.shapes)
+    parameters = ", ".join(f"{p.name} ({shown_unit(p.unit)})" for p in effect.parameters)
+    shapes = ", ".join(f"{s.name} ({shown_unit(s.unit)})" for s in effect.shapes)
     lines = [
         f"{effect.name}: {effect.title}",
         effect.meaning,
@@ -310,7 +311,7 @@ def twin_section(twin: Twin) -> Section:
     figures = twin.figures
     said = (
         f"Version {twin.version} ({twin.action}): {micrometres(figures['rms_before_um'])} -> "
-        f"{micrometres(figures['rms_after_um'])} um RMS, noise floor {number(figures['noise_floor_um'])} um. "
+        f"{micrometres(figures['rms_after_um'])} µm RMS, noise floor {number(figures['noise_floor_um'])} µm. "
         "Uncertainties are expanded (k = 2); the unit of replication is the run."
     )
     warnings = [("warning", doubt) for doubt in twin.doubts]
@@ -323,7 +324,7 @@ def _condition_table(result: Mapping[str, Any]) -> Table:
         (condition_words(c), str(c["runs"]), micrometres(c["rms_before_um"]), micrometres(c["rms_after_um"]))
         for c in result["conditions"]
     ]
-    return Table(("condition", "runs", "before, um", "after, um"), rows)
+    return Table(("condition", "runs", "before, µm", "after, µm"), rows)
 
 
 def _alias(alias: Mapping[str, Any]) -> str:
@@ -335,7 +336,7 @@ def place_words(place: Mapping[str, Any]) -> str:
     name = next(n for n in _COORDINATES if n in place)
     low, high = place[name]
     unit = name.rpartition("_")[2]
-    return f"{condition_words(place)}, {low:g} to {high:g} {unit}: {micrometres(place['residual_rms_um'])} um"
+    return f"{condition_words(place)}, {low:g} to {high:g} {unit}: {micrometres(place['residual_rms_um'])} µm"
 
 
 def _advice(name: str, result: Mapping[str, Any]) -> str:

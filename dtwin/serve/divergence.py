@@ -54,11 +54,11 @@ class DivergenceWatch:
             self._rises = self._rises + 1 if grew else 0
             if not left_um <= max(_WORSE_THAN_NOTHING * self.without_um, _SMALLEST_UM):
                 self.alarm = (
-                    f"the correction makes it worse: {left_um:z.2f} um are foretold, "
-                    f"{self.without_um:z.2f} um were without"
+                    f"the correction makes it worse: {left_um:z.2f} µm are foretold, "
+                    f"{self.without_um:z.2f} µm were without"
                 )
             elif self._rises >= _RISES:
-                self.alarm = f"the error has grown {_RISES} windows in a row, to {left_um:z.2f} um"
+                self.alarm = f"the error has grown {_RISES} windows in a row, to {left_um:z.2f} µm"
         self._last_um = left_um
         return self.alarm
 
@@ -68,6 +68,6 @@ class DivergenceWatch:
             if self._thrown >= _THROWN and not self.alarm:
                 self.alarm = (
                     f"the correction has thrown the motion out of the validity box {self._thrown} "
-                    f"times, {left_um:z.2f} um are left"
+                    f"times, {left_um:z.2f} µm are left"
                 )
         return self.alarm

@@ -55,11 +55,11 @@ def live_state(seen: Seen | None, now_s: float) -> LiveState:
         return LiveState("starting", "is held by a server that has shown no tick yet")
     silent_s = now_s - seen.shown_s
     if silent_s > _SILENT_S:
-        return LiveState("silent", f"was not answered for {silent_s:.0f} s: what is in force is not known")
+        return LiveState("silent", f"was not answered for {silent_s:z.0f} s: what is in force is not known")
     stamps = seen.column("stamp_s")
     reasons = seen.column("reason")[stamps >= stamps[-1] - RECENT_S].astype(int)
     outside = float(np.mean(reasons == safety.OUTSIDE))
-    beyond = f"outside the model's range for {100 * outside:.0f} % of the newest {RECENT_S:.0f} s"
+    beyond = f"outside the model's range for {100 * outside:z.0f} % of the newest {RECENT_S:z.0f} s"
     if np.mean(np.isin(reasons, _CORRECTS)) >= 0.5:
         return LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)
     if outside >= 0.5:

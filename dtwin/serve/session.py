@@ -91,7 +91,7 @@ def _serve_resolved(
     if trial:
         compiled = with_trial_clamp(compiled)
         limit_um = compiled.bundle.safety.clamp_um
-        announce(f"trial: the correction is limited to {limit_um:z.1f} um, a quarter of its clamp")
+        announce(f"trial: the correction is limited to {limit_um:z.1f} µm, a quarter of its clamp")
     elif request.mode == "live":
         announce(require_proof(resolved, compiled.bundle, request.expired))
     if request.analogue is not None:

@@ -158,8 +158,8 @@ def bounded_output(bundle: Bundle) -> Verdict:
     return Verdict(
         "bounded output",
         passed,
-        f"up to {raw:z.0f} um inside the box, {largest:z.0f} um after a clamp of "
-        f"{bundle.safety.clamp_um:z.0f} um whatever comes in",
+        f"up to {raw:z.0f} µm inside the box, {largest:z.0f} µm after a clamp of "
+        f"{bundle.safety.clamp_um:z.0f} µm whatever comes in",
     )
 
 

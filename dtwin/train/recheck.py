@@ -206,6 +206,6 @@ def _named(condition: tuple[str, float, float]) -> str:
 def _told(check: ConditionCheck) -> str:
     digits = 1 if check.before_um >= 1.0 else 3
     return (
-        f"{check.name} {um_text(check.before_um)} -> {um_text(check.after_um)} um, by {check.growth_um:+z.{digits}f} "
-        f"± {um_text(check.half_width_um)} um over {check.pairs} pairs"
+        f"{check.name} {um_text(check.before_um)} -> {um_text(check.after_um)} µm, by {check.growth_um:+z.{digits}f} "
+        f"± {um_text(check.half_width_um)} µm over {check.pairs} pairs"
     )

@@ -163,7 +163,7 @@ class TrainingReport:
         if math.isnan(self.noise_floor_um):
             return "unknown without repeats"
         digits = 1 if self.noise_floor_um >= 1.0 else 4
-        floor = f"{self.noise_floor_um:z.{digits}f} um"
+        floor = f"{self.noise_floor_um:z.{digits}f} µm"
         if not self.noise_floor_dof:
             return floor
         low, high = deviation_interval(self.noise_floor_um, self.noise_floor_dof)
@@ -208,7 +208,7 @@ def worse_in_sample(candidates: Sequence[Candidate]) -> list[str]:
         return []
     return [
         f"{c.name} is worse than no correction on the rows that it was fitted to "
-        f"({c.train_rms_um:.3g} against {zero.train_rms_um:.3g} um): it was not fitted soundly, and "
+        f"({c.train_rms_um:.3g} against {zero.train_rms_um:.3g} µm): it was not fitted soundly, and "
         "being better than it means nothing"
         for c in candidates
         if not c.train_rms_um <= _SAME * zero.train_rms_um
@@ -218,7 +218,7 @@ def worse_in_sample(candidates: Sequence[Candidate]) -> list[str]:
 def condition_name(condition: Mapping[str, Any]) -> str:
     """Return what a condition of closed-loop evidence is called: a circle, a tone, hours ..."""
     if "frequency_hz" in condition:
-        return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} um"
+        return f"{condition['frequency_hz']:g} Hz {condition['amplitude_um']:g} µm"
     if "from_h" in condition:
         return f"{condition['campaign']} {condition['from_h']:g} to {condition['to_h']:g} h"
     if "approached" in condition:

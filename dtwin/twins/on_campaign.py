@@ -35,8 +35,8 @@ class TwinView:
         if self.diagnosed:
             return f"{self.result['verdict']}: {self.result['headline']}"
         return (
-            f"residual {self.result['residual_rms_um']:z.2f} um RMS, noise floor "
-            f"{self.result['noise_floor_um']:z.2f} um"
+            f"residual {self.result['residual_rms_um']:z.2f} µm RMS, noise floor "
+            f"{self.result['noise_floor_um']:z.2f} µm"
         )
 
 

@@ -45,7 +45,7 @@ def _corrected(found: Mapping[str, Any]) -> str:
         )
         for r in found["results"]
     ]
-    head = ("feed, mm/min", "runs", "before, um", "live, um", "tables, um", "live / before", "tables / before")
+    head = ("feed, mm/min", "runs", "before, µm", "live, µm", "tables, µm", "live / before", "tables / before")
     served = found["served"]
     lines = [
         f"2 of 3  circles of {found['radius_mm']:g} mm, a radius that the twin has not seen, bar mounted anew",
@@ -54,7 +54,7 @@ def _corrected(found: Mapping[str, Any]) -> str:
         "only: a session of their own)",
         table(head, rows),
         f"live: {served['circles']} circles, guard {_counts(served['acted'])}; "
-        f"largest {served['largest_um']:z.1f} um; dropped by the controller's watchdog "
+        f"largest {served['largest_um']:z.1f} µm; dropped by the controller's watchdog "
         f"{served['watchdog_trips']} times",
     ]
     if served["interrupted"]:

@@ -10,11 +10,11 @@ from dtwin.report.text import table
 _LATER_HEAD = (
     "feed, mm/min",
     "runs",
-    "before, um",
-    "after, um",
+    "before, µm",
+    "after, µm",
     "after / before",
-    "oracle, um",
-    "repeats, um",
+    "oracle, µm",
+    "repeats, µm",
     "raw before",
     "raw after",
 )
@@ -49,7 +49,7 @@ def _learned(found: Mapping[str, Any]) -> str:
         [
             "1 of 4  as the thesis did: one session, one mounting of the bar; runs 1 to 3 of each "
             "feed learned, run 4 left out",
-            table(("feed, mm/min", "runs", "R²", "before, um RMS", "after, um RMS"), rows),
+            table(("feed, mm/min", "runs", "R²", "before, µm RMS", "after, µm RMS"), rows),
             f"served in a later session: bar mounted anew, machine at {_span(later)} instead of "
             f"{_span(learned)}; all ways interleaved in random order, the run as unit",
             "(before, after: RMS with centre and radius of the mounting out, ratio with its 95 % "
@@ -65,7 +65,7 @@ def _promised(learned: Mapping[str, Any], served: Sequence[Mapping[str, Any]]) -
     promised = max(r["after_um"] for r in learned["rows"])
     got = [c["raw_after_um"] for c in served]
     return (
-        f"the R² promised a raw error of at most {_um(promised)} um, measured is {_um(min(got))} to {_um(max(got))} um"
+        f"the R² promised a raw error of at most {_um(promised)} µm, measured is {_um(min(got))} to {_um(max(got))} µm"
     )
 
 
@@ -107,11 +107,11 @@ def _told_right(found: Mapping[str, Any]) -> str:
         [
             "3 of 4  told right: two radii, every feed, random order, a cool-down in the middle of "
             f"each mounting; the twin knows {', '.join(twin['known'])}",
-            f"compare: {_um(twin['residual_um'])} um RMS are left; repeats disagree by "
-            f"{_um(twin['floor_um'])} um: something changes between them",
+            f"compare: {_um(twin['residual_um'])} µm RMS are left; repeats disagree by "
+            f"{_um(twin['floor_um'])} µm: something changes between them",
             f"diagnose: {twin['headline']}",
-            f"add {twin['added'] or 'nothing'}: {_um(twin['rungs'][-1]['rms_after_um'])} um RMS are "
-            f"left, noise floor {_um(twin['rungs'][-1]['noise_floor_um'])} um; {twin['after']}",
+            f"add {twin['added'] or 'nothing'}: {_um(twin['rungs'][-1]['rms_after_um'])} µm RMS are "
+            f"left, noise floor {_um(twin['rungs'][-1]['noise_floor_um'])} µm; {twin['after']}",
             table(("effect", "parameter", "value, k = 2"), values),
             table(("effect", "corrected", "how, or why not"), terms),
             "the temperature is an input of the correction: read once before each circle",

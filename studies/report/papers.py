@@ -74,7 +74,7 @@ def lathe_paper_text(found: Mapping[str, Any]) -> str:
         [
             paper_table(found["lines"], "the thesis"),
             "",
-            "what tables leave of the printed error, without drift or noise, at every 0.013 in (um):",
+            "what tables leave of the printed error, without drift or noise, at every 0.013 in (µm):",
             table(("", "max average", "max reversal", "rms"), steps),
         ]
     )
@@ -92,11 +92,11 @@ def dynamics_paper_text(found: Mapping[str, Any]) -> str:
         [
             paper_table(found["lines"]),
             "",
-            "simulated machines, both directions, um: CD after by vibration, minus CD after without;",
+            "simulated machines, both directions, µm: CD after by vibration, minus CD after without;",
             "what is taken out of a still machine; DC3 beside the RMS of the vibration put in:",
             table(*_machines(found["cases"])),
             "",
-            "virtual hexapod, low-pass, mean of both directions (um; accelerometer Y in g RMS):",
+            "virtual hexapod, low-pass, mean of both directions (µm; accelerometer Y in g RMS):",
             table(list(sweep[0]), [list(row.values()) for row in sweep]),
         ]
     )

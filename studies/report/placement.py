@@ -48,21 +48,21 @@ def _sphere(sphere: Mapping[str, Any]) -> str:
     head = (
         "feed, mm/min",
         "runs",
-        "before, um",
-        "after, um",
-        "oracle, um",
-        "change, um",
+        "before, µm",
+        "after, µm",
+        "oracle, µm",
+        "change, µm",
         "reduction",
         "of oracle",
-        "MAE before, um",
-        "MAE after, um",
+        "MAE before, µm",
+        "MAE after, µm",
     )
     return "\n".join(
         [
             "1 of 3  three circles at three heights, R 150 mm, clockwise, a stop every quarter, by a table "
             "of this one path",
             f"({sphere['clock']}; correction and oracle with {1e3 * sphere['delay_s']:z.0f} ms of "
-            f"delay and lag, clamp {sphere['clamp_um']:z.0f} um, slew {sphere['slew_um_s']:z.0f} "
+            f"delay and lag, clamp {sphere['clamp_um']:z.0f} µm, slew {sphere['slew_um_s']:z.0f} "
             "um/s; a mounting that the fit has not seen; RMS with one centre and one length for "
             "all runs of a way; 95 % intervals, the run as unit; MAE: as the thesis counts, with "
             "the mounting in it; * feed never fitted)",
@@ -87,10 +87,10 @@ def _placements(found: Mapping[str, Any]) -> str:
         "feed, mm/min",
         "n before",
         "n after",
-        "before, um",
-        "after, um",
-        "oracle, um",
-        "change, um",
+        "before, µm",
+        "after, µm",
+        "oracle, µm",
+        "change, µm",
         "reduction",
         "of oracle",
     )
@@ -105,7 +105,7 @@ def _placements(found: Mapping[str, Any]) -> str:
         ]
         for a in found["audit"]
     ]
-    audit_head = ("bookkeeping", "before, um", "after, um", "reduction", "SD before, um", "SD after, um")
+    audit_head = ("bookkeeping", "before, µm", "after, µm", "reduction", "SD before, µm", "SD after, µm")
     return "\n".join(
         [
             "2 of 3  placements by MoveL and MoveJ, by a constant for each, learned and tried at this one "
@@ -113,10 +113,10 @@ def _placements(found: Mapping[str, Any]) -> str:
             "(mean distance from where the block should lie, by a datum that was set before; the "
             "placement as unit, 95 % intervals; order drawn anew for every repeat; feeds "
             f"{', '.join(f'{f:g}' for f in found['trained_mm_min'])} mm/min were trained; clamp "
-            f"{found['clamp_um']:z.0f} um)",
+            f"{found['clamp_um']:z.0f} µm)",
             table(head, rows),
             f"flagged by rule: {flags}; block from {low:z.1f} to {high:z.1f} C, its half length "
-            f"grows by up to {found['growth_um']:z.1f} um, which the evaluation takes off",
+            f"grows by up to {found['growth_um']:z.1f} µm, which the evaluation takes off",
             "the same placements under other bookkeeping:",
             table(audit_head, audit),
             f"data: {found['folder']}",
@@ -206,7 +206,7 @@ def _motion(m: Mapping[str, Any]) -> list[str]:
     if m["limit"]["readings_mm"]:
         lines.append(
             f"two readings, {m['limit']['readings_mm']}, are the end of a travel: they differ by "
-            f"{1e3 * max(m['limit']['apart_mm']):z.1f} um"
+            f"{1e3 * max(m['limit']['apart_mm']):z.1f} µm"
         )
     return lines
 

@@ -38,10 +38,10 @@ def position_map_text(found: Mapping[str, Any]) -> str:
             "equation 6-2 of the thesis, as printed, on a circle of 50 mm: share of its variance "
             "that goes with each input (total Sobol index)",
             table(("input", "range", "share"), influence),
-            f"with no following error and no vibration it returns, in um: {points}",
+            f"with no following error and no vibration it returns, in µm: {points}",
             "",
             "a map of the path angle, trained as the thesis does: runs 1 to 3 of each feed, run 4 "
-            "left out, on the virtual mill (unit: the run; um RMS)",
+            "left out, on the virtual mill (unit: the run; µm RMS)",
             table(("tried on", "runs", "before", "after", "R²", "mounting out, before", "after"), sessions),
             f"verdict: {found['verdict']}",
             "",
@@ -53,7 +53,7 @@ def position_map_text(found: Mapping[str, Any]) -> str:
 def _robot_lines(found: Mapping[str, Any]) -> list[str]:
     quiet, ordinary, critical = zip(*found["at"].values(), strict=True)
     said, measured = (
-        f"{v[0]:z.0f} to {v[2]:z.0f}, median {v[1]:z.0f} um" for v in (found["said_um"], found["measured_um"])
+        f"{v[0]:z.0f} to {v[2]:z.0f}, median {v[1]:z.0f} µm" for v in (found["said_um"], found["measured_um"])
     )
     return [
         "equation 6-1, which corrected the robot, in its three forms: radial error in mm of a quiet "

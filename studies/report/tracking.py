@@ -30,7 +30,7 @@ def _published(found: Mapping[str, Any]) -> str:
         )
         for i, feed in enumerate(feeds)
     ]
-    head = ("feed, mm/min", "ball bar, um", "encoder, um", "with accelerometer, um", "reduction")
+    head = ("feed, mm/min", "ball bar, µm", "encoder, µm", "with accelerometer, µm", "reduction")
     return "\n".join(
         [
             "what the thesis reports (table 4-3: UR10e, XY, R100, 3 repeats, CCW and CW)",
@@ -52,7 +52,7 @@ def _reproduced(found: Mapping[str, Any]) -> str:
         )
         for f in found["feeds"]
     ]
-    head = ("feed, mm/min", "runs", "ball bar, um", "encoder, um", "with accelerometer, um", "reduction")
+    head = ("feed, mm/min", "runs", "ball bar, µm", "encoder, µm", "with accelerometer, µm", "reduction")
     return "\n".join(
         [
             "the same chain on the virtual cobot (mean over the middle half +- what repeats of a "
@@ -69,7 +69,7 @@ def _does_not_follow(found: Mapping[str, Any]) -> str:
     told, path = found["published"], found["along_the_path"]
     constant, other = found["controls_pct"].values()
     circles = table(
-        ("circle", "middle half, um", "full circle, um", "centre offset, um"),
+        ("circle", "middle half, µm", "full circle, µm", "centre offset, µm"),
         [
             (c["circle"], f"{c['middle_half_um']:z.1f}", f"{c['full_circle_um']:z.1f}", f"{c['centre_offset_um']:z.1f}")
             for c in found["set_up"]
@@ -87,14 +87,14 @@ def _does_not_follow(found: Mapping[str, Any]) -> str:
             "centre offset of the mounting; over the full circle that cancels:",
             circles,
             "3. That the shape of the error is found. With centre and radius fitted to every run, "
-            f"the gap is {path['gap_um']:z.1f} um RMS without and {path['left_um']:z.1f} um with the "
-            f"displacement: {path['change_um']:+z.1f} +- {path['change_half_width_um']:z.1f} um "
+            f"the gap is {path['gap_um']:z.1f} µm RMS without and {path['left_um']:z.1f} µm with the "
+            f"displacement: {path['change_um']:+z.1f} +- {path['change_half_width_um']:z.1f} µm "
             f"(95 %, {path['runs']:z.0f} runs), correlation {path['correlation']:z.2f}.",
             "4. The threshold. It minimises the figure that is reported, on the same runs; "
             f"here the swarm chose {found['threshold_g2']:.2g} g^2 at "
             f"F{found['tuned_at_feed_mm_min']:g}.",
-            "not reproduced: the encoder's 40 to 49 um. The virtual controller's own position stays "
-            f"within {largest:z.1f} um of its command on average; where the thesis's offset comes "
+            "not reproduced: the encoder's 40 to 49 µm. The virtual controller's own position stays "
+            f"within {largest:z.1f} µm of its command on average; where the thesis's offset comes "
             "from is not stated.",
         ]
     )

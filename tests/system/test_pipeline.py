@@ -336,7 +336,7 @@ def test_a_demo_without_a_page_says_so_and_goes_on(tmp_path: Path) -> None:
     with lock.open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
         with shown_steps(home, lambda title: lambda done, total, what: None, said.append) as steps:
-            assert steps.step("one", "1 of 1", lambda work: type(work).__name__) == "PlainWork"
+            assert steps.step("one", "1 of 1", lambda work: type(work).__name__) == "_PlainWork"
     assert "no Prefect page" in said[0]
 
 
@@ -346,7 +346,7 @@ def test_a_server_that_dies_on_the_way_does_not_end_the_demo(tmp_path: Path) -> 
     with shown_steps(home, lambda title: lambda done, total, what: None, said.append) as steps:
         assert steps.step("one", "1 of 2", lambda work: type(work).__name__) == "TaskWork"
         os.kill(_prefect_server(), signal.SIGKILL)
-        assert steps.step("two", "2 of 2", lambda work: type(work).__name__) == "PlainWork"
+        assert steps.step("two", "2 of 2", lambda work: type(work).__name__) == "_PlainWork"
     assert "is gone" in said[-1]
 
 

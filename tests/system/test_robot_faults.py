@@ -161,7 +161,7 @@ def test_the_slider_pauses_and_stops_are_followed(own_robot: VirtualRobot, home:
 
     def at(length_um: float) -> None:
         near = lambda: abs(applied_length_um(robot) - length_um) < 1.5  # noqa: E731
-        wait_for(near, f"never {length_um} um: {applied_length_um(robot)}")
+        wait_for(near, f"never {length_um} µm: {applied_length_um(robot)}")
 
     at(24.0)
     robot.do("speed", factor=0.5)
@@ -270,7 +270,7 @@ def test_a_model_that_is_withdrawn_while_it_is_served_lets_go(robot: VirtualRobo
     promote(home)
     server = Server("--json", f"--host={robot.host}")
     wait_until_corrected(robot)
-    bar(MACHINE, home, 3, "the error is larger with the correction: all 30.0 -> 40.0 um")
+    bar(MACHINE, home, 3, "the error is larger with the correction: all 30.0 -> 40.0 µm")
     code, out, _ = server.end()
     status = json.loads(out)
     assert (code, status["ended"], status["released"]) == (3, "withdrawn", True)

@@ -263,7 +263,7 @@ def test_trial_has_a_tight_clamp(robot: VirtualRobot, home: Home) -> None:
         assert status["clamp_um"] == 10.0
         assert status["largest_um"] == pytest.approx(10.0)
         assert status["reasons"]["clamped"] > 20
-        assert "limited to 10.0 um" in err
+        assert "limited to 10.0 µm" in err
 
 
 def test_two_servers_at_once(robot: VirtualRobot, home: Home) -> None:

@@ -91,7 +91,7 @@ def test_it_does_not_beat_the_look_up_and_says_that_much_is_unexplained(result: 
     assert "is not explained" in said
     waves = min(h["unseen_path_um"] for h in result["harmonics"].values())
     effects = min([result["setup_only_unseen_path_um"], *result["unseen_path_by_rung_um"]])
-    assert (f"do better: {waves:.1f} um" in said) == (waves < effects)
+    assert (f"do better: {waves:.1f} µm" in said) == (waves < effects)
 
 
 def test_no_name_is_more_than_shape_consistent_and_the_plan_repeats_runs(result: dict[str, Any]) -> None:

@@ -105,7 +105,7 @@ def test_tones_are_trained_promoted_and_tried_like_circles(
     (run,) = [run for part, _ in open_source(tmp_path / "served")[1] for run in part]
     command, tool = (run.samples[name] * 1000.0 for name in ("cmd_z_mm", "tool_z_mm"))
     left = abs(fit_tone(run.samples["t_s"], tool - command, 40.0).phasor)
-    assert left < 0.1, "4.3 um without"
+    assert left < 0.1, "4.3 µm without"
 
 
 def test_what_a_gate_refused_is_not_written_without_force(campaign: Path, tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_the_mechanism_is_compared_with_the_printed_figures() -> None:
     # 0.99 against 1.06 and 0.32 against 0.42 degrees are not what is printed.
     short = {line.what.removeprefix("mechanism: ") for line in lines if line.answer == "does not"}
     assert short == {"encoder lag at 30 Hz", "amplitude error at 5 Hz", "tool lag at 5 Hz"}
-    assert "1.97 um, but" in turning_paper_text({"lines": [asdict(line) for line in lines], "told": []})
+    assert "1.97 µm, but" in turning_paper_text({"lines": [asdict(line) for line in lines], "told": []})
 
 
 def test_the_printed_phase_equation_cannot_reach_what_is_printed_beside_it() -> None:

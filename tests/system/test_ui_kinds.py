@@ -70,7 +70,7 @@ def said(bench: Workbench, path: str) -> str:
     ("twin", "campaign", "run", "words"),
     [
         ("axis", "z", "z-1", ("Z forward", "Error over the position", "screw_pitch_mm 6.35")),
-        ("slide", "slow-tool-servo-linear", "g001", ("Z 10 Hz 5 um", "Error over the phase", "frequency_hz 10")),
+        ("slide", "slow-tool-servo-linear", "g001", ("Z 10 Hz 5 µm", "Error over the phase", "frequency_hz 10")),
     ],
 )
 def test_every_page_of_another_kind_answers(

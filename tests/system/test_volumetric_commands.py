@@ -41,7 +41,7 @@ def test_the_page_is_followed(tmp_path: Path) -> None:
     said = follow(blocks(page("docs/how-to/volumetric-heat.md")), tmp_path, here)
     fitted, told = (text for command, text in said if "volumetric fit" in command)
     judged = fitted[fitted.index("volumetric-validation:") :]
-    noise, held_out = map(float, re.findall(r"leaves ([\d.]+) um, ([\d.]+) um in held-out", judged)[0])
+    noise, held_out = map(float, re.findall(r"leaves ([\d.]+) µm, ([\d.]+) µm in held-out", judged)[0])
     assert 0.5 < noise < 1.5
     assert held_out < 1.5 * noise
     reduction = float(re.findall(r"distances between balls: RMS .*?\(-(\d+) %\)", judged)[0])

@@ -12,8 +12,8 @@ from shown_commands import alike
 @pytest.mark.parametrize(
     ("shown", "line", "same"),
     [
-        ("error 1.92 -> 1.21 um", "error 1.92 -> 1.22 um", True),
-        ("error 1.92 -> 1.21 um", "error 1.92 -> 1.24 um", False),
+        ("error 1.92 -> 1.21 µm", "error 1.92 -> 1.22 µm", True),
+        ("error 1.92 -> 1.21 µm", "error 1.92 -> 1.24 µm", False),
         ("36 runs added", "35 runs added", False),
         ("harmonic 2 (70 %)", "harmonic 2 (71 %)", True),
         ("harmonic 2 (70 %)", "harmonic 3 (70 %)", False),
@@ -28,5 +28,5 @@ def test_numbers_are_compared_to_the_precision_that_is_shown(shown: str, line: s
 
 
 def test_a_line_that_is_left_open_may_go_on() -> None:
-    assert alike("floor 0.51", "floor 0.51 um and more", begun=True)
-    assert not alike("floor 0.51", "floor 0.51 um and more")
+    assert alike("floor 0.51", "floor 0.51 µm and more", begun=True)
+    assert not alike("floor 0.51", "floor 0.51 µm and more")

@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from dtwin.units import is_number
+from dtwin.units import is_number, shown_unit
 
 
 @pytest.mark.parametrize("value", [0, -2.5, 1e300])
@@ -13,3 +13,11 @@ def test_finite_numbers_are_numbers(value: float) -> None:
 @pytest.mark.parametrize("value", [True, math.nan, -math.inf, 10**400, "1", None])
 def test_truth_values_text_and_what_no_float_holds_are_none(value: object) -> None:
     assert not is_number(value)
+
+
+@pytest.mark.parametrize(
+    ("unit", "shown"),
+    [("um/(m/s2)", "µm/(m/s²)"), ("ms2", "ms²"), ("urad", "µrad"), ("um/m", "µm/m"), ("ppm", "ppm"), ("1", "1")],
+)
+def test_units_are_shown_with_their_signs(unit: str, shown: str) -> None:
+    assert shown_unit(unit) == shown

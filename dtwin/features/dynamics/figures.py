@@ -86,7 +86,7 @@ def relative_difference(deviation_um: float, reference_um: float) -> float:
         raise InputError(
             "the reference has no circular deviation to compare with",
             code="dynamics.reference",
-            got=f"{reference_um:g} um",
+            got=f"{reference_um:g} µm",
             allowed="above 0",
         )
     return abs(deviation_um - reference_um) / reference_um

@@ -81,7 +81,7 @@ def _reading(run: Run) -> list[Finding]:
             Finding(
                 "reading.out_of_range",
                 "error",
-                f"a deviation of {largest:z.0f} um is beyond any ball bar: wrong unit, or the ball was lost",
+                f"a deviation of {largest:z.0f} µm is beyond any ball bar: wrong unit, or the ball was lost",
                 {"largest_um": largest},
             )
         )
@@ -95,7 +95,7 @@ def _reading(run: Run) -> list[Finding]:
             Finding(
                 code,
                 "error",
-                f"{length} equal readings in a row at {value:z.1f} um look like {what}",
+                f"{length} equal readings in a row at {value:z.1f} µm look like {what}",
                 {"samples_1": float(length), "value_um": float(value)},
             )
         )

@@ -43,7 +43,7 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
     elif result["bias"]["dc3_um"] > _MOST_BIAS * taken:
         say(
             "static_taken",
-            f"{result['bias']['dc3_um']:z.2f} um RMS are taken out of the slow runs, {taken:z.2f} um out "
+            f"{result['bias']['dc3_um']:z.2f} µm RMS are taken out of the slow runs, {taken:z.2f} µm out "
             "of the fastest: the twin lacks an effect (dtwin twin diagnose), the filter smooths too "
             "much, or the reference is not slow enough",
             slow_um=result["bias"]["dc3_um"],

@@ -143,7 +143,7 @@ def _alpha_figure(found: Mapping[str, Any]) -> go.Figure:
     figure.update_layout(
         title="Sensitivity to alpha",
         xaxis={"title": "alpha", "type": "log", "dtick": 1, "exponentformat": "power"},
-        yaxis_title="circular deviation after, um",
+        yaxis_title="circular deviation after, µm",
     )
     return styled(figure)
 

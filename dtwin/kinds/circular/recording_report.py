@@ -13,8 +13,8 @@ from dtwin.report.plots import error_figure, styled
 from dtwin.report.text import table
 from dtwin.schema import Floats
 
-_RUNG_HEAD = ("added", "at", "linear parameters", "fit um", "other pass um", "grade")
-_MODEL_HEAD = ("model", "parameters with shapes", "other pass um", "path not fitted um")
+_RUNG_HEAD = ("added", "at", "linear parameters", "fit µm", "other pass µm", "grade")
+_MODEL_HEAD = ("model", "parameters with shapes", "other pass µm", "path not fitted µm")
 
 
 def recording_text(result: Mapping[str, Any]) -> str:
@@ -76,8 +76,8 @@ def _waterfall(result: Mapping[str, Any]) -> go.Figure:
     figure = go.Figure(go.Bar(x=names, y=heights, text=[f"{h:z.1f}" for h in heights]))
     lines = (("look-up of the other pass", "look_up_um"), ("within-run floor", "floor_um"))
     for name, key in lines:
-        figure.add_hline(y=result[key], line={"dash": "dash"}, annotation_text=f"{name} {result[key]:z.1f} um")
-    figure.update_layout(title="Error on the pass that was not fitted", yaxis_title="RMS, um")
+        figure.add_hline(y=result[key], line={"dash": "dash"}, annotation_text=f"{name} {result[key]:z.1f} µm")
+    figure.update_layout(title="Error on the pass that was not fitted", yaxis_title="RMS, µm")
     return styled(figure)
 
 
@@ -92,12 +92,12 @@ def _alignment(result: Mapping[str, Any]) -> list[str]:
 def _stretches(result: Mapping[str, Any]) -> list[str]:
     lines = [
         f"{s['run_id']}: samples {s['first']} to {s['end']} are seen again {s['lag_samples']} samples "
-        f"later; {s['non_repeatable_um']:z.1f} um RMS does not repeat"
+        f"later; {s['non_repeatable_um']:z.1f} µm RMS does not repeat"
         for s in result["stretches"]
     ]
     return [
         *lines,
-        f"Floor {result['floor_um']:z.1f} um ({result['floor_kind']}): a lower bound, for nothing "
+        f"Floor {result['floor_um']:z.1f} µm ({result['floor_kind']}): a lower bound, for nothing "
         "was mounted or started twice.",
     ]
 
@@ -105,13 +105,13 @@ def _stretches(result: Mapping[str, Any]) -> list[str]:
 def _vendor(result: Mapping[str, Any]) -> list[str]:
     vendor = result["vendor"]
     stated = vendor["stated_um"]
-    lines = [] if stated is None else [f"The vendor states a residual of {stated:z.1f} um RMS."]
+    lines = [] if stated is None else [f"The vendor states a residual of {stated:z.1f} µm RMS."]
     for key, name in (("file_angles", "the file's angles"), ("aligned_angles", "aligned angles")):
         one = vendor[key]
         lines.append(
             f"Terms of the same kinds ({one['parameters']} parameters) refitted at {name}: "
-            f"{one['marked_window_um']:z.1f} um in the marked windows; fitted to one pass they leave "
-            f"{one['held_out_um']:z.1f} um of the other."
+            f"{one['marked_window_um']:z.1f} µm in the marked windows; fitted to one pass they leave "
+            f"{one['held_out_um']:z.1f} µm of the other."
         )
     return lines
 
@@ -136,7 +136,7 @@ def _shape(shape: Mapping[str, float]) -> str:
 
 def _alone(one: Mapping[str, Any]) -> str:
     shape = _shape(one["shape"])
-    return f"{one['family']}: {one['label']} ({shape}) leaves {one['held_out_um']:z.1f} um"
+    return f"{one['family']}: {one['label']} ({shape}) leaves {one['held_out_um']:z.1f} µm"
 
 
 def _models(result: Mapping[str, Any]) -> list[list[str]]:
@@ -158,11 +158,11 @@ def _conclusion(result: Mapping[str, Any]) -> list[str]:
     lines = np.array([line["frequency_hz"] for line in result["remaining_lines"]])
     return [
         _against(result),
-        f"Verdict: {result['verdict']}. {result['unexplained_um']:z.1f} um RMS that repeats is not "
+        f"Verdict: {result['verdict']}. {result['unexplained_um']:z.1f} µm RMS that repeats is not "
         f"explained; strongest lines in it at {', '.join(f'{f:z.1f}' for f in lines)} Hz.",
         "The effects were chosen by the pass they were not fitted to, which lies on the same path: "
         "the figure is for this path only, and choosing by it flatters it.",
-        f"On parts of the path left out of the estimates, {best:z.1f} um is the lowest the effects "
+        f"On parts of the path left out of the estimates, {best:z.1f} µm is the lowest the effects "
         f"reach, with {', '.join(carried) if carried else 'centre and radius alone'}; what was "
         "added after that describes this recording and explains nothing elsewhere.",
         _waves_elsewhere(result, best),
@@ -174,7 +174,7 @@ def _waves_elsewhere(result: Mapping[str, Any], effects_um: float) -> str:
     name, one = min(result["harmonics"].items(), key=lambda item: item[1]["unseen_path_um"])
     left = one["unseen_path_um"]
     better = "better" if left < effects_um else "no better"
-    return f"There the best harmonics ({name.replace('_', ' ')}) do {better}: {left:z.1f} um."
+    return f"There the best harmonics ({name.replace('_', ' ')}) do {better}: {left:z.1f} µm."
 
 
 def _against(result: Mapping[str, Any]) -> str:
@@ -183,8 +183,8 @@ def _against(result: Mapping[str, Any]) -> str:
     if result["vendor"]["stated_um"] is not None:
         rivals["what the vendor states"] = result["vendor"]["stated_um"]
     rivals["the look-up"] = result["look_up_um"]
-    said = [f"{'below' if held_out < r else 'not below'} {n}, {r:z.1f} um" for n, r in rivals.items()]
-    return f"On the pass not fitted the effects leave {held_out:z.1f} um: {'; '.join(said)}."
+    said = [f"{'below' if held_out < r else 'not below'} {n}, {r:z.1f} µm" for n, r in rivals.items()]
+    return f"On the pass not fitted the effects leave {held_out:z.1f} µm: {'; '.join(said)}."
 
 
 def _step(step: Mapping[str, Any]) -> str:

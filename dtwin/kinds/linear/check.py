@@ -48,7 +48,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
             Finding(
                 "reading.out_of_range",
                 "error",
-                f"an error of {largest:z.0f} um is beyond any slide: wrong unit, a lost beam, or the "
+                f"an error of {largest:z.0f} µm is beyond any slide: wrong unit, a lost beam, or the "
                 "laser was not zeroed at the first target",
                 {"largest_um": largest},
             )
@@ -169,8 +169,8 @@ def _drift(runs: Sequence[Run]) -> list[Finding]:
         Finding(
             "linear.drift",
             "warning",
-            f"the runs disagree by drift, not by noise: {drift_um:z.2f} um RMS wander from run to "
-            f"run, {noise_um:z.2f} um RMS from one reading to the next; more runs do not average "
+            f"the runs disagree by drift, not by noise: {drift_um:z.2f} µm RMS wander from run to "
+            f"run, {noise_um:z.2f} µm RMS from one reading to the next; more runs do not average "
             "it away, log temperatures and shorten the test",
             {"drift_um": drift_um, "noise_um": noise_um},
         )

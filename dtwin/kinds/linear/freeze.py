@@ -170,7 +170,7 @@ def _require_play(twin: Twin, obs: Observations) -> None:
             "the play that the twin foretells is negative somewhere: no memory can carry it",
             code="correct.play",
             where=f"twin {twin.name}, {obs.grid.points[where]:z.1f} mm",
-            got=f"the slide {-float(play[where]):z.2f} um further ahead going up than going down",
+            got=f"the slide {-float(play[where]):z.2f} µm further ahead going up than going down",
             allowed="reverse errors at or above forward errors along the whole travel",
             hint=f"dtwin twin diagnose {twin.name}: backlash may be missing; or the control takes "
             "away more play than there is",

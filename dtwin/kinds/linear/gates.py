@@ -102,7 +102,7 @@ def registered_positioning_gates(bundle: Bundle, metrics: Mapping[str, float]) -
         Verdict(
             "better than a table with backlash",
             rms < table,
-            f"{rms:z.2f} um RMS are left of runs left out, the table leaves {table:z.2f} um",
+            f"{rms:z.2f} µm RMS are left of runs left out, the table leaves {table:z.2f} µm",
         ),
         Verdict(
             "no slice worse than no correction",
@@ -138,9 +138,9 @@ def _seam(served: _PathAnswers, pitch_in: float, reach_in: tuple[float, float]) 
         error = served.along(np.concatenate([[start], path]))[1:]
         jumps = error[1::2] - error[::2]
         worst[name] = float(jumps[np.argmax(np.abs(jumps))]) * sign
-    told = ", ".join(f"{name} {jump:+z.2f} um" for name, jump in worst.items())
+    told = ", ".join(f"{name} {jump:+z.2f} µm" for name, jump in worst.items())
     passed = max(abs(jump) for jump in worst.values()) <= _SEAM_UM
-    return Verdict("no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} um")
+    return Verdict("no seam at a turn of the screw", passed, f"largest jump {told}; at most {_SEAM_UM:g} µm")
 
 
 def _outside(served: _PathAnswers, reach_in: tuple[float, float]) -> Verdict:
@@ -156,7 +156,7 @@ def _outside(served: _PathAnswers, reach_in: tuple[float, float]) -> Verdict:
     return Verdict(
         "ends held outside of the mapped travel",
         passed,
-        f"{off[worst]:z.1f} um away from the end's value at {worst:g} in; at most {_OUTSIDE_UM:g} um",
+        f"{off[worst]:z.1f} µm away from the end's value at {worst:g} in; at most {_OUTSIDE_UM:g} µm",
     )
 
 
@@ -170,8 +170,8 @@ def _reversal(served: _PathAnswers, places: Floats) -> Verdict:
     return Verdict(
         "no step at reversal",
         worst <= _STANDSTILL_UM,
-        f"{worst:z.2f} um at {where:z.3f} in when the axis turns back by one count "
-        f"({_COUNT_IN * _UM_PER_IN:z.2f} um); at most {_STANDSTILL_UM:g} um",
+        f"{worst:z.2f} µm at {where:z.3f} in when the axis turns back by one count "
+        f"({_COUNT_IN * _UM_PER_IN:z.2f} µm); at most {_STANDSTILL_UM:g} µm",
     )
 
 
@@ -185,6 +185,6 @@ def _standstill(served: _PathAnswers, places: Floats) -> Verdict:
     return Verdict(
         "defined at standstill",
         worst <= _STANDSTILL_UM,
-        f"{worst:z.2f} um between answers at one place, by one count of jitter and either direction "
-        f"told; at most {_STANDSTILL_UM:g} um",
+        f"{worst:z.2f} µm between answers at one place, by one count of jitter and either direction "
+        f"told; at most {_STANDSTILL_UM:g} µm",
     )

@@ -145,7 +145,7 @@ def before_after_lines(figures: Mapping[str, Mapping[str, float | None]]) -> lis
             share = f" ({100 * value / first:z.1f} %)" if number and value and first else ""
             row.append("not visible" if value is None else f"{value:z.2f}{share}")
         rows.append(row)
-    return table(("error, um", *names), rows).splitlines()
+    return table(("error, µm", *names), rows).splitlines()
 
 
 def _phases(result: Mapping[str, Any]) -> str:

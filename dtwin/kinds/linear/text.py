@@ -41,6 +41,6 @@ def compensation_text(found: Mapping[str, Any]) -> str:
         [
             *before_after_lines(states),
             f"{found['ticks']} cycles on the {found['clock']}; guard: {acted}; largest change in one "
-            f"cycle {found['largest_step_um']:z.1f} um",
+            f"cycle {found['largest_step_um']:z.1f} µm",
         ]
     )

@@ -253,7 +253,7 @@ def _what_was_seen(test: LinearTest, screw: Screw, engine: Engine | None) -> lis
         f"every run, one sweep up and down over {len(test.position_mm)} targets, was left out in "
         f"turn; the noise floor is what {runs} runs disagree by at the same target and direction, "
         f"and a mean of {runs - 1} runs cannot leave less than "
-        f"{noise_floor_um(test) * np.sqrt(runs / (runs - 1)):z.2f} um",
+        f"{noise_floor_um(test) * np.sqrt(runs / (runs - 1)):z.2f} µm",
         f"the targets meet the screw at {screw.phases} angles",
         "all runs have the same targets: what a candidate does between them is tried in the loop",
     ]

@@ -73,7 +73,7 @@ def _scores(groups: ToneGroups, amplitude: Floats, name: str) -> Scores:
     rest = groups.amplitude_error_um - amplitude
     ratio = np.abs(rest) / np.maximum(np.abs(groups.amplitude_error_um), 1e-9)
     worst = int(np.argmax(ratio))
-    where = f"{groups.frequency_hz[worst]:g} Hz {groups.amplitude_um[worst]:g} um"
+    where = f"{groups.frequency_hz[worst]:g} Hz {groups.amplitude_um[worst]:g} µm"
     return Scores(
         name,
         _r2(groups.amplitude_error_um, amplitude),
@@ -156,7 +156,7 @@ def _law_candidate(
     assert bundle.window_graph is not None
     rest = groups.amplitude_error_um - laws[0].values(groups.columns)
     numbers = found.numbers | {"spectral_radius": radius, "dead_terms": float(len(dead))}
-    equation = f"amplitude error, um = {laws[0].readable()}\nlag, deg = {laws[1].readable()}"
+    equation = f"amplitude error, µm = {laws[0].readable()}\nlag, deg = {laws[1].readable()}"
     findings = [f"{name_} is a dead constant on clean sines" for name_ in dead]
     if where:
         findings.append(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}")

@@ -191,9 +191,9 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
             Finding(
                 "sinusoidal.not_the_tone",
                 "error",
-                f"the command is not the stated tone of {told.amplitude_um:g} um at "
+                f"the command is not the stated tone of {told.amplitude_um:g} µm at "
                 f"{told.frequency_hz:g} Hz: that explains {100 * tone.share:z.0f} % of its power with "
-                f"{tone.amplitude:z.2f} um",
+                f"{tone.amplitude:z.2f} µm",
                 {"share_1": tone.share, "amplitude_um": tone.amplitude},
             )
         )
@@ -220,7 +220,7 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
             Finding(
                 "sensor.below_noise",
                 "warning",
-                f"the accelerometer does not hear {told.amplitude_um:g} um at {told.frequency_hz:g} Hz: "
+                f"the accelerometer does not hear {told.amplitude_um:g} µm at {told.frequency_hz:g} Hz: "
                 f"{100 * tone.share:z.0f} % of its power is the tone, its features are noise",
                 {"share_1": tone.share},
             )

@@ -191,7 +191,7 @@ def _require_smooth(graph: Graph, name: str, groups: ToneGroups) -> None:
                         "the twin's response swings between tones that were measured",
                         code="correct.between",
                         where=f"twin {name}, {low:g} to {high:g} Hz",
-                        got=f"{out:z.2f} um at {amplitude:g} um beyond what both tones show",
-                        allowed=f"{MOST_ERROR_UM:g} um: what lies between tones must be seen by them",
+                        got=f"{out:z.2f} µm at {amplitude:g} µm beyond what both tones show",
+                        allowed=f"{MOST_ERROR_UM:g} µm: what lies between tones must be seen by them",
                         hint="measure tones closer together there",
                     )

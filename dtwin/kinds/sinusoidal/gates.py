@@ -66,7 +66,7 @@ def correction_radius(bundle: Bundle, groups: ToneGroups) -> tuple[float, str]:
         for amplitude in amplitudes.tolist():
             radius = _radius(answers, here, amplitude)
             if not radius <= worst:
-                worst, where = radius, f"{frequency:g} Hz, {amplitude:g} um"
+                worst, where = radius, f"{frequency:g} Hz, {amplitude:g} µm"
     return worst, where
 
 
@@ -200,6 +200,6 @@ def _bounded(bundle: Bundle) -> Verdict:
     return Verdict(
         "bounded output",
         largest <= bundle.safety.clamp_um * (1.0 + 1e-9),
-        f"up to {raw:z.1f} um inside the box, {largest:z.1f} um after a clamp of "
-        f"{bundle.safety.clamp_um:z.1f} um whatever comes in",
+        f"up to {raw:z.1f} µm inside the box, {largest:z.1f} µm after a clamp of "
+        f"{bundle.safety.clamp_um:z.1f} µm whatever comes in",
     )

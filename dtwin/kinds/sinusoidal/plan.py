@@ -91,7 +91,7 @@ def tone_plan(stated: Mapping[str, Any], where: str) -> TonePlan:
             "amplitudes_um",
             _distinct(plan.amplitudes_um, 1e5),
             plan.amplitudes_um,
-            "different amplitudes above 0, up to 100000 um",
+            "different amplitudes above 0, up to 100000 µm",
         ),
         ("repeats", 1 <= plan.repeats <= 99, plan.repeats, "1 to 99"),
         ("repeats", plan.count <= _MOST_GROUPS, f"{plan.count} groups", f"{_MOST_GROUPS} in all"),

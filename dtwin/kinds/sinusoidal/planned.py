@@ -25,7 +25,7 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
     """Return tones as their plan file states them."""
     plan = tone_plan(plan_settings(document, where), where)
     total_s, groups = duration_s(plan), plan.groups
-    first = ", ".join(f"{g.frequency_hz:g} Hz {g.amplitude_um:g} um" for g in groups[:3])
+    first = ", ".join(f"{g.frequency_hz:g} Hz {g.amplitude_um:g} µm" for g in groups[:3])
     return Planned(
         kind="sinusoidal",
         plan=plan,

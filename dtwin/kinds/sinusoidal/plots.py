@@ -36,7 +36,7 @@ def trial_figures(rows: Sequence[Mapping[str, Any]]) -> list[go.Figure]:
     """
     frequency = [row["frequency_hz"] for row in rows]
     figures = []
-    for key, title in (("form_um", "Form error at the rim, um"), ("phase_deg", "Phase error at the rim, deg")):
+    for key, title in (("form_um", "Form error at the rim, µm"), ("phase_deg", "Phase error at the rim, deg")):
         figure = go.Figure()
         for when, name, colour in (("before", "without", COLOURS["measured"]), ("after", "with", COLOURS["second"])):
             figure.add_trace(
@@ -80,7 +80,7 @@ def surface_figures_of(frequency_hz: float, cut: tuple[Surface, Surface]) -> lis
                     "colorscale": "RdBu",
                     "colorbar": {"title": "um"},
                 },
-                hovertemplate="x %{x} mm, y %{y} mm: %{marker.color} um<extra></extra>",
+                hovertemplate="x %{x} mm, y %{y} mm: %{marker.color} µm<extra></extra>",
             )
         )
         figure.update_layout(

@@ -115,7 +115,7 @@ def trial(
         "clock": CLOCK,
         "truth": truth,
         "surface": f"z = {SLOPE_UM_PER_MM / 1000:g} x sin 2C - {SLOPE_UM_PER_MM / 1000:g} x, "
-        f"x to {RIM_MM:g} mm, {_FEED_UM_PER_REV:g} um a turn",
+        f"x to {RIM_MM:g} mm, {_FEED_UM_PER_REV:g} µm a turn",
         "rows": rows,
         "worse": [r["frequency_hz"] for r in rows if min(r["reduction"]["vector_um"], r["reduction"]["rms_um"]) < 0.0],
     }, surfaces

@@ -38,7 +38,7 @@ def _range(error: Floats) -> list[Finding]:
     largest = float(np.abs(error).max())
     if largest <= _MAX_ERROR_UM:
         return []
-    text = f"a ball was found {largest:z.0f} um beside its place: wrong ball, wrong unit, or a missed touch"
+    text = f"a ball was found {largest:z.0f} µm beside its place: wrong ball, wrong unit, or a missed touch"
     return [Finding("balls.out_of_range", "error", text, {"largest_um": largest})]
 
 
@@ -56,7 +56,7 @@ def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
             moved = max(moved, float(np.abs(rows[-1] - rows[0]).max()))
     if moved <= MOST_DRIFT_UM:
         return []
-    text = f"a ball on the table moved by {moved:z.1f} um within the cycle: it takes longer than the heat allows"
+    text = f"a ball on the table moved by {moved:z.1f} µm within the cycle: it takes longer than the heat allows"
     return [Finding("cycle.drift", "warning", text, {"moved_um": moved})]
 
 

@@ -360,7 +360,7 @@ def _experiment(verdict: Verdict, group: Sequence[Mover]) -> dict[str, Any] | No
 def _headline(verdict: Verdict, group: Sequence[Mover], movers: Sequence[Mover], figures: dict[str, float]) -> str:
     floor = figures["noise_floor_um"]
     if verdict == "nothing_missing":
-        return f"no error motion moves by more than {MATERIAL * floor:.2g} um at the balls beyond the twin"
+        return f"no error motion moves by more than {MATERIAL * floor:.2g} µm at the balls beyond the twin"
     best = group[0]
     what = f"{best.motion} ({motion_words(best.motion)}: {family_of(best.motion).title})"
     others = f"; {len(group) - 1} more" if len(group) > 1 else ""

@@ -46,7 +46,7 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
     ]
     subtitle = (
         f"{found['cycles']} cycles; distances between balls: RMS {d['rms_um']:z.2f} to "
-        f"{d['rms_left_um']:z.2f} um (-{d['rms_reduction_pct']:z.0f} %)"
+        f"{d['rms_left_um']:z.2f} µm (-{d['rms_reduction_pct']:z.0f} %)"
     )
     return page(f"Heat in {found['campaign']}", subtitle, sections)
 
@@ -57,7 +57,7 @@ def _motions(found: Mapping[str, Any]) -> go.Figure:
     for label, key, colour in (("measured", "rms_um", "measured"), ("left by the model", "rms_left_um", "second")):
         values = [row[key] for row in found["coefficients"]]
         figure.add_trace(go.Bar(x=names, y=values, name=label, marker_color=COLOURS[colour]))
-    figure.update_layout(title="RMS of every error motion", yaxis_title="um, um/m", barmode="group")
+    figure.update_layout(title="RMS of every error motion", yaxis_title="um, µm/m", barmode="group")
     return styled(figure)
 
 

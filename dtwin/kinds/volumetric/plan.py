@@ -108,7 +108,7 @@ def _drift_advice(plan: BallPlan) -> list[Finding]:
         Finding(
             "plan.cycle_too_long",
             "warning",
-            f"in a cycle of {60.0 * plan.cycle_h:z.0f} min the machine moves by up to {moved:z.1f} um, which "
+            f"in a cycle of {60.0 * plan.cycle_h:z.0f} min the machine moves by up to {moved:z.1f} µm, which "
             f"looks like an error of place; at most {60.0 * longest:z.0f} min{advised}",
             {"moved_um": moved, "longest_h": longest},
         )

@@ -15,16 +15,16 @@ def judged_text(found: Mapping[str, Any]) -> str:
     d = found["distances"]
     lines = [
         f"{found['campaign']}: {found['cycles']} cycles, {found['sensors']} thermocouples; identification "
-        f"leaves {found['identified_um']:z.2f} um, {found['held_out_poses_um']:z.2f} um in held-out poses",
-        f"distances between balls: RMS {d['rms_um']:z.2f} -> {d['rms_left_um']:z.2f} um "
-        f"(-{d['rms_reduction_pct']:z.0f} %), range {d['p2p_um']:z.0f} -> {d['p2p_left_um']:z.0f} um "
+        f"leaves {found['identified_um']:z.2f} µm, {found['held_out_poses_um']:z.2f} µm in held-out poses",
+        f"distances between balls: RMS {d['rms_um']:z.2f} -> {d['rms_left_um']:z.2f} µm "
+        f"(-{d['rms_reduction_pct']:z.0f} %), range {d['p2p_um']:z.0f} -> {d['p2p_left_um']:z.0f} µm "
         f"(-{d['p2p_reduction_pct']:z.0f} %)",
     ]
     if found["slots"]:
         s = found["slots"]
         lines.append(
-            f"sixteen slots in 15 h: range {s['mean_range_um']:z.1f} -> {s['mean_range_left_um']:z.1f} um on "
-            f"average, {s['max_range_um']:z.1f} -> {s['max_range_left_um']:z.1f} um at worst"
+            f"sixteen slots in 15 h: range {s['mean_range_um']:z.1f} -> {s['mean_range_left_um']:z.1f} µm on "
+            f"average, {s['max_range_um']:z.1f} -> {s['max_range_left_um']:z.1f} µm at worst"
         )
     rows = [
         [
@@ -64,7 +64,7 @@ def _line_lines(lines: Sequence[Mapping[str, Any]]) -> list[str]:
         for line in lines
     ]
     head = ("line", *(f"{hours[i]:g} h" for i in shown))
-    out = ["spread within a job of that length in um, less in 95 % of them:", table(head, rows)]
+    out = ["spread within a job of that length in µm, less in 95 % of them:", table(head, rows)]
     for line in lines:
         if line["worse_h"]:
             named = ", ".join(f"{h:g}" for h in line["worse_h"])

@@ -29,9 +29,9 @@ def twin_text(twin: HeatTwin) -> str:
         f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, "
         f"campaign {twin.campaign}\n"
         f"error at the balls {micrometres(figures['rms_before_um'])} -> "
-        f"{micrometres(figures['rms_after_um'])} um RMS, "
-        f"{micrometres(figures['held_out_rms_um'])} um on hours left out; noise floor "
-        f"{micrometres(figures['noise_floor_um'])} um ({_UNIT})\n"
+        f"{micrometres(figures['rms_after_um'])} µm RMS, "
+        f"{micrometres(figures['held_out_rms_um'])} µm on hours left out; noise floor "
+        f"{micrometres(figures['noise_floor_um'])} µm ({_UNIT})\n"
     )
     shown = term_table(twin)
     return "\n".join([head, table(shown.head, shown.rows) if shown.rows else "no effects yet"])
@@ -61,9 +61,9 @@ def comparison_text(result: Mapping[str, Any]) -> str:
             f"{result['campaign']} ({result['runs']} cycles)",
             table(days.head, days.rows),
             f"error at the balls {micrometres(result['rms_before_um'])} -> "
-            f"{micrometres(result['residual_rms_um'])} um RMS, of which error "
-            f"motions are {micrometres(result['systematic_rms_um'])} um; noise floor "
-            f"{micrometres(result['noise_floor_um'])} um ({_UNIT})",
+            f"{micrometres(result['residual_rms_um'])} µm RMS, of which error "
+            f"motions are {micrometres(result['systematic_rms_um'])} µm; noise floor "
+            f"{micrometres(result['noise_floor_um'])} µm ({_UNIT})",
             "most left, RMS at the balls:",
             table(motions.head, motions.rows),
             "largest, noise left aside:",
@@ -77,12 +77,12 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
     lines = [
         f"{result['verdict']}: {result['headline']}",
-        f"residual at the balls {micrometres(result['residual_rms_um'])} um RMS, of which error "
-        f"motions are {micrometres(result['systematic_rms_um'])} um; noise floor "
-        f"{micrometres(result['noise_floor_um'])} um ({_UNIT})",
+        f"residual at the balls {micrometres(result['residual_rms_um'])} µm RMS, of which error "
+        f"motions are {micrometres(result['systematic_rms_um'])} µm; noise floor "
+        f"{micrometres(result['noise_floor_um'])} µm ({_UNIT})",
     ]
     if result["candidates"]:
-        head = ("motion", "seen, um", "after, um", "told on hours left out", "p", "by", "in group")
+        head = ("motion", "seen, µm", "after, µm", "told on hours left out", "p", "by", "in group")
         rows = [
             (
                 c["effect"],
@@ -110,8 +110,8 @@ def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Sectio
     """Return measured against predicted: motion by motion and day by day."""
     said = (
         f"Version {result['version']} against {result['campaign']}: {result['runs']} cycles, "
-        f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} um RMS at the "
-        f"balls, noise floor {micrometres(result['noise_floor_um'])} um ({_UNIT})."
+        f"{micrometres(result['rms_before_um'])} -> {micrometres(result['residual_rms_um'])} µm RMS at the "
+        f"balls, noise floor {micrometres(result['noise_floor_um'])} µm ({_UNIT})."
     )
     return [
         Section(
@@ -188,7 +188,7 @@ def _bodies(sensors: Sequence[str]) -> str:
 def _place(place: Mapping[str, Any]) -> str:
     where = f"pose {place['pose']}" if place["pose"] else "balls on the table"
     first, last = place["hours"]
-    return f"{where}, in {place['axis']}, {first:g} to {last:g} h: {micrometres(place['residual_rms_um'])} um"
+    return f"{where}, in {place['axis']}, {first:g} to {last:g} h: {micrometres(place['residual_rms_um'])} µm"
 
 
 def _day_table(result: Mapping[str, Any]) -> Table:
@@ -201,7 +201,7 @@ def _day_table(result: Mapping[str, Any]) -> Table:
         )
         for c in result["conditions"]
     ]
-    return Table(("hours", "cycles", "before, um", "after, um"), rows)
+    return Table(("hours", "cycles", "before, µm", "after, µm"), rows)
 
 
 def _motion_table(result: Mapping[str, Any], most: int = 6) -> Table:
@@ -216,7 +216,7 @@ def _motion_table(result: Mapping[str, Any], most: int = 6) -> Table:
         )
         for m in worst
     ]
-    return Table(("motion", "in the twin", "before, um", "after, um", "of it noise"), rows)
+    return Table(("motion", "in the twin", "before, µm", "after, µm", "of it noise"), rows)
 
 
 def motion_figure(result: Mapping[str, Any]) -> go.Figure:
@@ -239,7 +239,7 @@ def motion_figure(result: Mapping[str, Any]) -> go.Figure:
         )
     figure.update_layout(
         title="Every error motion at the balls",
-        yaxis={"title": "RMS, um", "type": "log", "dtick": 1},
+        yaxis={"title": "RMS, µm", "type": "log", "dtick": 1},
         xaxis_tickangle=-60,
         barmode="group",
     )
@@ -272,7 +272,7 @@ def day_figure(result: Mapping[str, Any]) -> go.Figure:
         )
     )
     figure.update_layout(
-        title="Error at the balls, day by day", yaxis_title="RMS, um", xaxis_title="hours", barmode="group"
+        title="Error at the balls, day by day", yaxis_title="RMS, µm", xaxis_title="hours", barmode="group"
     )
     return styled(figure)
 

@@ -142,7 +142,7 @@ class LinuxcncSession(OpenAndClose):
         package = files("dtwin.machines.linuxcnc")
         components = self.folder / "components"
         components.mkdir()
-        for name in ("mill.hal", "prepare.sh", "bridge.py"):
+        for name in ("mill.hal", "prepare.sh", "_bridge.py"):
             (self.folder / name).write_text(package.joinpath(name).read_text(encoding="utf-8"))
         for name in _COMPONENTS:
             source = components / f"{name}.comp"
@@ -167,7 +167,7 @@ class LinuxcncSession(OpenAndClose):
 
     def _start(self) -> None:
         self.process = subprocess.Popen(
-            ["unshare", *_NAMESPACES, "sh", "prepare.sh", _SYSTEM_PYTHON, "-s", "bridge.py"],
+            ["unshare", *_NAMESPACES, "sh", "prepare.sh", _SYSTEM_PYTHON, "-s", "_bridge.py"],
             cwd=self.folder,
             env={"PATH": _PATH, "LANG": "C.UTF-8"},
             text=True,

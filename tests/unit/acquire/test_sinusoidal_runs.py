@@ -60,8 +60,8 @@ def test_check_prints_amplitude_and_lag_of_each_run(folder: Path) -> None:
     assert tone["tool_um"] == pytest.approx(15.2, abs=0.1)
     assert tone["tool_lag_deg"] == pytest.approx(8.2, abs=0.1)
     text = render_check(result)
-    assert "amplitude error um" in text
-    assert "does not hear 1 um at 5 Hz" in text
+    assert "amplitude error µm" in text
+    assert "does not hear 1 µm at 5 Hz" in text
 
 
 def test_a_grid_with_holes_is_told(folder: Path) -> None:

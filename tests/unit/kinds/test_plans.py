@@ -109,8 +109,8 @@ def test_an_option_acts_or_is_refused(plan: tuple[str, Path], tmp_path: Path, ve
     [
         (["--control", "iso"], "without --out"),
         (["--noise-um", "2"], "without --check"),
-        (["--check", "--noise-um", "0"], "0 um"),
-        (["--check", "--noise-um", "nan"], "nan um"),
+        (["--check", "--noise-um", "0"], "0 µm"),
+        (["--check", "--noise-um", "nan"], "nan µm"),
         (["--out", "programs", "--control", "smoke"], "smoke"),
     ],
 )

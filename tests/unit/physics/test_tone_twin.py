@@ -89,7 +89,7 @@ def test_a_run_becomes_the_error_over_the_phase_of_its_command() -> None:
     theta = obs.grid.phase_rad
     wanted = 0.3 * np.sin(theta - 0.5) + 0.1 * np.cos(3.0 * theta) + 0.02
     np.testing.assert_allclose(obs.y_um[0], wanted, atol=1e-6)
-    assert str(obs.conditions[0]) == "Z 40 Hz 10 um"
+    assert str(obs.conditions[0]) == "Z 40 Hz 10 µm"
 
 
 def test_tones_that_cannot_be_reduced_are_refused() -> None:

@@ -12,7 +12,7 @@ from studies.report.papers import counted, summary_text
 
 
 def line(what: str, answer: Answer) -> dict[str, str]:
-    return {"what": what, "paper": "12 um", "ours": "30 um", "answer": answer, "target": ""}
+    return {"what": what, "paper": "12 µm", "ours": "30 µm", "answer": answer, "target": ""}
 
 
 def test_what_does_not_follow_is_named_with_both_figures() -> None:
@@ -24,10 +24,10 @@ def test_what_does_not_follow_is_named_with_both_figures() -> None:
     assert [row.split()[-5:] for row in said[2:4]] == [["1"] * 5, ["1", "0", "0", "0", "0"]]
     rest = said[said.index("what does not follow:") :]
     assert rest[1:] == [
-        "  lathe: does not: 12 um; here 30 um",
+        "  lathe: does not: 12 µm; here 30 µm",
         "",
         "easier here:",
-        "  lathe: easier here: 12 um; here 30 um",
+        "  lathe: easier here: 12 µm; here 30 µm",
     ]
     assert counted(found["mill"]["lines"]).startswith("1 follows, 0 does not")
 

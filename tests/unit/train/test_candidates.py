@@ -30,7 +30,7 @@ def candidate(name: str, train_rms_um: float) -> Candidate:
 
 def test_a_baseline_that_is_worse_than_nothing_where_it_was_fitted_is_told() -> None:
     (told,) = worse_in_sample([candidate("zero", 48.0), candidate("a", 47.0), candidate("b", 324.0)])
-    assert told.startswith("b is worse than no correction on the rows that it was fitted to (324 against 48 um)")
+    assert told.startswith("b is worse than no correction on the rows that it was fitted to (324 against 48 µm)")
     assert len(worse_in_sample([candidate("zero", 48.0), candidate("c", float("nan"))])) == 1
     assert worse_in_sample([candidate("b", 324.0)]) == []
 

@@ -44,7 +44,7 @@ def failed(verdicts: list[Verdict]) -> set[str]:
 def test_a_sound_model_passes_and_is_clamped() -> None:
     verdicts = offline_gates(bundle(), GOOD)
     assert failed(verdicts) == set()
-    assert "15 um after a clamp" in next(v.reason for v in verdicts if v.gate == "bounded output")
+    assert "15 µm after a clamp" in next(v.reason for v in verdicts if v.gate == "bounded output")
 
 
 @pytest.mark.parametrize(

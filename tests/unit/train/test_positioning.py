@@ -94,8 +94,8 @@ def test_the_deployed_equation_fails_each_gate_by_name() -> None:
     }
     told = {v.gate: v.reason for v in verdicts}
     # 63 and 190 millionths of an inch; -0.0235 in at -0.1 in instead of about -0.0005.
-    assert "+1.60 um, reverse +4.82 um" in told["no seam at a turn of the screw"]
-    assert "582.5 um" in told["ends held outside of the mapped travel"]
+    assert "+1.60 µm, reverse +4.82 µm" in told["no seam at a turn of the screw"]
+    assert "582.5 µm" in told["ends held outside of the mapped travel"]
 
 
 def test_flanks_with_a_memory_pass_every_gate(flanks: Flanks) -> None:

@@ -1,0 +1,69 @@
+"""Faults in the words of the shop: sizes with k = 2, and a picture of each signature."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from defusedxml.ElementTree import fromstring
+
+from dtwin.physics.fit import Estimate
+from dtwin.physics.library import Library
+from dtwin.report.faults import size_of
+from dtwin.report.signature import signature_svg
+
+LIBRARY = Library()
+
+
+def estimate(name: str, value: float, uncertainty: float, unit: str = "um", *, told: bool = True) -> Estimate:
+    return Estimate("e", "X", name, unit, value, uncertainty, told)
+
+
+@pytest.mark.parametrize(
+    ("estimates", "said"),
+    [
+        ([estimate("height", 3.1234, 0.2345)], "3.12 ± 0.23 µm"),
+        ([estimate("height", -1234.5, 18.0)], "-1234 ± 18 µm"),
+        ([estimate("height", 3.1, float("nan"))], "3.1 µm"),
+        ([estimate("height", 3.1, 0.2, told=False)], "its size is not told by these runs"),
+        ([estimate("cosine", 3.0, 0.1), estimate("sine", 4.0, 0.1)], "5.00 ± 0.10 µm"),
+        (
+            [
+                estimate("compliance", 2.0, 0.1, "um/(m/s2)"),
+                estimate("cosine_1", 3.0, 0.1),
+                estimate("sine_1", -4.0, 0.1),
+            ],
+            "compliance 2.00 ± 0.10 µm/(m/s²); amplitude 5.00 ± 0.10 µm",
+        ),
+        ([estimate("shift_x", 1.0, 0.5), estimate("shift_y", 2.0, 0.5, told=False)], "1.00 ± 0.50 µm"),
+        ([estimate("lag", 1.0, 0.5), estimate("extra", 2.0, 0.25)], "lag 1.00 ± 0.50 µm; extra 2.00 ± 0.25 µm"),
+    ],
+)
+def test_a_size_is_rounded_to_its_uncertainty(estimates: list[Estimate], said: str) -> None:
+    assert size_of(estimates) == said
+
+
+def test_the_uncertainty_of_an_amplitude_covers_it() -> None:
+    rng = np.random.default_rng(4)
+    drawn = np.array([3.0, 4.0]) + rng.normal(0.0, 0.2, (400, 2))
+    told = [size_of([estimate("cosine", c, 0.4), estimate("sine", s, 0.4)]) for c, s in drawn]
+    inside = [abs(float(a) - 5.0) <= float(u) for a, u in (re.findall(r"[\d.]+", t) for t in told)]
+    assert 0.92 <= np.mean(inside) <= 0.98
+
+
+def test_a_signature_is_drawn_for_both_directions() -> None:
+    picture = fromstring(signature_svg(LIBRARY["backlash"], "Y"))
+    curves = picture.findall("polygon")
+    assert len(curves) == 2
+    radii = [
+        np.hypot(*(np.array(re.findall(r"[\d.]+", c.get("points")), float).reshape(-1, 2) - 150.0).T) for c in curves
+    ]
+    # The play of Y shows where Y reverses, at 90 and 270 degrees, and turns over with the direction.
+    quarter = len(radii[0]) // 4
+    for radius in radii:
+        step = np.abs(np.diff(radius))
+        assert abs(int(np.argmax(step)) % (2 * quarter) - quarter) <= 2
+    away = np.abs(np.arange(len(radii[0])) % (2 * quarter) - quarter) > 2
+    assert np.abs(radii[0] + radii[1] - 200.0)[away].max() < 0.3
+    assert signature_svg(LIBRARY["stick_slip"]) == ""
