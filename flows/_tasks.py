@@ -124,7 +124,7 @@ def evidence(version: RegisteredVersion, seed: int) -> Evidence:
 @task(name="circles", task_run_name="circles with version {version.version}", **_ONCE)
 def measure_evidence(version: RegisteredVersion, plan: EvidencePlan, seed: int) -> Evidence:
     """Measure circles with and without a version on the virtual cobot."""
-    return closed_loop.measure(home(), version, seed=seed, plan=plan, progress=logged("circles"))
+    return closed_loop.measure(home(), version, seed=seed, plan=plan, progress=logged("runs"))
 
 
 @task(name="paper", task_run_name="paper: {name}", **_ONCE)
@@ -148,7 +148,7 @@ def make_champion(version: RegisteredVersion, comment: str, despite: Sequence[st
 @task(name="recheck", task_run_name="recheck of {machine}", **_ONCE)
 def recheck(machine: str, seed: int, blocks: int) -> rechecking.Rechecked:
     """Measure with and without a champion again, and withdraw it when it harms."""
-    return rechecking.recheck(home(), machine, seed=seed, blocks=blocks, progress=logged("circles"))
+    return rechecking.recheck(home(), machine, seed=seed, blocks=blocks, progress=logged("runs"))
 
 
 @task(name="figures", task_run_name="figures of {campaign}", **_REPEATABLE)

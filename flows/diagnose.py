@@ -47,7 +47,7 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
         )
     twins = _tasks.look_at_twins(figures["machine"], campaign)
     kind = kind_named(figures["kind"])
-    judged = kind.offers("drift_is_judged")
+    judged = kind.offers("champion_error")
     check = _tasks.champion_drift(figures["machine"], campaign) if judged else None
     publish_twins(campaign, twins)
     publish_drift(check)
@@ -58,7 +58,7 @@ def diagnose_flow(campaign: str) -> dict[str, Any]:
         "warnings": sum(f["severity"] == "warning" for _, f in findings),
         "twins": {view.name: view.headline for view in twins},
         "drift": check.as_dict() if check else None,
-        "not_judged": "" if judged else kind.lacks("drift_is_judged").message,
+        "not_judged": "" if judged else kind.lacks("champion_error").message,
         "scope": WHAT_IT_IS,
     }
 

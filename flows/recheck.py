@@ -17,9 +17,9 @@ from flows import _artifacts, _tasks
 
 @flow(name="recheck", flow_run_name="recheck")
 def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> dict[str, Any] | State[dict[str, Any]]:
-    """Measure circles with and without each champion; withdraw the ones that harm.
+    """Measure each machine with and without its champion; withdraw the ones that harm.
 
-    A real machine's circles have to be measured on it: it is left out here, with that reason.
+    A real machine has to be measured itself: it is left out here, with that reason.
     The run ends as ``Withdrawn`` when a champion was taken away.
 
     Parameters
@@ -29,7 +29,7 @@ def recheck_flow(machine: str | None = None, seed: int = 0, blocks: int = 3) -> 
     seed : int
         Seed of the virtual machine, of order and noise.
     blocks : int
-        Passes over all conditions.
+        Passes over all circles of the cobot.
     """
     registry = Registry(home())
     machines = [machine] if machine is not None else registry.machines()

@@ -21,7 +21,7 @@ def recheck(
     machine: Machine = None,
     without: Annotated[list[str] | None, typer.Option(help="Campaign in the lake measured without it.")] = None,
     with_: Annotated[list[str] | None, typer.Option("--with", help="Campaign measured with it.")] = None,
-    blocks: Annotated[int, typer.Option(help="Passes over all conditions.", min=2, max=1000)] = 3,
+    blocks: Annotated[int, typer.Option(help="Passes over all circles of the cobot.", min=2, max=1000)] = 3,
     seed: Annotated[int, typer.Option(help="Seed of the virtual machine.")] = 0,
     as_json: Json = False,
 ) -> None:
@@ -37,7 +37,7 @@ def recheck(
         with_=with_ or (),
         blocks=blocks,
         seed=seed,
-        progress=ProgressLine("circles", quiet=as_json),
+        progress=ProgressLine("runs", quiet=as_json),
     )
     head = ("condition", "without µm", "with µm", "growth µm", "± µm", "pairs")
 

@@ -17,13 +17,16 @@ if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.progress import Progress
     from dtwin.report.html import Section
     from dtwin.report.sheet import Sheet
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
+    from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
@@ -58,7 +61,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "twin_correction": ("the correction of a twin", "a bundle of the effects of a twin"),
     "training": ("training", "a table of inputs and targets"),
     "gates": ("promotion", "gates of its bundles"),
-    "drift_is_judged": ("drift of the champion", "rows on which a bundle of the kind is judged"),
+    "champion_error": ("drift of the champion", "an error that a bundle leaves of recorded runs"),
     "run_errors": ("evidence run by run", "an error of each run"),
 }
 """Verbs that a kind may lack: what each is called, and what it needs."""
@@ -291,9 +294,27 @@ class Kind:
         """Return why rows of the lake cannot train an equation, or nothing."""
         return ""
 
-    def drift_is_judged(self, rows: Sequence[Mapping[str, Any]]) -> bool:
-        """Tell whether a champion can be judged on rows of the lake."""
-        return False
+    def drift_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
+        """Return why rows of the lake cannot judge a champion of such campaigns, or nothing."""
+        return ""
+
+    def champion_error(
+        self,
+        lake: Lake,
+        rows: Sequence[dict[str, Any]],
+        bundle: Bundle,
+        metrics: Mapping[str, float],
+        progress: Progress | None = None,
+    ) -> ChampionError:
+        """Return what a bundle leaves of the runs of rows of the lake; ``metrics`` were logged with it."""
+        raise self.lacks("champion_error")
+
+    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
+        """Return which logged error to expect on fresh rows of the lake, by those that a bundle was trained on.
+
+        Raises ``InputError`` when the known ones say nothing of the fresh ones.
+        """
+        raise self.lacks("champion_error")
 
     def offers(self, verb: str) -> bool:
         """Tell whether the kind has one of ``VERBS``."""

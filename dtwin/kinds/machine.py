@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from dtwin.train.circle_evidence import EvidencePlan
     from dtwin.train.evidence import Evidence
     from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.recheck import CheckedRun
     from dtwin.train.registry import RegisteredVersion, Registry
 
 FROM_THE_LAKE = "dtwin evidence VERSION --without C --with C computes it from campaigns of the lake"
@@ -115,12 +116,16 @@ class VirtualMachine:
         """Measure the machine with and without a bundle, by turns."""
         raise self.lacks("closed-loop evidence", FROM_THE_LAKE)
 
+    def checked(self, request: EvidenceRequest, blocks: int) -> list[CheckedRun]:
+        """Measure pairs with and without a bundle, in an order of its own for each of some blocks."""
+        raise self.lacks("a check by pairs of runs", "dtwin recheck judges fresh evidence")
+
     def prediction(self, home: Home, version: RegisteredVersion, progress: Progress | None) -> Evidence:
         """Return evidence that other campaigns of the lake give, where nothing is served."""
         raise self.lacks("predicted evidence", FROM_THE_LAKE)
 
     def offers(self, verb: str) -> bool:
-        """Tell whether the machine has ``served``, ``evidence`` or ``prediction``."""
+        """Tell whether the machine has ``served``, ``evidence``, ``checked`` or ``prediction``."""
         return getattr(type(self), verb) is not getattr(VirtualMachine, verb)
 
     def lacks(self, what: str, hint: str) -> InputError:

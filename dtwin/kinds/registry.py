@@ -108,16 +108,19 @@ def machine_of_type(type_: object) -> VirtualMachine | None:
 
 def machine_table() -> str:
     """Return what each virtual machine can be asked, as Markdown: docs/reference/kinds.md holds it."""
-    lines = ["| `--machine` | campaigns | options | `--listen` | evidence |", "|---" * 5 + "|"]
+    lines = ["| `--machine` | campaigns | options | `--listen` | evidence | recheck |", "|---" * 6 + "|"]
     for machine in machines():
         options = ", ".join(f"`--{name}`" for name in machine.options) or "none"
-        evidence = "measured" if machine.offers("evidence") else "no"
+        evidence, recheck = ("measured", "fresh evidence") if machine.offers("evidence") else ("no", "no")
+        if machine.offers("prediction"):
+            evidence, recheck = "predicted", "newer campaigns"
         cells = (
             f"`{machine.name}`",
             machine.kind,
             options,
             ", ".join(f"{clock} clock" for clock in machine.clocks) or "no",
-            "predicted" if machine.offers("prediction") else evidence,
+            evidence,
+            "pairs of runs" if machine.offers("checked") else recheck,
         )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

@@ -12,6 +12,7 @@ from dtwin.lake.store import Lake
 from dtwin.lifecycle.drift import champion_error, trained_rows
 from dtwin.lifecycle.train import Registered
 from dtwin.report.html import Section, Table, page
+from dtwin.train.champion_error import um_text
 from dtwin.train.promotion import verdict_lines
 from dtwin.train.registry import RegisteredVersion, Registry
 
@@ -20,8 +21,8 @@ from dtwin.train.registry import RegisteredVersion, Registry
 class Comparison:
     """Candidate and champion on the same runs.
 
-    ``candidate_um``, ``champion_um``, ``before_um``: set-up-corrected RMS: of the candidate with each feed left out of
-    its fit in turn, of the champion as it would have been served, and without a model.
+    ``candidate_um``, ``champion_um``, ``before_um``: set-up-corrected RMS: of the candidate with each group (feed, run,
+    hours ...) left out of its fit in turn, of the champion as it would have been served, and without a model.
     ``noise_floor_um``: what repeats disagree by.
     ``n_runs``, ``seen_by_champion``: number of runs, and how many of them the champion was trained on.
     """
@@ -47,16 +48,16 @@ class Comparison:
         )
         return (
             f"candidate {self.candidate} leaves {what} than champion {self.champion} "
-            f"({self.candidate_um:z.1f} against {self.champion_um:z.1f} µm) on {self.n_runs} runs" + known
+            f"({um_text(self.candidate_um)} against {um_text(self.champion_um)} µm) on {self.n_runs} runs" + known
         )
 
     def table(self) -> tuple[list[str], list[list[str]]]:
         """Return head and rows for pages."""
         return ["", "um RMS, held out"], [
-            ["no correction", f"{self.before_um:z.1f}"],
-            [f"champion {self.champion}", f"{self.champion_um:z.1f}"],
-            [f"candidate {self.candidate}", f"{self.candidate_um:z.1f}"],
-            ["noise floor", f"{self.noise_floor_um:z.1f}"],
+            ["no correction", um_text(self.before_um)],
+            [f"champion {self.champion}", um_text(self.champion_um)],
+            [f"candidate {self.candidate}", um_text(self.candidate_um)],
+            ["noise floor", um_text(self.noise_floor_um)],
         ]
 
 
@@ -103,9 +104,10 @@ def _leave_for_reviewer(
         "Against the champion",
         [
             found.verdict + ".",
-            "Both errors are on the same runs after centre and radius of each set-up. The "
-            "candidate is scored with every feed left out of its search and fit in turn; the champion is "
-            "its frozen bundle, zero outside its validity box as when served.",
+            "Both errors are on the same runs, what belongs to a set-up taken out. The candidate is scored with "
+            f"every {registered.training.report.candidate(registered.training.report.proposed).held_out.group} left "
+            "out of its search and fit in turn; the champion is its frozen bundle, as limited by its validity box "
+            "when served.",
             "Nothing was promoted: dtwin promote does that, after trial and evidence.",
             *verdict_lines(registered.verdicts),
         ],

@@ -91,7 +91,7 @@ def measure(
             hint=f"dtwin campaign --with {version.version} measures by turns with and without the "
             "trial; dtwin evidence computes from any campaigns",
         )
-    machine = _virtual(geometry)
+    machine = virtual_of(geometry)
     if machine.offers("prediction"):
         evidence = machine.prediction(home, version, progress)
         _keep(registry, version, evidence)
@@ -212,7 +212,8 @@ def _computed(
     )
 
 
-def _virtual(geometry: Mapping[str, Any]) -> VirtualMachine:
+def virtual_of(geometry: Mapping[str, Any]) -> VirtualMachine:
+    """Return the virtual machine of a type, or refuse."""
     machine = machine_of_type(geometry.get("type"))
     if machine is not None:
         return machine

@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
 
-import numpy as np
-
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.lifecycle.evidence import compute
+from dtwin.kinds.machine import EvidenceRequest, VirtualMachine
+from dtwin.lifecycle.evidence import compute, measure, virtual_of
 from dtwin.lifecycle.train import geometry_of
-from dtwin.machines.cobot import VirtualCobot
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.machine_file import MACHINE_TYPES
 from dtwin.serve.pointer import renew_proof
-from dtwin.train.circle_evidence import plan_within
+from dtwin.train.evidence import WITHOUT
 from dtwin.train.evidence_record import newest
 from dtwin.train.promotion import withdraw
-from dtwin.train.recheck import CheckedRun, Recheck, interleaved_runs, judge, judge_evidence
+from dtwin.train.recheck import Recheck, judge, judge_evidence
 from dtwin.train.registry import RegisteredVersion, Registry
-from dtwin.train.results import CONDITIONS_FILE
+
+# Days after those of the evidence for promotion: copies of its runs would prove nothing.
+_LATER = 500
 
 
 @dataclass(frozen=True)
@@ -63,22 +62,22 @@ def recheck(
     *,
     without: Sequence[str] = (),
     with_: Sequence[str] = (),
-    cobot: VirtualCobot | None = None,
+    virtual: VirtualMachine | None = None,
     blocks: int = 3,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Rechecked:
-    """Judge a champion by circles with and without it, and withdraw it when it harms.
+    """Judge a champion by runs with and without it, and withdraw it when it harms.
 
     Parameters
     ----------
     without, with_ : sequence of str
         Campaigns in the lake that were measured without and with it, as for ``dtwin evidence``;
-        when none is named the virtual cobot is measured.
-    cobot : VirtualCobot, optional
-        The virtual machine as it is now; by default the one of the seed, as it was.
+        when none is named the virtual machine is measured, or, where nothing can be served on it, predicted.
+    virtual : VirtualMachine, optional
+        The virtual machine as it is now; by default that of its type, as it was.
     blocks : int
-        Passes over all conditions.
+        Passes over all conditions, where it is measured by pairs.
     seed : int
         Of the virtual machine, of order and noise.
 
@@ -94,8 +93,7 @@ def recheck(
         evidence = compute(home, champion, without, with_)
         given, found = evidence.runs, judge_evidence(evidence)
     else:
-        circles = _measure(registry, champion, cobot, blocks, seed, progress)
-        given, found = [vars(run) for run in circles], judge(circles)
+        given, found = _measure(home, champion, virtual, blocks, seed, progress)
     now = datetime.now(UTC)
     stamp = now.strftime("%Y%m%d-%H%M%S")
     record = found.as_dict() | {"runs": [dict(run) for run in given]}
@@ -113,37 +111,49 @@ def recheck(
 
 
 def _measure(
-    registry: Registry,
+    home: Home,
     champion: RegisteredVersion,
-    cobot: VirtualCobot | None,
+    virtual: VirtualMachine | None,
     blocks: int,
     seed: int,
     progress: Progress | None,
-) -> list[CheckedRun]:
+) -> tuple[Sequence[Mapping[str, Any]], Recheck]:
+    """Return runs of the virtual machine and their verdict: pairs where it takes them, else fresh evidence."""
+    registry = Registry(home)
     geometry = geometry_of(registry, champion)
-    if not geometry.get("virtual", False) or geometry.get("type") not in MACHINE_TYPES:
+    if not geometry.get("virtual", False):
         raise InputError(
-            "this machine's circles have to be measured on it",
+            "what a correction does to this machine has to be measured on it",
             code="recheck.real",
             where=f"machine {champion.machine}",
             hint="dtwin campaign --with champion, then: dtwin recheck --without C --with C",
         )
-    return interleaved_runs(
-        Bundle.from_dict(registry.bundle(champion)),
-        cobot or VirtualCobot(seed=seed),
-        tcp_mm=np.asarray(geometry.get("tcp_mm", [0.0, 0.0, 0.0]), float),
-        conditions=_conditions(registry, champion),
-        blocks=blocks,
-        seed=seed,
-        progress=progress,
-    )
+    known = virtual or virtual_of(geometry)
+    if known.offers("prediction"):
+        return _newer(home, registry, champion, progress)
+    if not known.offers("checked"):
+        evidence = measure(home, champion, seed=_LATER + seed, progress=progress)
+        return evidence.runs, judge_evidence(evidence)
+    bundle = Bundle.from_dict(registry.bundle(champion))
+    pairs = known.checked(EvidenceRequest(registry, champion, bundle, geometry, None, seed, progress), blocks)
+    return [vars(run) for run in pairs], judge(pairs)
 
 
-def _conditions(registry: Registry, champion: RegisteredVersion) -> list[tuple[str, float, float]]:
-    """Return the circles of its promotion, or without evidence those that it was trained for."""
+def _newer(
+    home: Home, registry: Registry, champion: RegisteredVersion, progress: Progress | None
+) -> tuple[Sequence[Mapping[str, Any]], Recheck]:
+    """Return the runs and the verdict of campaigns that no evidence of a champion held before."""
     kept = newest(registry, champion)
-    if kept is not None:
-        rows = kept.content["conditions"]
-        return [(str(c["plane"]), float(c["radius_mm"]), float(c["feed_mm_min"])) for c in rows]
-    trained = registry.read_json(champion, CONDITIONS_FILE)
-    return list(plan_within([(p, float(r), float(f)) for p, r, f in trained]).conditions)
+    before = set(kept.content["campaigns"].get(WITHOUT, ())) if kept is not None else set()
+    evidence = measure(home, champion, seed=0, progress=progress)
+    conditions = tuple(c for c in evidence.conditions if c["campaign"] not in before)
+    if not conditions:
+        raise InputError(
+            "every campaign has judged this champion before",
+            code="recheck.campaign",
+            where=f"machine {champion.machine}",
+            got=", ".join(sorted(before))[:80],
+            hint="measure it without a correction once more, and dtwin ingest the campaign",
+        )
+    runs = [run for run in evidence.runs if run["campaign"] not in before]
+    return runs, judge_evidence(replace(evidence, conditions=conditions))

@@ -25,6 +25,7 @@ from dtwin.schema import Campaign
 from dtwin.train.registry import Registry
 
 Outcome = Literal["trained", "checked", "skipped"]
+_CORRECTED = "a correction was in force while it was measured"
 _NOT_IN_A_TAG = re.compile(r"[^A-Za-z0-9_. -]")
 
 
@@ -151,17 +152,18 @@ def _obstacle(rows: list[dict[str, Any]], campaign: Campaign) -> str:
     if not rows:
         return "no usable runs"
     if campaign.machine_geometry.get("corrected", False):
-        return "a correction was in force while it was measured"
+        return _CORRECTED
     return kind_named(campaign.kind).training_obstacle(rows)
 
 
 def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
     """Judge the champion on a newer campaign unless the same runs were judged before."""
     champion = registry.champion(item.machine)
-    plain = item.rows and not any(row["correction"] for row in item.rows)
+    plain = item.rows and item.obstacle != _CORRECTED and not any(row["correction"] for row in item.rows)
     if champion is None or not plain:
         return None
-    if not kind_named(item.rows[0]["kind"]).drift_is_judged(item.rows):
+    kind = kind_named(item.rows[0]["kind"])
+    if not kind.offers("champion_error") or kind.drift_obstacle(item.rows):
         return None
     known = trained_rows(registry, Lake(home.lake), champion)
     if _ingested(item.rows) < _ingested(known):
@@ -169,11 +171,7 @@ def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftChec
     tag, mark = _NOT_IN_A_TAG.sub("_", f"drift.{item.campaign}"), f"[{item.digest}]"
     if champion.tags.get(tag, "").endswith(mark):
         return None
-    try:
-        check = check_drift(home, champion, item.campaign)
-    except InputError as error:
-        nan = float("nan")
-        check = DriftCheck(champion.version, item.campaign, None, nan, "", nan, False, error.message)
+    check = check_drift(home, champion, item.campaign)
     registry.mark(champion, {tag: f"{'DRIFT: ' * check.drifted}{check.reason} {mark}"})
     if check.drifted:
         registry.attach(champion, {f"{tag}.json": json.dumps(check.as_dict(), indent=1)})

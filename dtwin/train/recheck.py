@@ -1,4 +1,4 @@
-"""Whether a champion still helps: circles with and without it, later, interleaved and randomised."""
+"""Whether a champion still helps: runs with and without it, later, interleaved and randomised."""
 
 from __future__ import annotations
 
@@ -11,12 +11,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.machines.cobot import CircleCondition, VirtualCobot
-from dtwin.progress import Progress
 from dtwin.schema import Floats
-from dtwin.serve.bundle import Bundle
 from dtwin.statistics import t_quantile
-from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
+from dtwin.train.champion_error import um_text
 from dtwin.train.evidence import Evidence
 from dtwin.train.results import condition_name
 
@@ -101,60 +98,6 @@ class Recheck:
         return {"verdict": self.verdict, "reason": self.reason, "conditions": rows}
 
 
-def interleaved_runs(
-    bundle: Bundle,
-    cobot: VirtualCobot,
-    *,
-    tcp_mm: Floats,
-    conditions: Sequence[tuple[str, float, float]],
-    blocks: int = 3,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> list[CheckedRun]:
-    """Measure circles with and without a correction on the virtual cobot, in random order.
-
-    Every block holds each condition in both directions, with and without, in an order of its own.
-    The bar stays mounted; centre and radius of a set-up are fitted for each way as in the
-    evidence for promotion.
-
-    Parameters
-    ----------
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point.
-    blocks : int
-        Passes over all of it.
-    """
-    rng = np.random.default_rng([seed, 83])
-    jobs = [
-        (condition, direction, way)
-        for condition in conditions
-        for direction in ("CCW", "CW")
-        for way in ("uncompensated", "compensated")
-    ]
-    found: dict[Any, list[dict[str, Any]]] = defaultdict(list)
-    order = [(block, jobs[i]) for block in range(blocks) for i in rng.permutation(len(jobs))]
-    total = len(order)
-    for number, (block, ((plane, radius, feed), direction, way)) in enumerate(order):
-        recording, _ = run_circle(
-            cobot,
-            bundle,
-            tcp_mm,
-            CircleCondition(plane, radius, feed, direction),
-            f"recheck-{seed}-{plane}-{radius:g}",
-            1000 * (seed + 1) + number,
-            way,
-        )
-        run = evaluate_circle(recording, direction) | {"block": block}
-        found[(plane, radius, feed), way].append(run)
-        if progress is not None:
-            progress(number + 1, total, f"{plane} R{radius:g} F{feed:g}, {way}")
-    return [
-        CheckedRun(plane, radius, feed, run["direction"], run["block"], way == "compensated", float(rms))
-        for ((plane, radius, feed), way), runs in found.items()
-        for run, rms in zip(runs, rms_per_run(runs), strict=True)
-    ]
-
-
 def judge(runs: Sequence[CheckedRun]) -> Recheck:
     """Say whether a correction still helps, the pair of runs as unit.
 
@@ -199,7 +142,8 @@ def judge_evidence(evidence: Evidence) -> Recheck:
             c["before_um"],
             c["after_um"],
             c["after_um"] - c["before_um"],
-            math.hypot(c["before_ci_um"], c["after_ci_um"]),
+            # Both ways of one cycle, where nothing was served, are a pair.
+            c.get("growth_ci_um", math.hypot(c["before_ci_um"], c["after_ci_um"])),
             c["n_with"],
         )
         for c in evidence.conditions
@@ -260,7 +204,8 @@ def _named(condition: tuple[str, float, float]) -> str:
 
 
 def _told(check: ConditionCheck) -> str:
+    digits = 1 if check.before_um >= 1.0 else 3
     return (
-        f"{check.name} {check.before_um:z.1f} -> {check.after_um:z.1f} µm, by {check.growth_um:+z.1f} "
-        f"± {check.half_width_um:z.1f} µm over {check.pairs} pairs"
+        f"{check.name} {um_text(check.before_um)} -> {um_text(check.after_um)} µm, by {check.growth_um:+z.{digits}f} "
+        f"± {um_text(check.half_width_um)} µm over {check.pairs} pairs"
     )

@@ -22,6 +22,7 @@ from dtwin.kinds.linear.fit import fitted
 from dtwin.kinds.linear.gates import registered_positioning_gates
 from dtwin.kinds.linear.loop import campaign_test
 from dtwin.kinds.linear.simulate import mapping_plan, simulate_lathe, verification_plan
+from dtwin.lifecycle.drift import check_drift
 from dtwin.lifecycle.schedule import scheduled_training
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
@@ -181,8 +182,25 @@ def test_positions_are_trained_promoted_and_tried_like_circles(tmp_path: Path, m
         "map": "older than the newest campaign that was trained on",
         "evidence-virtual-lathe-v1": "a correction was in force while it was measured",
     }
+    (drift,), compared = turn.drift, turn.comparison
+    assert drift.error is not None
+    assert compared is not None
+    assert (drift.campaign, drift.expected_from, drift.drifted) == ("again", "run", False), drift.reason
+    assert drift.error.rms_um < 0.5 * drift.error.before_um
+    assert compared.champion_um == drift.error.rms_um
+    assert compared.candidate_um < 0.5 * compared.before_um
     newest = Registry(home()).version("virtual-lathe", "candidate")
-    assert "cannot be judged on recorded runs" in newest.tags["against_champion"]
+    assert newest.tags["against_champion"] == compared.verdict
+    checked = json.loads(invoke("recheck", "--json"))
+    assert (checked["verdict"], [c["name"] for c in checked["conditions"]]) == (
+        "helps",
+        ["Z forward", "Z reverse", "all"],
+    )
+    # An axis that wears: its screw is another one now.
+    simulate_lathe(tmp_path / "worn", plan=replace(plan, name="worn"), truth="mechanism", seed=6)
+    invoke("ingest", str(tmp_path / "worn"))
+    worn = check_drift(home(), Registry(home()).version("virtual-lathe", "champion"), "worn")
+    assert worn.finding is not None, worn.reason
     again = Bundle.from_dict(Registry(home()).bundle(Registry(home()).version("virtual-lathe", "1")))
     worse = registered_positioning_gates(again, {"screw_pitch_in": 0.25, "explained_share": 0.5})
     assert {v.gate for v in worse if not v.passed} >= {"held-out runs", "the screw is known"}

@@ -14,6 +14,8 @@ from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.kinds.circular.recheck import checked_circles
+from dtwin.kinds.machine import EvidenceRequest, VirtualMachine
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.drift import check_drift, trained_rows
 from dtwin.lifecycle.evidence import make_champion, measure
@@ -26,6 +28,7 @@ from dtwin.plan import training_plan
 from dtwin.serve.pointer import resolve
 from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.promotion import check_version, history
+from dtwin.train.recheck import CheckedRun
 from dtwin.train.registry import Registry
 from dtwin.train.symbolic import OperonEngine
 
@@ -147,12 +150,16 @@ def test_a_campaign_that_cannot_train_still_judges_the_champion(home: Home, real
     assert "drift.check" in tags
 
 
-def turned_gears() -> VirtualCobot:
+class TurnedGears(VirtualMachine):
     """The machine after its gears were put back half a turn of the error round: its sign flipped."""
-    sound = VirtualCobot(seed=0).parameters
-    flipped = tuple(tuple(-size for size in row) for row in sound.joints.order_amplitude_urad)
-    joints = replace(sound.joints, order_amplitude_urad=flipped)
-    return VirtualCobot(replace(sound, joints=joints), seed=0)
+
+    name = "cobot"
+
+    def checked(self, request: EvidenceRequest, blocks: int) -> list[CheckedRun]:
+        sound = VirtualCobot(seed=0).parameters
+        flipped = tuple(tuple(-size for size in row) for row in sound.joints.order_amplitude_urad)
+        joints = replace(sound.joints, order_amplitude_urad=flipped)
+        return checked_circles(request, blocks, VirtualCobot(replace(sound, joints=joints), seed=0))
 
 
 def test_a_champion_that_still_helps_is_kept(home: Home) -> None:
@@ -177,7 +184,7 @@ def test_a_champion_that_harms_a_changed_machine_is_rolled_back(home: Home) -> N
     measure(home, later, seed=0, plan=CIRCLES)
     path, reason = make_champion(home, later)
     assert path, reason
-    done = recheck(home, MACHINE, cobot=turned_gears(), blocks=2, seed=0)
+    done = recheck(home, MACHINE, virtual=TurnedGears(), blocks=2, seed=0)
     assert (done.found.verdict, done.withdrawn, done.restored) == ("worse", True, first.version)
     assert resolve("latest", MACHINE, home).version == int(first.version)
     barred = registry.version(MACHINE, "2")
@@ -189,7 +196,7 @@ def test_a_champion_that_harms_a_changed_machine_is_rolled_back(home: Home) -> N
 
 
 def test_without_a_champion_before_nothing_is_served_any_more(home: Home) -> None:
-    done = recheck(home, MACHINE, cobot=turned_gears(), blocks=2, seed=0)
+    done = recheck(home, MACHINE, virtual=TurnedGears(), blocks=2, seed=0)
     assert (done.withdrawn, done.restored) == (True, "")
     with pytest.raises(GateRefusal, match="may not correct a machine") as refused:
         resolve("latest", MACHINE, home)

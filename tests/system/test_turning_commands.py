@@ -21,9 +21,11 @@ from dtwin.features.sine import fit_tone
 from dtwin.kinds.sinusoidal.plan import TonePlan
 from dtwin.kinds.sinusoidal.served import ServedSlide
 from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_slide
+from dtwin.lifecycle.drift import check_drift
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output
+from dtwin.train.registry import Registry
 from flows._runtime import run
 from flows.papers import turning_paper_flow
 from studies.paper_line import ANSWERS
@@ -74,11 +76,24 @@ def test_tones_are_trained_promoted_and_tried_like_circles(
     versions = json.loads(invoke("models", "--json"))["versions"]
     assert versions[0]["tags"]["evidence"] == "virtual"
     assert "champion" in versions[0]["aliases"]
+    home, drifts = Home(tmp_path / "home"), {}
+    champion = Registry(home).version("virtual-turning", "champion")
+    for truth in ("linear", "hardening"):
+        again = TonePlan(f"again-{truth}", "virtual-turning", (10.0, 30.0), (2.0, 10.0), repeats=2)
+        simulate_turning(tmp_path / again.name, plan=again, truth=truth, seed=2)
+        invoke("ingest", str(tmp_path / again.name))
+        drifts[truth] = check_drift(home, champion, again.name)
+    sound, stiffer = drifts["linear"], drifts["hardening"]
+    assert sound.error is not None
+    assert sound.error.rms_um < 0.01 * sound.error.before_um
+    assert (sound.drifted, sound.expected_from) == (False, "amplitude_um"), sound.reason
+    assert stiffer.finding is not None, stiffer.reason
+    checked = json.loads(invoke("recheck", "--json"))
+    assert checked["verdict"] == "helps", checked["reason"]
     tried = json.loads(invoke("turning", "compensate", "latest", "--frequency", "40", "--json"))
     assert tried["rows"][0]["reduction"]["form_um"] > 0.85
     with pytest.raises(InputError, match="only the machine's control can send"):
         CliRunner().invoke(app, ["serve", "--model", "latest"], catch_exceptions=False)
-    home = Home(tmp_path / "home")
     plan = TonePlan("served", "virtual-turning", (40.0,), (5.0,), seconds=1.0)
     control = AxisControl(ServedSlide(plan, "linear", 3), home)
     with control:
@@ -91,7 +106,6 @@ def test_tones_are_trained_promoted_and_tried_like_circles(
     command, tool = (run.samples[name] * 1000.0 for name in ("cmd_z_mm", "tool_z_mm"))
     left = abs(fit_tone(run.samples["t_s"], tool - command, 40.0).phasor)
     assert left < 0.1, "4.3 µm without"
-    assert Home(tmp_path / "home").lake.exists()
 
 
 def test_what_a_gate_refused_is_not_written_without_force(campaign: Path, tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from dtwin.kinds.volumetric.served import ServedMill
 from dtwin.kinds.volumetric.session import session, session_in
 from dtwin.kinds.volumetric.simulate import simulate_volumetric
 from dtwin.lake.store import Lake
+from dtwin.lifecycle.schedule import scheduled_training
 from dtwin.machines.thermal_network import TRAINING
 from dtwin.machines.volumetric import HELD_OUT_POSES, STROKES_MM, VolumetricMill, VolumetricParameters
 from dtwin.schema import Run, RunMeta, SignalGroup
@@ -129,12 +130,12 @@ def test_heat_is_trained_and_judged_by_another_campaign_like_circles(
         assert done.exit_code == code, done.output
         return done.stdout
 
-    def measured(name: str, schedule: str, hours: int) -> None:
+    def measured(name: str, schedule: str, hours: int, seed: int = 0) -> None:
         file = tmp_path / f"{name}.toml"
         file.write_text(
             f'[plan]\nkind = "volumetric"\nname = "{name}"\nmachine = "mill"\nhours = {hours}\nevery_h = 6\n'
         )
-        words = ("--machine", "volumetric", "--plan", str(file), "--schedule", schedule)
+        words = ("--machine", "volumetric", "--plan", str(file), "--schedule", schedule, "--seed", str(seed))
         # With thermocouples on the surface an equation without memory is refused at this interval.
         invoke("simulate", *words, "--truth", "pockets", "--out", str(tmp_path / name))
         invoke("ingest", str(tmp_path / name))
@@ -162,6 +163,20 @@ def test_heat_is_trained_and_judged_by_another_campaign_like_circles(
     again = judged_hours(abrupt, session_in(lake, "summer", lambda *_: None))
     kept, dropped = (sum(day["after_um"] for day in found) for found in (days, again))
     assert dropped > 1.3 * kept
+    with pytest.raises(InputError, match="every campaign has judged this champion before"):
+        CliRunner().invoke(app, ["recheck"], catch_exceptions=False)
+    turn = scheduled_training(home())
+    (drift,), compared = turn.drift, turn.comparison
+    assert (drift.campaign, drift.expected_from) == ("summer", "hours")
+    assert drift.error is not None
+    assert compared is not None
+    assert drift.error.noise_floor_um < drift.error.rms_um < 0.7 * drift.error.before_um
+    assert compared.champion_um == drift.error.rms_um
+    assert drift.error.outside_box_share > 0.1
+    measured("autumn", "training", 168, seed=2)
+    checked = json.loads(invoke("recheck", "--json"))
+    assert {c["name"].split()[0] for c in checked["conditions"]} == {"autumn", "all"}
+    assert checked["verdict"] == "helps", checked["reason"]
     served_heat(tmp_path, invoke)
 
 

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from dtwin.progress import Progress
     from dtwin.train.circle_evidence import EvidencePlan
     from dtwin.train.measured_ways import MeasuredWays
+    from dtwin.train.recheck import CheckedRun
 
 
 class _Cobot(VirtualMachine):
@@ -44,6 +45,12 @@ class _Cobot(VirtualMachine):
             plan=request.plan or _trained_circles(request),
             progress=request.progress,
         )
+
+    def checked(self, request: EvidenceRequest, blocks: int) -> list[CheckedRun]:
+        from dtwin.kinds.circular.recheck import checked_circles
+        from dtwin.machines.cobot import VirtualCobot
+
+        return checked_circles(request, blocks, VirtualCobot(seed=request.seed))
 
 
 class _Mill(VirtualMachine):

@@ -14,12 +14,15 @@ if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
+    from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
@@ -139,8 +142,25 @@ class _Circular(Kind):
         feeds = {row["feed_mm_min"] for row in rows}
         return "" if len(feeds) > 1 else "one feed only, so a model could not be judged"
 
-    def drift_is_judged(self, rows: Sequence[Mapping[str, Any]]) -> bool:
-        return all(map(_has_controller, rows))
+    def drift_obstacle(self, rows: Sequence[Mapping[str, Any]]) -> str:
+        return "" if all(map(_has_controller, rows)) else "no controller signals, so it cannot judge a champion"
+
+    def champion_error(
+        self,
+        lake: Lake,
+        rows: Sequence[dict[str, Any]],
+        bundle: Bundle,
+        metrics: Mapping[str, float],
+        progress: Progress | None = None,
+    ) -> ChampionError:
+        from dtwin.kinds.circular.drift import circles_error
+
+        return circles_error(lake, rows, bundle, metrics, progress)
+
+    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
+        from dtwin.kinds.circular.drift import circles_held_out
+
+        return circles_held_out(known, fresh)
 
 
 def _has_controller(row: Mapping[str, Any]) -> bool:

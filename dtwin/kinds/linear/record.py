@@ -13,12 +13,15 @@ if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
+    from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
@@ -149,6 +152,23 @@ class _Linear(Kind):
         from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
+
+    def champion_error(
+        self,
+        lake: Lake,
+        rows: Sequence[dict[str, Any]],
+        bundle: Bundle,
+        metrics: Mapping[str, float],
+        progress: Progress | None = None,
+    ) -> ChampionError:
+        from dtwin.kinds.linear.drift import strokes_error
+
+        return strokes_error(lake, rows, bundle)
+
+    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
+        from dtwin.kinds.linear.drift import strokes_held_out
+
+        return strokes_held_out(known, fresh)
 
 
 KIND = _Linear()

@@ -11,11 +11,14 @@ if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
+    from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.progress import Progress
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
+    from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
     from dtwin.train.run_errors import RunError
@@ -121,6 +124,23 @@ class _Sinusoidal(Kind):
         from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(freeze_tones, judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"})
+
+    def champion_error(
+        self,
+        lake: Lake,
+        rows: Sequence[dict[str, Any]],
+        bundle: Bundle,
+        metrics: Mapping[str, float],
+        progress: Progress | None = None,
+    ) -> ChampionError:
+        from dtwin.kinds.sinusoidal.drift import tones_error
+
+        return tones_error(lake, rows, bundle)
+
+    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
+        from dtwin.kinds.sinusoidal.drift import tones_held_out
+
+        return tones_held_out(known, fresh)
 
 
 KIND = _Sinusoidal()

@@ -88,7 +88,7 @@ def judged_hours(bundle: Bundle, measured: Session) -> list[dict[str, Any]]:
     ``bundle``: corrects the tool point by temperatures.
     ``measured``: another campaign than that of its fit.
     """
-    correction, trusted = _corrections(bundle, measured)
+    correction, trusted = corrections(bundle, measured)
     was, left, noise = [], [], []
     for (where, moved), values, off in zip(measured.moved, measured.values, correction, strict=True):
         was.append(rms(distance_changes_um(where, moved)))
@@ -113,7 +113,7 @@ def _judges(lake: Lake, name: str, version: RegisteredVersion) -> bool:
     return known.machine == version.machine and known.kind == "volumetric" and free
 
 
-def _corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[float]]:
+def corrections(bundle: Bundle, measured: Session) -> tuple[list[Floats], list[float]]:
     """Return what the guard lets through at the balls since the reference, and how far it trusts."""
     compiled = CompiledBundle(bundle)
     temperatures = [i for i in bundle.inputs if i.source == "covariate"]
@@ -160,6 +160,7 @@ def _condition(
         "after_um": float(left.mean()),
         "before_ci_um": ci[0],
         "after_ci_um": ci[1],
+        "growth_ci_um": _half_width(left - was),
         "floor_um": float(noise.mean()),
         "n_without": len(was),
         "n_with": len(was),

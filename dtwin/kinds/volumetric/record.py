@@ -12,9 +12,12 @@ if TYPE_CHECKING:
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
+    from dtwin.progress import Progress
     from dtwin.schema import Finding, Run
     from dtwin.serve.bundle import Bundle
+    from dtwin.train.champion_error import ChampionError, HeldOut
     from dtwin.train.gates import Verdict
     from dtwin.train.results import Training
 
@@ -69,6 +72,23 @@ class _Volumetric(Kind):
         from dtwin.kinds.volumetric.gates import volumetric_gates
 
         return volumetric_gates(bundle, metrics)
+
+    def champion_error(
+        self,
+        lake: Lake,
+        rows: Sequence[dict[str, Any]],
+        bundle: Bundle,
+        metrics: Mapping[str, float],
+        progress: Progress | None = None,
+    ) -> ChampionError:
+        from dtwin.kinds.volumetric.drift import heat_error
+
+        return heat_error(lake, rows, bundle, progress)
+
+    def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
+        from dtwin.kinds.volumetric.drift import heat_held_out
+
+        return heat_held_out(known, fresh)
 
 
 KIND = _Volumetric()

@@ -21,7 +21,7 @@ from dtwin.train.latency import bundle_latency
 from dtwin.train.results import Candidate, Scores, Training, TrainingReport
 from dtwin.train.symbolic import Engine
 
-_HELD_OUT = "hours"
+HELD_OUT = "hours"
 _SPANS = 5
 _Fit = Callable[[str, Floats, Floats, Sequence[str]], ThermalModel]
 
@@ -121,7 +121,7 @@ def _candidate(title: str, fit: _Fit, measured: Session, machine: str) -> Candid
         family=family,
         promotable=bundle is not None,
         complexity=sum(len(m.sensors) for m in models),
-        scores={_HELD_OUT: _scores(measured, expected, spans)},
+        scores={HELD_OUT: _scores(measured, expected, spans)},
         train_rms_um=rms(np.concatenate(_distances(measured, fitted))),
         latency=None if bundle is None else bundle_latency(bundle),
         equation="" if bundle is None else "\n".join(_readable(m) for m in models),
@@ -178,7 +178,7 @@ def _scores(measured: Session, expected: Floats, spans: Sequence[Any]) -> Scores
     was, left = np.concatenate(before), np.concatenate(after)
     r2 = 1.0 - float(np.sum(left**2) / np.sum((was - was.mean()) ** 2))
     return Scores(
-        _HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans), len(measured.hour)
+        HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, len(spans), len(measured.hour)
     )
 
 
