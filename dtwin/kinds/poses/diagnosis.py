@@ -201,7 +201,7 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
     if left > _BEYOND * floor and p < _ALPHA:
         said = f"{left:.0f} µm are left, {left / floor:.0f} times the scatter of repeats: repeatable, and no effect here surely explains it"
         return "unknown_effect", said, p
-    return "nothing_missing", f"{left:.0f} µm are left, repeats scatter by {floor:.0f} µm", p
+    return "nothing_missing", f"{left:.0f} µm are left, repeats scatter by {floor:z.0f} µm", p
 
 
 def _beyond(grams: Grams, left_um: float) -> float:

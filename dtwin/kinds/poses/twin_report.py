@@ -50,7 +50,7 @@ def comparison_text(result: Mapping[str, Any]) -> str:
             f"twin {result['twin']} version {result['version']} against campaign {result['campaign']} "
             f"({result['runs']} readings)",
             f"mean error {result['mean_before_mm']:.4f} (frame and tool alone) -> {result['mean_after_mm']:.4f} mm; "
-            + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:.0f} um"),
+            + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:z.0f} µm"),
             f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:.4f} mm",
             "largest:",
             *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:.3f} mm" for w in result["where"]),
@@ -62,7 +62,7 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     """Return a diagnosis for the terminal."""
     lines = [
         f"{result['verdict']}: {result['headline']}",
-        f"{micrometres(result['held_out_rms_um'])} um RMS on poses held out ({_UNIT})",
+        f"{micrometres(result['held_out_rms_um'])} µm RMS on poses held out ({_UNIT})",
     ]
     rows = [
         (c["label"], f"{100 * c['cv_gain']:z.1f} %", f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
@@ -108,5 +108,5 @@ def _fell(figures: Mapping[str, float | None]) -> str:
     return (
         f"mean error {figures['mean_before_mm']:.4f} (frame and tool alone) -> {figures['mean_after_mm']:.4f} mm, "
         f"{figures['held_out_mean_mm']:.4f} mm on poses held out ({_UNIT}); "
-        + ("no repeats: the floor is not known" if floor is None else f"scatter of repeats {floor:.0f} um")
+        + ("no repeats: the floor is not known" if floor is None else f"scatter of repeats {floor:z.0f} µm")
     )
