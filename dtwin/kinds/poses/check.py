@@ -33,7 +33,7 @@ def judge_poses(run: Run) -> list[Finding]:
     typical = float(np.median(size))
     if typical > _FAR_MM:
         said = (
-            f"commanded joints and measured points do not belong together: {typical:.0f} mm apart after frame and tool"
+            f"commanded joints and measured points do not belong together: {typical:z.0f} mm apart after frame and tool"
         )
         return [Finding("poses.chain", "error", f"{said}{_why(run)}", {"median_mm": typical})]
     return [*_spoilt(size, typical), *_commanded(run, series), *_repeats(series)]
@@ -61,7 +61,7 @@ def _spoilt(size: Floats, typical: float) -> list[Finding]:
     if not rows.size:
         return []
     listed = ", ".join(str(r + 1) for r in rows[:8])
-    said = f"{len(rows)} rows lie beyond {limit:.2f} mm where half lie within {typical:.2f}: {listed}"
+    said = f"{len(rows)} rows lie beyond {limit:z.2f} mm where half lie within {typical:z.2f}: {listed}"
     return [Finding("poses.spoilt", "warning", said, {"rows_1": float(len(rows)), "largest_mm": float(size.max())})]
 
 
@@ -75,7 +75,7 @@ def _commanded(run: Run, series: Series) -> list[Finding]:
     found = []
     if rows.size:
         listed = ", ".join(str(r + 1) for r in rows[:8])
-        said = f"the target of {len(rows)} rows does not follow from joints and chain, by up to {size.max():.1f} mm: {listed}"
+        said = f"the target of {len(rows)} rows does not follow from joints and chain, by up to {size.max():z.1f} mm: {listed}"
         found.append(Finding("poses.commanded", "warning", said, {"rows_1": float(len(rows))}))
     if "measured_x_mm" in run.samples:
         ratio = float(
@@ -92,5 +92,5 @@ def _repeats(series: Series) -> list[Finding]:
     if not series.repeats:
         said = "no pose was measured twice: the noise floor cannot be known, nor what is significant"
         return [Finding("poses.no_repeats", "warning", said)]
-    said = f"{series.repeats} poses were measured again: a reading scatters by {1000.0 * series.floor_mm:.0f} µm"
+    said = f"{series.repeats} poses were measured again: a reading scatters by {1000.0 * series.floor_mm:z.0f} µm"
     return [Finding("poses.repeats", "info", said, {"floor_mm": series.floor_mm})]

@@ -191,7 +191,7 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
         best = group[0]
         also = f", as well as {', '.join(best.confounded)}" if best.confounded else ""
         title = EFFECTS[best.term.effect].title
-        what = f"{best.term.label} ({title}) takes {100 * best.gain:.1f} % of the squares on poses held out{also}"
+        what = f"{best.term.label} ({title}) takes {100 * best.gain:z.1f} % of the squares on poses held out{also}"
     if not grams.series.repeats:
         said = f"{what}; " if what else ""
         return "need_repeats", f"{said}no pose was measured twice, so no floor is known", float("nan")
@@ -199,9 +199,9 @@ def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]
     if group:
         return ("ambiguous" if group[0].confounded else "missing_effect"), what, p
     if left > _BEYOND * floor and p < _ALPHA:
-        said = f"{left:.0f} µm are left, {left / floor:.0f} times the scatter of repeats: repeatable, and no effect here surely explains it"
+        said = f"{left:z.0f} µm are left, {left / floor:z.0f} times the scatter of repeats: repeatable, and no effect here surely explains it"
         return "unknown_effect", said, p
-    return "nothing_missing", f"{left:.0f} µm are left, repeats scatter by {floor:z.0f} µm", p
+    return "nothing_missing", f"{left:z.0f} µm are left, repeats scatter by {floor:z.0f} µm", p
 
 
 def _beyond(grams: Grams, left_um: float) -> float:

@@ -86,19 +86,19 @@ def lines(run_id: str, found: dict[str, Any]) -> list[str]:
     ]
     if found["as_written_mm"] is not None:
         out.append(
-            f"  error as written {found['as_written_mm']:.4f} mm; the best frame alone leaves "
-            f"{found['frame_alone_mm']:.4f} mm"
+            f"  error as written {found['as_written_mm']:z.4f} mm; the best frame alone leaves "
+            f"{found['frame_alone_mm']:z.4f} mm"
         )
     accuracy, distance = found["pose_accuracy_mm"], found["distance_accuracy_mm"]
     out += [
-        f"  frame and tool leave {found['mean_error_mm']:.3f} mm in the mean, {found['largest_error_mm']:.3f} at most",
-        f"  pose accuracy AP {accuracy['mean']:.3f} mm in the mean, {accuracy['max']:.3f} at most",
-        f"  distance accuracy AD {distance['rms']:.3f} mm RMS, {distance['max']:.3f} at most",
+        f"  frame and tool leave {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most",
+        f"  pose accuracy AP {accuracy['mean']:z.3f} mm in the mean, {accuracy['max']:z.3f} at most",
+        f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most",
     ]
     said = found["pose_repeatability_mm"]
     if said is None:
         return [*out, "  pose repeatability RP: no pose was measured three times; ISO 9283 asks for thirty"]
     return [
         *out,
-        f"  pose repeatability RP {said['median']:.3f} mm (median of {said['poses']} poses), {said['max']:.3f} at most",
+        f"  pose repeatability RP {said['median']:z.3f} mm (median of {said['poses']} poses), {said['max']:z.3f} at most",
     ]

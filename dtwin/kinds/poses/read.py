@@ -114,7 +114,7 @@ def _timed(columns: dict[str, Floats], n: int) -> list[Finding]:
 
 def _seconds(stamps: Floats) -> Floats:
     """Return stamps such as 20200714163904 in seconds; of a stamp that is none, all are the same."""
-    texts = [f"{s:.0f}" for s in stamps]
+    texts = [f"{s:z.0f}" for s in stamps]
     iso = [f"{s[:4]}-{s[4:6]}-{s[6:8]}T{s[8:10]}:{s[10:12]}:{s[12:14]}" for s in texts]
     try:
         return np.array(iso, dtype="datetime64[s]").astype(np.float64)

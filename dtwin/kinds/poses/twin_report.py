@@ -23,8 +23,8 @@ def parameter_table(twin: PoseTwin) -> Table:
             p["effect"],
             p["axis"],
             p["name"],
-            "not identifiable" if p["value"] is None else f"{p['value']:.3f}",
-            "" if p["value"] is None else f"± {p['uncertainty']:.3f}",
+            "not identifiable" if p["value"] is None else f"{p['value']:z.3f}",
+            "" if p["value"] is None else f"± {p['uncertainty']:z.3f}",
             p["unit"],
         )
         for p in twin.as_dict()["parameters"]
@@ -49,11 +49,11 @@ def comparison_text(result: Mapping[str, Any]) -> str:
         [
             f"twin {result['twin']} version {result['version']} against campaign {result['campaign']} "
             f"({result['runs']} readings)",
-            f"mean error {result['mean_before_mm']:.4f} (frame and tool alone) -> {result['mean_after_mm']:.4f} mm; "
+            f"mean error {result['mean_before_mm']:z.4f} (frame and tool alone) -> {result['mean_after_mm']:z.4f} mm; "
             + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:z.0f} µm"),
-            f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:.4f} mm",
+            f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:z.4f} mm",
             "largest:",
-            *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:.3f} mm" for w in result["where"]),
+            *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:z.3f} mm" for w in result["where"]),
         ]
     )
 
@@ -106,7 +106,7 @@ def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Sectio
 def _fell(figures: Mapping[str, float | None]) -> str:
     floor = figures["noise_floor_um"]
     return (
-        f"mean error {figures['mean_before_mm']:.4f} (frame and tool alone) -> {figures['mean_after_mm']:.4f} mm, "
-        f"{figures['held_out_mean_mm']:.4f} mm on poses held out ({_UNIT}); "
+        f"mean error {figures['mean_before_mm']:z.4f} (frame and tool alone) -> {figures['mean_after_mm']:z.4f} mm, "
+        f"{figures['held_out_mean_mm']:z.4f} mm on poses held out ({_UNIT}); "
         + ("no repeats: the floor is not known" if floor is None else f"scatter of repeats {floor:z.0f} µm")
     )
