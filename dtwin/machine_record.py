@@ -21,7 +21,8 @@ EVENTS = ("repair", "crash", "moved", "compensated", "other")
 _AXIS = ("travel_mm", "pitch_mm")
 _LONGEST = 2000
 _MAX_BYTES = 1_000_000
-_FIELDS = (*FACTS, "axes", "tolerances", "events")
+_MOST_DAYS = 3653
+_FIELDS = (*FACTS, "test_every_days", "axes", "tolerances", "events")
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class MachineRecord:
         By the symbol of a test sheet, such as ``G(b)`` or ``A``.
     events : tuple of Event
         In the order of their days.
+    test_every_days : float
+        Longest time between two tests; 0 when none is stated.
     """
 
     name: str
@@ -54,11 +57,13 @@ class MachineRecord:
     axes: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     tolerances: Mapping[str, Limits] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
+    test_every_days: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Return what the file holds; days are ISO 8601 text."""
         return {
             **self.facts,
+            **({"test_every_days": self.test_every_days} if self.test_every_days else {}),
             "axes": {axis: dict(known) for axis, known in self.axes.items()},
             "tolerances": {symbol: limits.stated() for symbol, limits in self.tolerances.items()},
             "events": [{"on": e.on.isoformat(), "what": e.what, "note": e.note} for e in self.events],
@@ -103,7 +108,10 @@ def record_from(machine: str, stated: Mapping[str, Any], where: str) -> MachineR
     if not isinstance(events, list):
         raise _refused(f"{where}: events", str(events)[:60], "a list of tables")
     made = [_event(event, f"{where}: events") for event in events]
-    return MachineRecord(machine, facts, axes, tolerances, tuple(sorted(made, key=lambda e: e.on)))
+    every = stated.get("test_every_days", 0.0)
+    if not is_number(every) or not 0 <= every <= _MOST_DAYS:
+        raise _refused(f"{where}: test_every_days", str(every)[:60], f"days, up to {_MOST_DAYS}")
+    return MachineRecord(machine, facts, axes, tolerances, tuple(sorted(made, key=lambda e: e.on)), float(every))
 
 
 def write_record(home: Home, record: MachineRecord) -> Path:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -35,6 +36,7 @@ def add(
     tolerance: Annotated[
         list[str] | None, typer.Option(help="SYMBOL=LARGEST or SYMBOL=LOW:HIGH in µm, such as 'G(b)=10'.")
     ] = None,
+    test_every: Annotated[float | None, typer.Option(help="Days between two tests; 0 takes it back.")] = None,
     as_json: Json = False,
 ) -> None:
     """State what is known of a machine, or state it anew; what is not given stays."""
@@ -44,7 +46,7 @@ def add(
     known = read_record(home(), name) or MachineRecord(name)
     stated = {"type": type, "serial": serial, "controller": controller, "instruments": instruments, "notes": notes}
     facts = {key: value for key, value in stated.items() if value is not None}
-    document = known.as_dict() | facts
+    document = known.as_dict() | facts | ({} if test_every is None else {"test_every_days": test_every})
     document["axes"] |= dict(map(_axis, axis or []))
     document["tolerances"] |= dict(map(_tolerance, tolerance or []))
     record = record_from(name, document, name)
@@ -84,13 +86,30 @@ def list_machines(as_json: Json = False) -> None:
 
 
 @app_machine.command()
-def show(name: Name, as_json: Json = False) -> None:
-    """Show a machine: what is known of it, its tests in their order with the figures of the standard."""
+def show(
+    name: Name,
+    ics: Annotated[Path | None, typer.Option(help="Write the next test to this calendar file.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Show a machine: what is known of it, its tests, what changed from test to test, and when the next one is due."""
+    from datetime import UTC, datetime
+
+    from dtwin.atomic import write_text
     from dtwin.commands.output import ProgressLine
     from dtwin.config import home
     from dtwin.pipeline.machine_history import machine_history
+    from dtwin.pipeline.machine_series import calendar_of
 
     found = machine_history(home(), name, ProgressLine("figures", quiet=as_json))
+    if ics is not None:
+        if not found["next_test"]:
+            raise InputError(
+                "no next test is known",
+                code="machine.next_test",
+                where=name,
+                hint=f"dtwin machine add {name} --test-every 30",
+            )
+        write_text(ics, calendar_of(name, found["next_test"], datetime.now(UTC)), "the calendar file")
     emit(found, lambda: _history_text(found), as_json=as_json)
 
 
@@ -142,5 +161,27 @@ def _history_text(found: Mapping[str, Any]) -> str:
     rows += [[e["on"], e["note"] or "-", e["what"], "-", "-", "-"] for e in found["events"]]
     if rows:
         lines += ["", table(("day", "test or note", "kind", "figure", "µm", "decision"), sorted(rows))]
+    if found["series"]:
+        lines += ["", *_series_lines(found["series"])]
+    if found["next_test"]:
+        lines += ["", f"next test: {found['next_test']['on']}, {found['next_test']['why']}"]
     lines += ["", f"twins: {', '.join(found['twins']) or 'none'}", f"champion: {found['champion'] or 'none'}"]
     return "\n".join(lines)
+
+
+def _series_lines(series: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what changed, and the levels of the figures that did; of steady ones the number."""
+    from dtwin.report.text import table
+
+    lines = [change["text"] for one in series for change in one["changes"]]
+    shown = [one for one in series if one["state"] in ("changed", "trend") or one["crossing"]] or series[:4]
+    rows = [[one["name"], one["state"], f"{one['level']} {one['unit']}", one["since"], _ahead(one)] for one in shown]
+    lines += table(("figure", "state", "level", "since", "limit"), rows).splitlines()
+    if len(series) > len(shown):
+        lines.append(f"and {len(series) - len(shown)} more figures without a change (--json has all)")
+    return lines
+
+
+def _ahead(one: Mapping[str, Any]) -> str:
+    found = one["crossing"]
+    return f"reaches {found['limit']:g} between {found['earliest']} and {found['latest']}" if found else "-"

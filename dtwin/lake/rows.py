@@ -250,6 +250,22 @@ def amended(rows: Sequence[Mapping[str, Any]], amendments: Sequence[Mapping[str,
     return found
 
 
+def campaign_of(rows: Sequence[Mapping[str, Any]]) -> Campaign:
+    """Return what the rows of the runs of a campaign say of it; all of them, at least one."""
+    first = rows[0]
+    geometry = json.loads(first["geometry_json"])
+    if any(row["correction"] for row in rows):
+        geometry["corrected"] = True
+    return Campaign(
+        name=first["campaign"],
+        machine=first["machine"],
+        kind=first["kind"],
+        started=first["started"],
+        machine_geometry=geometry,
+        instrument=json.loads(first["instrument_json"]),
+    )
+
+
 def meta_of(row: Mapping[str, Any]) -> RunMeta:
     """Return what a row says of its run."""
     meta = RunMeta(

@@ -18,7 +18,7 @@ from dtwin.lake.delta import DeltaFiles
 from dtwin.lake.delta_columns import content_hash
 from dtwin.lake.file_batch import Batch
 from dtwin.lake.parquet import columns_of, table_of
-from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, meta_of, sealed, unsealed
+from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, campaign_of, meta_of, sealed, unsealed
 from dtwin.locks import take
 from dtwin.schema import Campaign, Finding, Run, SignalGroup, require_name
 
@@ -218,18 +218,7 @@ class Lake:
                 allowed=", ".join(self.campaigns()) or "none yet",
                 hint="dtwin ingest PATH; without measurements: dtwin examples",
             )
-        first = rows[0]
-        geometry = json.loads(first["geometry_json"])
-        if any(row["correction"] for row in rows):
-            geometry["corrected"] = True
-        return Campaign(
-            name=name,
-            machine=first["machine"],
-            kind=first["kind"],
-            started=first["started"],
-            machine_geometry=geometry,
-            instrument=json.loads(first["instrument_json"]),
-        )
+        return campaign_of(rows)
 
     def write_table(self, table_name: str, key: str, table: pa.Table) -> int:
         """Add one file of derived rows, for example features of a campaign.

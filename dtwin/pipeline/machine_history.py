@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import campaign_of
 from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record, recorded
+from dtwin.physics.effect import Effect
+from dtwin.physics.fit import fit
+from dtwin.physics.twin import Twin
+from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of
+from dtwin.pipeline.machine_series import Point, Series, judged_series, next_test
 from dtwin.progress import Progress
-from dtwin.report.checking import campaign_sheet
+from dtwin.report.faults import sizes_of
 from dtwin.serve.pointer import resolve
+from dtwin.twins.measured import load
 from dtwin.twins.of_kind import every_shelf
-
-SheetOf = Callable[[str], dict[str, Any]]
+from dtwin.twins.verbs import Twins
 
 
 def machine_overviews(home: Home) -> list[dict[str, Any]]:
@@ -27,16 +35,16 @@ def machine_overviews(home: Home) -> list[dict[str, Any]]:
 
 
 def machine_history(
-    home: Home, machine: str, progress: Progress | None = None, sheet_of: SheetOf | None = None
+    home: Home, machine: str, progress: Progress | None = None, library: Mapping[str, Effect] | None = None
 ) -> dict[str, Any]:
-    """Return what is known of a machine, with the test sheet of each of its campaigns, JSON-ready.
+    """Return what is known of a machine, its tests, and how its figures and the sizes of its faults went, JSON-ready.
 
     Parameters
     ----------
     home : Home
-        Of the lake, the records, the twins and the bundles.
-    sheet_of : callable, optional
-        Returns the test sheet of a campaign where it is kept; else it is made of the runs.
+        Of the lake, the records, the twins and the bundles; what is made of a campaign is kept there.
+    library : mapping of str to Effect, optional
+        Of the effects of twins; the built-in ones without.
 
     Raises
     ------
@@ -44,30 +52,116 @@ def machine_history(
         When there is neither a record nor a campaign of it.
     """
     lake = Lake(home.lake)
-    rows = [row for row in lake.runs() if row["machine"] == machine]
+    # Runs that are left out belong to the stamp of a campaign: taken in again, they change its figures.
+    rows = [row for row in lake.runs(left_out=True) if row["machine"] == machine]
     record = read_record(home, machine)
     if record is None and not rows:
         known = ", ".join(found["machine"] for found in machine_overviews(home)) or "none"
         raise InputError("no such machine", code="machine.unknown", got=machine, allowed=known)
     record = record or MachineRecord(machine)
-    starts = {row["campaign"]: (row["started"] or "", row["kind"]) for row in reversed(rows)}
+    of_campaign: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        of_campaign.setdefault(row["campaign"], []).append(row)
+    measured = ((name, mine) for name, mine in of_campaign.items() if not all(row["left_out"] for row in mine))
+    ordered = sorted(measured, key=lambda item: (item[1][0]["started"] or "", item[1][0]["kind"]))
+    shelf = Twins(home, library)
+    twins = [shelf.newest(name) for name in _twins(home).get(machine, []) if name in shelf.names()]
     tests = []
-    for done, (name, (started, kind)) in enumerate(sorted(starts.items(), key=lambda item: item[1]), start=1):
+    series: dict[tuple[str, ...], Series] = {}
+    for done, (name, mine) in enumerate(ordered, start=1):
+        kind, started, stamp = mine[0]["kind"], mine[0]["started"] or "", stamp_of(mine)
         test: dict[str, Any] = {"campaign": name, "kind": kind, "started": started, "sheet": None}
         if kind_named(kind).offers("sheet"):
-            test["sheet"] = campaign_sheet(lake, name, record.tolerances) if sheet_of is None else sheet_of(name)
+            test["sheet"] = sheet_of_campaign(home, name, machine, stamp)
         tests.append(test | _headline(test["sheet"]))
+        if started:
+            point = Point(name, started, 0.0, 0.0, _instrument(mine))
+            _with_figures(series, test["sheet"], kind, record, point)
+            _with_sizes(series, _sizes(home, name, stamp, twins), point)
         if progress is not None:
-            progress(done, len(starts), name)
+            progress(done, len(ordered), name)
+    judged = judged_series([one for one in series.values() if len(one.points) > 1], record)
+    overview = _overview(home, machine, rows, [t.name for t in twins])
     return {
-        **_overview(home, machine, rows, _twins(home).get(machine, [])),
+        **overview,
         "facts": dict(record.facts),
+        "test_every_days": record.test_every_days,
         "axes": record.as_dict()["axes"],
         "tolerances": record.as_dict()["tolerances"],
         "events": record.as_dict()["events"],
         "tests": tests,
+        "series": judged,
+        "next_test": next_test(judged, record, overview["last_test"]),
         "champion": _champion(home, machine),
     }
+
+
+def _instrument(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a campaign was measured with, as far as it is stated."""
+    stated = campaign_of(rows).instrument
+    return " ".join(str(stated[name]) for name in ("model", "serial") if stated.get(name))
+
+
+def _with_figures(
+    series: dict[tuple[str, ...], Series],
+    sheet: Mapping[str, Any] | None,
+    kind: str,
+    record: MachineRecord,
+    point: Point,
+) -> None:
+    """Add the figures of a test sheet: the one that stands for the whole, and those that have a tolerance."""
+    for part in [] if sheet is None else sheet["parts"]:
+        symbols = [c["symbol"] for c in part["characteristics"]]
+        wanted = {*record.tolerances, (sheet or {})["headline"]}
+        for c in part["characteristics"]:
+            if c["symbol"] not in (wanted if wanted & set(symbols) else symbols[:1]):
+                continue
+            new = Series(part["title"], c["symbol"], "um", (), c["low_um"], c["high_um"])
+            expanded = float("nan") if c["expanded_um"] is None else c["expanded_um"]
+            _append(series, ("figure", kind, part["title"], c["symbol"]), new, point, c["value_um"], expanded)
+
+
+def _with_sizes(series: dict[tuple[str, ...], Series], sizes: Sequence[Sequence[Any]], point: Point) -> None:
+    """Add the sizes of effects."""
+    for title, figure, value, expanded, unit in sizes:
+        half = float("nan") if expanded is None else expanded
+        _append(series, ("size", title, figure), Series(title, figure, unit, ()), point, value, half)
+
+
+def _append(
+    series: dict[tuple[str, ...], Series],
+    key: tuple[str, ...],
+    new: Series,
+    point: Point,
+    value: float,
+    expanded: float,
+) -> None:
+    known = series.get(key, new)
+    series[key] = replace(known, points=(*known.points, replace(point, value=value, expanded=expanded)))
+
+
+def _sizes(home: Home, campaign: str, stamp: str, twins: Sequence[Twin]) -> list[list[Any]]:
+    """Return title, parameter, value, uncertainty (k = 2) and unit of the effects of twins, fitted to this campaign alone."""
+    found: dict[tuple[str, str], list[Any]] = {}
+    for twin in twins:
+        terms = [(t.label, dict(t.shape)) for t in twin.terms]
+        made = kept(home, f"sizes/{twin.name}", campaign, f"{stamp} {terms}", partial(_fitted, home, campaign, twin))
+        found |= {(row[0], row[1]): row for row in made}
+    return list(found.values())
+
+
+def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
+    try:
+        estimates = fit(load(home, campaign).obs, twin.terms).estimates
+    except InputError:  # Of another kind, or of planes and axes that the twin does not have.
+        return []
+    rows: list[list[Any]] = []
+    for term in twin.terms:
+        effect, axis = term.instance.effect, term.instance.axis
+        title = f"{effect.title}, {axis}" if axis else effect.title
+        mine = sizes_of([e for e in estimates if (e.effect, e.axis) == (effect.name, axis)])
+        rows += [[title, name if len(mine) > 1 else "", value, spread, unit] for name, value, spread, unit in mine]
+    return rows
 
 
 def _overview(home: Home, machine: str, rows: Sequence[dict[str, Any]], twins: Sequence[str]) -> dict[str, Any]:
@@ -114,9 +208,7 @@ def _twins(home: Home) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for shelf in every_shelf(home):
         for name in shelf.names():
-            rungs = shelf.history(name)
-            if rungs:
-                found.setdefault(str(rungs[-1].get("machine", "")), []).append(name)
+            found.setdefault(str(shelf.newest_document(name)[0]["machine"]), []).append(name)
     return found
 
 

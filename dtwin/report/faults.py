@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from dtwin.physics.fit import Estimate
 from dtwin.physics.twin import Twin
 from dtwin.report.signature import signature_svg
+from dtwin.report.text import decimals
 from dtwin.units import shown_unit
 
 
@@ -62,18 +63,24 @@ def size_of(estimates: Sequence[Estimate]) -> str:
     Cosines and sines of waves are told as one amplitude: the root of the sum of their squares, its uncertainty
     with both taken as uncorrelated.
     """
-    told = [e for e in estimates if e.identifiable]
-    if not told:
+    sizes = sizes_of(estimates)
+    if not sizes:
         return "its size is not told by these runs"
+    if len(sizes) == 1:
+        return _with_k2(*sizes[0][1:])
+    return "; ".join(f"{name} {_with_k2(value, spread, unit)}" for name, value, spread, unit in sizes)
+
+
+def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str]]:
+    """Return name, value, uncertainty (k = 2) and unit of what the runs tell of an effect, waves as ``size_of`` says."""
+    told = [e for e in estimates if e.identifiable]
     waves = [e for e in told if e.name.startswith(("cosine", "sine"))]
     sizes = [(e.name.replace("_", " "), e.value, e.uncertainty, e.unit) for e in told if e not in waves]
     if waves:
         amplitude = math.hypot(*(e.value for e in waves))
         spread = math.hypot(*(e.value * e.uncertainty for e in waves)) / amplitude if amplitude else math.nan
         sizes.append(("amplitude", amplitude, spread, waves[0].unit))
-    if len(sizes) == 1:
-        return _with_k2(*sizes[0][1:])
-    return "; ".join(f"{name} {_with_k2(value, spread, unit)}" for name, value, spread, unit in sizes)
+    return sizes
 
 
 def _with_k2(value: float, uncertainty: float, unit: str) -> str:
@@ -81,5 +88,5 @@ def _with_k2(value: float, uncertainty: float, unit: str) -> str:
     words = shown_unit(unit)
     if not math.isfinite(uncertainty) or uncertainty <= 0:
         return f"{value:z.3g} {words}"
-    decimals = max(1 - math.floor(math.log10(uncertainty)), 0)
-    return f"{value:z.{decimals}f} ± {uncertainty:z.{decimals}f} {words}"
+    digits = decimals(uncertainty)
+    return f"{value:z.{digits}f} ± {uncertainty:z.{digits}f} {words}"

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from dtwin.report.html import Section, Table
-from dtwin.report.text import table
+from dtwin.report.text import decimals, table
 from dtwin.schema import Run
 from dtwin.statistics import t_quantile
 from dtwin.tolerances import Limits
@@ -62,9 +62,7 @@ class Characteristic:
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping; ``shown`` is rounded to two digits of the uncertainty."""
         known = math.isfinite(self.expanded_um)
-        decimals = 2
-        if known and self.expanded_um > 0:
-            decimals = min(max(1 - math.floor(math.log10(self.expanded_um)), 0), 4)
+        digits = decimals(self.expanded_um)
         return {
             "symbol": self.symbol,
             "name": self.name,
@@ -75,8 +73,8 @@ class Characteristic:
             "high_um": None if self.limits is None else self.limits.high_um,
             "decision": self.decision,
             "shown": {
-                "value": f"{self.value_um:z.{decimals}f}",
-                "expanded": f"± {self.expanded_um:z.{decimals}f}" if known else "-",
+                "value": f"{self.value_um:z.{digits}f}",
+                "expanded": f"± {self.expanded_um:z.{digits}f}" if known else "-",
                 "limit": str(self.limits or "-"),
             },
         }

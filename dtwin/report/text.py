@@ -44,3 +44,10 @@ def micrometres(value: float | None) -> str:
     if value is None or not math.isfinite(value):
         return "-"
     return f"{value:z.2f}" if abs(value) >= _NANOMETRES or value == 0.0 else f"{value:z.3g}"
+
+
+def decimals(uncertainty: float) -> int:
+    """Return the digits after the point that show two digits of an uncertainty; two when it is not known."""
+    if not math.isfinite(uncertainty) or uncertainty <= 0:
+        return 2
+    return min(max(1 - math.floor(math.log10(uncertainty)), 0), 4)

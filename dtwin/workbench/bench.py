@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library
+from dtwin.pipeline.kept import stamp_of
 from dtwin.twins.of_kind import every_shelf, twins_with
 from dtwin.twins.verbs import Twins
 from dtwin.workbench.access import Access
@@ -104,10 +104,10 @@ class Bench:
         rows = self.run_rows()
 
         def hashed() -> str:
-            mine = [f"{row['content_sha256']} {row['metadata_version']}" for row in rows if row["campaign"] == campaign]
+            mine = [row for row in rows if row["campaign"] == campaign]
             if not mine:
                 self.lake.campaign(campaign)
-            return hashlib.sha256("".join(mine).encode()).hexdigest()
+            return stamp_of(mine)
 
         return self.cache.get(("stamp", campaign, *self.lake_version), hashed)
 

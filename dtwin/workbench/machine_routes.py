@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from typing import Any
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response
 
+from dtwin.errors import InputError
 from dtwin.machine_record import EVENTS, MachineRecord, read_record, record_from, with_event, write_record
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
-from dtwin.report.history_plots import history_figure
+from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
+from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.pages import accepted, drawn, rendered
-from dtwin.workbench.reading import campaign_sheet_of
 from dtwin.workbench.uploads import MAX_TRAY_BYTES
 
 router = APIRouter()
@@ -34,6 +37,12 @@ class ToleranceTold(BaseModel):
     high_um: float
 
 
+class ScheduleTold(BaseModel):
+    """Days between two tests; 0 takes a schedule back."""
+
+    days: float
+
+
 @router.get("/machines")
 def machine_list(request: Request) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
@@ -45,23 +54,56 @@ def machine_list(request: Request) -> Response:
 def machine_page(request: Request, name: str) -> Response:
     """Show one machine."""
     found = _history(bench_of(request), name)
-    return rendered(request, "machine.html", title=f"Machine {name}", machine=found, known_events=EVENTS)
+    changes = [change for one in found["series"] for change in one["changes"]]
+    return rendered(
+        request,
+        "machine.html",
+        title=f"Machine {name}",
+        machine=found,
+        changes=sorted(changes, key=lambda change: str(change["seen"]), reverse=True),
+        overdue=_overdue(found),
+        false_alarms=TESTS_PER_FALSE_ALARM,
+        known_events=EVENTS,
+    )
+
+
+@router.get("/machines/{name}/next-test.ics")
+def next_test_file(request: Request, name: str) -> Response:
+    """Return the next test as a calendar file."""
+    due = _history(bench_of(request), name)["next_test"]
+    if not due:
+        raise InputError("no next test is known", code="page.unknown", where=name, hint="state how often it is tested")
+    headers = {"Content-Disposition": f'attachment; filename="{name}.ics"'}
+    return Response(calendar_of(name, due, datetime.now(UTC)), media_type="text/calendar", headers=headers)
 
 
 @router.get("/api/machines/{name}/summary")
 def summary(request: Request, name: str) -> dict[str, Any]:
-    """Return what the last test of a machine says, and its values so far."""
-    tests = [test for test in _history(bench_of(request), name)["tests"] if test["figure"]]
+    """Return what the last test of a machine says, its values so far, its newest change, and whether a test is due."""
+    found = _history(bench_of(request), name)
+    tests = [test for test in found["tests"] if test["figure"]]
     last = tests[-1] if tests else None
     values = [test["value_um"] for test in tests if last is not None and test["figure"] == last["figure"]]
-    return {"last": None if last is None else {**last, "sheet": None}, "values_um": values}
+    current = [one["changes"][0]["text"] for one in found["series"] if one["state"] in ("changed", "trend")]
+    return {
+        "last": None if last is None else {**last, "sheet": None},
+        "values_um": values,
+        "changed": current[0] if current else "",
+        "overdue": _overdue(found),
+    }
 
 
-@router.get("/api/machines/{name}/history")
-def history(request: Request, name: str) -> Response:
-    """Return the picture of a machine's tests over time."""
+@router.get("/api/machines/{name}/series")
+def series(request: Request, name: str, of: str) -> Response:
+    """Return the picture of a figure over time."""
     found = _history(bench_of(request), name)
-    return drawn(history_figure(found["tests"], found["events"]))
+    return drawn(series_figure(_series(found, of), found["events"]))
+
+
+@router.get("/api/machines/{name}/chart")
+def control_chart(request: Request, name: str, of: str) -> Response:
+    """Return the control chart of a figure."""
+    return drawn(chart_figure(_series(_history(bench_of(request), name), of)))
 
 
 @router.post("/api/machines/{name}/event")
@@ -81,17 +123,40 @@ def tell_event(request: Request, name: str, told: EventTold) -> JSONResponse:
 def tell_tolerance(request: Request, name: str, told: ToleranceTold) -> JSONResponse:
     """State the largest value that a figure may have."""
     bench = bench_of(request)
-    known = read_record(bench.home, name) or MachineRecord(name)
-    document = known.as_dict()
-    document["tolerances"] |= {told.symbol: told.high_um}
+    return _stated(bench, name, "Tolerance", {"tolerances": {told.symbol: told.high_um}})
+
+
+@router.post("/api/machines/{name}/schedule")
+def tell_schedule(request: Request, name: str, told: ScheduleTold) -> JSONResponse:
+    """State how often a machine is tested."""
+    return _stated(bench_of(request), name, "Tests", {"test_every_days": told.days})
+
+
+def _stated(bench: Bench, name: str, what: str, stated: Mapping[str, Any]) -> JSONResponse:
+    """Write the record of a machine with what is stated; tables are joined."""
+    document = (read_record(bench.home, name) or MachineRecord(name)).as_dict()
+    for key, value in stated.items():
+        document[key] = {**document[key], **value} if isinstance(value, Mapping) else value
     record = record_from(name, document, name)
 
     def work(tell: Any) -> str:
         write_record(bench.home, record)
         return f"/machines/{name}"
 
-    return accepted(bench.jobs.start(f"Tolerance of {name}", work))
+    return accepted(bench.jobs.start(f"{what} of {name}", work))
 
 
 def _history(bench: Bench, name: str) -> dict[str, Any]:
-    return machine_history(bench.home, name, sheet_of=lambda campaign: campaign_sheet_of(bench, campaign, name))
+    return machine_history(bench.home, name, library=bench.library)
+
+
+def _series(found: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    chosen: Mapping[str, Any] | None = next((one for one in found["series"] if one["name"] == name), None)
+    if chosen is None:
+        raise InputError("there is no such figure", code="page.unknown", where=found["machine"], got=name[:80])
+    return chosen
+
+
+def _overdue(found: Mapping[str, Any]) -> bool:
+    due = found["next_test"]
+    return bool(due) and str(due["on"]) < datetime.now(UTC).date().isoformat()

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dtwin.documents import read_document, write_document
-from dtwin.errors import InputError, StoreError
-from dtwin.lake.store import Lake
-from dtwin.machine_record import tolerances_of
+from dtwin.documents import read_document
+from dtwin.errors import InputError
 from dtwin.physics import localise
 from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.twin import Twin, data_lines, frozen_residual_um
-from dtwin.report.checking import campaign_sheet
+from dtwin.pipeline.kept import kept, sheet_of_campaign
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
 from dtwin.twins.measured import Comparison, Loaded, load, pure_rms_um
@@ -98,40 +96,22 @@ def observed(bench: Bench, campaign: str) -> Observations:
     return _loaded(bench, campaign).obs
 
 
+def campaign_sheet_of(bench: Bench, campaign: str, machine: str) -> dict[str, Any]:
+    """Return the test sheet of a campaign of this machine."""
+    return sheet_of_campaign(bench.home, campaign, machine, bench.stamp(campaign))
+
+
 def campaign_floor(bench: Bench, campaign: str) -> Floor:
     """Return what repeats of a campaign disagree by, centre and radius of set-ups taken out.
 
     It is kept in a file: finding it reads every run.
     """
-    um = _kept(bench, "floors", campaign, bench.stamp(campaign), lambda: _floor_um(bench, campaign))
-    return Floor(math.nan, "none") if um is None else Floor(um, "repeats")
-
-
-def campaign_sheet_of(bench: Bench, campaign: str, machine: str) -> dict[str, Any]:
-    """Return the test sheet of a campaign of this machine; it is kept in a file, as the floor is."""
-    limits = tolerances_of(bench.home, machine)
-    stamp = f"{bench.stamp(campaign)} {limits}"
-    made: dict[str, Any] = _kept(
-        bench, "sheets", campaign, stamp, lambda: campaign_sheet(Lake(bench.home.lake), campaign, limits)
+    stamp = bench.stamp(campaign)
+    um = bench.cache.get(
+        ("floor", campaign, stamp),
+        lambda: kept(bench.home, "floors", campaign, stamp, lambda: _floor_um(bench, campaign)),
     )
-    return made
-
-
-def _kept(bench: Bench, what: str, campaign: str, stamp: str, make: Callable[[], Any]) -> Any:
-    """Return what was made of the runs of a campaign, from its file when nothing changed since."""
-    path = bench.folder / what / f"{require_name(campaign, 'the campaign')}.json"
-
-    def found() -> Any:
-        try:
-            kept = read_document(path) if path.exists() else {}
-        except StoreError:
-            kept = {}
-        if kept.get("stamp") != stamp:
-            kept = {"stamp": stamp, "made": make()}
-            write_document(path, kept, what)
-        return kept["made"]
-
-    return bench.cache.get((what, campaign, stamp), found)
+    return Floor(math.nan, "none") if um is None else Floor(um, "repeats")
 
 
 def _floor_um(bench: Bench, campaign: str) -> float | None:

@@ -45,6 +45,7 @@ def test_none_is_left_out() -> None:
         "bench_verbs.py",
         "bench_workbench.py",
         "cobot_family.py",
+        "machine_years.py",
         "mechanism_bias.py",
     }
     # test_freezes and test_exam_short run these.
@@ -123,6 +124,13 @@ def test_verbs() -> None:
 
 
 @pytest.mark.long
+def test_machine_years() -> None:
+    rows = {row["story"]: row for row in short("machine_years.py")}
+    assert rows["nothing"]["false_alarms_per_200_tests"] <= 3.0
+    assert rows["crash, 1.5 µm"]["found"] > 0.9
+    assert rows["crash, 1.5 µm"]["at_the_right_test"] > 0.8
+
+
 def test_cobot_family() -> None:
     (shipped,) = short("cobot_family.py")
     assert shipped["passed"]

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, date, datetime
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
+from machine_years import steady, stepping, write_tests
 from typer.testing import CliRunner
 
 from dtwin.acquire.ingest import ingest
@@ -13,8 +16,10 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lake.store import Lake
-from dtwin.machine_record import read_record, tolerances_of
+from dtwin.machine_record import Event, MachineRecord, read_record, tolerances_of
+from dtwin.pipeline.machine_series import Point, Series, calendar_of, judged_series
 from dtwin.tolerances import Limits
+from dtwin.twins.verbs import Twins
 
 ROOT = Path(__file__).parents[2]
 
@@ -56,6 +61,8 @@ def test_what_is_told_stays_until_it_is_told_anew(home: Home) -> None:
         '[[events]]\non = "yesterday"\nwhat = "crash"',
         '[[events]]\non = 2026-01-01\nwhat = "dance"',
         "events = [1]",
+        'test_every_days = "x"',
+        "test_every_days = -1",
         "= ",
     ],
 )
@@ -92,3 +99,50 @@ def test_the_history_of_a_machine_has_its_tests_in_their_order(home: Home) -> No
     assert test["value_um"] == largest
     unknown = CliRunner().invoke(app, ["machine", "show", "nix"])
     assert unknown.exit_code != 0
+
+
+def test_a_crash_shows_in_the_history_of_figures_and_of_fault_sizes(home: Home) -> None:
+    folders = write_tests(home.root / "made", 8, steady(2.0), stepping(3.0, 5, 12.0))
+    for folder in folders:
+        ingest(folder, Lake(home.lake))
+    Twins(home).fit("t00", ["backlash:X", "squareness"], "mill-7")
+    said("machine", "add", "mill-7", "--test-every", "30")
+    said("machine", "event", "mill-7", "crash", "--on", "2025-05-20")
+    shown = said("machine", "show", "mill-7")
+    series = {one["name"]: one for one in cast(list[dict[str, Any]], shown["series"])}
+    assert series["Squareness, XY"]["state"] == series["G(b), XY R150 F1000"]["state"] == "changed"
+    assert "between 2025-05-06 and 2025-06-05; noted then: crash" in series["Squareness, XY"]["changes"][0]["text"]
+    assert series["Backlash, X"]["state"] == "steady"
+    sizes = [abs(p["value"]) for p in series["Backlash, X"]["points"]]
+    assert sum(sizes) / len(sizes) == pytest.approx(2.0, abs=0.3)
+    assert shown["next_test"] == {"on": "2025-09-03", "why": "a test is wanted every 30 days"}
+    calendar = home.root / "next.ics"
+    said("machine", "show", "mill-7", "--ics", str(calendar))
+    assert b"DTSTART;VALUE=DATE:20250903\r\n" in calendar.read_bytes()
+    spoilt = next((home.root / "kept" / "sheets").glob("t03.json"))
+    spoilt.write_text("{")
+    assert said("machine", "show", "mill-7") == shown
+
+
+def test_an_instrument_that_changes_and_an_event_raise_no_alarm() -> None:
+    days = [f"2025-{month:02d}-10T08:00:00+00:00" for month in range(1, 11)]
+    values = [5.0, 5.1, 4.9, 5.0, 5.2, 4.9, 8.0, 8.1, 7.9, 8.0]
+
+    def judged(bars: str, *events: Event) -> dict[str, Any]:
+        points = zip(days, values, bars, strict=True)
+        series = Series("XY R50", "G(b)", "um", tuple(Point("t", d, v, 0.1, bar) for d, v, bar in points), high=9.0)
+        (one,) = judged_series([series], MachineRecord("mill", events=events))
+        return one
+
+    assert judged("a" * 10)["state"] == "changed"
+    other = judged("aaaaaabbbb")
+    assert (other["state"], other["changes"][0]["kind"]) == ("steady", "event")
+    assert "+2.98 ± 0.18 µm after: measured with b instead of a" in other["changes"][0]["text"]
+    repaired = judged("a" * 10, Event(date(2025, 6, 20), "repair", "nut"))
+    assert (repaired["state"], repaired["changes"][0]["text"][-4:]) == ("steady", " nut")
+
+
+def test_a_calendar_file_folds_long_lines() -> None:
+    text = calendar_of("mill", {"on": "2026-01-02", "why": "µ, " * 60}, datetime(2026, 1, 1, tzinfo=UTC))
+    assert all(len(line.encode()) <= 75 for line in text.split("\r\n"))
+    assert text.replace("\r\n ", "").count("µ\\, ") == 60

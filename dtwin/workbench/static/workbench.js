@@ -424,7 +424,7 @@ function watchDrop() {
 }
 
 // ---- machines: what the last test of each says ----------------------------------------------------------
-const WORST = ["outside", "cannot say", "inside"];
+const WORST = ["outside", "overdue", "changed", "cannot say", "inside"];
 
 function sparkline(values) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
@@ -449,13 +449,15 @@ async function fillMachine(row) {
     if (!found.last) return;
     cell("figure").textContent = `${found.last.figure} ${found.last.shown}`;
     if (found.values_um.length > 1) cell("values").append(sparkline(found.values_um));
-    if (found.last.decision) {
+    const words = [found.last.decision, found.overdue && "overdue", found.changed && "changed"].filter(Boolean);
+    for (const word of words) {
       const tag = document.createElement("span");
-      tag.className = `tag ${{ inside: "good", outside: "error" }[found.last.decision] || "warning"}`;
-      tag.textContent = found.last.decision;
-      cell("decision").append(tag);
-      row.dataset.order = WORST.indexOf(found.last.decision);
+      tag.className = `tag ${{ inside: "good", outside: "error" }[word] || "warning"}`;
+      tag.textContent = word;
+      if (word === "changed") tag.title = found.changed;
+      cell("decision").append(tag, " ");
     }
+    if (words.length) row.dataset.order = Math.min(...words.map((word) => WORST.indexOf(word)));
   } catch (error) {
     cell("decision").textContent = error.message.split("\n")[0];
   }

@@ -1,0 +1,275 @@
+"""Figures of a machine from test to test: series, what changed in them, and when the next test is due."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import date, datetime, timedelta
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dtwin.control_chart import Chart, Regime, chart, crossing
+from dtwin.documents import finite
+from dtwin.machine_record import Event, MachineRecord
+from dtwin.report.text import decimals
+from dtwin.units import shown_unit
+
+TESTS_PER_FALSE_ALARM = 200.0
+"""Tests of a machine where nothing changes, all its series together, in which one false alarm is expected at most."""
+RESTARTS = ("repair", "compensated", "moved")
+"""Events after which another value is expected."""
+_MONTH = 30.44
+_LONGEST_FORECAST_DAYS = 3653.0
+
+
+@dataclass(frozen=True)
+class Point:
+    """A figure in one test.
+
+    Attributes
+    ----------
+    started : str
+        ISO 8601.
+    expanded : float
+        Half width that covers 95 %; NaN when it is not known.
+    instrument : str
+        What measured it; empty when it is not stated.
+    """
+
+    campaign: str
+    started: str
+    value: float
+    expanded: float
+    instrument: str = ""
+
+
+@dataclass(frozen=True)
+class Series:
+    """A figure over the tests of a machine, in the order of their days.
+
+    Attributes
+    ----------
+    title : str
+        Condition, or effect and axis.
+    figure : str
+        Symbol of a standard, or the parameter of the effect.
+    low, high : float or None
+        Tolerance.
+    """
+
+    title: str
+    figure: str
+    unit: str
+    points: tuple[Point, ...]
+    low: float | None = None
+    high: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Figure and condition in a line."""
+        return f"{self.figure}, {self.title}" if self.figure else self.title
+
+
+def judged_series(series: Sequence[Series], record: MachineRecord) -> list[dict[str, Any]]:
+    """Return every series with its chart, what changed, and how it goes on, JSON-ready; those that changed come first.
+
+    The rate of false alarms is that of all series together.
+    """
+    length = TESTS_PER_FALSE_ALARM * max(len(series), 1)
+    told = [_judged(one, record, length) for one in series]
+    order = {"changed": 0, "trend": 1, "steady": 2, "too few tests": 3}
+    return sorted(told, key=lambda one: (order[one["state"]], -len(one["points"])))
+
+
+def next_test(series: Sequence[Mapping[str, Any]], record: MachineRecord, last: str) -> dict[str, str]:
+    """Return the day of the next test and why it is that day; empty when nothing says so.
+
+    Parameters
+    ----------
+    series : sequence of mapping
+        As ``judged_series`` returns them.
+    last : str
+        Day of the last test, ISO 8601; empty when there is none.
+    """
+    dates: list[tuple[date, str]] = []
+    if last and record.test_every_days:
+        due = date.fromisoformat(last[:10]) + timedelta(days=record.test_every_days)
+        dates.append((due, f"a test is wanted every {record.test_every_days:g} days"))
+    for one in series:
+        found = one["crossing"]
+        if found is not None:
+            dates.append((date.fromisoformat(found["earliest"]), f"{one['name']} may cross its limit from then on"))
+    if not dates:
+        return {}
+    on, why = min(dates)
+    return {"on": on.isoformat(), "why": why}
+
+
+def calendar_of(machine: str, due: Mapping[str, str], now: datetime) -> str:
+    """Return the next test as a calendar file (iCalendar, RFC 5545)."""
+    day = due["on"].replace("-", "")
+    why = due["why"].replace("\\", "\\\\").replace(",", "\\,").replace(";", "\\;")
+    lines = [
+        "BEGIN:VCALENDAR",
+        "VERSION:2.0",
+        "PRODID:-//dtwin//machine//EN",
+        "BEGIN:VEVENT",
+        f"UID:{machine}-{day}@dtwin",
+        f"DTSTAMP:{now:%Y%m%dT%H%M%SZ}",
+        f"DTSTART;VALUE=DATE:{day}",
+        f"SUMMARY:Test of {machine}",
+        f"DESCRIPTION:{why}",
+        "END:VEVENT",
+        "END:VCALENDAR",
+    ]
+    return "".join(f"{line}\r\n" for line in _folded(lines))
+
+
+def _folded(lines: Sequence[str]) -> list[str]:
+    """Return lines of at most 75 octets, as the standard asks for."""
+    out: list[str] = []
+    for line in lines:
+        part = ""
+        for letter in line:
+            if len((part + letter).encode()) > 74:
+                out.append(part)
+                part = " "
+            part += letter
+        out.append(part)
+    return out
+
+
+def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[str, Any]:
+    points = series.points
+    days = np.array([datetime.fromisoformat(p.started).timestamp() / 86400.0 for p in points])
+    values = np.array([p.value for p in points])
+    why = _restarts(points, record.events)
+    found = chart(days, values, list(why), run_length)
+    current = found.regimes[-1]
+    limit = _limit_ahead(series, current)
+    part = slice(current.first, None)
+    ahead = None if limit is None else crossing(days[part], values[part], limit)
+    changes = _changes(series, found, why, record.events)
+    alarm = bool(found.alarms) and found.alarms[-1].first >= current.first
+    if len(points) < 4:
+        state = "too few tests"
+    elif current.trend:
+        state = "trend"
+    else:
+        state = "changed" if alarm else "steady"
+    level = f"{current.mean:z.{decimals(current.expanded)}f}"
+    return finite(
+        {
+            "name": series.name,
+            "title": series.title,
+            "figure": series.figure,
+            "unit": shown_unit(series.unit),
+            "low": series.low,
+            "high": series.high,
+            "points": [dict(vars(p)) for p in points],
+            "state": state,
+            "level": f"{level} ± {current.expanded:z.{decimals(current.expanded)}f}"
+            if current.last > current.first
+            else level,
+            "since": points[current.first].started[:10],
+            "changes": changes,
+            "crossing": _told_crossing(ahead, limit, days),
+            "chart": {
+                "ewma": found.ewma.tolist(),
+                "cusum_up": found.cusum_up.tolist(),
+                "cusum_down": found.cusum_down.tolist(),
+                "single": found.single.tolist(),
+                "limits": dict(vars(found.limits)),
+                "regimes": [dict(vars(r)) for r in found.regimes],
+                "alarms": [a.at for a in found.alarms],
+            },
+        }
+    )
+
+
+def _restarts(points: Sequence[Point], events: Sequence[Event]) -> dict[int, str]:
+    """Return the tests before which another value is expected, and why."""
+    found: dict[int, str] = {}
+    for i, (before, after) in enumerate(pairwise(points), start=1):
+        between = [
+            e for e in events if e.what in RESTARTS and before.started[:10] <= e.on.isoformat() <= after.started[:10]
+        ]
+        if between:
+            found[i] = ", ".join(e.note or e.what for e in between)
+        elif before.instrument != after.instrument and before.instrument and after.instrument:
+            found[i] = f"measured with {after.instrument} instead of {before.instrument}: machine or instrument"
+    return found
+
+
+def _changes(series: Series, found: Chart, why: Mapping[int, str], events: Sequence[Event]) -> list[dict[str, Any]]:
+    """Return every change: alarms, and what differs after an event, JSON-ready, newest first."""
+    points, out = series.points, []
+    unit = shown_unit(series.unit)
+    for alarm in found.alarms:
+        regime = next(r for r in found.regimes if r.first == alarm.first)
+        if alarm.trend:
+            size = _signed(regime.slope * _MONTH, regime.slope_expanded * _MONTH)
+            began, ended = (points[i].started[:10] for i in (regime.first, regime.last))
+            over = f"since {began}" if regime.last == len(points) - 1 else f"from {began} to {ended}"
+            text = f"{series.name} changes by {size} {unit} a month {over}"
+        else:
+            began = points[alarm.first - 1].started[:10]
+            text = (
+                f"{series.name} changed by {_signed(alarm.step, alarm.expanded)} {unit} between {began} "
+                f"and {points[alarm.first].started[:10]}"
+            )
+            noted = [e for e in events if began <= e.on.isoformat() <= points[alarm.first].started[:10]]
+            text += "".join(f"; noted then: {e.what}{e.note and ', '}{e.note}" for e in noted)
+        out.append(
+            {
+                "kind": "trend" if alarm.trend else "step",
+                "at": alarm.at,
+                "first": alarm.first,
+                "text": text,
+                "began": began,
+                "seen": points[alarm.at].started[:10],
+            }
+        )
+    for i, reason in why.items():
+        before = next(r for r in found.regimes if r.last == i - 1)
+        after = next(r for r in found.regimes if r.first == i)
+        half = math.hypot(before.expanded, after.expanded)
+        text = f"{series.name} {_signed(after.mean - before.mean, half)} {unit} after: {reason}"
+        out.append(
+            {
+                "kind": "event",
+                "at": i,
+                "first": i,
+                "text": text,
+                "began": points[i - 1].started[:10],
+                "seen": points[i].started[:10],
+            }
+        )
+    return sorted(out, key=lambda change: -int(str(change["at"])))
+
+
+def _limit_ahead(series: Series, regime: Regime) -> float | None:
+    if math.isnan(regime.slope):
+        return None
+    return series.high if regime.slope > 0 else series.low
+
+
+def _told_crossing(ahead: tuple[float, float, float] | None, limit: float | None, days: Any) -> dict[str, Any] | None:
+    """Return when the limit is crossed as days, None when that is further ahead than is worth telling."""
+    if ahead is None or ahead[1] > days[-1] + _LONGEST_FORECAST_DAYS:
+        return None
+    at, early, late = (min(day, days[-1] + _LONGEST_FORECAST_DAYS) for day in ahead)
+    return {"limit": limit, "at": _day(at), "earliest": _day(max(early, days[-1])), "latest": _day(late)}
+
+
+def _day(day: float) -> str:
+    return (date(1970, 1, 1) + timedelta(days=math.floor(day))).isoformat()
+
+
+def _signed(value: float, half: float) -> str:
+    digits = decimals(half)
+    known = f" ± {half:z.{digits}f}" if math.isfinite(half) else ""
+    return f"{value:+z.{digits}f}{known}"
