@@ -16,6 +16,7 @@ from dtwin.commands import amending as amending_commands
 from dtwin.commands import analogue as analogue_commands
 from dtwin.commands import campaign as campaign_command
 from dtwin.commands import cell as cell_commands
+from dtwin.commands import certificate as certificate_command
 from dtwin.commands import data as data_commands
 from dtwin.commands import demo as demo_command
 from dtwin.commands import dynamics as dynamics_commands
@@ -70,6 +71,7 @@ rechecking_command.register(app)
 serving_commands.register(app)
 twin_commands.register(app)
 machine_commands.register(app)
+certificate_command.register(app)
 analogue_commands.register(app)
 linuxcnc_commands.register(app)
 cell_commands.register(app)

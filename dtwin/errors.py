@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+
 EXIT_DONE = 0
 EXIT_USER = 1
 EXIT_GATE = 3
@@ -42,6 +44,15 @@ class DtwinError(Exception):
         self.allowed = allowed
         self.hint = hint
 
+    @property
+    def meant(self) -> str | None:
+        """The allowed name that is most like what was given; None when none is."""
+        names = [] if self.allowed is None else self.allowed.replace(" ...", "").split(", ")
+        # A sentence about what is allowed is no list of names.
+        names = [name for name in names if " " not in name]
+        close = get_close_matches(self.got or "", names, n=1, cutoff=0.7)
+        return close[0] if close and close[0] != self.got else None
+
     def as_dict(self) -> dict[str, str]:
         """Return the set fields, for ``--json``."""
         fields = {
@@ -49,6 +60,7 @@ class DtwinError(Exception):
             "message": self.message,
             "where": self.where,
             "got": self.got,
+            "meant": self.meant,
             "allowed": self.allowed,
             "hint": self.hint,
         }
@@ -57,7 +69,7 @@ class DtwinError(Exception):
     def render(self) -> str:
         """Return the message as indented lines for a terminal."""
         lines = [f"error[{self.code}]: {self.message}"]
-        labels = {"where": "at", "got": "got", "allowed": "allowed", "hint": "try"}
+        labels = {"where": "at", "got": "got", "meant": "did you mean", "allowed": "allowed", "hint": "try"}
         fields = self.as_dict()
         lines += [f"  {label}: {fields[name]}" for name, label in labels.items() if name in fields]
         return "\n".join(lines)

@@ -100,8 +100,16 @@ def check(
     told = _told(plane, radius, feed, direction, axis, setup, repeat, machine)
     limits = partial(tolerances_of, home())
     alone = any(value is not None for value in told.values())
-    if not alone and not source.exists() and str(source) in lake.campaigns():
+    campaigns = [] if alone or source.exists() else lake.campaigns()
+    if str(source) in campaigns:
         result = check_campaign(lake, str(source), line, limits)
+    elif campaigns and source.name == str(source):
+        raise InputError(
+            "no such file or folder, and no such campaign in the lake",
+            code="file.missing",
+            got=str(source),
+            allowed=", ".join(campaigns),
+        )
     else:
         result = check_source(source, line, told, limits)
     emit(result, lambda: render_check(result), as_json=as_json)

@@ -23,7 +23,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "repair",
         "migrate",
     ),
-    "Understand": ("twin", "effects", "dynamics", "report", "papers"),
+    "Understand": ("twin", "effects", "dynamics", "report", "certificate", "papers"),
     "Correct": (
         "features",
         "train",

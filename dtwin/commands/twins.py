@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -53,8 +53,19 @@ def fit_twin(
     names = [part.strip() for part in wanted.split(",") if part.strip()]
     twins, known = twins_for(home(), library_with(effects_path), campaign)
     twin = twins.fit(known, names, name, robust=robust)
-    emit(twin.as_dict(), lambda: twin_text(twin), as_json=as_json)
+    emit(twin.as_dict(), lambda: twin_text(twin) + _before(name, twins.history(name)), as_json=as_json)
     _tell_failed(name)
+
+
+def _before(name: str, rungs: Sequence[Mapping[str, Any]]) -> str:
+    """Return what a fit did to the versions that the twin had, empty when it had none."""
+    if len(rungs) < 2:
+        return ""
+    old = rungs[-2]
+    return (
+        f"\n\nThe twin had {len(rungs) - 1} version{'s' if len(rungs) > 2 else ''}; they stay. Version {old['version']} "
+        f"({old['action']}, campaign {old['campaign']}) comes back by: dtwin twin restore {name} --version {old['version']}"
+    )
 
 
 @twin_app.command("compare")

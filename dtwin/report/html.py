@@ -96,7 +96,7 @@ def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
             "paragraphs": s.paragraphs,
             "findings": s.findings,
             "tables": s.tables,
-            "figures": [_figure_html(figure) for figure in s.figures],
+            "figures": [figure_html(figure) for figure in s.figures],
             "code": s.code,
         }
         for s in sections
@@ -105,5 +105,6 @@ def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
     return template.render(title=title, subtitle=subtitle, sections=rendered, plotly=get_plotlyjs())
 
 
-def _figure_html(figure: go.Figure) -> str:
+def figure_html(figure: go.Figure) -> str:
+    """Return a figure for a page that holds plotly's script."""
     return str(pio.to_html(figure, full_html=False, include_plotlyjs=False, config=_CONFIG))

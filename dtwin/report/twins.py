@@ -69,7 +69,12 @@ def parameter_table(twin: Twin) -> Table:
     ]
     for term in twin.terms:
         rows += [
-            (term.label, shape.name.replace("_", " "), number(term.shape[shape.name], 4), shown_unit(shape.unit))
+            (
+                term.label,
+                shape.name.removesuffix(f"_{shape.unit}").replace("_", " "),
+                number(term.shape[shape.name], 4),
+                shown_unit(shape.unit),
+            )
             for shape in term.instance.effect.shapes
         ]
     return Table(("effect", "parameter", "value (k = 2)", "unit"), rows)

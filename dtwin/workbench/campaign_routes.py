@@ -9,12 +9,14 @@ from typing import Any, Literal
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
-from starlette.responses import JSONResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.kinds.volumetric.motions import FAMILIES
+from dtwin.pipeline.certificate import certificate
+from dtwin.pipeline.findings import findings_of, grouped_findings
 from dtwin.pipeline.measuring import ingest
 from dtwin.workbench import campaigns
 from dtwin.workbench.bench import Bench, bench_of
@@ -24,6 +26,10 @@ from dtwin.workbench.reading import campaign_floor, campaign_sheet_of
 from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
 
 router = APIRouter()
+_SHUT_OFF = (
+    "sandbox allow-scripts allow-modals; default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
+    "img-src data: blob:"
+)
 
 
 class _Told(BaseModel):
@@ -74,7 +80,7 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
     rows = _rows(bench, name)
     version = bench.lake_version
     overview = bench.cache.get(("overview", name, version), lambda: campaigns.overview(name, rows))
-    findings = bench.cache.get(("findings", name, version), lambda: campaigns.grouped_findings(rows))
+    findings = bench.cache.get(("findings", name, version), lambda: grouped_findings(rows))
     rungs = {twin: bench.twins.history(twin) for twin in bench.twin_names()}
     fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
     kind = kind_named(overview.kind)
@@ -115,6 +121,16 @@ def sheet_figure(request: Request, name: str, part: int) -> Response:
     return drawn(kind.sheet_figure(runs))
 
 
+@router.get("/campaigns/{name}/certificate.html")
+def certificate_file(request: Request, name: str, language: str = "en") -> Response:
+    """Return the certificate of a campaign, to print or to sign.
+
+    Its scripts stand in the page, which is shut off from the workbench: another origin, and no requests.
+    """
+    made = certificate(bench_of(request).home, name, language)
+    return HTMLResponse(made, headers={"Content-Security-Policy": _SHUT_OFF})
+
+
 @router.get("/campaigns/{name}/runs/{run_id}")
 def run_page(request: Request, name: str, run_id: str) -> Response:
     """Show one run."""
@@ -128,7 +144,7 @@ def run_page(request: Request, name: str, run_id: str) -> Response:
         campaign=name,
         row=row,
         kind=kind,
-        findings=campaigns.findings_of(row),
+        findings=findings_of(row),
         drawings=kind.drawings if kind.offers("drawings") else (),
     )
 

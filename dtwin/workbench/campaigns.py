@@ -8,15 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dtwin.acquire.amending import amendment_findings
-from dtwin.acquire.quality import judge_campaign
 from dtwin.lake.rows import meta_of
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.state import AXES_OF
-from dtwin.schema import Finding, Run
-
-_SEVERITIES = ("error", "warning", "info")
+from dtwin.pipeline.findings import SEVERITIES, campaign_findings, findings_of
 
 
 @dataclass(frozen=True)
@@ -60,7 +56,7 @@ def overview(name: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
     ``rows``: its rows, at least one.
     """
     severities = Counter(f["severity"] for row in rows for f in findings_of(row))
-    severities.update(f.severity for f in _campaign_findings(rows))
+    severities.update(f.severity for f in campaign_findings(rows))
     return Overview(
         name=name,
         machine=rows[0]["machine"],
@@ -74,36 +70,8 @@ def overview(name: str, rows: Sequence[Mapping[str, Any]]) -> Overview:
         directions=_distinct(rows, "direction"),
         radii_mm=_distinct(rows, "radius_mm"),
         feeds_mm_min=_distinct(rows, "feed_mm_min"),
-        findings={name: severities[name] for name in _SEVERITIES if severities[name]},
+        findings={name: severities[name] for name in SEVERITIES if severities[name]},
     )
-
-
-def findings_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return what is noteworthy about a run."""
-    found: list[dict[str, Any]] = json.loads(row["findings_json"])
-    return found
-
-
-def _campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Return what is noteworthy about a campaign as a whole."""
-    used = [Run(meta_of(row), {}) for row in rows if row["left_out"] is None]
-    return [*judge_campaign(used), *amendment_findings(rows)]
-
-
-def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Return the findings of all runs, one line for each code, the worst first.
-
-    Each has ``severity``, ``code``, ``message`` of the first run, and ``runs``.
-    """
-    by_code: dict[str, dict[str, Any]] = {
-        f"{f.code} {f.message}": {"severity": f.severity, "code": f.code, "message": f.message, "runs": []}
-        for f in _campaign_findings(rows)
-    }
-    for row in rows:
-        for f in findings_of(row):
-            entry = by_code.setdefault(f["code"], {**f, "runs": []})
-            entry["runs"].append(row["run_id"])
-    return sorted(by_code.values(), key=lambda f: (_SEVERITIES.index(f["severity"]), f["code"]))
 
 
 def possible_effects(rows: Sequence[Mapping[str, Any]], library: Mapping[str, Effect]) -> list[Effect]:

@@ -1,0 +1,89 @@
+"""The certificate of a campaign in the lake: its sheet with all that is known of machine, instrument and runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin import __version__
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import campaign_of
+from dtwin.lake.store import Lake
+from dtwin.machine_record import MachineRecord, read_record
+from dtwin.pipeline.findings import grouped_findings
+from dtwin.pipeline.kept import sheet_of_campaign, stamp_of
+from dtwin.report.certificate import LANGUAGES, certificate_page
+
+
+def certificate(home: Home, campaign: str, language: str = "en") -> str:
+    """Return the certificate of a campaign as one HTML page.
+
+    Raises
+    ------
+    InputError
+        When there is no such campaign, it has no sheet, or the language is not known.
+    """
+    if language not in LANGUAGES:
+        raise InputError(
+            "no such language", code="certificate.language", got=language[:20], allowed=", ".join(LANGUAGES)
+        )
+    lake = Lake(home.lake)
+    rows = lake.runs(left_out=True)
+    mine = [row for row in rows if row["campaign"] == campaign]
+    known = campaign_of(mine) if mine else lake.campaign(campaign)
+    kind = kind_named(known.kind)
+    kind.require("sheet")
+    sheet = sheet_of_campaign(home, campaign, known.machine, stamp_of(mine))
+    used = {name for part in sheet["parts"] for name in part["runs"]}
+    runs = {row["run_id"]: lake.load(row, signals=False) for row in mine if row["run_id"] in used}
+    figures = [kind.sheet_figure([runs[name] for name in part["runs"]]) for part in sheet["parts"]]
+    record = read_record(home, known.machine) or MachineRecord(known.machine)
+    told = [(f["severity"], f["message"]) for f in grouped_findings(mine) if f["severity"] != "info"]
+    earlier = _earlier(home, rows, mine)
+    return certificate_page(_facts(mine, record), sheet, figures, told, earlier=earlier, language=language)
+
+
+def _facts(rows: Sequence[Mapping[str, Any]], record: MachineRecord) -> dict[str, str]:
+    known = campaign_of(rows)
+    stated = {name: str(value) for name, value in known.instrument.items()}
+    stamps = sorted(row["started"][:16].replace("T", " ") for row in rows if row["started"])
+    same_day = bool(stamps) and stamps[0][:10] == stamps[-1][:10]
+    temperatures = [t for row in rows if (t := json.loads(row["covariates_json"]).get("temperature_c")) is not None]
+    temperature = f"{min(temperatures):z.1f} - {max(temperatures):z.1f} °C" if temperatures else ""
+    instrument = " ".join(stated[name] for name in ("model", "serial") if name in stated)
+    return {
+        "campaign": known.name,
+        "machine": known.machine,
+        "type": record.facts.get("type", ""),
+        "serial": record.facts.get("serial", ""),
+        "controller": record.facts.get("controller", ""),
+        "instrument": instrument or record.facts.get("instruments", ""),
+        "certificate": stated.get("certificate", ""),
+        "calibrated": stated.get("calibrated_on", ""),
+        "operator": stated.get("operator", ""),
+        "temperature": temperature,
+        "measured": f"{stamps[0]} - {stamps[-1][11 if same_day else 0 :]}" if stamps else "",
+        "test": f"{known.name}, {sum(row['left_out'] is None for row in rows)} runs",
+        "evaluated by": f"dtwin {__version__}",
+    }
+
+
+def _earlier(home: Home, rows: Sequence[Mapping[str, Any]], mine: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Return name and sheet of the last test of the same kind and machine before this one."""
+    first = min((row["started"] for row in mine if row["started"]), default="")
+    same = [
+        row
+        for row in rows
+        if (row["machine"], row["kind"]) == (mine[0]["machine"], mine[0]["kind"])
+        and row["started"]
+        and row["started"] < first
+        and row["campaign"] != mine[0]["campaign"]
+    ]
+    if not same:
+        return None
+    name = max(same, key=lambda row: str(row["started"]))["campaign"]
+    stamp = stamp_of([row for row in rows if row["campaign"] == name])
+    return {"campaign": name, "sheet": sheet_of_campaign(home, name, mine[0]["machine"], stamp)}

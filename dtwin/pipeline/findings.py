@@ -1,0 +1,42 @@
+"""What is noteworthy about runs of the lake; nothing here reads samples."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.acquire.amending import amendment_findings
+from dtwin.acquire.quality import judge_campaign
+from dtwin.lake.rows import meta_of
+from dtwin.schema import Finding, Run
+
+SEVERITIES = ("error", "warning", "info")
+
+
+def findings_of(row: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return what is noteworthy about a run."""
+    found: list[dict[str, Any]] = json.loads(row["findings_json"])
+    return found
+
+
+def campaign_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
+    """Return what is noteworthy about a campaign as a whole."""
+    used = [Run(meta_of(row), {}) for row in rows if row["left_out"] is None]
+    return [*judge_campaign(used), *amendment_findings(rows)]
+
+
+def grouped_findings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Return the findings of all runs, one line for each code, the worst first.
+
+    Each has ``severity``, ``code``, ``message`` of the first run, and ``runs``.
+    """
+    by_code: dict[str, dict[str, Any]] = {
+        f"{f.code} {f.message}": {"severity": f.severity, "code": f.code, "message": f.message, "runs": []}
+        for f in campaign_findings(rows)
+    }
+    for row in rows:
+        for f in findings_of(row):
+            entry = by_code.setdefault(f["code"], {**f, "runs": []})
+            entry["runs"].append(row["run_id"])
+    return sorted(by_code.values(), key=lambda f: (SEVERITIES.index(f["severity"]), f["code"]))

@@ -1,0 +1,65 @@
+"""The certificate of a campaign: who, what, with what, the decision first, and nothing that a file states becomes markup."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from conftest import require_program
+from machine_years import steady, stepping, write_tests
+from typer.testing import CliRunner
+
+from dtwin.acquire.ingest import ingest
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.lake.store import Lake
+from dtwin.pipeline.certificate import certificate
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Home:
+    home = Home(tmp_path_factory.mktemp("home"))
+    for folder in write_tests(home.root / "made", 2, steady(2.0), stepping(3.0, 1, 8.0)):
+        told = (folder / "campaign.toml").read_text(encoding="utf-8")
+        told = told.replace('serial = "B1"', 'serial = "B1"\ncertificate = "C 7"\noperator = "<script>x</script>"')
+        (folder / "campaign.toml").write_text(told, encoding="utf-8")
+        ingest(folder, Lake(home.lake))
+    home.machines.mkdir()
+    (home.machines / "mill-7.toml").write_text('serial = "4711"\n[tolerances]\n"G(b)" = 15.0\n')
+    return home
+
+
+def test_it_says_in_german_what_was_tested_and_what_is_decided(home: Home) -> None:
+    page = re.sub(r"<script>.*?</script>", "", certificate(home, "t01", "de"), flags=re.S)
+    assert "Entscheidung nach ISO 14253-1: <strong>außerhalb</strong>" in page
+    for told in ("Prüfprotokoll: mill-7", "4711", "bar B1", "C 7", "2025-02-05 08:01 - 08:02", "verglichen mit t00"):
+        assert told in page
+    assert "&lt;script&gt;x" in page
+    value, before, change = map(
+        float, re.search(r"G\(b\) .*?<td>([\d.]+)</td>.*?([\d.]+)</td><td>\+([\d.]+)", page, re.S).groups()
+    )  # type: ignore[union-attr]
+    assert value - before == pytest.approx(change, abs=0.011)
+    assert "inside" in certificate(home, "t00")
+
+
+def test_what_cannot_be_written_is_refused(home: Home, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no such language"):
+        certificate(home, "t01", "fr")
+    with pytest.raises(InputError, match="no such campaign"):
+        certificate(home, "t77")
+    monkeypatch.setenv("DTWIN_HOME", str(home.root))
+    refused = CliRunner().invoke(app, ["certificate", "t01", "--out", "x.doc"])
+    assert isinstance(refused.exception, InputError)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    lacking = CliRunner().invoke(app, ["certificate", "t01", "--out", str(tmp_path / "x.pdf")])
+    assert "needs a browser" in str(lacking.exception)
+
+
+def test_a_browser_prints_it(home: Home, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    require_program("chromium", "chromium")
+    monkeypatch.setenv("DTWIN_HOME", str(home.root))
+    done = CliRunner().invoke(app, ["certificate", "t01", "--out", str(tmp_path / "x.pdf")], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert (tmp_path / "x.pdf").read_bytes().startswith(b"%PDF-")
