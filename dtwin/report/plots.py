@@ -73,7 +73,7 @@ def polar_figure(
                 hovertemplate="%{theta:z.1f}°<br>%{customdata:z.1f} µm<extra>" + name + "</extra>",
             )
         )
-    division = _round_factor(0.15 * radius_mm * 1000.0 / factor)
+    division = _round_factor(0.2 * radius_mm * 1000.0 / factor)
     steps = np.arange(-3, 4) * division
     rings = [step for step in steps if abs(step) * factor / 1000.0 <= _REACH * radius_mm]
     corners = {"tickmode": "array", "tickvals": [0, 90, 180, 270]} if plane else {}
