@@ -49,6 +49,9 @@ def read_columns(path: Path, kind: str) -> tuple[dict[str, NDArray[Any]], list[d
 
 def kind_of_table(path: Path) -> str:
     """Return the kind of campaign whose columns a table has."""
+    alone = next((kind.name for kind in kinds() if kind.takes_alone(path)), None)
+    if alone is not None:
+        return alone
     names = set(_names(path))
     for kind in kinds():
         if names.issuperset(kind.columns):

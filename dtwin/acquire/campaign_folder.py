@@ -215,7 +215,7 @@ def _read_entry(entry: FolderEntry, campaign: Campaign) -> tuple[list[Run], list
         runs = [_completed(t, entry, entry.run_id if alone else f"{entry.run_id}-{t.meta.run_id}") for t in traces]
         return [_with_programmed_angles(run) for run in runs], []
     kind = kind_named(campaign.kind)
-    reader = kind.readers.get(suffix)
+    reader = kind.reader_of(entry.file)
     if reader is not None:
         runs, rows = reader(entry.file, campaign, entry.stated)
         done = [_completed(r, entry, f"{entry.run_id}-{r.meta.run_id}", count=True) for r in runs]

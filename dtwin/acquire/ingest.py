@@ -12,6 +12,7 @@ from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kinds
 from dtwin.lake.rows import columns_sha256
 from dtwin.lake.store import Lake, RejectedRows
 from dtwin.progress import Progress
@@ -103,7 +104,7 @@ def open_source(
         What is told of a table that lies alone.
     """
     suffix = path.suffix.lower()
-    if suffix in (".csv", ".parquet") and path.is_file():
+    if path.is_file() and (suffix in (".csv", ".parquet") or any(kind.takes_alone(path) for kind in kinds())):
         table = open_table(path, told or {})
         return table.campaign, table, 1
     if any(value is not None for value in (told or {}).values()):

@@ -37,8 +37,13 @@ def judge_campaign(runs: Sequence[Run]) -> list[Finding]:
 
 
 def _too_small(run: Run) -> list[Finding]:
-    """Return a finding for errors that hardly spread: millimetres in a column of micrometres."""
-    found = []
+    """Return a finding for errors that hardly spread: millimetres in a column of micrometres.
+
+    Where what was read stands beside them (``read_mm``), errors are of no other unit.
+    """
+    found: list[Finding] = []
+    if "read_mm" in run.samples:
+        return found
     for name in ("deviation_um", "error_um"):
         spread = float(np.std(run.samples[name])) if name in run.samples else np.inf
         if 0.0 < spread < _MIN_SPREAD_UM:

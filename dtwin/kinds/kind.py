@@ -204,6 +204,14 @@ class Kind:
         """Readers of vendors' files, by ending; other tables are read as CSV or Parquet."""
         return {}
 
+    def reader_of(self, path: Path) -> FileReader | None:
+        """Return the reader of a file, None when it is a table with the columns of the kind."""
+        return self.readers.get(path.suffix.lower())
+
+    def takes_alone(self, path: Path) -> bool:
+        """Return whether a file that lies alone is of this kind, though it has not its columns."""
+        return False
+
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         """Return the plan that a plan file states; ``where`` is its name, for error messages."""
         raise self.lacks("plan")

@@ -253,16 +253,18 @@ def _render_run(run: dict[str, Any]) -> list[str]:
 
 
 def _render_table(runs: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a line for each run, with figures where runs have some of their own."""
+    figures = {"circular_deviation_um": "circular deviation, µm", "rms_um": "RMS, µm"}
+    known = [name for name in figures if any(name in run.get("by_file_indices", {}) for run in runs)]
     rows = [
         [
             run["run"],
-            run.get("by_file_indices", {}).get("circular_deviation_um"),
-            run.get("by_file_indices", {}).get("rms_um"),
+            *(run.get("by_file_indices", {}).get(name) for name in known),
             ", ".join(f["code"] for f in run["findings"] if f["severity"] != "info") or "-",
         ]
         for run in runs
     ]
-    return table(("run", "circular_deviation_um", "rms_um", "findings"), rows).splitlines()
+    return table(("run", *(figures[name] for name in known), "findings"), rows).splitlines()
 
 
 def _fixed(value: float | None) -> str:

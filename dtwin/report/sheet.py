@@ -62,7 +62,7 @@ class Characteristic:
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping; ``shown`` is rounded to two digits of the uncertainty."""
         known = math.isfinite(self.expanded_um)
-        digits = decimals(self.expanded_um)
+        digits = decimals(self.expanded_um) if known else 2 if abs(self.value_um) >= 1.0 else 4
         return {
             "symbol": self.symbol,
             "name": self.name,

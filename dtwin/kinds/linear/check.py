@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dtwin.kinds.linear.cycles import moving_zero, spoilt_finding
+from dtwin.kinds.linear.matrix import TARGET_MM, linear_test
 from dtwin.schema import Finding, Floats, Run
 
 # A slide that is further off than this has lost steps, or the unit is wrong.
 _MAX_ERROR_UM = 5_000.0
-# Positions closer than this are one target.
-TARGET_MM = 1e-3
 # Fewer phases of the screw than this leave a second harmonic without redundancy.
 FEWEST_PHASES = 5
 _STUCK_READINGS = 12
@@ -70,7 +70,7 @@ def judge_linear_run(run: Run) -> list[Finding]:
 
 
 def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
-    """Return what the positioning runs of a campaign say together: repeats, drift.
+    """Return what the positioning runs of a campaign say together: repeats, spoilt readings, drift.
 
     ``runs``: with their samples.
     """
@@ -84,7 +84,24 @@ def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
                 {"conditions_1": 1.0},
             )
         )
-    return findings + _drift(runs)
+    told = [f for axis in _by_axis(runs) for f in _across_cycles(axis)]
+    return findings + (told or _drift(runs))
+
+
+def _by_axis(runs: Sequence[Run]) -> list[list[Run]]:
+    """Return the runs of both directions, axis by axis."""
+    found: dict[str, list[Run]] = {}
+    for run in runs:
+        if set(run.samples["direction"]) == {"forward", "reverse"}:
+            found.setdefault(str(run.meta.condition.get("axis", "")), []).append(run)
+    return list(found.values())
+
+
+def _across_cycles(runs: Sequence[Run]) -> list[Finding]:
+    test = linear_test(runs)
+    if test.position_mm.size < 2:
+        return []
+    return [finding for finding in (spoilt_finding(test), moving_zero(test)) if finding is not None]
 
 
 def _missed(run: Run) -> list[Finding]:

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dtwin.kinds.linear.check import TARGET_MM
 from dtwin.schema import Floats, Run
+
+TARGET_MM = 1e-3
+"""Positions closer than this are one target."""
 
 
 @dataclass(frozen=True)

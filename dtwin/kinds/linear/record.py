@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from dtwin.kinds.kind import Drawing, FileReader, Kind, Planned
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import plotly.graph_objects as go
 
     from dtwin.config import Home
@@ -52,6 +54,16 @@ class _Linear(Kind):
         from dtwin.kinds.linear.read import read_laser_runs
 
         return {".txt": read_laser_runs, ".las": read_laser_runs}
+
+    def reader_of(self, path: Path) -> FileReader | None:
+        from dtwin.kinds.linear.position_table import is_position_table, read_position_runs
+
+        return read_position_runs if is_position_table(path) else super().reader_of(path)
+
+    def takes_alone(self, path: Path) -> bool:
+        from dtwin.kinds.linear.position_table import is_position_table
+
+        return is_position_table(path)
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.linear.planned import planned

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.linear.cycles import spoilt_finding
 from dtwin.kinds.linear.matrix import LinearTest, linear_test
 from dtwin.physics.linear import linear_figures
 from dtwin.report.plots import error_figure
@@ -59,6 +60,11 @@ def positioning_sheet(runs: Sequence[Run]) -> Sheet:
             continue
         span = f"{test.position_mm[0]:g} to {test.position_mm[-1]:g} mm"
         ids = tuple(run.meta.run_id for run in members)
+        spoilt = spoilt_finding(test)
+        if spoilt is not None:
+            sound = False
+            notes.append(f"{title}: {spoilt.message}.")
+        notes += _other_formulas(test, title)
         parts.append(Part(f"{title}, {span}, {len(test.position_mm)} targets", ids, _figures(test), sound))
     basis = "the figures of tests made again from each target's mean and deviation (unit of replication: the run)"
     return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes))
@@ -75,6 +81,22 @@ def _figures(test: LinearTest) -> tuple[Characteristic, ...]:
         Characteristic(symbol, name, told[key], 1, float(np.std([d[key] for d in drawn], ddof=1)), dof)
         for symbol, name, key in _FIGURES
     )
+
+
+def _other_formulas(test: LinearTest, title: str) -> list[str]:
+    """Return what R and E would be by formulas that some reports use instead of the standard's, where they differ."""
+    told = linear_figures(test.forward_um, test.reverse_um)
+    up, down = test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)
+    larger = max(told.repeatability_forward_um, told.repeatability_backward_um)
+    narrow = float(max(up.max(), down.max()) - max(up.min(), down.min()))
+    said = []
+    if larger < 0.995 * told.repeatability_um:
+        said.append(f"R as the larger of R↑ and R↓ would be {larger:z.4g} µm; the standard's has the reversal in it")
+    if narrow < 0.995 * told.systematic_um:
+        said.append(
+            f"E from the higher of both minima would be {narrow:z.4g} µm; the standard takes the lowest of all means"
+        )
+    return [f"{title}: {'; '.join(said)}."] if said else []
 
 
 def _again(errors_um: Floats, rng: np.random.Generator) -> Floats:

@@ -188,7 +188,7 @@ def test_check_gives_the_standard_and_the_four_figures(tmp_path: Path) -> None:
     assert four["cyclic_error_um"] == pytest.approx(25.4, rel=0.1)
     assert four["max_repeat_um"] > four["max_reversal_error_um"]
     text = render_check(result)
-    assert "A, bidirectional accuracy" in text
+    assert "A, bi-directional accuracy" in text
     assert "Max reversal error" in text
     coarse = check_source(campaign(tmp_path, errors(), np.arange(31.0)))["positioning"]
     assert coarse["before_after"]["cyclic_error_um"] is None

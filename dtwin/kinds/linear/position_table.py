@@ -1,0 +1,324 @@
+"""Tables of a positioning test as people keep them: targets, cycles, two directions.
+
+Three forms are known by what stands in them:
+
+* one row a target: a column of targets, and one for each cycle and direction (``forward 1``, ``bwd_1``, ``+1``, ``hin 1``);
+* one row a reading: target, direction, cycle, and a position or a deviation;
+* assignments: ``TGT_DATA[1]=15``, ``REF_DATA_FWD[1,1]=15.01``, ``REF_DATA_BWD[1,1]=...``, ``UNIT=mm``.
+
+A column is in the unit that its head or a row of units states (mm, um, µm, in), millimetres without. It holds deviations when its
+head says so (deviation, error, Abweichung) or is in micrometres, else positions, from which the target is taken away.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.errors import InputError
+from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
+from dtwin.units import UM_PER_MM
+
+SUFFIXES = (".csv", ".dat", ".txt", ".tsv")
+_MAX_BYTES = 16 * 1024 * 1024
+_SNIFFED = 65_536
+_PERIOD_S = 1.0
+_MM = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "μm": 1e-3, "in": 25.4, "inch": 25.4, "m": 1000.0, "nm": 1e-6}
+_UNIT = re.compile(r"[\[(_\s/](mm|um|µm|μm|nm|inch|in|m)[\])]?\s*$", re.I)
+_TARGET = re.compile(r"^(i\b|target|tgt|nominal|position|pos|soll|ziel|punkt)", re.I)
+_DEVIATION = re.compile(r"dev|err|abw|fehler", re.I)
+_ACTUAL = re.compile(r"actual|measured|reading|ist|mess|ref", re.I)
+_CYCLE = re.compile(r"^(cycle|run|repeat|zyklus|lauf|nr)", re.I)
+_WAY = re.compile(r"^(direction|dir|richtung|approach)", re.I)
+_WORDS = {
+    "forward": {"fwd", "forward", "forwards", "f", "up", "pos", "positive", "plus", "vor", "vorwärts", "hin"},
+    "reverse": {"bwd", "backward", "backwards", "b", "rev", "reverse", "r", "down", "neg", "negative", "minus"}
+    | {"rück", "rückwärts", "zurück", "her"},
+}
+_SIGNS = {"+": "forward", "↑": "forward", "-": "reverse", "\u2212": "reverse", "↓": "reverse"}
+_ASSIGNED = re.compile(r"^\s*(TGT_DATA|REF_DATA_FWD|REF_DATA_BWD)\[(\d+)(?:,(\d+))?\]\s*=\s*(\S+)\s*$")
+_UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\w+)\s*$", re.M)
+
+
+@dataclass(frozen=True)
+class PositionTable:
+    """A positioning test.
+
+    Attributes
+    ----------
+    target_mm : ndarray, shape (targets,)
+        Ascending.
+    forward_um, reverse_um : ndarray, shape (targets, cycles)
+        Actual minus target; NaN where nothing was read.
+    by_position : bool
+        Whether the table holds positions, not deviations.
+    """
+
+    target_mm: Floats
+    forward_um: Floats
+    reverse_um: Floats
+    by_position: bool
+
+
+def is_position_table(path: Path) -> bool:
+    """Return whether a file looks like one of the forms; it is read no further than its beginning."""
+    if path.suffix.lower() not in SUFFIXES or not path.is_file():
+        return False
+    with path.open("rb") as file:
+        text = file.read(_SNIFFED).decode("utf-8-sig", errors="replace")
+    if any(_ASSIGNED.match(line) for line in text.splitlines()):
+        return True
+    rows = _rows(text)
+    return bool(rows) and (_wide(rows[0]) is not None or _long(rows[0]) is not None)
+
+
+def read_position_runs(
+    path: Path, campaign: Campaign, stated: Mapping[str, Any]
+) -> tuple[list[Run], list[dict[str, Any]]]:
+    """Read a table as runs, each one cycle: forward through ascending targets, then back.
+
+    ``stated``: the ``[[run]]`` entry; repeats count on from the one that it states.
+    """
+    table = read_position_table(path)
+    first = int(stated.get("repeat", 1))
+    cycles = table.forward_um.shape[1]
+    finding = Finding(
+        "clock.assumed",
+        "info",
+        f"the table has no clock; cycles one after the other and a reading every {_PERIOD_S:g} s are assumed",
+    )
+    targets = table.target_mm
+    position = np.concatenate([targets, targets[::-1]])
+    direction = np.array(["forward"] * len(targets) + ["reverse"] * len(targets), dtype=object)
+    runs = []
+    for cycle in range(cycles):
+        error = np.concatenate([table.forward_um[:, cycle], table.reverse_um[::-1, cycle]])
+        t_s = (cycle * len(error) + np.arange(len(error))) * _PERIOD_S
+        good = np.isfinite(error)
+        if not good.any():
+            continue
+        meta = RunMeta(run_id=str(cycle + 1), kind="linear", repeat=first + cycle, sample_rate_hz=1.0 / _PERIOD_S)
+        columns = {"t_s": t_s, "position_mm": position, "direction": direction, "error_um": error}
+        if table.by_position:
+            columns["read_mm"] = position + error / UM_PER_MM
+        samples = {name: values[good] for name, values in columns.items()}
+        runs.append(Run(meta, samples, source=str(path), findings=(finding,)))
+    if not runs:
+        raise _wrong("the table holds no reading", path, "targets alone")
+    return runs, []
+
+
+def read_position_table(path: Path) -> PositionTable:
+    """Read a table of any of the forms.
+
+    Raises
+    ------
+    InputError
+        When a cell is no number, or targets, cycles or directions do not belong together.
+    """
+    text = read_bounded(path, _MAX_BYTES).decode("utf-8-sig", errors="replace")
+    if any(_ASSIGNED.match(line) for line in text.splitlines()):
+        return _matrix(_assigned(text, path), path)
+    rows = _rows(text)
+    wide = _wide(rows[0]) if rows else None
+    if wide is not None:
+        return _matrix(_from_wide(rows, wide, path), path)
+    long = _long(rows[0]) if rows else None
+    if long is None:
+        raise _wrong("the table is of no known form", path, ", ".join(rows[0])[:120] if rows else "nothing")
+    return _matrix(_from_long(rows, long, path), path)
+
+
+_Reading = tuple[float, str, int, float, bool]
+"""Target in mm, direction, cycle from 1, deviation in µm, and whether it follows from a position."""
+
+
+def _matrix(readings: Sequence[_Reading], path: Path) -> PositionTable:
+    targets = sorted({reading[0] for reading in readings})
+    cycles = max((reading[2] for reading in readings), default=0)
+    if len(targets) < 2 or not 1 <= cycles <= 1000:
+        raise _wrong("a positioning test needs two targets and a cycle", path, f"{len(targets)} targets")
+    place = {target: i for i, target in enumerate(targets)}
+    found = {way: np.full((len(targets), cycles), np.nan) for way in ("forward", "reverse")}
+    for target, way, cycle, deviation, _ in readings:
+        cell = place[target], cycle - 1
+        if np.isfinite(found[way][cell]):
+            got = f"{way}, cycle {cycle}, {target:g} mm"
+            raise _wrong("a reading stands there twice: say which cycle each belongs to", path, got)
+        found[way][cell] = deviation
+    by_position = all(reading[4] for reading in readings)
+    return PositionTable(np.array(targets), found["forward"], found["reverse"], by_position)
+
+
+def _assigned(text: str, path: Path) -> list[_Reading]:
+    stated = _UNIT_ASSIGNED.search(text)
+    unit = stated[1].lower() if stated else "mm"
+    if unit not in _MM:
+        raise _wrong("a unit that is not known", path, unit[:20])
+    targets: dict[int, float] = {}
+    read: list[tuple[str, int, int, float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        match = _ASSIGNED.match(line)
+        if match is None:
+            continue
+        value = _number(match[4], f"{path} line {number}") * _MM[unit]
+        if match[1] == "TGT_DATA":
+            targets[int(match[2])] = value
+        elif match[3] is None:
+            raise _wrong("a reading without a cycle", path, line.strip()[:60])
+        else:
+            read.append(("forward" if match[1].endswith("FWD") else "reverse", int(match[2]), int(match[3]), value))
+    lost = sorted({point for _, point, _, _ in read} - set(targets))
+    if lost:
+        raise _wrong("readings of a target that is not told", path, f"number {lost[0]}")
+    return [(targets[p], way, cycle, (value - targets[p]) * UM_PER_MM, True) for way, p, cycle, value in read]
+
+
+@dataclass(frozen=True)
+class _Wide:
+    target: int
+    cells: tuple[tuple[int, str, int], ...]
+
+
+def _wide(heads: Sequence[str]) -> _Wide | None:
+    """Return which column is which in a table of one row a target; None when it is none."""
+    targets = [i for i, head in enumerate(heads) if _TARGET.match(head.strip())]
+    targets = [i for i in targets if not re.match(r"i\b", heads[i].strip(), re.I)] or targets
+    cells = []
+    for i, head in enumerate(heads):
+        way, number = _way(head), re.search(r"(\d+)", head)
+        if i not in targets[:1] and way and number:
+            cells.append((i, way, int(number[1])))
+    return _Wide(targets[0], tuple(cells)) if targets and len(cells) >= 2 else None
+
+
+def _from_wide(rows: Sequence[Sequence[str]], wide: _Wide, path: Path) -> list[_Reading]:
+    heads, body = rows[0], rows[1:]
+    units = body[0] if body and all(not cell.strip() or _is_unit(cell) for cell in body[0]) else None
+    body = body[1:] if units is not None else body
+    scale = [_scale(heads[i], units[i] if units is not None and i < len(units) else "") for i in range(len(heads))]
+    out = []
+    for number, row in enumerate(body, start=2 if units is None else 3):
+        where = f"{path} row {number}"
+        target = _cell(row, wide.target, where) * scale[wide.target]
+        for i, way, cycle in wide.cells:
+            if i < len(row) and row[i].strip():
+                value = _cell(row, i, where) * scale[i]
+                out.append((target, way, cycle, *_deviation_um(heads[i], scale[i], value, target)))
+    return out
+
+
+@dataclass(frozen=True)
+class _Long:
+    target: int
+    way: int
+    cycle: int | None
+    value: int
+
+
+def _long(heads: Sequence[str]) -> _Long | None:
+    """Return which column is which in a table of one row a reading; None when it is none."""
+    names = [head.strip() for head in heads]
+    # That is dtwin's own table.
+    if {"position_mm", "error_um", "t_s"} <= set(names):
+        return None
+
+    def first(pattern: re.Pattern[str], *taken: int | None) -> int | None:
+        return next((i for i, name in enumerate(names) if i not in taken and pattern.search(name)), None)
+
+    way, cycle = first(_WAY), first(_CYCLE)
+    deviation = first(_DEVIATION, way, cycle)
+    value = deviation if deviation is not None else first(_ACTUAL, way, cycle)
+    target = first(_TARGET, way, cycle, value)
+    if way is None or target is None or value is None:
+        return None
+    return _Long(target, way, cycle, value)
+
+
+def _from_long(rows: Sequence[Sequence[str]], long: _Long, path: Path) -> list[_Reading]:
+    heads = rows[0]
+    scales = _scale(heads[long.target], ""), _scale(heads[long.value], "")
+    out: list[_Reading] = []
+    seen: dict[tuple[float, str], int] = {}
+    for number, row in enumerate(rows[1:], start=2):
+        where = f"{path} row {number}"
+        target, value = _cell(row, long.target, where) * scales[0], _cell(row, long.value, where) * scales[1]
+        way = _way(row[long.way]) if long.way < len(row) else None
+        if way is None:
+            raise _wrong("a reading without a direction", Path(where), str(row)[:80])
+        seen[target, way] = seen.get((target, way), 0) + 1
+        cycle = seen[target, way] if long.cycle is None else int(_cell(row, long.cycle, where))
+        if cycle < 1:
+            raise _wrong("cycles count from 1", Path(where), str(cycle))
+        out.append((target, way, cycle, *_deviation_um(heads[long.value], scales[1], value, target)))
+    return out
+
+
+def _deviation_um(head: str, scale: float, value_mm: float, target_mm: float) -> tuple[float, bool]:
+    """Return the deviation, and whether the column holds positions."""
+    by_position = _DEVIATION.search(head) is None and scale >= 1.0
+    return (value_mm - target_mm if by_position else value_mm) * UM_PER_MM, by_position
+
+
+def _rows(text: str) -> list[list[str]]:
+    """Return the cells of a table without comments and empty lines; a decimal comma becomes a point."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        return []
+    part = max((";", "\t", ","), key=lambda mark: (lines[0].count(mark), mark != ","))
+    rows = list(csv.reader(lines, delimiter=part))
+    return rows if part == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
+
+
+def _way(text: str) -> str | None:
+    """Return the direction that a head or a cell names, by a word or a sign; None when it names none, or both."""
+    told = text.strip().lower()
+    words = set(re.findall(r"[a-zäöü]+", told))
+    named = {way for way, known in _WORDS.items() if words & known}
+    if not named and told:
+        named = {_SIGNS[mark] for mark in (told[0], told[-1]) if mark in _SIGNS}
+    return named.pop() if len(named) == 1 else None
+
+
+def _is_unit(cell: str) -> bool:
+    return cell.strip().strip("[]()").lower() in _MM
+
+
+def _scale(head: str, unit: str) -> float:
+    """Return how many millimetres one of a column is."""
+    told = unit.strip().strip("[]()").lower()
+    match = _UNIT.search(head)
+    return _MM[told] if told in _MM else _MM[match[1].lower()] if match else 1.0
+
+
+def _cell(row: Sequence[str], i: int, where: str) -> float:
+    return _number(row[i] if i < len(row) else "", where)
+
+
+def _number(cell: str, where: str) -> float:
+    try:
+        value = float(cell)
+    except ValueError:
+        value = float("nan")
+    if not np.isfinite(value) or abs(value) > 1e9:
+        raise InputError("not a number", code="position_table.number", where=where, got=cell[:40] or "nothing")
+    return value
+
+
+def _wrong(message: str, path: Path, got: str) -> InputError:
+    return InputError(
+        message,
+        code="position_table.form",
+        where=str(path),
+        got=got,
+        allowed="targets with columns such as forward 1, reverse 1; or target, direction, cycle, deviation; or "
+        "TGT_DATA[1]=, REF_DATA_FWD[1,1]=",
+        hint="docs/how-to/positioning-table.md",
+    )

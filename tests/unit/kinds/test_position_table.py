@@ -1,0 +1,158 @@
+"""Tables of positioning tests: read in every form, and what differs from cycle to cycle is told apart."""
+
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from dtwin.cli import app
+from dtwin.errors import InputError
+from dtwin.kinds.linear.cycles import moving_zero, spoilt_readings
+from dtwin.kinds.linear.matrix import LinearTest
+from dtwin.kinds.linear.position_table import is_position_table, read_position_table
+
+ROOT = Path(__file__).parents[3]
+TARGETS = np.array([0.0, 50.0, 100.0])
+FORWARD = np.array([[1.0, 1.5], [2.0, 2.5], [-3.0, -3.5]])
+REVERSE = FORWARD + 4.0
+
+
+def wide(head: str, scale: float, by_position: bool, part: str = ",", comma: str = ".") -> str:
+    ways = [w for c in (1, 2) for w in (head.format(way="forward", c=c), head.format(way="reverse", c=c))]
+    lines = [part.join(["target [mm]", *ways])]
+    for i, target in enumerate(TARGETS):
+        cells = [(FORWARD[i, c], REVERSE[i, c]) for c in range(2)]
+        values = [(target if by_position else 0.0) * scale / 1000.0 + v * scale / 1e6 for pair in cells for v in pair]
+        lines.append(part.join([f"{target:g}", *(f"{v:.7g}" for v in values)]).replace(".", comma))
+    return "\n".join(lines)
+
+
+def long() -> str:
+    lines = ["# by hand", "Sollposition_mm\tRichtung\tZyklus\tAbweichung [µm]"]
+    for c in range(2):
+        for way, values in (("hin", FORWARD), ("rück", REVERSE)):
+            lines += [f"{t:g}\t{way}\t{c + 1}\t{values[i, c]:g}".replace(".", ",") for i, t in enumerate(TARGETS)]
+    return "\n".join(lines)
+
+
+def assigned() -> str:
+    lines = ["UNIT=um"] + [f"TGT_DATA[{i + 1}]={1000 * t:g}" for i, t in enumerate(TARGETS)]
+    for name, values in (("FWD", FORWARD), ("BWD", REVERSE)):
+        for (i, c), v in np.ndenumerate(values):
+            lines.append(f"REF_DATA_{name}[{i + 1},{c + 1}]={1000 * TARGETS[i] + v!r}".replace("np.float64", ""))
+    return "\n".join(re.sub(r"[()]", "", line) for line in lines)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        wide("{way} {c} [mm]", 1000.0, True),
+        wide("{way}_{c}", 1000.0, True, ";", ","),
+        wide("deviation {way} {c} (mm)", 1000.0, False),
+        wide("cycle {c} {way} [µm]", 1e6, False),
+        wide("run{c} {way} um", 1e6, False, "\t", ","),
+        long(),
+        assigned(),
+    ],
+)
+def test_every_form_gives_the_same_test(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+    assert is_position_table(path)
+    found = read_position_table(path)
+    assert found.target_mm == pytest.approx(TARGETS)
+    assert found.forward_um == pytest.approx(FORWARD, abs=2e-3)
+    assert found.reverse_um == pytest.approx(REVERSE, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("text", "got"),
+    [
+        ("target,forward 1,reverse 1\n0,1,2\n10,x,3\n", "x"),
+        ("target,forward 1,reverse 1\n0,1,2\n5,1,2\n0,1,3\n", "forward, cycle 1, 0 mm"),
+        ("target,forward 1,reverse 1\n0,1,2\n", "1 targets"),
+        ("target,direction,actual\n0,sideways,2\n", "sideways"),
+        ("TGT_DATA[1]=0\nREF_DATA_FWD[2,1]=3\n", "number 2"),
+        ("target,forward 1,reverse 999999\n0,1,2\n1,1,2\n", "2 targets"),
+    ],
+)
+def test_what_does_not_fit_is_refused_with_its_place(tmp_path: Path, text: str, got: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_position_table(path)
+    assert got in str(refused.value.got)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=300))
+def test_no_file_ends_in_anything_but_a_refusal(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    path = tmp_path_factory.mktemp("any") / "a.csv"
+    path.write_bytes(b"target,forward 1,reverse 1\n" + content)
+    if is_position_table(path):
+        with suppress(InputError):
+            read_position_table(path)
+
+
+def made(zero: Any, seed: int, noise_um: float = 0.5) -> LinearTest:
+    """Return a test of five cycles; ``zero(x, time)`` is what moves, in µm, x in mm and time in cycles."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(0.0, 300.0, 11)
+    fixed = 5.0 * np.cos(x / 40.0)[:, None] + np.zeros((1, 5))
+    # A reading after the other, forward and back again; time in cycles.
+    time = np.arange(5.0)[None, :] + (np.arange(22.0)[:, None] + 0.5) / 22.0
+    forward, reverse = time[:11], time[11:][::-1]
+    ways = [
+        fixed + play + zero(x[:, None], when) + rng.normal(0.0, noise_um, (11, 5))
+        for play, when in ((0.0, forward), (-6.0, reverse))
+    ]
+    return LinearTest(x, ways[0], ways[1], 0, None)
+
+
+@pytest.mark.parametrize(
+    ("zero", "codes"),
+    [
+        (lambda x, c: 0.0 * x * c, {None}),
+        (lambda x, c: 0.0 * x - 1.5 * c, {"linear.slip"}),
+        (lambda x, c: 0.0 * x - 1.5 * np.floor(c), {"linear.slip"}),
+        (lambda x, c: 0.0 * x + 6.0 * (c >= 3.2), {"linear.jump"}),
+        (lambda x, c: 0.0 * x + 3.0 * (c >= 1) + 4.0 * (c >= 3), {"linear.jumps"}),
+        (lambda x, c: (3.0 + x / 40.0) * (1.0 - np.exp(-c / 1.3)), {"linear.warming"}),
+    ],
+)
+def test_what_moves_from_cycle_to_cycle_is_told_apart(zero: Any, codes: set[str | None]) -> None:
+    found = [moving_zero(made(zero, seed)) for seed in range(40)]
+    right = sum((None if f is None else f.code) in codes for f in found)
+    assert right >= 38
+    assert all(spoilt_readings(made(zero, seed)) == [] for seed in range(40))
+
+
+def test_readings_that_are_spoilt_are_named_and_no_others() -> None:
+    for seed in range(40):
+        test = made(lambda x, c: 0.0 * x * c, seed)
+        test.forward_um[0, 0] += 110.0
+        test.forward_um[1, 0] += 40.0
+        assert [(s.target, s.cycle, s.way) for s in spoilt_readings(test)] == [(0, 0, "forward"), (1, 0, "forward")]
+
+
+def test_the_page_is_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    page = (ROOT / "docs/how-to/positioning-table.md").read_text(encoding="utf-8")
+    table, command, told = re.findall(r"```(?:csv title=\"axis-x.csv\"|sh|text)\n(.*?)```", page, re.S)
+    (tmp_path / "axis-x.csv").write_text(table, encoding="utf-8")
+    done = CliRunner().invoke(app, command.split()[1:], catch_exceptions=False)
+    assert done.exit_code == 0
+    assert told.strip() in done.output
+    assert "R is" in done.output
+    (listed,) = re.findall(r"`dtwin (ingest axis-x.csv [^`]*)`", page)
+    assert CliRunner().invoke(app, listed.split(), catch_exceptions=False).exit_code == 0
+    assert "5 runs" in CliRunner().invoke(app, ["check", "axis-x"], catch_exceptions=False).output
