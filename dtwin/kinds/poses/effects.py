@@ -5,7 +5,7 @@ All are small turns or shifts within the chain, so that the error of the tool is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +68,12 @@ class Term:
     def label(self) -> str:
         """As a user writes it."""
         return f"{self.effect}@{self.axis}" if self.joint else self.effect
+
+
+def family_label(terms: Sequence[Term]) -> str:
+    """Return terms of one effect as a user writes them: ``joint_zero@J2+J3``."""
+    joints = "+".join(term.axis for term in terms if term.joint)
+    return f"{terms[0].effect}@{joints}" if joints else terms[0].effect
 
 
 def _about(poses: Poses, point: Floats, joint: int) -> Floats:
@@ -164,7 +170,7 @@ def library(joints: int, *, ambient: bool) -> list[Term]:
 
 
 def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...]:
-    """Return the terms of names such as ``joint_zero`` (all joints) or ``joint_zero@J2``.
+    """Return the terms of names such as ``joint_zero`` (all joints), ``joint_zero@J2`` or ``joint_zero@J2+J3``.
 
     Raises
     ------
@@ -176,14 +182,15 @@ def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...
         effect, _, at = name.partition("@")
         known = EFFECTS.get(effect)
         allowed = {f"J{j}": j for j in range(1, joints + 1)} if known and known.per == "joint" else {}
-        if known is None or (at and at not in allowed):
+        wanted = at.split("+") if at else []
+        if known is None or not set(wanted) <= set(allowed):
             raise InputError(
                 "unknown effect of a robot arm",
                 code="effect.unknown",
                 got=name[:60],
                 allowed=f"{', '.join(EFFECTS)}; of one joint: joint_zero@J2",
             )
-        joints_of = [allowed[at]] if at else list(allowed.values()) or [0]
+        joints_of = [allowed[joint] for joint in wanted] or list(allowed.values()) or [0]
         if effect == "gravity_sag":
             joints_of = [j for j in joints_of if j <= joints // 2]
         found |= dict.fromkeys(Term(effect, j) for j in joints_of)

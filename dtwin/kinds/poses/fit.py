@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from dtwin.kinds.poses.effects import EFFECTS, Term
 from dtwin.kinds.poses.series import Series
@@ -15,6 +18,7 @@ from dtwin.schema import Floats
 # A parameter is told when more than this of its column is not in those of the others.
 _LEAST_OWN = 0.03
 _SETUP = 9
+_NOTHING = 1e-10
 
 
 @dataclass(frozen=True)
@@ -52,29 +56,54 @@ class Grams:
         """Poses in each block."""
         return np.bincount(self.series.block).astype(np.float64)
 
+    def without(self, blocks: Floats) -> Grams:
+        """Return the same problem without some blocks."""
+        kept = np.setdiff1d(np.arange(len(self.power)), blocks)
+        part = copy(self)
+        for name in ("normal", "right", "power"):
+            object.__setattr__(part, name, getattr(self, name)[kept])
+        part.__dict__["count"] = self.count[kept]
+        return part
+
+    def left_elsewhere_mm(self, chosen: Sequence[int], rows: NDArray[np.bool_]) -> Floats:
+        """Return what parameters fitted to these blocks leave of other rows of the series, shape (n, 3)."""
+        told = self.told(chosen)
+        value, _ = solve(self, told)
+        return np.asarray(self.series.error_mm[rows] - self.series.design[rows][:, :, told] @ value)
+
     def told(self, chosen: Sequence[int]) -> list[int]:
         """Return those parameters that the poses can tell, the set-up's first and in the order given."""
         kept: list[int] = []
-        whole = self.normal.sum(axis=0)
+        whole, basis = self.normal.sum(axis=0), list[int]()
+        # Rows of the Cholesky factor of those that are kept.
+        factor = np.zeros((len(chosen), len(chosen)))
         for i in chosen:
-            own = float(whole[i, i])
-            if kept and own > 0.0:
-                inner, across = whole[np.ix_(kept, kept)], whole[kept, i]
-                own -= float(across @ np.linalg.lstsq(inner, across, rcond=1e-12)[0])
-            if i < _SETUP or own > _LEAST_OWN**2:
-                kept.append(i)
+            n = len(basis)
+            across = solve_triangular(factor[:n, :n], whole[basis, i], lower=True) if n else np.zeros(0)
+            own = float(whole[i, i] - across @ across)
+            if i >= _SETUP and own <= _LEAST_OWN**2:
+                continue
+            kept.append(i)
+            if own > _NOTHING:
+                factor[n, :n], factor[n, n] = across, np.sqrt(own)
+                basis.append(i)
         return kept
 
     def left_out(self, chosen: Sequence[int]) -> Floats:
         """Return the sum of squares that is left in each block when it was held out, mm²."""
-        whole, right = self.normal.sum(axis=0), self.right.sum(axis=0)
-        index = np.ix_(chosen, chosen)
-        left = np.empty(len(self.power))
-        for block, (normal, to, power) in enumerate(zip(self.normal, self.right, self.power, strict=True)):
-            inner = normal[index]
-            value = np.linalg.lstsq(whole[index] - inner, right[chosen] - to[chosen], rcond=1e-12)[0]
-            left[block] = power - 2.0 * (value @ to[chosen]) + value @ inner @ value
-        return left
+        value = self.without_each(chosen)
+        inner = self.normal[:, chosen][:, :, chosen]
+        own = np.einsum("bi,bij,bj->b", value, inner, value)
+        return np.asarray(self.power - 2.0 * np.einsum("bi,bi->b", value, self.right[:, chosen]) + own)
+
+    def without_each(self, chosen: Sequence[int]) -> Floats:
+        """Return the scaled parameters fitted without each block, shape (blocks, parameters)."""
+        inner = self.normal[:, chosen][:, :, chosen]
+        rest = inner.sum(axis=0) - inner
+        # Setup terms may be collinear: their values do not matter, their sum does.
+        rest += _NOTHING * np.trace(rest, axis1=1, axis2=2)[:, None, None] / len(chosen) * np.eye(len(chosen))
+        to = self.right[:, chosen].sum(axis=0) - self.right[:, chosen]
+        return np.asarray(np.linalg.solve(rest, to[:, :, None])[:, :, 0])
 
 
 @dataclass(frozen=True)
@@ -137,11 +166,7 @@ def held_out_mm(grams: Grams, terms: Sequence[Term]) -> Floats:
     series = grams.series
     told = grams.told(series.chosen(terms))
     left = np.empty_like(series.error_mm)
-    whole, right, index = grams.normal.sum(axis=0), grams.right.sum(axis=0), np.ix_(told, told)
-    for block, (normal, to) in enumerate(zip(grams.normal, grams.right, strict=True)):
+    for block, value in enumerate(grams.without_each(told)):
         rows = series.block == block
-        value = (
-            np.linalg.lstsq(whole[index] - normal[index], right[told] - to[told], rcond=1e-12)[0] / grams.scale[told]
-        )
-        left[rows] = series.error_mm[rows] - series.design[rows][:, :, told] @ value
+        left[rows] = series.error_mm[rows] - series.design[rows][:, :, told] @ (value / grams.scale[told])
     return left

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -16,7 +15,7 @@ from dtwin.kinds.poses.effects import EFFECTS, Poses, Term, library
 from dtwin.kinds.poses.setup import Setup, columns, fitted
 from dtwin.schema import Floats
 
-_BLOCKS = 20
+_BLOCKS = 64
 _FEWEST = 30
 _SAME_DEG = 0.03
 
@@ -116,9 +115,21 @@ def _floor(error: Floats, place: Floats) -> tuple[float, int]:
 
 
 def _blocks(joints: Floats, place: Floats) -> Floats:
-    """Return blocks of poses whose joints stand alike; all repeats of a pose are in one."""
+    """Return blocks of poses whose joints stand alike, of the same size; all repeats of a pose are in one.
+
+    The largest block is halved where its joints differ most, until there are enough.
+    """
     first = np.unique(place, return_index=True)[1]
     around = np.concatenate([np.cos(joints[first]), np.sin(joints[first])], axis=1)
     many = max(min(_BLOCKS, len(first) // _FEWEST), 4)
-    label = kmeans2(around, many, seed=0, minit="++")[1]
-    return np.asarray(np.unique(label, return_inverse=True)[1][place])
+    parts = [np.arange(len(first))]
+    while len(parts) < many:
+        largest = parts.pop(max(range(len(parts)), key=lambda n: len(parts[n])))
+        centred = around[largest] - around[largest].mean(axis=0)
+        along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+        order = np.argsort(along, kind="stable")
+        parts += [largest[half] for half in np.array_split(order, 2)]
+    label = np.empty(len(first), dtype=int)
+    for number, part in enumerate(parts):
+        label[part] = number
+    return np.asarray(label[place])

@@ -70,6 +70,13 @@ def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
     ]
     if rows:
         lines.append(table(("effect", "gain held out", "p", "in group"), rows))
+    if result.get("nested_mean_mm") is not None:
+        lines.append(
+            "with the effects chosen anew without them, from nothing, quarters of the blocks are left with a mean of "
+            f"{result['nested_mean_mm']:z.4f} mm"
+        )
+    if result.get("idle"):
+        lines.append(f"pays nothing beside the others: {', '.join(result['idle'])}")
     if result["invisible"]:
         lines.append(f"not identifiable beside frame, tool and what the twin has: {', '.join(result['invisible'])}")
     if result["next_experiment"]:

@@ -166,7 +166,7 @@ class PoseTwins(TwinShelf):
         return self._store(name, load(self.home, old.campaign), old.terms, f"restore v{version}")
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[PoseTwin], list[tuple[str, ...]], PoseDiagnosis]:
-        """Diagnose and add until no effect pays."""
+        """Diagnose and add until no effect pays; what pays nothing beside the others at the end is taken out again."""
         twin = self.newest(name)
         loaded = load(self.home, twin.campaign)
         made: list[PoseTwin] = []
@@ -178,6 +178,12 @@ class PoseTwins(TwinShelf):
             made.append(twin)
             groups.append(said.additions)
             said = self._diagnosed(twin, loaded)
+        if made and said.idle:
+            kept = [term for term in twin.terms if term not in said.idle]
+            gone = ", ".join(term.label for term in said.idle)
+            made.append(self._store(name, loaded, kept, f"remove {gone}: they pay nothing beside the others"))
+            groups.append((gone,))
+            said = self._diagnosed(made[-1], loaded)
         return made, groups, said
 
     def newest(self, name: str, version: int | None = None) -> PoseTwin:

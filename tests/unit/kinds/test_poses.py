@@ -13,9 +13,9 @@ from dtwin.acquire.ingest import open_source
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.poses.chain import KNOWN, frames
-from dtwin.kinds.poses.diagnosis import diagnose
+from dtwin.kinds.poses.diagnosis import diagnose, idle_terms, nested_mean_mm, selected
 from dtwin.kinds.poses.effects import Term, terms_of
-from dtwin.kinds.poses.fit import Grams, parameters
+from dtwin.kinds.poses.fit import Grams, held_out_mm, parameters
 from dtwin.kinds.poses.series import series_of
 from dtwin.kinds.poses.twins import PoseTwins
 from dtwin.kinds.registry import kind_named
@@ -96,6 +96,28 @@ def test_a_sound_robot_lacks_nothing() -> None:
 def test_sag_is_named_where_it_was_put() -> None:
     said = diagnose(_grams(np.zeros(6), sag=1.0), ())
     assert "gravity_sag@J2" in said.additions
+
+
+def test_all_that_is_missing_is_chosen_from_nothing_and_the_choice_is_judged_without_its_poses() -> None:
+    grams = _grams(np.array([0, 0.8e-3, 0, -1.5e-3, 0, 0]), sag=1.0)
+    chosen = selected(grams, ())
+    assert {t.label for t in chosen} >= {"joint_zero@J4", "gravity_sag@J2"}
+    assert len(chosen) <= 4
+    own = float(np.linalg.norm(held_out_mm(grams, chosen), axis=1).mean())
+    assert own <= nested_mean_mm(grams) < 1.3 * own
+    assert idle_terms(grams, [*chosen, Term("joint_reversal", 5)]) == [Term("joint_reversal", 5)]
+
+
+def test_what_the_fit_leaves_of_a_block_is_what_a_fit_without_it_leaves() -> None:
+    grams = _grams(np.array([0, 0, 1.2e-3, 0, 0, 0]))
+    terms = terms_of(["joint_zero@J2+J3"], 6)
+    told, block = grams.told(grams.series.chosen(terms)), 2
+    rows = grams.series.block == block
+    design, error = grams.series.design[:, :, told], grams.series.error_mm
+    value = np.linalg.lstsq(design[~rows].reshape(-1, len(told)), error[~rows].ravel(), rcond=None)[0]
+    left = error[rows] - design[rows] @ value
+    assert held_out_mm(grams, terms)[rows] == pytest.approx(left, abs=1e-6)
+    assert grams.left_out(told)[block] == pytest.approx((left**2).sum(), rel=1e-6)
 
 
 def test_what_frame_and_tool_hide_has_no_number() -> None:
