@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -100,7 +101,8 @@ def judge_flagged(run: Run) -> list[Finding]:
 def without_samples(run: Run, columns: Sequence[str] = ()) -> Run:
     """Return what ``judge_campaign`` needs of a run, and further columns."""
     needed = {*kind_named(run.meta.kind).campaign_columns, *columns}
-    return replace(run, samples={k: v for k, v in run.samples.items() if k in needed}, signals=())
+    kept = {k: v for k, v in run.samples.items() if any(fnmatchcase(k, pattern) for pattern in needed)}
+    return replace(run, samples=kept, signals=())
 
 
 def judge_clock(run: Run) -> list[Finding]:

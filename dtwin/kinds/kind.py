@@ -171,7 +171,7 @@ class Kind:
     laws : bool
         Whether a law is searched for what a twin leaves.
     campaign_columns : tuple of str
-        Columns of samples that a judgement of the whole campaign needs.
+        Columns of samples that a judgement of the whole campaign needs; ``temperature_*`` stands for all such names.
     sheet_columns : tuple of str
         Columns of samples that a test sheet needs.
     always_fitted : str

@@ -1,0 +1,250 @@
+"""What a displacement follows: temperatures, at once or late, and how much is left on times held out.
+
+Unit of replication is the block: a stretch of time, for readings near in time err alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from dtwin.schema import Floats, Run
+from dtwin.statistics import t_quantile, t_tail
+
+_BLOCKS = 24
+_TAUS_S = tuple(float(t) for t in 60.0 * 2.0 ** np.arange(0, 8.5, 0.5))
+_ALPHA = 0.05
+_MATERIAL = 0.02
+"""Share of the squares left on blocks held out that something must take to count."""
+
+
+@dataclass(frozen=True)
+class Term:
+    """A column of the model.
+
+    Attributes
+    ----------
+    kind : str
+        ``steady``: the temperature itself. ``lag``: through one first-order lag of ``tau_s``. ``lag2``: through two.
+        ``curve``: its square, for a sensor whose scale is not straight.
+    """
+
+    kind: str
+    channel: str
+    tau_s: float = 0.0
+
+    @property
+    def label(self) -> str:
+        """As people read it."""
+        late = {"lag": " late by ", "lag2": " late twice by "}.get(self.kind)
+        if late is not None:
+            return f"{self.name}{late}{self.tau_s / 60.0:.3g} min"
+        return f"{self.name} squared" if self.kind == "curve" else self.name
+
+    @property
+    def name(self) -> str:
+        """The sensor."""
+        return self.channel.removeprefix("temperature_").removesuffix("_c")
+
+
+@dataclass(frozen=True)
+class Series:
+    """One log.
+
+    Attributes
+    ----------
+    t_s, moved_um : ndarray, shape (n,)
+    temperatures_c : dict of str to ndarray
+    sample : ndarray of int, shape (n,), or None
+        Readings of one sample follow each other at once: they differ by noise alone.
+    """
+
+    t_s: Floats
+    moved_um: Floats
+    temperatures_c: dict[str, Floats]
+    sample: Floats | None
+
+    @cached_property
+    def block(self) -> Floats:
+        """Number of the block of each reading; a sample is in one."""
+        key = np.arange(len(self.t_s)) if self.sample is None else np.unique(self.sample, return_inverse=True)[1]
+        return np.asarray(key * _BLOCKS // (key.max() + 1))
+
+    @cached_property
+    def floor_um(self) -> float:
+        """Standard deviation of one reading within its sample; NaN without samples that were read again."""
+        if self.sample is None:
+            return float("nan")
+        label = np.unique(self.sample, return_inverse=True)[1]
+        count = np.bincount(label)
+        mean = np.bincount(label, self.moved_um) / count
+        dof = len(label) - len(count)
+        return float(np.sqrt(((self.moved_um - mean[label]) ** 2).sum() / dof)) if dof > 0 else float("nan")
+
+    def column(self, term: Term) -> Floats:
+        """Return the column of a term, shape (n,)."""
+        values = self.temperatures_c[term.channel]
+        if term.kind == "curve":
+            return np.asarray((values - values.mean()) ** 2)
+        for _ in range({"steady": 0, "lag": 1, "lag2": 2}[term.kind]):
+            values = _late(self.t_s, values, term.tau_s)
+        return values
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Terms fitted to a log.
+
+    Attributes
+    ----------
+    value, k2 : ndarray, shape (terms + 1,)
+        The constant first; µm, µm/K and µm/K²; half widths cover 95 %, unit of replication the block.
+    left_um : float
+        Standard deviation of the residual.
+    held_out_um : float
+        Root mean square on blocks that were held out.
+    """
+
+    terms: tuple[Term, ...]
+    value: Floats
+    k2: Floats
+    left_um: float
+    r2: float
+    held_out_um: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """Something that a model lacked: the model with it, the share of squares on held-out blocks, and p over blocks."""
+
+    fitted: Fitted
+    said: str
+    gain: float
+    p_value: float
+
+
+def series_of(run: Run) -> Series:
+    """Return a run as a series."""
+    temperatures = {n: v for n, v in run.samples.items() if n.startswith("temperature_")}
+    sample = run.samples.get("sample_1")
+    whole = None if sample is None else np.round(sample).astype(int)
+    return Series(run.samples["t_s"], run.samples["displacement_um"], temperatures, whole)
+
+
+def fitted(series: Series, terms: Sequence[Term]) -> Fitted:
+    """Fit terms and a constant by least squares."""
+    x, y = _design(series, terms), series.moved_um
+    value: Floats = np.asarray(np.linalg.lstsq(x, y, rcond=None)[0], dtype=np.float64)
+    left = y - x @ value
+    # A jackknife over blocks: readings near in time err alike.
+    each, squares = _without_each(series, terms)
+    blocks = len(each)
+    spread = (blocks - 1) / blocks * ((each - each.mean(axis=0)) ** 2).sum(axis=0)
+    k2 = t_quantile(0.975, blocks - 1) * np.sqrt(spread)
+    size = float(np.sqrt((left**2).sum() / max(len(y) - x.shape[1], 1)))
+    r2 = 1.0 - float((left**2).sum()) / float(((y - y.mean()) ** 2).sum())
+    held = float(np.sqrt(squares.sum() / len(y)))
+    return Fitted(tuple(terms), value, np.asarray(k2), size, r2, held)
+
+
+def steady(series: Series) -> Fitted:
+    """Return all temperatures, each taken at once, less those that do not pay on blocks held out."""
+    chosen = [Term("steady", channel) for channel in series.temperatures_c]
+    now = _held_out(series, chosen)
+    while chosen:
+        without = [_held_out(series, [t for t in chosen if t != term]) for term in chosen]
+        least = int(np.argmin([left.sum() for left in without]))
+        if _share(without[least], now) > _MATERIAL and _paid(without[least], now) < _ALPHA:
+            break
+        chosen.pop(least)
+        now = without[least]
+    return fitted(series, chosen)
+
+
+def missing(series: Series, base: Fitted) -> list[Step]:
+    """Return what a model of steady temperatures lacks, step by step: lags, curves of sensors, further sensors."""
+    out: list[Step] = []
+    now = base
+    while (step := _next(series, now)) is not None:
+        out.append(step)
+        now = step.fitted
+    return out
+
+
+def _next(series: Series, now: Fitted) -> Step | None:
+    before = _held_out(series, now.terms)
+    tried: list[tuple[Floats, tuple[Term, ...], str]] = []
+    for i, term in enumerate(now.terms):
+        others = (*now.terms[:i], *now.terms[i + 1 :])
+        kinds = {"steady": ("lag",), "lag": ("lag2",)}.get(term.kind, ())
+        for kind in kinds:
+            late = [(*others, Term(kind, term.channel, tau)) for tau in _TAUS_S]
+            # The time constant is chosen on blocks that are not the one it is judged on.
+            each = np.array([_held_out(series, terms) for terms in late])
+            best = int(np.argmin(each.sum(axis=1)))
+            nested = np.array([each[np.argmin(each.sum(axis=1) - each[:, b]), b] for b in range(each.shape[1])])
+            tried.append((nested, late[best], f"the lag of {term.name}"))
+    used = {term.channel for term in now.terms}
+    for channel in series.temperatures_c:
+        term = Term("curve" if channel in used else "steady", channel)
+        if term not in now.terms:
+            terms = (*now.terms, term)
+            left = _held_out(series, terms)
+            tried.append((left, terms, f"{'the curve of the sensor' if channel in used else 'the sensor'} {term.name}"))
+    paying = [
+        (left, terms, said, p)
+        for left, terms, said in tried
+        if _share(before, left) > _MATERIAL and (p := min(1.0, len(tried) * _paid(before, left))) < _ALPHA
+    ]
+    if not paying:
+        return None
+    left, terms, said, p = min(paying, key=lambda one: float(one[0].sum()))
+    return Step(fitted(series, terms), said, _share(before, left), p)
+
+
+def _held_out(series: Series, terms: Sequence[Term]) -> Floats:
+    """Return the squares that are left in each block when it was held out, µm²."""
+    return _without_each(series, terms)[1]
+
+
+def _without_each(series: Series, terms: Sequence[Term]) -> tuple[Floats, Floats]:
+    """Return the values fitted without each block, and the squares that they leave in it."""
+    x, y = _design(series, terms), series.moved_um
+    blocks = int(series.block.max()) + 1
+    values, squares = np.empty((blocks, x.shape[1])), np.empty(blocks)
+    for block in range(blocks):
+        here = series.block == block
+        values[block] = np.linalg.lstsq(x[~here], y[~here], rcond=None)[0]
+        squares[block] = float(((y[here] - x[here] @ values[block]) ** 2).sum())
+    return values, squares
+
+
+def _share(before: Floats, after: Floats) -> float:
+    """Return the share of the squares on blocks held out that something takes."""
+    return 1.0 - float(after.sum()) / float(before.sum())
+
+
+def _paid(before: Floats, after: Floats) -> float:
+    """Return the one-sided p-value of a gain over blocks, of the logarithm: no single block decides."""
+    gain = np.log(np.maximum(before, 1e-12) / np.maximum(after, 1e-12))
+    spread = float(gain.std(ddof=1)) / np.sqrt(len(gain))
+    return t_tail(float(gain.mean()) / spread, len(gain) - 1.0) if spread > 0.0 else 1.0
+
+
+def _design(series: Series, terms: Sequence[Term]) -> Floats:
+    return np.column_stack([np.ones(len(series.t_s)), *(series.column(term) for term in terms)])
+
+
+def _late(t_s: Floats, values: Floats, tau_s: float) -> Floats:
+    """Return values through a first-order lag, exact for straight lines between readings."""
+    out = np.empty_like(values)
+    out[0] = values[0]
+    gaps = np.diff(t_s)
+    kept = np.exp(-gaps / tau_s)
+    for i, (gap, share) in enumerate(zip(gaps, kept, strict=True)):
+        slope = (values[i + 1] - values[i]) / gap if gap > 0.0 else 0.0
+        out[i + 1] = share * (out[i] - values[i] + slope * tau_s) + values[i + 1] - slope * tau_s
+    return out

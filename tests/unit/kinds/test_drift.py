@@ -1,0 +1,146 @@
+"""Logs of drift: what a displacement follows is told from a machine made here, of rods and housings that warm late."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dtwin.acquire.ingest import open_source
+from dtwin.cli import app
+from dtwin.errors import InputError
+from dtwin.kinds.drift.check import judge_campaign_drift, judge_drift
+from dtwin.kinds.drift.model import Series, Term, fitted, missing, series_of, steady
+from dtwin.schema import Run
+
+HEAD = """[campaign]
+name = "log"
+machine = "printer"
+kind = "drift"
+[campaign.instrument.columns]
+"frame" = "temperature_frame_c"
+"bed" = "temperature_bed_c"
+"when" = "t_s"
+"""
+
+
+def machine(seed: int, late_s: float = 900.0, noise_um: float = 1.0) -> tuple[np.ndarray, ...]:
+    """Return times, samples, displacement, frame and bed of 6 h: three readings of a sample each minute.
+
+    The frame is warmed by the bed, and its core follows its skin, where the sensor sits, after ``late_s``; a column of 530 mm
+    grows with the core by 23.4 µm/(m K), the bed lifts by 2 µm/K. Both are stepped in seconds.
+    """
+    rng = np.random.default_rng(seed)
+    seconds = np.arange(6 * 3600)
+    heated = ((seconds > 600) & (seconds < 9000)) | (seconds > 14000)
+    bed, skin, core = (np.full(len(seconds), 22.0) for _ in range(3))
+    for i in range(1, len(seconds)):
+        bed[i] = bed[i - 1] + (((105.0 if heated[i] else 22.0) - bed[i - 1]) / 240.0)
+        skin[i] = skin[i - 1] + (0.25 * (bed[i - 1] - 22.0) + 22.0 - skin[i - 1]) / 2500.0
+        core[i] = core[i - 1] + (skin[i - 1] - core[i - 1]) / late_s if late_s else skin[i]
+    sample = np.arange(len(seconds)) // 60
+    read = np.concatenate([np.arange(k, len(seconds), 60) for k in (10, 14, 18)])
+    read.sort()
+    moved = -530.0 * 23.4e-3 * (core - 22.0) + 2.0 * (bed - 22.0)
+    return seconds[read] * 1.0, sample[read], moved[read] + rng.normal(0.0, noise_um, len(read)), skin[read], bed[read]
+
+
+def series(seed: int, late_s: float = 900.0) -> Series:
+    t_s, sample, moved, skin, bed = machine(seed, late_s)
+    return Series(t_s, moved, {"temperature_frame_c": skin, "temperature_bed_c": bed}, sample)
+
+
+def test_the_floor_is_the_scatter_of_readings_at_once() -> None:
+    assert series(0).floor_um == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_follows_at_once_lacks_nothing_and_its_uncertainty_covers_the_truth() -> None:
+    inside = 0
+    for seed in range(6):
+        made = series(seed, late_s=0.0)
+        base = steady(made)
+        assert {t.channel for t in base.terms} == {"temperature_frame_c", "temperature_bed_c"}
+        assert missing(made, base) == []
+        told = dict(zip([t.channel for t in base.terms], zip(base.value[1:], base.k2[1:], strict=True), strict=True))
+        inside += abs(told["temperature_frame_c"][0] + 530.0 * 23.4e-3) < told["temperature_frame_c"][1]
+        inside += abs(told["temperature_bed_c"][0] - 2.0) < told["temperature_bed_c"][1]
+    assert inside >= 10
+
+
+def test_what_follows_late_is_named_with_its_sensor_and_its_time() -> None:
+    made = series(3)
+    base = steady(made)
+    (step, *_) = missing(made, base)
+    late = next(t for t in step.fitted.terms if t.kind == "lag")
+    assert late.channel == "temperature_frame_c"
+    assert 600.0 < late.tau_s < 1400.0
+    assert step.fitted.held_out_um < 0.5 * base.held_out_um
+
+
+def test_a_lag_answers_a_ramp_as_its_differential_equation_does() -> None:
+    t_s = np.array([0.0, 10.0, 25.0, 60.0, 61.0, 200.0])
+    ramp = 3.0 + 0.2 * t_s
+    made = Series(t_s, ramp, {"temperature_a_c": ramp}, None).column(Term("lag", "temperature_a_c", 30.0))
+    assert made == pytest.approx(ramp - 0.2 * 30.0 * (1.0 - np.exp(-t_s / 30.0)))
+
+
+def _folder(folder: Path, scales: dict[str, float], *, spoilt: str = "", step: str = "") -> Path:
+    folder.mkdir()
+    text = HEAD
+    for n, (name, scale) in enumerate(scales.items()):
+        t_s, sample, moved, skin, bed = machine(n)
+        if name == spoilt:
+            moved[200:] += 900.0
+        head = "sample;when;displacement_um;frame;bed;dead"
+        rows = np.column_stack([sample, t_s, moved * scale, skin, bed, np.full(len(t_s), -180.0)])
+        lines = [";".join(f"{v:.4f}".replace(".", ",") for v in row) for row in rows]
+        (folder / f"{name}.csv").write_text("\n".join(["# made here", head, *lines]), encoding="utf-8")
+        text += f'[[run]]\nid = "{name}"\nfile = "{name}.csv"\n{step}'
+    (folder / "campaign.toml").write_text(
+        text.replace('"frame" =', '"dead" = "temperature_dead_c"\n"frame" ='), encoding="utf-8"
+    )
+    return folder
+
+
+def _runs(folder: Path) -> list[Run]:
+    return [run for runs, _ in open_source(folder)[1] for run in runs]
+
+
+def test_a_run_in_another_unit_and_a_spoilt_one_are_found(tmp_path: Path) -> None:
+    runs = _runs(_folder(tmp_path / "c", {"a": 1.0, "b": 5.0, "c": 1.0}, spoilt="c"))
+    assert [[f.code for f in judge_drift(run)] for run in runs] == [[], [], ["drift.jump"]]
+    (found,) = judge_campaign_drift(runs)
+    assert found.numbers["ratio_1"] == pytest.approx(5.0, rel=0.1)
+    assert {f.code for run in runs for f in run.findings} == {"drift.no_sensor"}
+    assert "temperature_dead_c" not in series_of(runs[0]).temperatures_c
+    assert judge_campaign_drift(_runs(_folder(tmp_path / "d", {"a": 1.0, "b": 1.0}))) == []
+
+
+def test_check_tells_what_is_missing_and_a_campaign_is_ingested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    folder = _folder(tmp_path / "c", {"a": 1.0})
+    said = CliRunner().invoke(app, ["check", str(folder)], catch_exceptions=False).output
+    assert "missing: the lag of frame" in said
+    assert CliRunner().invoke(app, ["ingest", str(folder)], catch_exceptions=False).exit_code == 0
+    assert "missing: the lag of frame" in CliRunner().invoke(app, ["check", "log"], catch_exceptions=False).output
+
+
+@pytest.mark.parametrize(("column", "code"), [("displacement_step", "drift.step"), ("shift", "columns.missing")])
+def test_what_is_not_told_is_asked_for(tmp_path: Path, column: str, code: str) -> None:
+    folder = _folder(tmp_path / "c", {"a": 1.0})
+    file = folder / "a.csv"
+    file.write_text(file.read_text(encoding="utf-8").replace("displacement_um", column), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        _runs(folder)
+    assert refused.value.code == code
+
+
+def test_a_model_fits_as_least_squares_do() -> None:
+    made = series(1, late_s=0.0)
+    terms = [Term("steady", "temperature_frame_c"), Term("steady", "temperature_bed_c")]
+    x = np.column_stack([np.ones(len(made.t_s)), *made.temperatures_c.values()])
+    assert fitted(made, terms).value == pytest.approx(np.linalg.lstsq(x, made.moved_um, rcond=None)[0], rel=1e-6)
