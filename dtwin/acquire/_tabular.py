@@ -18,6 +18,7 @@ from dtwin.units import require_units
 
 _MAX_TABLE_BYTES = 512 * 1024**2
 _LONGEST_HEAD = 65_536
+_MOST_COMMENTS = 1000
 # Text that names a state rather than measuring something.
 _TEXT_COLUMNS = frozenset({"direction"})
 
@@ -97,14 +98,19 @@ def _names(path: Path) -> list[str]:
 
 
 def _dialect(path: Path) -> dict[str, Any]:
-    """Return how a file parts its columns and writes decimals, by its first line.
+    """Return how a file parts its columns and writes decimals, by its first line that is no comment.
 
     Spreadsheets of many countries part columns by semicolons and write decimal commas.
     """
+    comments = 0
     with path.open("rb") as file:
         head = file.readline(_LONGEST_HEAD)
+        while head.startswith(b"#") and comments < _MOST_COMMENTS:
+            comments += 1
+            head = file.readline(_LONGEST_HEAD)
     european = b";" in head and b"," not in head
     return {
+        "read_options": pa_csv.ReadOptions(skip_rows=comments),
         "parse_options": pa_csv.ParseOptions(delimiter=";" if european else ","),
         "convert_options": pa_csv.ConvertOptions(decimal_point="," if european else "."),
     }

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.ingest import ingest
+from dtwin.acquire.ingest import ingest, open_source
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import InputError
 from dtwin.lake.parquet import table_of, write_parquet
@@ -142,3 +142,13 @@ def test_a_contradiction_between_toml_and_file_is_a_finding(tmp_path: Path, real
     runs, _ = opened.read(opened.entries[0])
     assert [f.code for f in runs[0].findings] == ["campaign.contradiction"]
     assert runs[0].meta.feed_mm_min == 5000.0
+
+
+def test_comments_before_the_header_and_the_dialect_of_spreadsheets_are_read(tmp_path: Path) -> None:
+    lines = ["# probe 7", "# 20 °C, kept; by hand", "t_s;angle_deg;deviation_um"]
+    lines += [f"{i * 0.01:.2f};{i * 0.5:.1f};{i % 7 - 3:.2f}".replace(".", ",") for i in range(721)]
+    (tmp_path / "a.csv").write_text("\n".join(lines), encoding="utf-8")
+    told = {"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1000.0}
+    ((run,),) = [runs for runs, _ in open_source(tmp_path / "a.csv", told)[1]]
+    assert run.samples["deviation_um"][:3].tolist() == [-3.0, -2.0, -1.0]
+    assert run.meta.direction == "CCW"
