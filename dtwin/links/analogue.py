@@ -125,6 +125,8 @@ class AnalogueOutput(OpenAndClose):
         Requests that may be unanswered before the next one waits.
     baud : int
         Bits per second.
+    timeout_s : float
+        Longest silence of the board, unless its watchdog is longer.
 
     Attributes
     ----------
@@ -155,7 +157,9 @@ class AnalogueOutput(OpenAndClose):
         self.calibration = tuple(calibration)
         self.output: Output = output
         self.watchdog_ms = watchdog_ms
-        self.link = SerialLink(port, _ANSWER.size, baud=baud, timeout_s=timeout_s)
+        # A board that is left unfed goes neutral after the watchdog: until then silence is no fault.
+        patience_s = max(timeout_s, watchdog_ms / 1000.0)
+        self.link = SerialLink(port, _ANSWER.size, baud=baud, timeout_s=patience_s)
         self.sent = self.answered = self.clamped = self.in_force = 0
         self._in_flight = in_flight
         self._waiting: deque[tuple[int, Codes, int]] = deque()
