@@ -191,11 +191,11 @@ def _judged(series: Series, record: MachineRecord, run_length: float) -> dict[st
 
 
 def _restarts(points: Sequence[Point], events: Sequence[Event]) -> dict[int, str]:
-    """Return the tests before which another value is expected, and why."""
+    """Return the tests before which another value is expected, and why; an event on the day of a test came before it."""
     found: dict[int, str] = {}
     for i, (before, after) in enumerate(pairwise(points), start=1):
         between = [
-            e for e in events if e.what in RESTARTS and before.started[:10] <= e.on.isoformat() <= after.started[:10]
+            e for e in events if e.what in RESTARTS and before.started[:10] < e.on.isoformat() <= after.started[:10]
         ]
         if between:
             found[i] = ", ".join(e.note or e.what for e in between)

@@ -140,6 +140,8 @@ def test_an_instrument_that_changes_and_an_event_raise_no_alarm() -> None:
     assert "+2.98 ± 0.18 µm after: measured with b instead of a" in other["changes"][0]["text"]
     repaired = judged("a" * 10, Event(date(2025, 6, 20), "repair", "nut"))
     assert (repaired["state"], repaired["changes"][0]["text"][-4:]) == ("steady", " nut")
+    same_day = judged("a" * 10, Event(date(2025, 7, 10), "repair", "nut"))
+    assert [r["first"] for r in same_day["chart"]["regimes"]] == [0, 6]
 
 
 def test_a_calendar_file_folds_long_lines() -> None:
