@@ -65,7 +65,8 @@ def machine_history(
     measured = ((name, mine) for name, mine in of_campaign.items() if not all(row["left_out"] for row in mine))
     ordered = sorted(measured, key=lambda item: (item[1][0]["started"] or "", item[1][0]["kind"]))
     shelf = Twins(home, library)
-    twins = [shelf.newest(name) for name in _twins(home).get(machine, []) if name in shelf.names()]
+    names = _twins(home).get(machine, [])
+    twins = [twin for name in names if name in shelf.names() and (twin := _readable(shelf, name)) is not None]
     tests = []
     series: dict[tuple[str, ...], Series] = {}
     for done, (name, mine) in enumerate(ordered, start=1):
@@ -81,7 +82,7 @@ def machine_history(
         if progress is not None:
             progress(done, len(ordered), name)
     judged = judged_series([one for one in series.values() if len(one.points) > 1], record)
-    overview = _overview(home, machine, rows, [t.name for t in twins])
+    overview = _overview(home, machine, rows, names)
     return {
         **overview,
         "facts": dict(record.facts),
@@ -94,6 +95,14 @@ def machine_history(
         "next_test": next_test(judged, record, overview["last_test"]),
         "champion": _champion(home, machine),
     }
+
+
+def _readable(shelf: Twins, name: str) -> Twin | None:
+    """Return the newest version of a twin, None when it has an effect that is not in the library here."""
+    try:
+        return shelf.newest(name)
+    except InputError:
+        return None
 
 
 def _instrument(rows: Sequence[Mapping[str, Any]]) -> str:
