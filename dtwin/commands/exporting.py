@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
 
 def export(
     source: Annotated[str, typer.Argument(help="latest, trial, a bundle's .json, a version number, or a twin's name.")],
-    form: Annotated[str, typer.Option("--as", help="c, st, python, latex, urscript, comp, csv or gcode.")],
+    form: Annotated[str, typer.Option("--as", help="c, st, python, latex, urscript, comp, siemens, csv or gcode.")],
     out: Annotated[Path, typer.Option(help="File to write.")],
     machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,
     axis: Annotated[str, typer.Option(help="Axis of a compensation file.")] = "",
@@ -28,7 +28,9 @@ def export(
         str | None, typer.Option(help="LOW,HIGH in mm of the tables; the measured radius without.")
     ] = None,
     origin: Annotated[str, typer.Option(help="X,Y,Z in mm: centre of the measured circles on this machine.")] = "0,0,0",
-    points: Annotated[int | None, typer.Option(help="Rows of a table, at most 256; as needed without.")] = None,
+    points: Annotated[
+        int | None, typer.Option(help="Rows of a table, as many as the control holds; as needed without.")
+    ] = None,
     program: Annotated[Path | None, typer.Option(help="G-code to compensate.")] = None,
     tolerance_um: Annotated[float, typer.Option(help="How far chords may leave the compensated path.")] = 0.1,
     effects_path: Annotated[
@@ -66,6 +68,7 @@ def export(
         "file": str(out),
         "as": form,
         "name": found.bundle.name,
+        "version": found.version,
         "state": found.state,
         "figures": dict(made.figures),
         "left_out": dict(made.left_out),
@@ -73,7 +76,7 @@ def export(
     }
 
     def text() -> str:
-        lines = [f"{out} written: {found.bundle.name} ({found.state}) as {form}"]
+        lines = [f"{out} written: {found.bundle.name} (version {found.version}, {found.state}) as {form}"]
         lines += [f"  {name}: {_shown(value)}" for name, value in made.figures.items()]
         lines += [f"  left out, {label}: {why}" for label, why in made.left_out.items()]
         return "\n".join([*lines, *(f"  note: {note}" for note in made.notes)])

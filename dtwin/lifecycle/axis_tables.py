@@ -1,7 +1,8 @@
-"""Tables of one axis over its position: LinuxCNC's compensation file, and CSV."""
+"""Tables of one axis over its position: LinuxCNC's and Siemens' compensation files, and CSV."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from dtwin.train.twin_axes import axis_table_um
 from dtwin.units import UM_PER_MM
 
 MOST_TRIPLETS = 256
+# SINUMERIK 808D; the larger series hold more when MD38000 says so.
+SIEMENS_POINTS = 200
 TOLERANCE_UM = 0.05
 _CHECKED = 4001
 
@@ -36,7 +39,14 @@ class AxisTable:
 
 
 def axis_table(
-    twin: Twin, axis: str, travel_mm: tuple[float, float], *, origin_mm: float, points: int | None, speed_mm_s: float
+    twin: Twin,
+    axis: str,
+    travel_mm: tuple[float, float],
+    *,
+    origin_mm: float,
+    points: int | None,
+    speed_mm_s: float,
+    most: int = MOST_TRIPLETS,
 ) -> AxisTable:
     """Tabulate one axis with as few rows as the tolerance allows.
 
@@ -44,8 +54,9 @@ def axis_table(
     ``axis``: X, Y or Z.
     ``travel_mm``: first and last nominal position, in the coordinates of the machine.
     ``origin_mm``: position of the centre of the measured circles in those coordinates.
-    ``points``: rows; without, as many as straight lines within 0.05 um need, at most 256.
+    ``points``: rows; without, as many as straight lines within 0.05 um need.
     ``speed_mm_s``: usual speed; only its sign counts.
+    ``most``: rows that the control holds, above 129.
     """
     low, high = travel_mm
     if not (np.isfinite([low, high]).all() and low < high):
@@ -55,16 +66,13 @@ def axis_table(
             got=f"{low:g} to {high:g} mm",
             allowed="LOW,HIGH with LOW below HIGH",
         )
-    if points is not None and not 2 <= points <= MOST_TRIPLETS:
+    if points is not None and not 2 <= points <= most:
         raise InputError(
-            "a table has too few or too many rows",
-            code="export.points",
-            got=str(points),
-            allowed=f"2 to {MOST_TRIPLETS}",
+            "a table has too few or too many rows", code="export.points", got=str(points), allowed=f"2 to {most}"
         )
     dense = np.linspace(low, high, _CHECKED)
     truth = axis_table_um(twin, axis, dense - origin_mm, speed_mm_s)
-    counts = [points] if points is not None else [2, 3, 5, 9, 17, 33, 65, 129, MOST_TRIPLETS]
+    counts = [points] if points is not None else [2, 3, 5, 9, 17, 33, 65, 129, most]
     for count in counts:
         at = np.linspace(low, high, count)
         forward, reverse = axis_table_um(twin, axis, at - origin_mm, speed_mm_s)
@@ -85,6 +93,54 @@ def compensation_file(table: AxisTable) -> str:
     """
     rows = zip(table.position_mm, table.forward_um, table.reverse_um, strict=True)
     lines = [f"{p:z.6f} {0.0 - f / UM_PER_MM:z.6f} {0.0 - r / UM_PER_MM:z.6f}" for p, f, r in rows]
+    return "\n".join(lines) + "\n"
+
+
+def lost_motion_um(table: AxisTable) -> tuple[float, float]:
+    """Return the mean of reverse minus forward, and how far one row is from it, both in um."""
+    difference = table.reverse_um - table.forward_um
+    mean = float(difference.mean())
+    return mean, float(np.abs(difference - mean).max())
+
+
+def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
+    """Return the leadscrew error compensation of a SINUMERIK, ``$AA_ENC_COMP``, in mm.
+
+    A value is added to what the encoder reads, so that a positive one moves the axis backwards: it is
+    the error itself, the mean of both directions. Lost motion is a machine datum, which is told in a comment.
+    ``said``: comments for the head.
+
+    Raises
+    ------
+    InputError
+        When rows would be less than 1 um apart.
+    """
+    name, last = f"{table.axis}1", len(table.position_mm) - 1
+    low = round(float(table.position_mm[0]), 6)
+    step = round((float(table.position_mm[-1]) - low) / last, 6)
+    if step < 1.0 / UM_PER_MM:
+        raise InputError(
+            "the rows of the table are too close together",
+            code="export.step",
+            got=f"{step:g} mm",
+            allowed="0.001 mm or more",
+            hint="--travel LOW,HIGH, --points N",
+        )
+    both = 0.5 * (table.forward_um + table.reverse_um) / UM_PER_MM
+    lines = [
+        f"%_N_{name}_EEC_INI",
+        *(f"; {line}" for line in said),
+        f"; before: MD38000 $MA_MM_ENC_COMP_MAX_POINTS[0,{name}] = {last + 1} or more where the series has it",
+        "; (that clears memory of the control: back it up), MD32700 $MA_ENC_COMP_ENABLE[0] = 0; after: 1",
+        f"; MD32450 $MA_BACKLASH[0,{name}] = {lost_motion_um(table)[0] / UM_PER_MM:z.6f}",
+        "CHANDATA(1)",
+        *(f"$AA_ENC_COMP[0,{n},{name}]={value:z.6f}" for n, value in enumerate(both)),
+        f"$AA_ENC_COMP_STEP[0,{name}]={step:.6f}",
+        f"$AA_ENC_COMP_MIN[0,{name}]={low:z.6f}",
+        f"$AA_ENC_COMP_MAX[0,{name}]={low + last * step:z.6f}",
+        f"$AA_ENC_COMP_IS_MODULO[0,{name}]=0",
+        "M17",
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -12,8 +12,18 @@ import numpy as np
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.lifecycle.axis_tables import MOST_TRIPLETS, TOLERANCE_UM, AxisTable, axis_table, compensation_file, csv_table
-from dtwin.lifecycle.export_heads import c_header, commented, said_of
+from dtwin.lifecycle.axis_tables import (
+    MOST_TRIPLETS,
+    SIEMENS_POINTS,
+    TOLERANCE_UM,
+    AxisTable,
+    axis_table,
+    compensation_file,
+    csv_table,
+    lost_motion_um,
+    siemens_file,
+)
+from dtwin.lifecycle.export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
@@ -28,8 +38,11 @@ from dtwin.train.twin_terms import choose
 from dtwin.twins.verbs import Twins
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
-_TABLES = ("comp", "csv", "gcode")
+_ONE_AXIS = ("comp", "siemens")
+_TABLES = (*_ONE_AXIS, "csv", "gcode")
 FORMATS = (*_EQUATIONS, *_TABLES)
+_UNREGISTERED = "not registered"
+_NOT_LOADED = "Read back by dtwin's own interpreter of this form; never loaded into a control."
 _MAX_PROGRAM_BYTES = 20_000_000
 
 
@@ -39,11 +52,13 @@ class Source:
 
     ``state``: ``champion``, ``trial``, ``candidate`` ... and whether it is for a trial only.
     ``twin``: the twin behind it, reduced to what it corrects.
+    ``version``: in the model registry, or that it is not there; a bundle learns it by promotion only.
     """
 
     bundle: Bundle
     state: str
     twin: Twin | None
+    version: str = _UNREGISTERED
 
 
 @dataclass(frozen=True)
@@ -143,7 +158,7 @@ def export(source: Source, request: Request) -> Export:
         )
     if request.form == "gcode":
         return _program(source.twin, request)
-    return _tables(source.twin, request)
+    return _tables(source, source.twin, request)
 
 
 def _equation(source: Source, form: str) -> Export:
@@ -158,7 +173,7 @@ def _equation(source: Source, form: str) -> Export:
     graph, inputs, states = bundle.tick_graph, bundle.tick_inputs, bundle.initial_state
     outputs = tuple(o.name for o in bundle.outputs)
     name = identifier(bundle.name).strip("_").lower()
-    said = said_of(source.bundle, source.state)
+    said = said_of(source.bundle, source.version, source.state)
     if form == "latex":
         return Export("".join(f"% {line}\n" for line in said) + to_latex(graph) + "\n")
     if form == "python":
@@ -174,9 +189,9 @@ def _equation(source: Source, form: str) -> Export:
     return Export(commented(said, "# ", "") + text, notes=(NOT_RUN,))
 
 
-def _tables(twin: Twin, request: Request) -> Export:
+def _tables(source: Source, twin: Twin, request: Request) -> Export:
     measured = [a for a in AXES if any(a in plane for plane in twin.box.planes)]
-    if request.form == "comp" and request.axis not in measured:
+    if request.form in _ONE_AXIS and request.axis not in measured:
         raise InputError(
             "a compensation file is for one axis",
             code="export.axis",
@@ -184,7 +199,8 @@ def _tables(twin: Twin, request: Request) -> Export:
             allowed=", ".join(measured),
             hint="--axis X",
         )
-    axes = [request.axis] if request.form == "comp" else measured
+    axes = [request.axis] if request.form in _ONE_AXIS else measured
+    most = SIEMENS_POINTS if request.form == "siemens" else MOST_TRIPLETS
     reach = twin.box.radius_mm[1]
     speed = twin.box.feed_mm_min[0] / 60.0
     tables: list[AxisTable] = []
@@ -197,9 +213,14 @@ def _tables(twin: Twin, request: Request) -> Export:
         refused = own_axis_only(twin.terms, twin, axis, relative, speed)
         left_out |= {f"{label} on {axis}": reason for label, reason in refused.items()}
         kept = replace(twin, terms=tuple(t for t in twin.terms if t.label not in refused))
-        tables.append(axis_table(kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed))
-    text = compensation_file(tables[0]) if request.form == "comp" else csv_table(tables)
-    return Export(text, _table_figures(tables), left_out, tuple(_table_notes(request, tables)))
+        tables.append(
+            axis_table(kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed, most=most)
+        )
+    if request.form == "siemens":
+        text = siemens_file(tables[0], [*whose(source.bundle, source.version, source.state), _NOT_LOADED])
+    else:
+        text = compensation_file(tables[0]) if request.form == "comp" else csv_table(tables)
+    return Export(text, _table_figures(tables), left_out, tuple(_table_notes(request, tables, most)))
 
 
 def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
@@ -216,13 +237,23 @@ def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
     }
 
 
-def _table_notes(request: Request, tables: Sequence[AxisTable]) -> list[str]:
+def _table_notes(request: Request, tables: Sequence[AxisTable], most: int) -> list[str]:
     notes = [
         f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:z.2f} µm off; "
-        f"a table of {MOST_TRIPLETS} rows is not enough for {TOLERANCE_UM:g} µm"
+        f"a table of {most} rows is not enough for {TOLERANCE_UM:g} µm"
         for t in tables
         if t.interpolation_um > TOLERANCE_UM and request.points is None
     ]
+    if request.form == "siemens":
+        lost, uneven = lost_motion_um(tables[0])
+        notes.append(_NOT_LOADED)
+        notes.append(f"for machine axis {request.axis}1: change the name where yours is another")
+        notes.append(f"one curve for both directions: set MD32450 BACKLASH to {lost / 1000:z.6f} mm")
+        notes.append(
+            "the control wants 0 at the reference point: the axis moves by the value there when it is switched on"
+        )
+        if uneven > TOLERANCE_UM:
+            notes.append(f"lost motion changes along the axis: by up to {uneven:.2f} µm it is not what MD32450 holds")
     if request.form == "comp":
         notes.append("COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table")
         notes.append("LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure")
@@ -267,13 +298,14 @@ def _program(twin: Twin, request: Request) -> Export:
 def _source(
     home: Home, bundle: Bundle, state: str, version: RegisteredVersion | None, library: Mapping[str, Effect] | None
 ) -> Source:
+    number = _UNREGISTERED if version is None else version.version
     if version is None or "twin" not in version.tags:
-        return Source(bundle, state, None)
+        return Source(bundle, state, None, number)
     twin = Twins(home, library).newest(version.tags["twin"], int(version.tags["twin_version"]))
     kept = tuple(t for t in twin.terms if choose(t).included)
     if version.tags.get("trial_only"):
         state = f"{state}, for a trial only: {version.tags['trial_only'][:120]}"
-    return Source(bundle, state, replace(twin, terms=kept))
+    return Source(bundle, state, replace(twin, terms=kept), number)
 
 
 def _registered(registry: Registry, machine: str, number: int) -> RegisteredVersion | None:

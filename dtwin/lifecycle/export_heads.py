@@ -20,12 +20,18 @@ def commented(said: Sequence[str], first: str, last: str) -> str:
     return "".join(f"{first}{line}{last}\n" for line in [*said, NOT_RUN])
 
 
-def said_of(bundle: Bundle, state: str) -> list[str]:
-    """Return what stands at the head of an equation, without characters that end a comment."""
+def whose(bundle: Bundle, version: str, state: str) -> list[str]:
+    """Return which correction a file holds, without characters that end a comment."""
     lines = [
-        f"dtwin: {bundle.name} for machine {bundle.machine}, version {bundle.model_version}, state {state}",
+        f"dtwin: {bundle.name} for machine {bundle.machine}, version {version}, state {state}",
         f"bundle sha256 {bundle.sha256}",
     ]
+    return [_UNSAFE.sub("?", line) for line in lines]
+
+
+def said_of(bundle: Bundle, version: str, state: str) -> list[str]:
+    """Return what stands at the head of an equation, without characters that end a comment."""
+    lines = whose(bundle, version, state)
     for o in bundle.outputs:
         meaning = "predicted error, apply with its sign changed" if o.role == "error" else "correction"
         lines.append(f"output {o.name}, {o.unit}, along {o.frame}: {meaning}")

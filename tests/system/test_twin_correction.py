@@ -157,7 +157,11 @@ def test_the_page_about_exports_does_what_it_says(told: Any, tmp_path: Path, mon
         assert Path(result["file"]).stat().st_size > 30
         assert result["state"] == "champion"
         forms.add(result["as"])
-    assert forms == {"c", "python", "latex", "st", "urscript", "comp", "csv", "gcode"}
+    assert forms == {"c", "python", "latex", "st", "urscript", "comp", "siemens", "csv", "gcode"}
+    # By name it is the bundle of the registry, which has learned its version by promotion only.
+    assert run(["export", "mill-a", "--as", "c", "--out", "named.h"])[0] == 0
+    for header in ("twin.h", "named.h"):
+        assert re.search(r"version [1-9]\d*, state champion", (tmp_path / header).read_text("utf-8")), header
     trims = np.loadtxt(tmp_path / "x.comp")
     play_mm = trims[:, 1] - trims[:, 2]
     # The mill's truth: 3 um of play on X.

@@ -192,6 +192,66 @@ def test_a_compensation_file_holds_play_and_scale_of_one_axis_and_nothing_else(s
             export(source, bad)
 
 
+class Sinumerik:
+    """Reads ``$AA_ENC_COMP`` and moves one axis as the manual says: the encoder's value plus the table is the actual."""
+
+    def __init__(self, text: str, axis: str) -> None:
+        code = [line for line in text.splitlines() if not line.startswith(";")]
+        assert (code[0], code[1], code[-1]) == (f"%_N_{axis}_EEC_INI", "CHANDATA(1)", "M17")
+        self.datum = {}
+        for line in code[2:-1]:
+            found = re.fullmatch(r"\$AA_ENC_COMP(_[A-Z_]+)?\[0,(?:(\d+),)?" + axis + r"\]=(-?\d+(?:\.\d+)?)", line)
+            assert found is not None, line
+            assert len(line) < 80
+            self.datum[found[1] or int(found[2])] = float(found[3])
+        low, high, step = (self.datum.pop(f"_{n}") for n in ("MIN", "MAX", "STEP"))
+        assert self.datum.pop("_IS_MODULO") == 0.0
+        count = round((high - low) / step) + 1
+        assert low + (count - 1) * step == pytest.approx(high, abs=1e-9)
+        assert sorted(self.datum) == list(range(count))
+        self.at = low + step * np.arange(count)
+        told = re.search(r"^; MD32450 \$MA_BACKLASH\[0," + axis + r"\] = (\S+)$", text, re.MULTILINE)
+        assert told is not None
+        self.backlash = float(told[1])
+
+    def encoder_mm(self, command: np.ndarray, forward: np.ndarray) -> np.ndarray:
+        """Return where the loop brings the encoder; ``forward`` is 1 or -1."""
+        rows = np.array([self.datum[n] for n in range(len(self.datum))])
+        # The machine lags behind the encoder by the backlash; its middle is zero.
+        goal = command + 0.5 * self.backlash * forward
+        encoder = goal.copy()
+        for _ in range(5):
+            encoder = goal - np.interp(encoder, self.at, rows)
+        return encoder
+
+
+def test_a_siemens_table_brings_the_axis_where_it_was_told_to(source: Source) -> None:
+    wavy = ("cyclic_error", "X", (2.0, 1.0), {"pitch_mm": 40.0})
+    twin, _ = made_twin((*EFFECTS[:2], wavy))
+    request = Request("siemens", axis="X", travel_mm=(250.0, 450.0), origin_mm=(350, 0, 0))
+    made = export(replace(source, twin=twin, version="7"), request)
+    assert "version 7, state candidate" in made.text
+    assert "never loaded into a control" in made.text
+    control = Sinumerik(made.text, "X1")
+    assert control.backlash == pytest.approx(4e-3)
+    rng = np.random.default_rng(5)
+    command, forward = rng.uniform(250.0, 450.0, 1000), rng.choice([-1.0, 1.0], 1000)
+
+    def error_um(encoder: np.ndarray) -> np.ndarray:
+        x = encoder - 350.0
+        wave = 2 * np.pi * x / 40.0
+        return 20e-3 * x - 2.0 * forward + 2.0 * np.cos(wave) + np.sin(wave)
+
+    encoder = control.encoder_mm(command, forward)
+    left = 1000.0 * (encoder - command) + error_um(encoder)
+    assert np.abs(error_um(command)).max() > 4.0
+    assert np.abs(left).max() < 0.06
+    with pytest.raises(InputError, match="too many rows"):
+        export(replace(source, twin=twin), replace(request, points=201))
+    with pytest.raises(InputError, match="too close"):
+        export(replace(source, twin=twin), replace(request, travel_mm=(350.0, 350.1), points=200))
+
+
 def test_a_table_has_as_many_rows_as_it_needs_and_states_its_error() -> None:
     wave = (("cyclic_error", "X", (2.0, 1.0), {"pitch_mm": 40.0}),)
     twin, _ = made_twin(wave)
