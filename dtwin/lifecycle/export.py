@@ -25,6 +25,7 @@ from dtwin.lifecycle.axis_tables import (
 )
 from dtwin.lifecycle.export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle.gcode_compensation import compensate
+from dtwin.lifecycle.skew_settings import EFFECT, klipper_settings, skews
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
 from dtwin.serve.bundle import Bundle
@@ -39,7 +40,7 @@ from dtwin.twins.verbs import Twins
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
 _ONE_AXIS = ("comp", "siemens")
-_TABLES = (*_ONE_AXIS, "csv", "gcode")
+_TABLES = (*_ONE_AXIS, "csv", "gcode", "klipper")
 FORMATS = (*_EQUATIONS, *_TABLES)
 _UNREGISTERED = "not registered"
 _NOT_LOADED = "Read back by dtwin's own interpreter of this form; never loaded into a control."
@@ -158,6 +159,8 @@ def export(source: Source, request: Request) -> Export:
         )
     if request.form == "gcode":
         return _program(source.twin, request)
+    if request.form == "klipper":
+        return _skew(source, source.twin)
     return _tables(source, source.twin, request)
 
 
@@ -221,6 +224,13 @@ def _tables(source: Source, twin: Twin, request: Request) -> Export:
     else:
         text = compensation_file(tables[0]) if request.form == "comp" else csv_table(tables)
     return Export(text, _table_figures(tables), left_out, tuple(_table_notes(request, tables, most)))
+
+
+def _skew(source: Source, twin: Twin) -> Export:
+    found = skews(twin)
+    text = klipper_settings(found, [*whose(source.bundle, source.version, source.state), _NOT_LOADED])
+    left_out = {t.label: "is no squareness" for t in twin.terms if t.instance.effect.name != EFFECT}
+    return Export(text, {"skew_rad": found}, left_out, (_NOT_LOADED,))
 
 
 def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:

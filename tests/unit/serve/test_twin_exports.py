@@ -252,6 +252,42 @@ def test_a_siemens_table_brings_the_axis_where_it_was_told_to(source: Source) ->
         export(replace(source, twin=twin), replace(request, travel_mm=(350.0, 350.1), points=200))
 
 
+def klipper_moves(text: str, points_mm: np.ndarray) -> np.ndarray:
+    """Return where Klipper's upper triangle of shears sends commanded points."""
+    (command,) = [line for line in text.splitlines() if not line.startswith(";")]
+    assert command.startswith("SET_SKEW ")
+    factor = {}
+    for part in command.split()[1:]:
+        plane, lengths = part.split("=")
+        ac, bd, ad = (float(v) for v in lengths.split(","))
+        ab = math.sqrt((ac**2 + bd**2) / 2.0 - ad**2)
+        factor[plane] = 1.0 / math.tan(math.acos((ac**2 - ab**2 - ad**2) / (2.0 * ab * ad)))
+    shear = np.eye(3)
+    shear[0, 1], shear[0, 2], shear[1, 2] = (factor[plane] for plane in ("XY", "XZ", "YZ"))
+    return points_mm @ np.linalg.inv(shear).T
+
+
+def test_klipper_makes_the_axes_square(source: Source) -> None:
+    sizes = {"XY": 30.0, "YZ": 20.0, "ZX": -15.0}
+    bow = ("straightness", "Y", (3.0,), {})
+    twin, _ = made_twin((*(("squareness", plane, (q,), {}) for plane, q in sizes.items()), bow))
+    made = export(replace(source, twin=twin), Request("klipper"))
+    assert made.left_out == {"straightness Y": "is no squareness"}
+    assert "never loaded into a control" in made.text
+    leans = np.array([[0.0, -30e-6, 0.0], [0.0, 0.0, -20e-6], [15e-6, 0.0, 0.0]])
+    a, b = np.random.default_rng(6).uniform(-100.0, 100.0, (2, 1000, 3))
+    asked = np.linalg.norm(a - b, axis=1)
+
+    def off_um(first: np.ndarray, second: np.ndarray) -> float:
+        apart = np.linalg.norm((first - second) @ (np.eye(3) + leans).T, axis=1)
+        return float(1000.0 * np.abs(apart - asked).max())
+
+    assert off_um(a, b) > 2.0
+    assert off_um(klipper_moves(made.text, a), klipper_moves(made.text, b)) < 1e-3
+    with pytest.raises(InputError, match="no squareness"):
+        export(replace(source, twin=made_twin(EFFECTS[:2])[0]), Request("klipper"))
+
+
 def test_a_table_has_as_many_rows_as_it_needs_and_states_its_error() -> None:
     wave = (("cyclic_error", "X", (2.0, 1.0), {"pitch_mm": 40.0}),)
     twin, _ = made_twin(wave)
