@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from dtwin.commands.effects import Paths
 from dtwin.commands.output import Json, emit
 from dtwin.errors import InputError
 
@@ -111,6 +112,42 @@ def show(
             )
         write_text(ics, calendar_of(name, found["next_test"], datetime.now(UTC)), "the calendar file")
     emit(found, lambda: _history_text(found), as_json=as_json)
+
+
+@app_machine.command()
+def diagnose(
+    name: Name,
+    campaign: Annotated[
+        list[str] | None, typer.Option(help="A test of it; may be repeated. The newest of each sort without.")
+    ] = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Compare tests of a machine by several instruments: what they agree on, and which of two names is right."""
+    from dtwin.commands.effects import library_with
+    from dtwin.commands.output import ProgressLine
+    from dtwin.config import home
+    from dtwin.pipeline.machine_joint import machine_joint
+
+    progress = ProgressLine("tests", quiet=as_json)
+    found = machine_joint(home(), name, campaign or (), progress, library_with(effects_path))
+    emit(found, lambda: _joint_text(found), as_json=as_json)
+
+
+def _joint_text(found: Mapping[str, Any]) -> str:
+    from dtwin.report.text import table
+
+    rows = [
+        [
+            t["started"][:10] or "-",
+            t["campaign"],
+            t["kind"],
+            "; ".join(" or ".join(group) for group in t["found"]) or "-",
+        ]
+        for t in found["tests"]
+    ]
+    lines = found["lines"] or ["no test sees what another one found"]
+    return "\n".join([table(("day", "test", "kind", "found by itself"), rows), "", *lines])
 
 
 def _axis(text: str) -> tuple[str, dict[str, float]]:

@@ -129,6 +129,9 @@ class Effect:
         its confusables, what to do about it, where it is described.
     confusables : tuple of str
         Effects that it can be mistaken for.
+    cause : str
+        What of the machine its size measures, where tests of other kinds can see that too: effects with the same cause
+        on the same axis have the same size.
     correctable : str
         Empty when offsets of position cannot correct it, else how they do.
     """
@@ -150,6 +153,7 @@ class Effect:
     also_tried: tuple[Shape, ...] = ()
     needs: tuple[str, ...] = ()
     confusables: tuple[str, ...] = ()
+    cause: str = ""
     correctable: str = ""
     setup: bool = False
     within_condition: bool = False

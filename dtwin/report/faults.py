@@ -67,8 +67,8 @@ def size_of(estimates: Sequence[Estimate]) -> str:
     if not sizes:
         return "its size is not told by these runs"
     if len(sizes) == 1:
-        return _with_k2(*sizes[0][1:])
-    return "; ".join(f"{name} {_with_k2(value, spread, unit)}" for name, value, spread, unit in sizes)
+        return with_k2(*sizes[0][1:])
+    return "; ".join(f"{name} {with_k2(value, spread, unit)}" for name, value, spread, unit in sizes)
 
 
 def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str]]:
@@ -83,7 +83,7 @@ def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str
     return sizes
 
 
-def _with_k2(value: float, uncertainty: float, unit: str) -> str:
+def with_k2(value: float, uncertainty: float, unit: str) -> str:
     """Return a value rounded to two digits of its uncertainty."""
     words = shown_unit(unit)
     if not math.isfinite(uncertainty) or uncertainty <= 0:

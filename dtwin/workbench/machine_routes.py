@@ -13,8 +13,10 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.machine_record import EVENTS, MachineRecord, read_record, record_from, with_event, write_record
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
+from dtwin.pipeline.machine_joint import machine_joint
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
 from dtwin.report.history_plots import chart_figure, series_figure
+from dtwin.report.joint import title_of
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.pages import accepted, drawn, rendered
 from dtwin.workbench.uploads import MAX_TRAY_BYTES
@@ -65,6 +67,28 @@ def machine_page(request: Request, name: str) -> Response:
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,
     )
+
+
+@router.post("/api/machines/{name}/together")
+def compare_tests(request: Request, name: str) -> JSONResponse:
+    """Diagnose the newest test of each sort and compare them."""
+    bench = bench_of(request)
+
+    def work(tell: Any) -> str:
+        machine_joint(bench.home, name, library=bench.library)
+        return f"/machines/{name}/together"
+
+    return accepted(bench.jobs.start(f"Tests of {name} together", work))
+
+
+@router.get("/machines/{name}/together")
+def together(request: Request, name: str) -> Response:
+    """Show what the tests of a machine say together."""
+    bench = bench_of(request)
+    found = machine_joint(bench.home, name, library=bench.library)
+    groups = {t["campaign"]: [[title_of(n, bench.library) for n in g] for g in t["found"]] for t in found["tests"]}
+    title = f"Tests of {name} together"
+    return rendered(request, "together.html", title=title, machine=name, found=found, groups=groups)
 
 
 @router.get("/machines/{name}/next-test.ics")

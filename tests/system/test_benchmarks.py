@@ -47,6 +47,7 @@ def test_none_is_left_out() -> None:
         "cobot_family.py",
         "machine_years.py",
         "mechanism_bias.py",
+        "two_instruments.py",
     }
     # test_freezes and test_exam_short run these.
     assert {p.parent.name for p in FOLDER.glob("*/run.py")} == {"freezes", "hidden_effect"}
@@ -129,6 +130,13 @@ def test_machine_years() -> None:
     assert rows["nothing"]["false_alarms_per_200_tests"] <= 3.0
     assert rows["crash, 1.5 µm"]["found"] > 0.9
     assert rows["crash, 1.5 µm"]["at_the_right_test"] > 0.8
+
+
+@pytest.mark.long
+def test_two_instruments() -> None:
+    for row in short("two_instruments.py"):
+        assert row["of these named with both"] == row["ambiguous alone"]
+        assert row["wrong with both"] == 0
 
 
 def test_cobot_family() -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from laser_axis import write_laser
 from machine_years import steady, stepping, write_tests
 from typer.testing import CliRunner
 
@@ -148,3 +149,23 @@ def test_a_calendar_file_folds_long_lines() -> None:
     text = calendar_of("mill", {"on": "2026-01-02", "why": "µ, " * 60}, datetime(2026, 1, 1, tzinfo=UTC))
     assert all(len(line.encode()) <= 75 for line in text.split("\r\n"))
     assert text.replace("\r\n ", "").count("µ\\, ") == 60
+
+
+def test_tests_of_two_instruments_are_compared(home: Home, tmp_path: Path) -> None:
+    # Steps outwards, as of a table that comes late.
+    (bar,) = write_tests(tmp_path / "bar", 1, steady(-4.0), steady(3.0))
+    ingest(bar, Lake(home.lake))
+    alone = CliRunner().invoke(app, ["machine", "diagnose", "mill-7"])
+    assert alone.exit_code == 1
+    assert "there are not two tests to compare" in str(alone.exception)
+    ingest(write_laser(tmp_path / "laser-x", "mill-7", "X", 0.0, 4.0), Lake(home.lake))
+    told = cast(dict[str, Any], said("machine", "diagnose", "mill-7"))
+    assert {t["kind"] for t in told["tests"]} == {"circular", "linear"}
+    (shared,) = [s for s in told["shared"] if s["cause"] == "backlash"]
+    assert shared["value"] == pytest.approx(4.0, abs=0.5)
+    assert any(line.startswith("Backlash X: ") and "2 tests that agree" in line for line in told["lines"])
+    other = write_laser(tmp_path / "elsewhere", "mill-8", "X", 0.0, 4.0)
+    ingest(other, Lake(home.lake))
+    refused = CliRunner().invoke(app, ["machine", "diagnose", "mill-7", "--campaign", "t00", "--campaign", "elsewhere"])
+    assert refused.exit_code == 1
+    assert "the campaign is of another machine" in str(refused.exception)

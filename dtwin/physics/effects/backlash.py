@@ -20,6 +20,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 
 EFFECT = Effect(
     name="backlash",
+    cause="backlash",
     title="Backlash",
     parameters=(Parameter("backlash", "um", 5.0),),
     regressors=_columns,

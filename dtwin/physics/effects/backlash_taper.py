@@ -18,6 +18,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 
 EFFECT = Effect(
     name="backlash_taper",
+    cause="backlash_taper",
     title="Backlash that changes along the axis",
     parameters=(Parameter("change_per_100_mm", "um", 2.0),),
     regressors=_columns,

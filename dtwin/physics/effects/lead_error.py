@@ -17,6 +17,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 
 EFFECT = Effect(
     name="lead_error",
+    cause="scale",
     title="Lead error",
     parameters=(Parameter("lead", "ppm", 20.0),),
     regressors=_columns,

@@ -22,6 +22,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 
 EFFECT = Effect(
     name="scale_mismatch",
+    cause="scale",
     title="Scale mismatch",
     parameters=(Parameter("scale", "ppm", 20.0),),
     regressors=_columns,

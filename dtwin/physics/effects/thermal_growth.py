@@ -18,6 +18,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
 
 EFFECT = Effect(
     name="thermal_growth",
+    cause="thermal_growth",
     title="Thermal growth",
     parameters=(Parameter("expansion", "um/(m K)", 10.0),),
     regressors=_columns,

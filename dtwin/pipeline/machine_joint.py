@@ -1,0 +1,118 @@
+"""All tests of a machine together: one diagnosis of each, and what they say of each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dtwin.acquire.campaign_name import in_lake
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named
+from dtwin.lake.rows import campaign_of
+from dtwin.lake.store import Lake
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.effect import Effect
+from dtwin.physics.joint import MachineTest, joint
+from dtwin.physics.library import Library
+from dtwin.pipeline.kept import kept, stamp_of
+from dtwin.progress import Progress
+from dtwin.report.joint import joint_lines
+from dtwin.twins.measured import load
+
+_Rows = Sequence[Mapping[str, Any]]
+
+
+def machine_joint(
+    home: Home,
+    machine: str,
+    campaigns: Sequence[str] = (),
+    progress: Progress | None = None,
+    library: Mapping[str, Effect] | None = None,
+) -> dict[str, Any]:
+    """Return what tests of a machine find, each from nothing and all together, JSON-ready.
+
+    Parameters
+    ----------
+    campaigns : sequence of str
+        Which; without them the newest one of each kind with the same planes or axes.
+
+    Raises
+    ------
+    InputError
+        When fewer than two tests can be compared, or one is of another machine.
+    """
+    rows = Lake(home.lake).runs(left_out=True)
+    names = [in_lake(home, name) for name in campaigns]
+    chosen = _stated(rows, machine, names) if names else _newest(rows, machine)
+    if len(chosen) < 2:
+        raise InputError(
+            "there are not two tests to compare",
+            code="machine.tests",
+            where=machine,
+            got=", ".join(chosen) or "none",
+            allowed="campaigns of circles, positions or tones; of the same kind, of other planes, axes or days",
+            hint=f"dtwin machine show {machine}",
+        )
+    known = Library() if library is None else library
+    stamp = " ".join(f"{name} {stamp_of(mine)}" for name, mine in chosen.items()) + " ".join(known)
+    made: dict[str, Any] = kept(
+        home, "joint", machine, stamp, lambda: _compared(home, machine, list(chosen), known, progress)
+    )
+    return made
+
+
+def _compared(
+    home: Home, machine: str, campaigns: Sequence[str], library: Mapping[str, Effect], progress: Progress | None
+) -> dict[str, Any]:
+    tests = []
+    for done, name in enumerate(campaigns, start=1):
+        obs = load(home, name).obs
+        started = min((meta.started or "" for meta in obs.runs), default="")
+        tests.append(MachineTest(name, started, obs, diagnose(obs, [], library)))
+        if progress is not None:
+            progress(done, len(campaigns), name)
+    found = joint(tests, library)
+    told = [
+        {
+            "campaign": test.campaign,
+            "kind": test.obs.campaign.kind,
+            "started": test.started,
+            "verdict": test.found.verdict,
+            "found": [[suspect.label for suspect in group] for group in test.found.found],
+        }
+        for test in tests
+    ]
+    return {"machine": machine, "tests": told, **found.as_dict(), "lines": joint_lines(found, library)}
+
+
+def _by_campaign(rows: _Rows) -> dict[str, list[Mapping[str, Any]]]:
+    out: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        out.setdefault(str(row["campaign"]), []).append(row)
+    return {name: mine for name, mine in out.items() if not all(row["left_out"] for row in mine)}
+
+
+def _newest(rows: _Rows, machine: str) -> dict[str, list[Mapping[str, Any]]]:
+    """Return the newest campaign of each kind with the same planes or axes that can have a twin."""
+    newest: dict[tuple[Any, ...], str] = {}
+    mine = _by_campaign([row for row in rows if row["machine"] == machine])
+    for name in sorted(mine, key=lambda n: str(mine[n][0]["started"] or "")):
+        kind = str(mine[name][0]["kind"])
+        if kind_named(kind).offers("rows"):
+            moved = {str(row["plane"] or row["condition_json"]) for row in mine[name] if not row["left_out"]}
+            newest[kind, tuple(sorted(moved))] = name
+    return {name: mine[name] for name in newest.values()}
+
+
+def _stated(rows: _Rows, machine: str, campaigns: Sequence[str]) -> dict[str, list[Mapping[str, Any]]]:
+    every = _by_campaign(rows)
+    out = {name: every[name] for name in campaigns if name in every}
+    for name, mine in out.items():
+        own = campaign_of(mine).machine
+        if own != machine:
+            raise InputError(
+                "the campaign is of another machine", code="machine.campaign", where=name, got=own, allowed=machine
+            )
+        kind_named(str(mine[0]["kind"])).require("rows")
+    return out

@@ -1,0 +1,102 @@
+"""Tests of one machine by a ball bar and a laser: names, parts, contradictions, and coverage of what they agree on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from laser_axis import readings
+
+from dtwin.machines.mill import VirtualMill
+from dtwin.machines.mill_noise import NoiseParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.joint import Joint, MachineTest, Settled, joint
+from dtwin.physics.library import Library
+from dtwin.physics.observations import Observations, observe
+from dtwin.schema import Campaign, Run, RunMeta
+
+LIBRARY = Library()
+
+
+def judged(name: str, obs: Observations) -> MachineTest:
+    return MachineTest(name, "2026-01-01", obs, diagnose(obs, [], LIBRARY))
+
+
+def circles(mill: MillParameters, seed: int = 1) -> MachineTest:
+    made = VirtualMill(mill, seed=seed, noise=NoiseParameters(rms_um=0.1))
+    tests = [CircularTest("XY", way, 100.0, 2000.0, k, "xy") for k in (1, 2, 3) for way in ("CCW", "CW")]
+    return judged("bar", observe(made.campaign(), made.measure(tests)))
+
+
+def laser(axis: str, lead_ppm: float, lost_um: float, seed: int = 1) -> MachineTest:
+    runs = [
+        Run(
+            RunMeta(f"r{n}", kind="linear", condition={"axis": axis}, repeat=n),
+            {
+                "t_s": 10.0 * np.arange(at.size),
+                "position_mm": at,
+                "direction": np.array(ways, dtype=object),
+                "error_um": error,
+            },
+        )
+        for n, (at, ways, error) in enumerate(readings(lead_ppm, lost_um, seed), start=1)
+    ]
+    return judged(f"laser-{axis}", observe(Campaign(f"laser-{axis}", "mill", kind="linear"), runs))
+
+
+def settled_with(found: Joint, label: str) -> Settled:
+    return next(s for s in found.settled if label in s.group)
+
+
+def test_a_scale_that_one_circle_cannot_tell_from_dynamics_is_named_by_the_laser() -> None:
+    bar = circles(MillParameters().with_axis("X", scale_ppm=30.0))
+    assert any("scale_mismatch XY" in {s.label for s in group} and len(group) > 1 for group in bar.found.found)
+    found = joint([bar, laser("X", 30.0, 0.0), laser("Y", 0.0, 0.0)], LIBRARY)
+    assert settled_with(found, "scale_mismatch XY").left == ("scale_mismatch XY",)
+
+
+def test_dynamics_that_look_like_a_scale_are_not_called_one() -> None:
+    bar = circles(MillParameters().with_axis("X", mode_share=0.6))
+    settled = settled_with(joint([bar, laser("X", 0.0, 0.0), laser("Y", 0.0, 0.0)], LIBRARY), "scale_mismatch XY")
+    assert "scale_mismatch XY" not in settled.left
+    assert {"inertial_compliance", "structural_resonance X"} <= set(settled.left)
+
+
+@pytest.mark.parametrize(("lost_um", "said"), [(0.0, "refuted"), (3.0, "is a part")])
+def test_friction_is_told_from_backlash(lost_um: float, said: str) -> None:
+    bar = circles(MillParameters().with_axis("X", friction_mm_s2=300.0, play_um=lost_um))
+    settled = settled_with(joint([bar, laser("X", 0.0, lost_um)], LIBRARY), "friction X")
+    assert "backlash X" not in settled.left
+    assert "friction X" in settled.left
+    judged = next(j for j in settled.judged if j.label == "backlash X")
+    assert judged.said == said
+    assert judged.there.value == pytest.approx(lost_um, abs=judged.there.uncertainty)
+
+
+def test_one_axis_of_two_settles_nothing_of_their_difference() -> None:
+    bar = circles(MillParameters().with_axis("X", scale_ppm=30.0))
+    assert joint([bar, laser("X", 30.0, 0.0)], LIBRARY).settled == ()
+
+
+def test_tests_that_contradict_each_other_are_named() -> None:
+    bar = circles(MillParameters().with_axis("X", play_um=6.0))
+    (shared,) = joint([bar, laser("X", 0.0, 1.0)], LIBRARY).shared
+    ((first, second, by, spread),) = shared.apart
+    assert {first, second} == {"bar", "laser-X"}
+    assert abs(by) == pytest.approx(5.0, abs=spread)
+    assert np.isnan(shared.value)
+
+
+def test_what_tests_agree_on_is_known_better_than_by_either() -> None:
+    bar = circles(MillParameters().with_axis("X", play_um=4.0))
+    (shared,) = joint([bar, laser("X", 0.0, 4.0)], LIBRARY).shared
+    assert shared.apart == ()
+    assert shared.value == pytest.approx(4.0, abs=2.0 * shared.uncertainty)
+    assert shared.uncertainty < min(size.uncertainty for size in shared.sizes)
+
+
+def test_a_lead_that_the_ball_bar_does_not_see_contradicts_it() -> None:
+    bar = circles(MillParameters().with_axis("X", play_um=4.0))
+    found = joint([bar, laser("X", 25.0, 4.0), laser("Y", 0.0, 0.0)], LIBRARY)
+    scale = next(s for s in found.shared if (s.cause, s.axis) == ("scale", "XY"))
+    assert len(scale.apart) == 1
