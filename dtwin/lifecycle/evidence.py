@@ -59,12 +59,7 @@ def compute(
 
 
 def measure(
-    home: Home,
-    version: RegisteredVersion,
-    *,
-    seed: int,
-    plan: Any = None,
-    progress: Progress | None = None,
+    home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
 ) -> Evidence:
     """Measure a virtual machine with and without a version, and compute evidence from the runs.
 

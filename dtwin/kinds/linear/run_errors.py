@@ -16,7 +16,7 @@ def stroke_errors(runs: Sequence[Run]) -> list[RunError]:
 
     The zero of a laser is arbitrary: the mean over both directions is no error.
     """
-    found = []
+    errors = []
     for number, run in enumerate(runs):
         middle = float(np.mean(run.samples["error_um"]))
         axis = str(run.meta.condition.get("axis", ""))
@@ -31,5 +31,5 @@ def stroke_errors(runs: Sequence[Run]) -> list[RunError]:
                 "from_mm": round(float(place.min()), 2),
                 "to_mm": round(float(place.max()), 2),
             }
-            found.append(RunError(number, condition, way, rms(rest), rest))
-    return found
+            errors.append(RunError(number, condition, way, rms(rest), rest))
+    return errors

@@ -19,7 +19,7 @@ def tone_errors(runs: Sequence[Run]) -> list[RunError]:
 
     The error of a tone is the length of the difference of two vectors, tool and command.
     """
-    found = []
+    errors = []
     for number, run in enumerate(runs):
         stated = run.meta.condition
         axis, frequency = str(stated.get("axis", "Z")), float(stated["frequency_hz"])
@@ -41,5 +41,5 @@ def tone_errors(runs: Sequence[Run]) -> list[RunError]:
         # In the command's own direction, whatever the instant at which the record began.
         turned = error * np.conj(command) / abs(command)
         rest = math.sqrt(2.0) * np.array([turned.real, turned.imag])
-        found.append(RunError(number, condition, "", abs(error), rest))
-    return found
+        errors.append(RunError(number, condition, "", abs(error), rest))
+    return errors
