@@ -62,7 +62,7 @@ class Dictionary:
             if not k:
                 continue
             effect = term.instance.effect
-            new.append(Entry(term, slice(at, at + k), k + len(effect.shapes)))
+            new.append(Entry(term, slice(at, at + k), k + len(effect.refined_shapes)))
             parts.append(left)
             at += k
         if new:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,15 +31,29 @@ _NEAR_REVERSAL_DEG = 2.6
 _SHARP = 1.5
 
 
+@dataclass(frozen=True)
+class Best:
+    """The effects that explain a campaign best.
+
+    ``obs``: what told them: the campaign; without the neighbourhood of reversals when the library's laws do not hold to
+    within the noise, there or everywhere.
+    ``everywhere``: the effects that explain the whole campaign best.
+    ``exact``: whether those leave no more than noise.
+    """
+
+    terms: list[Term]
+    obs: Observations
+    everywhere: list[Term]
+    exact: bool
+
+
 def best_set(
     problem: Problem, candidates: Candidates, known: Sequence[Term], beside: Callable[[Problem], Problem]
-) -> tuple[list[Term], Observations, list[Term]]:
+) -> Best:
     """Return the effects that explain a campaign best, and the observations that told.
 
     ``problem``: whitened campaign with what the twin knows.
     ``beside``: takes out of a problem what is neither the twin's nor the library's.
-    Returns ``obs``: the campaign; without the neighbourhood of reversals when the library's laws do not hold to within
-    the noise, there or everywhere.
 
     Notes
     -----
@@ -67,9 +81,10 @@ def best_set(
         hunt = _Hunt(problem, candidates, level)
         chosen = hunt.run(hunt.dictionary.add(terms))
     terms = [entry.term for entry in chosen]
+    exact = obs is problem.obs and obs.several_speeds and hunt.left(chosen) < _MISFIT * level * obs.mask.sum()
     if obs is problem.obs and obs.grid.kind == "circular" and _is_sharp(problem, terms):
         obs = _away_from_reversals(obs)
-    return terms, obs, everywhere
+    return Best(terms, obs, everywhere, exact)
 
 
 class _Hunt:
@@ -157,7 +172,7 @@ class _Hunt:
             if not self._is_worth(own, left, entry):
                 weakest = min(weakest or (np.inf, rest), (own, rest), key=lambda pair: pair[0])
             found = self._best(rest)
-            if found is None or found[0].label == entry.label:
+            if found is None or found[0] is entry:
                 continue
             other = [*rest, found[0]]
             changed = self._cost(other)

@@ -17,6 +17,12 @@ from dtwin.schema import Floats
 IMMATERIAL = 0.08
 _INEXACT = 0.05
 _LEAST = 0.02
+_LOCAL = 0.1
+# The same where all that was found leaves no more than noise.
+_EXACT = 0.035
+_EXACT_LEAST = 0.015
+# So much misfit, of the noise floor, would not be noticed there.
+_IN_NOISE = 0.22
 # As RMS, of what all explain.
 _MUCH = 0.1
 _MOSTLY = 0.5
@@ -30,12 +36,19 @@ def floor_um(problem: Problem) -> float:
 
 
 def material(
-    terms: Sequence[Term], obs: Observations, known: Sequence[Term], candidates: Candidates, problem: Problem
+    terms: Sequence[Term],
+    obs: Observations,
+    known: Sequence[Term],
+    candidates: Candidates,
+    problem: Problem,
+    *,
+    exact: bool,
 ) -> tuple[list[Term], dict[str, list[Term]]]:
     """Return the effects that are more than how far the laws of others are off, and their stand-ins.
 
     Every effect must explain a fiftieth, as RMS, of what all explain, and a twentieth of what those
-    explain whose harmonics are its own; one of several shapes a twentieth of all. A stand-in, by the label of
+    explain whose harmonics are its own; one of several shapes a twentieth of all, or where laws are ``exact`` a tenth
+    of what all explain where it acts. A stand-in, by the label of
     the effect, is a simpler effect that loses no more in its place than laws are off.
     """
     if not terms:
@@ -44,11 +57,19 @@ def material(
     found = dictionary.add(terms)
     floor = (IMMATERIAL * floor_um(problem)) ** 2 * float(obs.mask.sum())
     whole = dictionary.explained(found)
-    floor = max(floor, _LEAST**2 * whole)
+    # That laws are exact is shown to within the noise only.
+    in_noise = (_IN_NOISE * floor_um(problem)) ** 2 * float(obs.mask.sum())
+    exact = exact and in_noise < _LEAST**2 * whole
+    least_share, inexact = (_EXACT_LEAST, _EXACT) if exact else (_LEAST, _INEXACT)
+    floor = max(floor, least_share**2 * whole)
     # What has several shapes can take that of any misfit.
+    shaped = _INEXACT**2 * whole
+    where = _where_it_acts(dictionary, found, obs) if exact else [np.inf] * len(found)
     least = {
-        entry.label: max(floor, _INEXACT**2 * (whole if len(entry.term.shape) > 1 else alike))
-        for entry, alike in zip(found, _alike(dictionary, found, obs), strict=True)
+        entry.label: max(
+            floor, min(shaped, max(in_noise, _LOCAL**2 * local)) if len(entry.term.shape) > 1 else inexact**2 * alike
+        )
+        for entry, alike, local in zip(found, _alike(dictionary, found, obs), where, strict=True)
     }
     chosen = _worthwhile(dictionary, found, least)
     stand_ins = {e.label: _stand_ins(dictionary, chosen, e, least[e.label]) for e in chosen}
@@ -114,6 +135,18 @@ def _alike(dictionary: Dictionary, found: list[Entry], obs: Observations) -> lis
     share = np.sqrt(power / np.maximum(power.sum(axis=1, keepdims=True), 1e-300))
     sums = ((share @ share.T) ** 2) @ power.sum(axis=1)
     return np.minimum(sums, dictionary.explained(found)).tolist()
+
+
+def _where_it_acts(dictionary: Dictionary, found: list[Entry], obs: Observations) -> list[float]:
+    """Return, for each effect, the sum of squares of all effects, weighted by where round the path it acts most."""
+
+    def power(entries: list[Entry]) -> Floats:
+        um: Floats = from_harmonics(dictionary.fitted(entries).reshape(obs.n_rows, obs.n_bins))
+        return np.asarray((um**2).sum(axis=0))
+
+    of_all = power(found)
+    own = [power([entry]) for entry in found]
+    return [float(one @ of_all) / max(float(one.max()), 1e-300) for one in own]
 
 
 def _stand_ins(dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float) -> list[Term]:

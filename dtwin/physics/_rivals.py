@@ -21,6 +21,9 @@ _NEAR = 0.3
 _GROUP_P = 0.05
 # The shape of the top effect was chosen among many: what has fewer numbers is not ruled out so soon.
 _SIMPLER_P = 0.01
+# At one speed what follows a reversal looks alike, whether friction, a mode or the servo makes it.
+_ALIKE_AT_ONE_SPEED = {"reversal_spike", "reversal_ringing", "structural_resonance"}
+_AS_GOOD = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,10 +142,21 @@ def _group(
         invisible = not candidates.visible(beside, other.term).shape[1]
         if in_part and invisible and _numbers(other.term) < _numbers(top.term):
             hidden.add(other.term.label)
-        elif not _adds_nothing(problem, top, other, candidates, level):
+        elif not _as_good(problem, top, other) and not _adds_nothing(problem, top, other, candidates, level):
             continue
         group.append(other)
     return tuple(group), frozenset(hidden)
+
+
+def _as_good(problem: Problem, top: Candidate, other: Candidate) -> bool:
+    """Tell whether only another speed would tell a rival from the top effect, for laws are not exact.
+
+    Of two that are known to look alike at one speed, the one whose law is nearer need not be the cause.
+    """
+    alike = {top.term.instance.effect.name, other.term.instance.effect.name} <= _ALIKE_AT_ONE_SPEED
+    same = top.term.instance.axis == other.term.instance.axis
+    enough = other.score.gain > _AS_GOOD * top.score.gain
+    return alike and same and enough and not problem.obs.several_speeds
 
 
 def _numbers(term: Term) -> int:

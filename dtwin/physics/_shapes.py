@@ -9,6 +9,7 @@ import numpy as np
 import scipy
 
 from dtwin.physics.candidates import Candidates
+from dtwin.physics.effect import ShapeParameter
 from dtwin.physics.problem import Problem, Term
 from dtwin.schema import Floats
 
@@ -17,6 +18,7 @@ _MOST_TOGETHER = 8
 _MARGIN = 1e-3
 _ABSENT = 1e-6
 _STEP = 1e-4
+_NEAR_ABSENT = 1e-2
 
 
 def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
@@ -28,7 +30,7 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     friction without travel and a spike without end are backlash. Otherwise within what is physically possible.
     The same when no other shape is better, or when the effect has none.
     """
-    names = [shape.name for shape in term.instance.effect.shapes]
+    names = _names(term)
     if not names:
         return term
     # Its own cache, dropped afterwards: hardly any shape is asked for twice.
@@ -36,11 +38,10 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     residual = problem.residual.ravel()
 
     def left(logs: Floats) -> Floats:
-        shape = dict(zip(names, np.exp(logs), strict=True))
-        visible = candidates.visible(problem, replace(term, shape=shape))
+        visible = candidates.visible(problem, _at(term, logs))
         return np.asarray(residual - visible @ (visible.T @ residual))
 
-    begun = np.log([term.shape[name] for name in names])
+    begun = _logs(term)
     found = scipy.optimize.least_squares(
         left,
         begun,
@@ -48,11 +49,11 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
         method="trf",
         x_scale="jac",
         max_nfev=_MOST_TRIES,
-        diff_step=[1e-4] * len(names),
+        diff_step=[1e-4] * len(begun),
     )
     if found.cost >= 0.5 * float((left(begun) ** 2).sum()):
         return term
-    return replace(term, shape=dict(zip(names, np.exp(found.x).tolist(), strict=True)))
+    return _at(term, found.x)
 
 
 def refined_together(
@@ -64,17 +65,17 @@ def refined_together(
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
     """
-    shaped = [term for term in terms if term.instance.effect.shapes]
+    shaped = [term for term in terms if _names(term)]
     if not shaped:
         return tuple(terms)
     for term in terms:
-        if not term.instance.effect.shapes:
+        if not _names(term):
             visible = candidates.visible(problem, term)
             problem = problem.extended(visible, candidates.whitened(problem, term))
-    sizes = [len(term.instance.effect.shapes) for term in shaped]
+    sizes = [len(_names(term)) for term in shaped]
     parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
     projected = _Projected(problem, shaped, parts)
-    begun = np.log([term.shape[s.name] for term in shaped for s in term.instance.effect.shapes])
+    begun = np.concatenate([_logs(term) for term in shaped])
     ranges = [_bounds(t, begun[part], True) for t, part in zip(shaped, parts, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
     before = float((projected.left(begun) ** 2).sum())
@@ -137,16 +138,30 @@ class _Projected:
         return self._kept[key]
 
 
+def _names(term: Term) -> list[str]:
+    return [shape.name for shape in term.instance.effect.refined_shapes]
+
+
+def _logs(term: Term) -> Floats:
+    shape = term.instance.effect.start_shape | dict(term.shape)
+    return np.log(np.maximum([shape[name] for name in _names(term)], _ABSENT))
+
+
 def _at(term: Term, logs: Floats) -> Term:
-    names = [shape.name for shape in term.instance.effect.shapes]
-    return replace(term, shape=dict(zip(names, np.exp(logs).tolist(), strict=True)))
+    new = dict(zip(_names(term), np.exp(logs).tolist(), strict=True))
+    return replace(term, shape=term.instance.effect.start_shape | dict(term.shape) | new)
+
+
+def _least(shape: ShapeParameter) -> float:
+    """Return the smallest value of a grid; far less of what may be absent, so that the solver does not stick there."""
+    return min(shape.grid) * (_NEAR_ABSENT if shape.bounds[0] == 0.0 else 1.0)
 
 
 def _bounds(term: Term, begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:
     """Return the range of each shape in logarithms; the solver wants a start inside."""
     ranges = [
-        (min(shape.grid), max(shape.grid)) if within_grid and shape.grid else shape.bounds
-        for shape in term.instance.effect.shapes
+        (_least(shape), max(shape.grid)) if within_grid and shape.grid else shape.bounds
+        for shape in term.instance.effect.refined_shapes
     ]
     low, high = np.log(np.maximum(ranges, _ABSENT)).T
     return np.minimum(low, begun) - _MARGIN, np.maximum(high, begun) + _MARGIN

@@ -144,14 +144,14 @@ class Candidates:
             return [{_PITCH_SHAPE: p} for p in likely_pitches(self.obs, residual, instance)]
         return self.grid(instance)
 
-    @staticmethod
-    def grid(instance: Instance) -> list[Mapping[str, float]]:
+    def grid(self, instance: Instance) -> list[Mapping[str, float]]:
         """Return every combination of the shape parameters' grids."""
-        shapes = instance.effect.shapes
-        return [
-            dict(zip((s.name for s in shapes), values, strict=True))
-            for values in itertools.product(*(s.grid for s in shapes))
+        effect = instance.effect
+        grid: list[Mapping[str, float]] = [
+            dict(zip((s.name for s in effect.shapes), values, strict=True))
+            for values in itertools.product(*(s.grid for s in effect.shapes))
         ]
+        return [*grid, *effect.also_tried] if self.obs.several_speeds else grid
 
 
 def applicable(

@@ -30,6 +30,7 @@ from dtwin.physics.candidates import Candidate, Candidates, applicable
 from dtwin.physics.diagnosis import Diagnosis, Unresolved, Verdict
 from dtwin.physics.effect import Effect
 from dtwin.physics.observations import Observations
+from dtwin.physics.plausible import at_its_end
 from dtwin.physics.problem import Problem, Term, set_up, unweighted
 from dtwin.physics.score import HIGHEST_HARMONIC
 from dtwin.physics.search import Search, search
@@ -45,6 +46,9 @@ _SPOKEN_OF = 0.1
 # An exponent that is known no better tells nothing of a law.
 _VAGUE = 0.3
 _DWARFED = 0.4
+
+# Tests of the laws of every effect found and of its rivals, by label.
+_Tests = Mapping[str, Mapping[str, Sequence[LawTest]]]
 
 
 def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Effect], *, seed: int = 0) -> Diagnosis:
@@ -88,9 +92,17 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     problem = beside(problem)
     candidates = Candidates(obs, tried)
     plain = unweighted(obs, known)
-    found = search(problem, plain, candidates, known, beside=beside, seed=seed, shown_by_channel=bool(channels))
+    search_again = partial(
+        search, problem, plain, candidates, known, beside=beside, seed=seed, shown_by_channel=bool(channels)
+    )
+    found = search_again()
+    tests = _tests(found)
+    if found.best is not None and found.best.exact and _doubted(found, False, tests):
+        # Laws are not exact then: what is small may be how far others are off.
+        found = search_again(best=replace(found.best, exact=False))
+        tests = _tests(found)
     moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
-    return _concluded(blank, found, candidates, known, channels, moving, residual, library)
+    return _concluded(blank, found, tests, candidates, known, channels, moving, residual, library)
 
 
 def _once(
@@ -121,6 +133,7 @@ def _once(
 def _concluded(
     blank: Diagnosis,
     found: Search,
+    tests: _Tests,
     candidates: Candidates,
     known: Sequence[Term],
     channels: Sequence[Channel],
@@ -136,18 +149,10 @@ def _concluded(
     foreign = tuple(c.name for c in channels if _is_foreign(c.name, library))
     if not found.found:
         return _nothing_found(blank, found, candidates, known, channels, words)
-    tests = {f.label: laws_of(f, len(found.found)) for f in found.found}
     # A channel of the library's own that still moves with what is left has not been explained.
     late = any(not _is_foreign(name, library) for name in moving)
     much = _much_left(found, blank.noise_floor_um)
-    doubted = [
-        f
-        for f in found.found
-        if not survivors(f, tests[f.label])
-        or f.gain <= 0.0
-        or (late and f.top.term.instance.effect.within_condition)
-        or _is_weak(f, tests[f.label][f.label], found)
-    ]
+    doubted = _doubted(found, late, tests)
     doubted += _hidden_by(doubted, found, tests)
     kept = [f for f in trusted(found, doubted, much) if much or not _is_dwarfed(f, found)]
     others = [f for f in found.found if f not in kept]
@@ -183,6 +188,26 @@ def _concluded(
     return replace(
         blank, verdict=verdict, headline=said, suspects=shown, found=groups, unresolved=unresolved, laws=laws
     )
+
+
+def _tests(found: Search) -> _Tests:
+    return {f.label: laws_of(f, len(found.found)) for f in found.found}
+
+
+def _doubted(found: Search, late: bool, tests: _Tests) -> list[Found]:
+    """Return the effects whose laws are broken, or that foretell nothing.
+
+    ``late``: a channel of the library's own still moves with what is left.
+    """
+    return [
+        f
+        for f in found.found
+        if not survivors(f, tests[f.label])
+        or at_its_end(f.top.term)
+        or f.gain <= 0.0
+        or (late and f.top.term.instance.effect.within_condition)
+        or _is_weak(f, tests[f.label][f.label], found)
+    ]
 
 
 def _nothing_found(
@@ -267,9 +292,7 @@ def _is_dwarfed(effect: Found, found: Search) -> bool:
     return certain and effect.size_um < _DWARFED * found.systematic_um[-1]
 
 
-def _hidden_by(
-    doubted: Sequence[Found], found: Search, tests: Mapping[str, Mapping[str, Sequence[LawTest]]]
-) -> list[Found]:
+def _hidden_by(doubted: Sequence[Found], found: Search, tests: _Tests) -> list[Found]:
     """Return the effects smaller than what is doubted whose own laws are not confirmed.
 
     What is not what it seems leaves something of itself, which smaller effects take.

@@ -55,6 +55,10 @@ class ShapeParameter:
         What is physically possible, which no fit leaves; without them a tenth of the smallest
         and ten times the largest value of the grid, or of the start. From zero on for what may be
         absent, as a rise that happens at once.
+    refined : bool
+        Whether values between those that are tried are possible.
+    ends : bool
+        Whether the effect is another one beyond the largest value tried: there it is not believed.
     """
 
     name: str
@@ -62,6 +66,8 @@ class ShapeParameter:
     start: float
     grid: tuple[float, ...]
     limits: tuple[float, float] | None = None
+    refined: bool = True
+    ends: bool = False
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -108,6 +114,8 @@ class Effect:
         Kinds of campaign in which it can be seen.
     shapes : tuple of ShapeParameter
         Parameters that the error is not proportional to.
+    also_tried : tuple of dict
+        Shapes that diagnosis tries besides the combinations of the grids, in runs at several speeds.
     needs : tuple of str
         Logged columns without which it cannot be judged.
     setup : bool
@@ -139,6 +147,7 @@ class Effect:
     per: Per = "axis"
     kinds: tuple[str, ...] = ("circular",)
     shapes: tuple[ShapeParameter, ...] = ()
+    also_tried: tuple[Shape, ...] = ()
     needs: tuple[str, ...] = ()
     confusables: tuple[str, ...] = ()
     correctable: str = ""
@@ -146,6 +155,11 @@ class Effect:
     within_condition: bool = False
     on_spread: bool = False
     source: str = field(default="dtwin", compare=False)
+
+    @property
+    def refined_shapes(self) -> tuple[ShapeParameter, ...]:
+        """Shape parameters that are refined between the values tried."""
+        return tuple(shape for shape in self.shapes if shape.refined)
 
     @property
     def start_shape(self) -> dict[str, float]:

@@ -289,7 +289,7 @@ def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
     First one after the other, each without those whose shape is still a guess; once more with
     all the others in place; then in rounds, until nothing moves.
     """
-    shaped = [i for i, term in enumerate(terms) if term.instance.effect.shapes]
+    shaped = [i for i, term in enumerate(terms) if term.instance.effect.refined_shapes]
     out = list(terms)
     guessed = set(shaped)
     for index in shaped:
@@ -307,7 +307,7 @@ def _refined(obs: Observations, terms: Sequence[Term]) -> list[Term]:
 
 
 def _settled(old: Mapping[str, float], new: Mapping[str, float]) -> bool:
-    return all(abs(new[name] / old[name] - 1.0) < _SETTLED for name in new)
+    return all(abs(new[name] - old.get(name, 0.0)) <= _SETTLED * abs(new[name]) for name in new)
 
 
 def _refined_one(obs: Observations, others: Sequence[Term], term: Term, *, search: bool) -> Term:

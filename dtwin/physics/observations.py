@@ -79,6 +79,11 @@ class Observations:
         """Size of the path of each row, shape (rows,)."""
         return np.array([self.conditions[c].radius_mm or 1.0 for c in self.condition_of])
 
+    @cached_property
+    def several_speeds(self) -> bool:
+        """Whether the feed was changed."""
+        return len({c.feed_mm_min for c in self.conditions}) > 1
+
     @property
     def n_rows(self) -> int:
         """Number of rows."""

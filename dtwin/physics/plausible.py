@@ -40,3 +40,9 @@ def implausible(terms: Sequence[Term], values: Floats) -> Mapping[str, str]:
         if said:
             out[term.label] = "; ".join(said)
     return out
+
+
+def at_its_end(term: Term) -> bool:
+    """Tell whether a shape lies at the largest value tried, beyond which the effect is another one."""
+    shapes = (shape for shape in term.instance.effect.shapes if shape.ends)
+    return any(term.shape[shape.name] > (1.0 - _AT_LIMIT) * max(shape.grid) for shape in shapes)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dtwin.physics._hunt import best_set
+from dtwin.physics._hunt import Best, best_set
 from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics._rivals import Found, described, refined_candidate
 from dtwin.physics.candidates import Candidate, Candidates, independent, probes
@@ -48,6 +48,7 @@ class Search:
     ``last``, ``plain``: the campaign with all of them, whitened and without weights.
     ``lack_of_fit``: p-value at the start and at the end.
     ``systematic_um``: RMS of what repeats agree on, at the start and at the end.
+    ``best``: what the search among sets of effects gave; None when it was not needed.
     """
 
     found: tuple[Found, ...]
@@ -56,6 +57,7 @@ class Search:
     plain: Problem
     lack_of_fit: tuple[float, float]
     systematic_um: tuple[float, float]
+    best: Best | None
 
     @property
     def explained(self) -> float:
@@ -73,6 +75,7 @@ def search(
     beside: Callable[[Problem], Problem],
     seed: int,
     shown_by_channel: bool = False,
+    best: Best | None = None,
 ) -> Search:
     """Find the set of effects that explains a campaign, and test each beside all the others.
 
@@ -81,6 +84,7 @@ def search(
     ``beside``: takes out of a problem what is neither the twin's nor the library's.
     ``shown_by_channel``: a logged channel was shown to move with the error: effects that act inside conditions are then
     compared among themselves only.
+    ``best``: the best set where it was searched for before.
     """
     first = _tested(problem, candidates, shown_by_channel)
     fit = lack_of_fit(problem, problem.residual, seed)
@@ -91,8 +95,9 @@ def search(
     stand_ins: dict[str, list[Term]] = {}
     told, library = problem, candidates
     if top is not None or fit <= _FIT_IS_FINE:
-        terms, obs, everywhere = best_set(problem, candidates, known, beside)
-        terms, stand_ins = material(terms, obs, known, candidates, problem)
+        best = best or best_set(problem, candidates, known, beside)
+        obs = best.obs
+        terms, stand_ins = material(best.terms, obs, known, candidates, problem, exact=best.exact)
         if obs is not problem.obs and problem.noise is not None:
             told, library = (beside(weighted_like(obs, known, problem.noise)), Candidates(obs, candidates.instances))
         terms = _significant(terms or ([top.term] if top else []), told, library, first)
@@ -100,14 +105,14 @@ def search(
             terms = [top.term]
         if told is not problem:
             beside_them = candidates.given(problem, terms)
-            sharp = hidden_by_mask(everywhere, terms, obs, known, candidates, problem)
+            sharp = hidden_by_mask(best.everywhere, terms, obs, known, candidates, problem)
             sharp = _significant(sharp, beside_them, candidates, first)
     found = _described(terms, sharp, stand_ins, told, library, problem, plain, candidates)
     terms = [*terms, *sharp]
     last, plain_last = candidates.given(problem, terms), candidates.given(plain, terms)
     end = lack_of_fit(last, last.residual, seed) if terms else fit
     left_um = systematic_rms_um(problem.obs, in_angle(plain_last))
-    return Search(found, first, last, plain_last, (fit, end), (before_um, left_um))
+    return Search(found, first, last, plain_last, (fit, end), (before_um, left_um), best)
 
 
 def _described(
@@ -185,7 +190,7 @@ def _leading(test: Test, plain: Problem, candidates: Candidates) -> Candidate | 
 def _worth(candidate: Candidate, runs: int) -> float:
     """Return the gain, less what every free parameter costs: Schwarz's criterion over runs."""
     k = candidate.visible.shape[1]
-    free = k + len(candidate.term.instance.effect.shapes)
+    free = k + len(candidate.term.instance.effect.refined_shapes)
     return candidate.score.gain - candidate.score.expected / k * free * float(np.log(runs))
 
 

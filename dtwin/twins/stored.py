@@ -32,7 +32,8 @@ def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where:
                 hint="--effects-path " + str(document["effect_sources"].get(entry["effect"], "FILE")),
             )
         effect = library[entry["effect"]]
-        terms.append(Term(Instance(effect, entry["axis"]), entry["shape"]))
+        # A version before may not have known every shape parameter.
+        terms.append(Term(Instance(effect, entry["axis"]), effect.start_shape | entry["shape"]))
     estimates = tuple(
         Estimate(**(e | {"uncertainty": _number(e["uncertainty"]), "value": _number(e["value"])}))
         for e in document["parameters"]

@@ -12,15 +12,20 @@ from dtwin.units import UM_PER_MM
 
 _APART = 0.97
 _AT_ONCE_S = 1e-5
+# Durations are stated at this speed of the path.
+_STATED_AT_MM_S = 50.0
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
     if not moves(state, axis):
         return np.zeros((state.n, 2))
     acceleration = state.feed_mm_s**2 / state.radius_mm
-    build_up_s = max(np.sqrt(shape["presliding_um"] / UM_PER_MM / acceleration), _AT_ONCE_S)
-    duration_s = shape["duration_ms"] / 1e3
-    rise_s = min(max(shape["rise_ms"] / 1e3, _AT_ONCE_S), _APART * duration_s)
+    build_up_s = float(np.sqrt(shape["presliding_um"] / UM_PER_MM / acceleration))
+    exponent = shape["speed_exponent"]
+    at_once = max(0.0, 1.0 - exponent)
+    build_up_s = max(at_once * build_up_s, _AT_ONCE_S)
+    duration_s = (_STATED_AT_MM_S / state.feed_mm_s) ** exponent * shape["duration_ms"] / 1e3
+    rise_s = min(max(at_once * shape["rise_ms"] / 1e3, _AT_ONCE_S), _APART * duration_s)
     t_s = state.since_reversal_s[axis]
     spike = _fought(t_s, build_up_s, duration_s) - _fought(t_s, build_up_s, rise_s)
     end = state.last_end[axis]
@@ -62,7 +67,8 @@ EFFECT = Effect(
     ),
     formula=(
         "A (exp(-t / T) - exp(-t / Tr)) / peak after each reversal, smoothed by the time in which "
-        "friction builds up over its travel: sqrt(s / a), a = F^2 / R"
+        "friction builds up over its travel: sqrt(s / a), a = F^2 / R. T is a time (p = 0), or stated at 50 mm/s for a "
+        "spike that begins at once and lasts a travel (p = 1): T (50 mm/s / F)^p"
     ),
     looks_like=(
         "Short spike outwards or inwards just after the reversal, on the other side of the axis "
@@ -75,9 +81,14 @@ EFFECT = Effect(
         "influence of typical machine errors on circular paths"
     ),
     shapes=(
-        ShapeParameter("duration_ms", "ms", 60.0, (10.0, 30.0, 80.0, 250.0)),
+        ShapeParameter("duration_ms", "ms", 60.0, (10.0, 30.0, 80.0, 250.0), ends=True),
         ShapeParameter("rise_ms", "ms", 1.0, (1.0, 20.0), (0.0, 150.0)),
         ShapeParameter("presliding_um", "um", 0.2, (0.2, 4.0, 20.0), (0.0, 60.0)),
+        ShapeParameter("speed_exponent", "1", 0.0, (0.0,), (0.0, 1.5), refined=False),
+    ),
+    also_tried=tuple(
+        {"duration_ms": ms, "rise_ms": 1.0, "presliding_um": 0.2, "speed_exponent": 1.0}
+        for ms in (10.0, 30.0, 80.0, 250.0)
     ),
     confusables=("friction", "reversal_ringing", "backlash"),
     correctable="Friction compensation of the control; an offset is usually too slow.",

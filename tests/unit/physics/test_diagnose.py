@@ -13,6 +13,7 @@ from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest, HeatParameters, MillParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
+from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import chosen_terms
@@ -246,3 +247,29 @@ def test_ten_faults_with_laws_that_are_not_the_library_s_are_named_without_a_fal
     assert all(len(group) <= 3 for group in groups)
     assert wanted <= set.union(*groups)
     assert all(group & wanted for group in groups)
+
+
+def push(moment: Moment, width: float) -> Floats:
+    """Return a push outwards of 4 um after each reversal of X, which dies out over an angle, in um."""
+    way = 1.0 if moment.test.direction == "CCW" else -1.0
+    turned = (way * moment.angle_rad) % np.pi
+    return np.asarray(4.0 * np.exp(-turned / width) * np.abs(np.cos(moment.angle_rad)))
+
+
+def test_a_spike_that_lasts_a_travel_is_named_and_its_law_said() -> None:
+    mill = VirtualMill(SOUND, seed=5, disturbance=lambda m: push(m, 6.0 / m.test.radius_mm))
+    obs = observed(measured(mill))
+    found = diagnose(obs, chosen_terms(KNOWN, LIBRARY, obs), LIBRARY)
+    assert [s.label for group in found.found for s in group[:1]] == ["reversal_spike X"]
+    twin = fit(obs, chosen_terms([*KNOWN, "reversal_spike:X"], LIBRARY, obs))
+    spike = next(t for t in twin.terms if t.label == "reversal_spike X")
+    assert spike.shape["speed_exponent"] == 1.0
+    assert spike.shape["duration_ms"] == pytest.approx(1e3 * 6.0 / 50.0, rel=0.1)
+
+
+def test_at_one_speed_what_follows_a_reversal_is_a_group() -> None:
+    tests = [CircularTest("XY", way, 100.0, 2000.0, k, "xy") for k in (1, 2, 3) for way in ("CCW", "CW")]
+    mill = VirtualMill(SOUND, seed=5, noise=NoiseParameters(rms_um=0.1), disturbance=lambda m: push(m, 0.05))
+    found = verdict(mill.measure(tests))
+    group = next(g for g in found.found if "reversal_spike X" in {s.label for s in g})
+    assert len(group) > 1

@@ -11,7 +11,7 @@ from dtwin.physics.plausible import implausible
 from dtwin.physics.problem import Term
 
 LIBRARY = Library()
-USUAL = {"duration_ms": 60.0, "rise_ms": 1.0, "presliding_um": 0.2}
+USUAL = {"duration_ms": 60.0, "rise_ms": 1.0, "presliding_um": 0.2, "speed_exponent": 0.0}
 
 
 @pytest.mark.parametrize(
