@@ -23,6 +23,8 @@ import numpy as np
 from dtwin.acquire.runner import run_campaign
 from dtwin.acquire.virtual import VirtualCobotBench
 from dtwin.config import Home
+from dtwin.kinds.circular.circles import evaluate_circle, rms_per_run, run_circle
+from dtwin.kinds.circular.evidence import WAYS
 from dtwin.lifecycle.train import train
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
 from dtwin.machines.parameters import CobotParameters, load_parameters
@@ -30,8 +32,6 @@ from dtwin.pipeline.demo import quick_size
 from dtwin.pipeline.measuring import ingest
 from dtwin.report.text import table
 from dtwin.serve.bundle import Bundle
-from dtwin.train.circle_evidence import WAYS
-from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
 from dtwin.train.registry import Registry
 
 # By what the amplitudes of the orders grew when the machine with another law was calibrated.

@@ -46,15 +46,15 @@ def read_document(path: Path, hint: str = _HINT) -> dict[str, Any]:
         When it cannot be read, or is not what was written.
     """
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        seal = found.pop(_SEAL, None) if isinstance(found, dict) else None
-        if seal is None or seal != _digest(found):
+        document = json.loads(path.read_text(encoding="utf-8"))
+        seal = document.pop(_SEAL, None) if isinstance(document, dict) else None
+        if seal is None or seal != _digest(document):
             raise ValueError("it is not what was written")
     except (OSError, ValueError, RecursionError) as error:
         raise StoreError(
             "a stored document cannot be read", code="twin.damaged", where=str(path), got=str(error)[:120], hint=hint
         ) from error
-    return dict(found)
+    return dict(document)
 
 
 def _digest(document: Mapping[str, Any]) -> str:

@@ -22,10 +22,10 @@ def names_this_computer(host: str | None, *, also: str = "", any_address: bool =
     any_address : bool
         Whether every numeric address is: for servers that listen on more than loopback.
     """
-    found = _HOST.fullmatch(host or "")
-    if found is None:
+    match = _HOST.fullmatch(host or "")
+    if match is None:
         return False
-    name = found[1].strip("[]").lower()
+    name = match[1].strip("[]").lower()
     if name in ("localhost", also.lower()):
         return True
     try:

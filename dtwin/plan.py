@@ -273,3 +273,50 @@ def _directions(grid: Mapping[str, Any], where: str) -> list[Direction]:
             allowed='["CCW", "CW"]',
         )
     return stated
+
+
+@dataclass(frozen=True)
+class EvidencePlan:
+    """Which circles are measured.
+
+    Attributes
+    ----------
+    conditions : tuple of (plane, radius_mm, feed_mm_min)
+        Each is run in both directions.
+    repeats : int
+        Repeats per condition, direction and way.
+    trained_feeds : tuple of float
+        For the report: the others were never trained.
+    """
+
+    conditions: tuple[tuple[Plane, float, float], ...]
+    repeats: int = 2
+    trained_feeds: tuple[float, ...] = (2000.0, 4000.0, 6000.0)
+
+    def trained(self, condition: Mapping[str, Any]) -> bool:
+        """Tell whether the feed of a condition was trained."""
+        return condition["feed_mm_min"] in self.trained_feeds
+
+
+_PLANES: tuple[tuple[Plane, float], ...] = (("XY", 100.0), ("YZ", 150.0), ("ZX", 100.0))
+DEFAULT_EVIDENCE = EvidencePlan(
+    tuple((plane, radius, feed) for plane, radius in _PLANES for feed in (1000.0, 2000.0, 3000.0, 6000.0))
+)
+
+
+def plan_within(conditions: Sequence[tuple[Plane, float, float]], repeats: int = 2) -> EvidencePlan:
+    """Return circles in the planes that were trained, at feeds that were and were not.
+
+    Parameters
+    ----------
+    repeats : int
+        Repeats per condition, direction and way.
+    """
+    feeds = sorted({feed for _, _, feed in conditions})
+    between = [0.5 * (feeds[0] + feeds[1])] if len(feeds) > 1 else []
+    wanted = sorted({0.5 * feeds[0], feeds[0], *between, feeds[-1]})
+    circles = []
+    for plane in sorted({plane for plane, _, _ in conditions}):
+        radii = sorted({radius for p, radius, _ in conditions if p == plane})
+        circles += [(plane, radii[(len(radii) - 1) // 2], feed) for feed in wanted]
+    return EvidencePlan(tuple(circles), repeats, tuple(feeds))

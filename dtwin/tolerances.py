@@ -37,7 +37,7 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
     InputError
         When one is no number, or its bounds are exchanged.
     """
-    found = {}
+    by_symbol = {}
     for symbol, value in stated.items():
         bounds = value if isinstance(value, Mapping) else {"high": value}
         low, high = bounds.get("low"), bounds.get("high")
@@ -51,5 +51,5 @@ def limits_from(stated: Mapping[str, Any], where: str) -> dict[str, Limits]:
                 got=str(value)[:60],
                 allowed="a largest value in µm, or low and high with low below high",
             )
-        found[symbol] = Limits(*(None if b is None else float(b) for b in (low, high)))
-    return found
+        by_symbol[symbol] = Limits(*(None if b is None else float(b) for b in (low, high)))
+    return by_symbol

@@ -29,10 +29,9 @@ from dtwin.pipeline.campaign_job import CampaignRequest, run_request
 from dtwin.pipeline.demo_steps import ProgressOf
 from dtwin.pipeline.desk import Desk
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
-from dtwin.plan import Plan
+from dtwin.plan import EvidencePlan, Plan
 from dtwin.progress import Progress, StageProgress
 from dtwin.report.checking import check_source
-from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.twins.on_campaign import TwinView, look_at

@@ -16,8 +16,7 @@ from dtwin.lifecycle.train import Registered
 from dtwin.pipeline.demo_steps import PlainSteps, ProgressOf, Result, Work
 from dtwin.pipeline.measuring import FeatureReport
 from dtwin.pipeline.wall_clock import Circle, serving_numbers
-from dtwin.plan import Plan
-from dtwin.train.circle_evidence import EvidencePlan
+from dtwin.plan import EvidencePlan, Plan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion
 from flows import _artifacts, _tasks

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer.testing
 from hypothesis import settings
 
 from dtwin.config import quiet_environment, sample_recording
@@ -15,6 +18,12 @@ from dtwin.config import quiet_environment, sample_recording
 quiet_environment()
 # Not by a process in the background, which would outlive the test.
 os.environ["DTWIN_MLFLOW"] = "now"
+# Thousands of small files, each written through to its disk: in memory where there is room.
+_MEMORY = Path("/dev/shm")
+if "TMPDIR" not in os.environ and _MEMORY.is_dir() and shutil.disk_usage(_MEMORY).free > 4 << 30:
+    os.environ["TMPDIR"] = tempfile.tempdir = str(_MEMORY)
+# Building the tree of commands takes longer than most commands do.
+typer.testing._get_command = cache(typer.testing._get_command)
 # How long an example takes depends on what else the computer does.
 settings.register_profile("any computer", deadline=None)
 settings.load_profile("any computer")
@@ -78,7 +87,10 @@ def _turn(file: Path) -> tuple[int, bool]:
 
 
 @pytest.fixture(autouse=True)
-def _own_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def _own_home(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # MLflow's tables take a second a home: test_twin_registration and the system's tests make them.
+    if "unit" in request.path.parts:
+        monkeypatch.setattr("dtwin.twins.shelf.log_soon", lambda *args, **settings: None)
     monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     monkeypatch.delenv("PREFECT_API_URL", raising=False)

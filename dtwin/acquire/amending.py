@@ -125,7 +125,7 @@ def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
     for row in rows:
         for record in row["amendments"]:
             by_version.setdefault(record["version"], []).append(record)
-    found = []
+    findings = []
     for version, records in sorted(by_version.items()):
         first = records[0]
         names = [record["run_id"] for record in records]
@@ -138,7 +138,7 @@ def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
             what = ", ".join(n.removesuffix("_json") for n in fields if n not in _JUDGED)
             what = f"{what} stated anew"
         shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-        found.append(
+        findings.append(
             Finding(
                 code,
                 "info",
@@ -147,7 +147,7 @@ def amendment_findings(rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
                 {"version_1": float(version), "runs_1": float(len(names))},
             )
         )
-    return found
+    return findings
 
 
 _JUDGED = ("findings_json", "n_errors")

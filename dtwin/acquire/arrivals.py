@@ -106,14 +106,14 @@ class Arrivals:
 
     def present(self) -> dict[Path, Stamp]:
         """Return what is there now, whether or not it stands still."""
-        found: dict[Path, Stamp] = {}
+        stamps: dict[Path, Stamp] = {}
         for path, is_campaign in _things(self.folder):
             if not is_campaign and not self._wanted(path):
                 continue
             stamp = _stamp(path, is_campaign)
             if stamp:
-                found[path] = stamp
-        return found
+                stamps[path] = stamp
+        return stamps
 
 
 def _things(folder: Path) -> Iterator[tuple[Path, bool]]:
@@ -147,7 +147,7 @@ def _stamp(path: Path, is_campaign: bool) -> Stamp:
 
 def _of_file(path: Path, name: str) -> Stamp:
     try:
-        found = path.stat()
+        state = path.stat()
     except OSError:
         return ()
-    return ((name, found.st_size, found.st_mtime_ns),)
+    return ((name, state.st_size, state.st_mtime_ns),)

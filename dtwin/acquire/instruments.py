@@ -125,13 +125,13 @@ def recorders(sensors: Path | None, robot: str | None) -> list[Instrument]:
     sensors : Path or None
         Channel file of the accelerometers.
     """
-    found: list[Instrument] = []
+    instruments: list[Instrument] = []
     if sensors is not None:
         from dtwin.acquire.sensor_file import read_sensors
 
-        found.append(read_sensors(sensors).task())
+        instruments.append(read_sensors(sensors).task())
     if robot is not None:
         from dtwin.acquire.robot import RobotRecorder
 
-        found.append(RobotRecorder(robot))
-    return found
+        instruments.append(RobotRecorder(robot))
+    return instruments

@@ -42,13 +42,13 @@ def _too_small(run: Run) -> list[Finding]:
 
     Where what was read stands beside them (``read_mm``), errors are of no other unit.
     """
-    found: list[Finding] = []
+    findings: list[Finding] = []
     if "read_mm" in run.samples:
-        return found
+        return findings
     for name in ("deviation_um", "error_um"):
         spread = float(np.std(run.samples[name])) if name in run.samples else np.inf
         if 0.0 < spread < _MIN_SPREAD_UM:
-            found.append(
+            findings.append(
                 Finding(
                     "reading.too_small",
                     "error",
@@ -56,7 +56,7 @@ def _too_small(run: Run) -> list[Finding]:
                     {"spread_um": spread},
                 )
             )
-    return found
+    return findings
 
 
 def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:
@@ -68,17 +68,17 @@ def judge_copies(samples_sha256: Mapping[str, str]) -> dict[str, Finding]:
         Hash of the samples by run id, in the order in which the runs came.
     """
     first: dict[str, str] = {}
-    found = {}
+    findings = {}
     for name, digest in samples_sha256.items():
         other = first.setdefault(digest, name)
         if other != name:
-            found[name] = Finding(
+            findings[name] = Finding(
                 "run.copy",
                 "error",
                 f"the samples are those of run {other} to the last digit: a copy is no repeat, and "
                 "would say that there is no noise",
             )
-    return found
+    return findings
 
 
 def judge_flagged(run: Run) -> list[Finding]:

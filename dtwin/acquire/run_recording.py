@@ -142,15 +142,15 @@ def recover_runs(folder: Path, in_force: InForce = lambda begin, end: "") -> lis
     if not folder.is_dir():
         return []
     with _alone(folder):
-        found = []
+        runs = []
         for path in sorted(folder.glob(f"*{_INTENT}")):
             run_id = path.name.removesuffix(_INTENT)
             intent = _read_intent(path)
             sealed = _finish(folder, run_id, in_force)
-            found.append(RecordedRun(run_id, sealed, (), folder / intent["reference"]))
+            runs.append(RecordedRun(run_id, sealed, (), folder / intent["reference"]))
         # Streams of other programs, which have no run of ours.
         recover_folder(folder)
-    return found
+    return runs
 
 
 def _record_all(instruments: Sequence[Instrument], request: RunRequest, asked_to_stop: Callable[[], bool]) -> None:

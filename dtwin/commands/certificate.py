@@ -50,15 +50,15 @@ def certificate(
 
 
 def _browser() -> str:
-    found = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
-    if found is None:
+    browser = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
+    if browser is None:
         raise MissingPart(
             "printing to a PDF needs a browser",
             code="certificate.browser",
             allowed=", ".join(_BROWSERS),
             hint="write a .html file, open it and save it as PDF from there",
         )
-    return found
+    return browser
 
 
 def _print(browser: str, page: str, out: Path) -> None:

@@ -198,8 +198,8 @@ def plan(
     payload = {**planned.summary, "total_s": planned.duration_s, "findings": findings}
     if check_only:
         payload["noise_um"] = _NOISE_UM if noise_um is None else noise_um
-        found = kind.detectable(planned, payload["noise_um"])
-        payload["detectable"] = [effect.as_dict() for effect in found]
+        sizes = kind.detectable(planned, payload["noise_um"])
+        payload["detectable"] = [effect.as_dict() for effect in sizes]
     elif planned.order:
         payload["order"] = list(planned.order)
     if out is not None:

@@ -68,8 +68,8 @@ def _mill(seed: int, *, quick: bool, as_json: bool) -> None:
     from studies.report.mill_story import mill_story_text
 
     shown = partial(ProgressLine, quiet=as_json)
-    found = mill_story(home(), seed, quick=quick, progress=shown)
-    emit(found, lambda: mill_story_text(found), as_json=as_json)
+    story = mill_story(home(), seed, quick=quick, progress=shown)
+    emit(story, lambda: mill_story_text(story), as_json=as_json)
 
 
 def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
@@ -80,8 +80,8 @@ def _linuxcnc(seed: int, *, quick: bool, as_json: bool) -> None:
     from studies.report.linuxcnc import linuxcnc_text
 
     shown = partial(ProgressLine, quiet=as_json)
-    found = linuxcnc_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
-    emit(found, lambda: linuxcnc_text(found), as_json=as_json)
+    story = linuxcnc_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
+    emit(story, lambda: linuxcnc_text(story), as_json=as_json)
 
 
 def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
@@ -92,8 +92,8 @@ def _placement(seed: int, *, quick: bool, as_json: bool) -> None:
     from studies.report.placement import placement_text
 
     shown = partial(ProgressLine, quiet=as_json)
-    found = placement_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
-    emit(found, lambda: placement_text(found), as_json=as_json)
+    story = placement_story(home(), seed, size=QUICK if quick else FULL, progress=shown)
+    emit(story, lambda: placement_text(story), as_json=as_json)
 
 
 def _tracking(seed: int, *, quick: bool, as_json: bool) -> None:

@@ -53,7 +53,7 @@ def split(
     from dtwin.kinds.circular.particle_swarm import SwarmSettings
 
     chosen = TWIN_EFFECTS if effects is None else tuple(e.strip() for e in effects.split(","))
-    found = split_campaign(
+    split = split_campaign(
         home(),
         campaign,
         DynamicsRequest(
@@ -71,14 +71,14 @@ def split(
         ),
     )
     if out is not None:
-        radius = found.result["radius_mm"]
-        write_text(out, dynamics_page(found.result, found.curves, radius), "the page")
+        radius = split.result["radius_mm"]
+        write_text(out, dynamics_page(split.result, split.curves, radius), "the page")
 
     def text() -> str:
         end = [] if out is None else [f"{out} written"]
-        return "\n".join([dynamics_text(found.result), *end])
+        return "\n".join([dynamics_text(split.result), *end])
 
-    emit(found.result, text, as_json=as_json)
+    emit(split.result, text, as_json=as_json)
 
 
 @app_dynamics.command("paper")
@@ -92,5 +92,5 @@ def paper(
     from studies.report.papers import dynamics_paper_text
 
     size, progress = QUICK if quick else FULL, ProgressLine("dynamics", quiet=as_json)
-    found = dynamics_paper(size, seed, progress)
-    emit(found, lambda: dynamics_paper_text(found), as_json=as_json)
+    figures = dynamics_paper(size, seed, progress)
+    emit(figures, lambda: dynamics_paper_text(figures), as_json=as_json)

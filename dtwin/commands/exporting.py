@@ -150,16 +150,16 @@ def robot_targets(
     wanted = read_targets(targets)
     if out.exists() and not force:
         raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
-    found = resolve(model, machine, home(), harmless=False)
-    compiled = load_bundle(found.path, found.machine)
-    correction = TargetCorrection(compiled, read_machine(found.machine, home()).tcp, frame)
+    resolved = resolve(model, machine, home(), harmless=False)
+    compiled = load_bundle(resolved.path, resolved.machine)
+    correction = TargetCorrection(compiled, read_machine(resolved.machine, home()).tcp, frame)
     made = list(correction.corrected(wanted))
     write_text(out, corrected_csv(made), "the targets")
     longest_um = max(float(np.linalg.norm(m.offset_um)) for m in made)
     untouched = sum(not m.offset_um.any() for m in made)
     payload = {
         "file": str(out),
-        "model": found.describe(),
+        "model": resolved.describe(),
         "evidence": compiled.bundle.provenance.evidence,
         "targets": len(made),
         "longest_um": longest_um,
@@ -168,7 +168,7 @@ def robot_targets(
     emit(
         payload,
         lambda: (
-            f"{out} written: {len(made)} targets by {found.describe()}\n"
+            f"{out} written: {len(made)} targets by {resolved.describe()}\n"
             f"  longest correction {longest_um:z.1f} µm, {untouched} not corrected (the last "
             f"column says why); evidence: {compiled.bundle.provenance.evidence}"
         ),

@@ -109,8 +109,8 @@ def paper(
     from studies.lathe_paper import FULL, QUICK, lathe_paper
     from studies.report.papers import lathe_paper_text
 
-    found = lathe_paper(QUICK if quick else FULL, seed, ProgressLine("lathe", quiet=as_json))
-    emit(found, lambda: lathe_paper_text(found), as_json=as_json)
+    figures = lathe_paper(QUICK if quick else FULL, seed, ProgressLine("lathe", quiet=as_json))
+    emit(figures, lambda: lathe_paper_text(figures), as_json=as_json)
 
 
 def _in_real_time(bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool) -> None:
@@ -126,14 +126,14 @@ def _bundle(path: Path) -> Bundle:
     from dtwin.kinds.linear.bundle import is_positioning_bundle
     from dtwin.serve.bundle_file import load_bundle
 
-    found = load_bundle(path).bundle
-    if not is_positioning_bundle(found):
+    bundle = load_bundle(path).bundle
+    if not is_positioning_bundle(bundle):
         raise InputError(
             "the bundle does not correct a position",
             code="lathe.bundle",
             where=str(path),
-            got=", ".join(found.tick_inputs)[:120],
+            got=", ".join(bundle.tick_inputs)[:120],
             allowed="position_mm, perhaps direction_1",
             hint="dtwin lathe fit",
         )
-    return found
+    return bundle

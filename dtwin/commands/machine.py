@@ -78,12 +78,12 @@ def list_machines(as_json: Json = False) -> None:
     from dtwin.pipeline.machine_history import machine_overviews
     from dtwin.report.text import table
 
-    found = machine_overviews(home())
+    overviews = machine_overviews(home())
     rows = [
-        [m["machine"], m["type"] or "-", len(m["campaigns"]), m["last_test"] or "-", len(m["twins"])] for m in found
+        [m["machine"], m["type"] or "-", len(m["campaigns"]), m["last_test"] or "-", len(m["twins"])] for m in overviews
     ]
     head = ("machine", "type", "campaigns", "last test", "twins")
-    emit({"machines": found}, lambda: table(head, rows) if rows else "no machine yet", as_json=as_json)
+    emit({"machines": overviews}, lambda: table(head, rows) if rows else "no machine yet", as_json=as_json)
 
 
 @app_machine.command()
@@ -101,17 +101,17 @@ def show(
     from dtwin.pipeline.machine_history import machine_history
     from dtwin.pipeline.machine_series import calendar_of
 
-    found = machine_history(home(), name, ProgressLine("figures", quiet=as_json))
+    history = machine_history(home(), name, ProgressLine("figures", quiet=as_json))
     if ics is not None:
-        if not found["next_test"]:
+        if not history["next_test"]:
             raise InputError(
                 "no next test is known",
                 code="machine.next_test",
                 where=name,
                 hint=f"dtwin machine add {name} --test-every 30",
             )
-        write_text(ics, calendar_of(name, found["next_test"], datetime.now(UTC)), "the calendar file")
-    emit(found, lambda: _history_text(found), as_json=as_json)
+        write_text(ics, calendar_of(name, history["next_test"], datetime.now(UTC)), "the calendar file")
+    emit(history, lambda: _history_text(history), as_json=as_json)
 
 
 @app_machine.command()

@@ -31,13 +31,13 @@ def features(campaign: Annotated[str, typer.Argument(help="Campaign in the lake.
     from dtwin.config import home
     from dtwin.pipeline.measuring import compute_features
 
-    found = compute_features(home(), campaign, ProgressLine("features", quiet=as_json))
-    payload = dict(vars(found)) | {"contract": found.contract.to_dict() if found.contract else None}
+    features = compute_features(home(), campaign, ProgressLine("features", quiet=as_json))
+    payload = dict(vars(features)) | {"contract": features.contract.to_dict() if features.contract else None}
     emit(
         payload,
         lambda: (
-            f"{campaign}: {found.windows} windows of {found.runs} runs, "
-            f"{found.not_finite} not finite, {found.constant} constant; table version {found.version}"
+            f"{campaign}: {features.windows} windows of {features.runs} runs, "
+            f"{features.not_finite} not finite, {features.constant} constant; table version {features.version}"
         ),
         as_json=as_json,
     )
@@ -272,8 +272,8 @@ def bundle_on_virtual(model: str, machine: str | None) -> tuple[Path, str]:
 
     if model.endswith(".json"):
         return Path(model), model
-    found = resolve(model, machine, home(), harmless=True)
-    return found.path, found.describe()
+    resolved = resolve(model, machine, home(), harmless=True)
+    return resolved.path, resolved.describe()
 
 
 def _engine(name: str) -> Engine | None:

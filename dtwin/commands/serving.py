@@ -212,11 +212,11 @@ def _sensors(file: Path | None) -> OpenSensors | None:
 
 
 def _covariates(pairs: list[str]) -> dict[str, float]:
-    found: dict[str, float] = {}
+    figures: dict[str, float] = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
         try:
-            found[name] = float(value)
+            figures[name] = float(value)
         except ValueError:
             raise InputError(
                 "a covariate needs a number",
@@ -224,7 +224,7 @@ def _covariates(pairs: list[str]) -> dict[str, float]:
                 got=pair[:80],
                 allowed="NAME=NUMBER, for example temperature_c=21.5",
             ) from None
-    return found
+    return figures
 
 
 def _announce(line: str) -> None:

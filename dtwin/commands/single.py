@@ -42,27 +42,27 @@ def study(
     from dtwin.physics.library import Library
 
     geometry = None if robot_centre_mm is None else ur10e_geometry(robot_centre_mm, bar_zero_deg)
-    found = study_recording(file, Library(effects_path or ()), geometry)
+    study = study_recording(file, Library(effects_path or ()), geometry)
     if html is not None:
         from dtwin.atomic import write_text
         from dtwin.report.html import page
 
-        sections = recording_sections(found.result, _curves(found))
+        sections = recording_sections(study.result, _curves(study))
         write_text(html, page(f"Recording {file.name}", "dtwin", sections), "the report")
-    emit(found.result, lambda: recording_text(found.result), as_json=as_json)
+    emit(study.result, lambda: recording_text(study.result), as_json=as_json)
 
 
-def _curves(found: Study) -> dict[str, tuple[Floats, Floats]]:
+def _curves(study: Study) -> dict[str, tuple[Floats, Floats]]:
     import numpy as np
 
     curves: dict[str, tuple[Floats, Floats]] = {}
     at = 0
-    for aligned in found.passes.aligned:
+    for aligned in study.passes.aligned:
         angle = np.degrees(aligned.state.angle_rad)
         for stretch in aligned.stretches:
             rows = slice(at, at + stretch.end - stretch.first)
             at = rows.stop
             name = f"{stretch.run_id} from {stretch.first}"
-            curves[f"{name}, measured"] = (angle[stretch.second], found.passes.y_um[1][rows])
-            curves[f"{name}, left"] = (angle[stretch.second], found.residual_um[1][rows])
+            curves[f"{name}, measured"] = (angle[stretch.second], study.passes.y_um[1][rows])
+            curves[f"{name}, left"] = (angle[stretch.second], study.residual_um[1][rows])
     return curves

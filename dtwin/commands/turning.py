@@ -131,5 +131,5 @@ def paper(
     from studies.report.papers import turning_paper_text
     from studies.turning_paper import turning_paper
 
-    found = turning_paper(quick=quick, seed=seed, progress=ProgressLine("paper", quiet=as_json))
-    emit(found, lambda: turning_paper_text(found), as_json=as_json)
+    figures = turning_paper(quick=quick, seed=seed, progress=ProgressLine("paper", quiet=as_json))
+    emit(figures, lambda: turning_paper_text(figures), as_json=as_json)

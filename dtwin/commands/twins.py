@@ -91,12 +91,12 @@ def compare_twin(
 
     asked = split_cycles is not None or split_hz is not None
     cutoff = cutoff_of(split_cycles, split_hz)
-    found = _twins_with(name, effects_path).compare(name, campaign)
-    result = found.as_dict() if isinstance(found, HeatComparison) else found.as_dict(cutoff)
+    comparison = _twins_with(name, effects_path).compare(name, campaign)
+    result = comparison.as_dict() if isinstance(comparison, HeatComparison) else comparison.as_dict(cutoff)
     if asked and result["encoder_split"] is None:
         raise no_controller_columns(f"campaign {result['campaign']}")
     if html is not None:
-        _write_page(html, found.twin.name, comparison_sections(found, result))
+        _write_page(html, comparison.twin.name, comparison_sections(comparison, result))
     emit(result, lambda: comparison_text(result), as_json=as_json)
 
 
@@ -228,11 +228,11 @@ def confirm_effect(
     """Compare an effect before and after its cause was mended: intervention-confirmed or not."""
     from dtwin.twins.confirm import confirm
 
-    found = confirm(_twins(effects_path), name, effect, after, what)
-    said = "went away: intervention-confirmed" if found.confirmed else "did not certainly go away"
+    confirmation = confirm(_twins(effects_path), name, effect, after, what)
+    said = "went away: intervention-confirmed" if confirmation.confirmed else "did not certainly go away"
     emit(
-        {"twin": name, **found.as_dict()},
-        lambda: "\n".join([f"{found.effect} {said}", *(f"  {c}" for c in found.changes)]),
+        {"twin": name, **confirmation.as_dict()},
+        lambda: "\n".join([f"{confirmation.effect} {said}", *(f"  {c}" for c in confirmation.changes)]),
         as_json=as_json,
     )
 
@@ -274,14 +274,14 @@ def show_twin(
     twins = _twins_with(name, effects_path)
     twin = twins.newest(name, version)
     if html is not None:
-        found = twins.compare(name)
+        comparison = twins.compare(name)
         _, diagnosis = twins.diagnose(name)
         _write_page(
             html,
             name,
             [
                 twin_section(twin),
-                *comparison_sections(found, found.as_dict()),
+                *comparison_sections(comparison, comparison.as_dict()),
                 diagnosis_section(name, diagnosis.as_dict()),
                 history_section(twin, twins.history(name)),
             ],
@@ -317,9 +317,9 @@ def _tell_failed(name: str) -> None:
     from dtwin.config import home
     from dtwin.twins.registration import waiting, waiting_text
 
-    found = waiting(home(), name)
-    if any(item.failed for item in found):
-        print(waiting_text(found), file=sys.stderr)
+    waiting_items = waiting(home(), name)
+    if any(item.failed for item in waiting_items):
+        print(waiting_text(waiting_items), file=sys.stderr)
 
 
 def _twins(paths: list[Path] | None) -> Twins:

@@ -100,8 +100,8 @@ def paper(
     from studies.volumetric_paper import volumetric_paper
 
     progress = ProgressLine("volumetric", quiet=as_json)
-    found = volumetric_paper(seed, progress, quick=quick, truth=truth)
-    lines = [asdict(line) for line in found]
+    figures = volumetric_paper(seed, progress, quick=quick, truth=truth)
+    lines = [asdict(line) for line in figures]
     emit({"lines": lines}, lambda: paper_table(lines), as_json=as_json)
 
 

@@ -33,12 +33,6 @@ class Feature:
     reference: str
     spectral: bool = False
 
-    def unit_for(self, channel_unit: str) -> str:
-        """Return the unit of this feature for a channel in ``channel_unit``."""
-        if self.unit == "channel":
-            return channel_unit
-        return f"{channel_unit}^2" if self.unit == "channel^2" else self.unit
-
 
 FEATURES: tuple[Feature, ...] = (
     Feature("mean_absolute_value", "channel", "sum |x| / n", _MACHINE_CONDITION),

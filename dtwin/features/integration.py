@@ -205,11 +205,11 @@ def displacement_visibility(
     return _compared(true.reshape(-1), found.reshape(-1))
 
 
-def _compared(true: Floats, found: Floats) -> Visibility:
-    true, found = true - true.mean(), found - found.mean()
-    energy, size = float(true @ true), float(found @ found)
+def _compared(true: Floats, estimated: Floats) -> Visibility:
+    true, estimated = true - true.mean(), estimated - estimated.mean()
+    energy, size = float(true @ true), float(estimated @ estimated)
     if energy <= 0:
         raise InputError("the known motion is constant", code="integration.constant")
-    lost = float((true - found) @ (true - found)) / energy
-    correlation = float(true @ found) / np.sqrt(energy * size) if size > 0 else 0.0
+    lost = float((true - estimated) @ (true - estimated)) / energy
+    correlation = float(true @ estimated) / np.sqrt(energy * size) if size > 0 else 0.0
     return Visibility(lost, float(correlation), float(np.sqrt(size / len(true))), float(np.sqrt(energy / len(true))))

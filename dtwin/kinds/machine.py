@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from dtwin.machines.axis_server import Clock, ServedMachine
     from dtwin.progress import Progress
     from dtwin.serve.bundle import Bundle
-    from dtwin.train.circle_evidence import EvidencePlan
     from dtwin.train.evidence import Evidence
     from dtwin.train.measured_ways import MeasuredWays
     from dtwin.train.recheck import CheckedRun
@@ -67,15 +66,15 @@ class EvidenceRequest:
     ----------
     geometry : mapping
         ``machine_geometry`` that it was trained with.
-    plan : EvidencePlan or None
-        Circles, for machines that run circles.
+    plan : object
+        What the machine is measured by, in the form of its kind; None when it chooses.
     """
 
     registry: Registry
     version: RegisteredVersion
     bundle: Bundle
     geometry: Mapping[str, Any]
-    plan: EvidencePlan | None
+    plan: Any
     seed: int
     progress: Progress | None
 

@@ -38,21 +38,21 @@ def kind_named(name: str) -> Kind:
         When there is none of that name.
     """
     if name in _OWN:
-        found = import_module(f"dtwin.kinds.{name}.record").KIND
+        kind = import_module(f"dtwin.kinds.{name}.record").KIND
     elif name in _of_others():
-        found = _of_others()[name].load()
+        kind = _of_others()[name].load()
     else:
         raise InputError(
             "unknown kind of campaign", code="campaign.kind", got=str(name)[:60], allowed=", ".join(kind_names())
         )
-    if not isinstance(found, Kind) or found.name != name:
+    if not isinstance(kind, Kind) or kind.name != name:
         raise InputError(
             "an entry point of dtwin.kinds gives no kind of its name",
             code="kind.entry_point",
             got=name,
             allowed="an instance of dtwin.kinds.kind.Kind with that name",
         )
-    return found
+    return kind
 
 
 def kinds() -> Iterator[Kind]:

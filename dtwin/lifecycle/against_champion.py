@@ -82,7 +82,7 @@ def compare_with_champion(home: Home, registered: Registered, rows: Sequence[dic
         registry.mark(registered.version, tags | {"against_champion": refused.message})
         return None
     seen = {row["content_sha256"] for row in trained_rows(registry, lake, champion)}
-    found = Comparison(
+    comparison = Comparison(
         candidate=registered.version.version,
         champion=champion.version,
         candidate_um=report.candidate(report.proposed).held_out.rms_um,
@@ -92,18 +92,18 @@ def compare_with_champion(home: Home, registered: Registered, rows: Sequence[dic
         n_runs=error.n_runs,
         seen_by_champion=sum(row["content_sha256"] in seen for row in rows),
     )
-    _leave_for_reviewer(registry, registered, champion, found)
-    registry.mark(registered.version, tags | {"against_champion": found.verdict})
-    return found
+    _leave_for_reviewer(registry, registered, champion, comparison)
+    registry.mark(registered.version, tags | {"against_champion": comparison.verdict})
+    return comparison
 
 
 def _leave_for_reviewer(
-    registry: Registry, registered: Registered, champion: RegisteredVersion, found: Comparison
+    registry: Registry, registered: Registered, champion: RegisteredVersion, comparison: Comparison
 ) -> None:
     section = Section(
         "Against the champion",
         [
-            found.verdict + ".",
+            comparison.verdict + ".",
             "Both errors are on the same runs, what belongs to a set-up taken out. The candidate is scored with "
             f"every {registered.training.report.candidate(registered.training.report.proposed).held_out.group} left "
             "out of its search and fit in turn; the champion is its frozen bundle, as limited by its validity box "
@@ -111,11 +111,11 @@ def _leave_for_reviewer(
             "Nothing was promoted: dtwin promote does that, after trial and evidence.",
             *verdict_lines(registered.verdicts),
         ],
-        tables=[Table(*found.table())],
+        tables=[Table(*comparison.table())],
     )
-    title = f"Version {found.candidate} against champion {champion.version}"
+    title = f"Version {comparison.candidate} against champion {champion.version}"
     registry.attach(
         registered.version, {"against-champion.html": page(title, f"machine {champion.machine}", [section])}
     )
     before = registry.description(registered.version)
-    registry.mark(registered.version, {}, description=f"{before}\n\nScheduled training: {found.verdict}.")
+    registry.mark(registered.version, {}, description=f"{before}\n\nScheduled training: {comparison.verdict}.")

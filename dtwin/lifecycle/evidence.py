@@ -24,7 +24,6 @@ from dtwin.train.promotion import promote
 from dtwin.train.registry import RegisteredVersion, Registry
 
 if TYPE_CHECKING:
-    from dtwin.train.circle_evidence import EvidencePlan
     from dtwin.train.measured_ways import MeasuredWays
 
 
@@ -60,20 +59,14 @@ def compute(
 
 
 def measure(
-    home: Home,
-    version: RegisteredVersion,
-    *,
-    seed: int,
-    plan: EvidencePlan | None = None,
-    progress: Progress | None = None,
+    home: Home, version: RegisteredVersion, *, seed: int, plan: Any = None, progress: Progress | None = None
 ) -> Evidence:
     """Measure a virtual machine with and without a version, and compute evidence from the runs.
 
     Parameters
     ----------
-    plan : EvidencePlan, optional
-        Circles, for machines that run circles; without, one radius of every plane that was
-        trained, at feeds that were and were not.
+    plan : object, optional
+        What the machine is measured by, in the form of its kind; it chooses from what was trained without.
 
     Raises
     ------

@@ -119,10 +119,10 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
     """
     registry = Registry(home)
     if name in ("latest", "trial") or name.endswith(".json"):
-        found = resolve(name, machine, home, harmless=True)
-        bundle = Bundle.from_dict(read_json(found.path, MAX_BYTES))
-        version = _registered(registry, found.machine, found.version)
-        return _source(home, bundle, found.state, version, library)
+        resolved = resolve(name, machine, home, harmless=True)
+        bundle = Bundle.from_dict(read_json(resolved.path, MAX_BYTES))
+        version = _registered(registry, resolved.machine, resolved.version)
+        return _source(home, bundle, resolved.state, version, library)
     if name.isdigit():
         if machine is None:
             raise InputError(

@@ -100,15 +100,15 @@ def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress | N
         if not mine:
             return Scheduled("skipped", "another scheduled training is at work")
         registry = Registry(home)
-        found = news(home, registry)
-        if not found:
+        fresh = news(home, registry)
+        if not fresh:
             return Scheduled("skipped", "the lake holds no campaign yet: dtwin ingest PATH")
         turn = _Turn(home, registry, seed, progress)
-        for item in found:
+        for item in fresh:
             turn.look_at(item)
             if turn.registered is not None:
                 break
-        return turn.result(found)
+        return turn.result(fresh)
 
 
 def news(home: Home, registry: Registry) -> list[CampaignNews]:
@@ -125,12 +125,12 @@ def news(home: Home, registry: Registry) -> list[CampaignNews]:
     known = {
         machine: _known(registry, lake, machine) for machine in {rows[0]["machine"] for rows in by_campaign.values()}
     }
-    found = []
+    news = []
     for name in reversed(order):
         rows = [row for row in by_campaign[name] if usable(row)]
         machine = by_campaign[name][0]["machine"]
         contents = sorted(row["content_sha256"] for row in rows)
-        found.append(
+        news.append(
             CampaignNews(
                 campaign=name,
                 machine=machine,
@@ -140,7 +140,7 @@ def news(home: Home, registry: Registry) -> list[CampaignNews]:
                 obstacle=_obstacle(rows, lake.campaign(name)),
             )
         )
-    return found
+    return news
 
 
 def _known(registry: Registry, lake: Lake, machine: str) -> set[str]:
@@ -215,7 +215,7 @@ class _Turn:
             return
         self.comparison = compare_with_champion(self.home, self.registered, item.rows)
 
-    def result(self, found: list[CampaignNews]) -> Scheduled:
+    def result(self, news: list[CampaignNews]) -> Scheduled:
         """Return what was done."""
         outcome: Outcome = "trained"
         if self.registered is not None:
@@ -225,12 +225,12 @@ class _Turn:
         else:
             judged = any(check.error is not None for check in self.drift)
             outcome = "checked" if judged else "skipped"
-            reason = "nothing new to train on" + _newest_training(self.registry, found)
+            reason = "nothing new to train on" + _newest_training(self.registry, news)
         return Scheduled(outcome, reason, self.told, self.registered, self.comparison, tuple(self.drift))
 
 
-def _newest_training(registry: Registry, found: list[CampaignNews]) -> str:
-    machine = found[0].machine
+def _newest_training(registry: Registry, news: list[CampaignNews]) -> str:
+    machine = news[0].machine
     versions = registry.versions(machine)
     if not versions:
         return ""

@@ -61,9 +61,9 @@ class LineSocket:
                 raise self.fault("states.closed", f"the {self._what} is not open")
             left_s = max(until_s - time.monotonic(), 0.0)
             ready, _, _ = select.select([self._socket], [], [], left_s)
-            found = self._received(self._socket) if ready else []
-            if found or time.monotonic() >= until_s:
-                return found
+            lines = self._received(self._socket) if ready else []
+            if lines or time.monotonic() >= until_s:
+                return lines
 
     def send(self, line: bytes) -> None:
         """Send a line, its end included, without waiting.
@@ -107,8 +107,8 @@ class LineSocket:
                 raise self.fault("states.lost", f"the {self._what} broke ({error})") from error
             if not received:
                 raise self.fault("states.lost", f"the {self._what} closed the connection")
-        *found, self._held = (self._held + received).split(b"\n")
+        *lines, self._held = (self._held + received).split(b"\n")
         if len(self._held) > self._longest:
             self._held = b""
             self.overlong += 1
-        return found
+        return lines

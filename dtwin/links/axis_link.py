@@ -236,10 +236,10 @@ class AxisLink(StateLines):
 
 def _object(line: bytes) -> dict[str, object] | None:
     try:
-        found = json.loads(line)
+        document = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    return found if isinstance(found, dict) else None
+    return document if isinstance(document, dict) else None
 
 
 def _number(value: object) -> float | None:

@@ -43,16 +43,16 @@ class Bridge(OpenAndClose):
         DeviceError
             When nothing answers there.
         """
-        found = socket.socket(socket.AF_UNIX)
-        found.settimeout(_ANSWER_S)
+        connection = socket.socket(socket.AF_UNIX)
+        connection.settimeout(_ANSWER_S)
         try:
-            found.connect(str(self.path))
+            connection.connect(str(self.path))
         except OSError as error:
-            found.close()
+            connection.close()
             raise DeviceError(
                 "LinuxCNC's bridge is not there", code="linuxcnc.bridge", where=str(self.path), got=str(error)
             ) from error
-        self._socket = found
+        self._socket = connection
 
     def close(self) -> None:
         """Go away; a correction that was sent is dropped by the component's watchdog."""

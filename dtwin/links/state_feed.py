@@ -47,11 +47,11 @@ class StateFeed(StateLines):
 
     def _take(self, lines: list[bytes]) -> bool:
         """Keep the last line that is a state; tell whether there was one."""
-        found = False
+        taken = False
         for line in reversed(lines):
-            if not found:
-                found = self._read(line)
-        return found
+            if not taken:
+                taken = self._read(line)
+        return taken
 
     def _read(self, line: bytes) -> bool:
         try:

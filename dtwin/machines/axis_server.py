@@ -326,10 +326,10 @@ class _Client:
         except OSError:
             received = b""
         self.gone = self.gone or not received
-        *found, self._held = (self._held + received).split(b"\n")
+        *contents, self._held = (self._held + received).split(b"\n")
         if len(self._held) > LONGEST_LINE:
             self._held = b""
-        return found
+        return contents
 
     def send(self, values: Mapping[str, object]) -> None:
         """Send an object; a client that does not read has gone."""

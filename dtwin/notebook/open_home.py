@@ -127,11 +127,15 @@ class OpenHome:
                 got=", ".join(unknown)[:120],
                 allowed=", ".join(_TOLD),
             )
-        found = ingest_path(Path(path), self._lake, told=told)
-        rows = [{"run_id": run, **finding.as_dict()} for run, finding in found.findings]
+        ingested = ingest_path(Path(path), self._lake, told=told)
+        rows = [{"run_id": run, **finding.as_dict()} for run, finding in ingested.findings]
         columns = ["run_id", "severity", "code", "message"]
         return IngestResult(
-            found.campaign, found.added, found.unchanged, found.rejected_rows, pd.DataFrame(rows, columns=columns)
+            ingested.campaign,
+            ingested.added,
+            ingested.unchanged,
+            ingested.rejected_rows,
+            pd.DataFrame(rows, columns=columns),
         )
 
     def runs(self, campaign: str | None = None) -> pd.DataFrame:

@@ -76,7 +76,7 @@ class CellFile:
             When its file is damaged.
         """
         try:
-            found = json.loads(self._path.read_text(encoding="utf-8"))
+            document = json.loads(self._path.read_text(encoding="utf-8"))
         except FileNotFoundError as error:
             raise InputError(
                 "the cell has no job", code="cell.none", where=self.name, hint=f"dtwin cell run --cell {self.name}"
@@ -89,14 +89,14 @@ class CellFile:
                 got=str(error)[:120],
                 hint=f"dtwin cell clear --cell {self.name}",
             ) from error
-        if not isinstance(found, dict) or not isinstance(found.get("steps"), list):
+        if not isinstance(document, dict) or not isinstance(document.get("steps"), list):
             raise StoreError(
                 "the cell's state is something else",
                 code="cell.state",
                 where=str(self._path),
                 hint=f"dtwin cell clear --cell {self.name}",
             )
-        return found
+        return document
 
     def write(self, state: dict[str, Any]) -> None:
         """Replace the state in one step."""

@@ -14,7 +14,7 @@ from dtwin.lifecycle.train import Registered
 from dtwin.pipeline.demo_steps import PlainSteps, Result, Steps, Work
 from dtwin.pipeline.integration_check import sample_check
 from dtwin.pipeline.wall_clock import serving_numbers
-from dtwin.plan import Plan, training_plan
+from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan, Plan, training_plan
 from dtwin.progress import Progress
 from dtwin.report.campaign import (
     comparison_table,
@@ -26,7 +26,6 @@ from dtwin.report.campaign import (
 from dtwin.report.checking import render_check
 from dtwin.report.html import Section, Table, page
 from dtwin.report.text import table
-from dtwin.train.circle_evidence import DEFAULT_PLAN, EvidencePlan
 from dtwin.train.gates import Verdict
 from dtwin.train.promotion import verdict_lines
 
@@ -59,7 +58,7 @@ class DemoSize:
 
 def full_size() -> DemoSize:
     """Return the demo of the README: 81 tests, 162 runs, twelve conditions."""
-    return DemoSize(training_plan(), DEFAULT_PLAN, _SERVE_S)
+    return DemoSize(training_plan(), DEFAULT_EVIDENCE, _SERVE_S)
 
 
 def quick_size() -> DemoSize:

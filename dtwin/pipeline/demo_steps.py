@@ -16,10 +16,9 @@ from dtwin.lifecycle import evidence
 from dtwin.lifecycle import train as modelling
 from dtwin.pipeline import measuring
 from dtwin.pipeline.wall_clock import Circle, serve_wall_clock
-from dtwin.plan import Plan
+from dtwin.plan import EvidencePlan, Plan
 from dtwin.progress import Progress
 from dtwin.report.checking import check_source
-from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.registry import RegisteredVersion
 

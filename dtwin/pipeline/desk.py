@@ -142,8 +142,8 @@ def give_answer(folder: Path, question_id: str, answer: str) -> None:
 
 def _answer_file(folder: Path, question: Question) -> str | None:
     try:
-        found = json.loads((folder / _ANSWER).read_text(encoding="utf-8"))
-        answer = found["answer"] if found["question"] == question.id else None
+        document = json.loads((folder / _ANSWER).read_text(encoding="utf-8"))
+        answer = document["answer"] if document["question"] == question.id else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return answer if answer in question.answers else None

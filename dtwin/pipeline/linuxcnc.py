@@ -63,19 +63,19 @@ class LiveCorrection:
         DeviceError
             When the link fails or the correction did not return to zero.
         """
-        found: list[ServeStatus] = []
+        statuses: list[ServeStatus] = []
         with Bridge(self.session.socket_path) as bridge:
             link = LinuxcncLink(bridge)
             before = int(bridge.ask(do="get", pin="correction.trips")["value"])
 
             def serve(begin: Callable[[], None], ended: Callable[[], bool]) -> None:
-                found.append(self._serve(link, begin, ended))
+                statuses.append(self._serve(link, begin, ended))
                 while not ended():
                     time.sleep(_POLL_S)
 
             (trace,) = run_circles(self.session, [circle], serve)
             trips = int(bridge.ask(do="get", pin="correction.trips")["value"]) - before
-        (status,) = found
+        (status,) = statuses
         if status.fault or not status.released:
             raise DeviceError("serving failed", code="linuxcnc.served", got=str(status.fault or status.ended))
         return LiveTrace(trace, status, trips)

@@ -314,7 +314,7 @@ def _read_state(path: Path) -> _State:
 
 def _strange(run: Run, step: Step) -> list[Finding]:
     """Compare a run with what was asked for."""
-    found = []
+    findings = []
     meta, asked = run.meta, step.stated
     told = [
         f"{name} {getattr(meta, name)} instead of {asked[name]}"
@@ -323,12 +323,12 @@ def _strange(run: Run, step: Step) -> list[Finding]:
     ]
     if told:
         text = f"the file is of another test: {', '.join(told)}"
-        found.append(Finding("campaign.other_test", "error", text))
+        findings.append(Finding("campaign.other_test", "error", text))
     if meta.correction not in (step.correction, "mixed"):
         was = f"under {meta.correction[:12]}" if meta.correction else "without a correction"
         text = f"it was measured {was}, and should have been {step.wanted}"
-        found.append(Finding("campaign.other_way", "error", text))
-    return found
+        findings.append(Finding("campaign.other_way", "error", text))
+    return findings
 
 
 def _differ(one: object, other: object) -> bool:

@@ -204,12 +204,12 @@ def _restarts(points: Sequence[Point], events: Sequence[Event]) -> dict[int, str
     return found
 
 
-def _changes(series: Series, found: Chart, why: Mapping[int, str], events: Sequence[Event]) -> list[dict[str, Any]]:
+def _changes(series: Series, chart: Chart, why: Mapping[int, str], events: Sequence[Event]) -> list[dict[str, Any]]:
     """Return every change: alarms, and what differs after an event, JSON-ready, newest first."""
     points, out = series.points, []
     unit = shown_unit(series.unit)
-    for alarm in found.alarms:
-        regime = next(r for r in found.regimes if r.first == alarm.first)
+    for alarm in chart.alarms:
+        regime = next(r for r in chart.regimes if r.first == alarm.first)
         if alarm.trend:
             size = _signed(regime.slope * _MONTH, regime.slope_expanded * _MONTH)
             began, ended = (points[i].started[:10] for i in (regime.first, regime.last))
@@ -234,8 +234,8 @@ def _changes(series: Series, found: Chart, why: Mapping[int, str], events: Seque
             }
         )
     for i, reason in why.items():
-        before = next(r for r in found.regimes if r.last == i - 1)
-        after = next(r for r in found.regimes if r.first == i)
+        before = next(r for r in chart.regimes if r.last == i - 1)
+        after = next(r for r in chart.regimes if r.first == i)
         half = math.hypot(before.expanded, after.expanded)
         text = f"{series.name} {_signed(after.mean - before.mean, half)} {unit} after: {reason}"
         out.append(

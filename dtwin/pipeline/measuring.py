@@ -91,11 +91,11 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
                 )
             contract = mine
             block = np.stack([group.columns[name] for name in contract.channels])
-            found = batch_features(block, contract, group.start_s)
-            flat = found.values.reshape(len(found.values), -1)
-            bad += int(np.count_nonzero(found.codes == 2))
-            constant += int(np.count_nonzero(found.codes == 1))
-            parts.append({"run": row["run_id"], "end_s": found.end_s, "values": flat})
+            features = batch_features(block, contract, group.start_s)
+            flat = features.values.reshape(len(features.values), -1)
+            bad += int(np.count_nonzero(features.codes == 2))
+            constant += int(np.count_nonzero(features.codes == 1))
+            parts.append({"run": row["run_id"], "end_s": features.end_s, "values": flat})
             keys.append(row["content_sha256"])
         if progress is not None:
             progress(done, len(rows), row["run_id"])

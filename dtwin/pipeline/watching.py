@@ -196,9 +196,9 @@ def _state_file(home: Home, folder: Path) -> Path:
 def _read(path: Path) -> dict[str, dict[str, Any]]:
     """Return what an earlier watch knew; a damaged file only costs work: the lake knows its runs."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"))
         wanted = {"stamp", "sha256", "outcome", "machine", "campaign"}
-        good = isinstance(found, dict) and all(set(known) == wanted for known in found.values())
+        good = isinstance(document, dict) and all(set(known) == wanted for known in document.values())
     except (OSError, ValueError, TypeError):
         return {}
-    return found if good else {}
+    return document if good else {}

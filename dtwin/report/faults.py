@@ -47,14 +47,14 @@ class Fault:
 
 def faults(twin: Twin, width: int = 72) -> list[Fault]:
     """Return the effects of a twin as faults, in the order of the twin."""
-    found = []
+    faults = []
     for term in twin.terms:
         effect, axis = term.instance.effect, term.instance.axis
         mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
         title = f"{effect.title}, {axis}" if axis else effect.title
         picture = signature_svg(effect, axis, width)
-        found.append(Fault(effect.name, axis, title, size_of(mine), effect.looks_like, effect.remedy, picture))
-    return found
+        faults.append(Fault(effect.name, axis, title, size_of(mine), effect.looks_like, effect.remedy, picture))
+    return faults
 
 
 def size_of(estimates: Sequence[Estimate]) -> str:

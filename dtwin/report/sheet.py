@@ -7,7 +7,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from dtwin.report.html import Section, Table
 from dtwin.report.text import decimals, table
 from dtwin.schema import Run
 from dtwin.statistics import t_quantile
@@ -238,10 +237,3 @@ def sheet_lines(sheet: Mapping[str, Any]) -> list[str]:
             rows.append([part["title"], *(cell.removesuffix(" -") for cell in cells), part["verdict"] or "-"])
         lines += table(("µm", *symbols, "decision"), rows).splitlines()
     return [*lines, sheet["basis"], *sheet["notes"]]
-
-
-def sheet_section(sheet: Mapping[str, Any]) -> Section:
-    """Return what :meth:`Sheet.as_dict` gave for a report."""
-    tables = [Table((part["title"], *HEAD), _rows(part)) for part in sheet["parts"]]
-    verdict = f"Decision: {sheet['verdict']}." if sheet["verdict"] else "No tolerance is stated for this machine."
-    return Section(sheet["standard"], (verdict, sheet["basis"], *sheet["notes"]), tables=tables)

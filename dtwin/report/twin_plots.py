@@ -287,9 +287,10 @@ def ranked_figure(diagnosis: Mapping[str, Any]) -> go.Figure:
         )
     )
     figure.add_vline(x=diagnosis["residual_rms_um"], line={"color": COLOURS["second"]}, annotation_text="now")
-    if np.isfinite(diagnosis["noise_floor_um"]):
+    floor = diagnosis["noise_floor_um"]
+    if floor is not None and np.isfinite(floor):
         figure.add_vline(
-            x=diagnosis["noise_floor_um"],
+            x=floor,
             line={"color": COLOURS["floor"], "dash": "dash"},
             annotation_text="noise floor",
             annotation_position="bottom right",

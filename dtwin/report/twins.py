@@ -266,9 +266,9 @@ def effect_text(effect: Effect) -> str:
     return "\n".join(line for line in lines if line)
 
 
-def comparison_sections(found: Comparison, result: Mapping[str, Any]) -> list[Section]:
+def comparison_sections(comparison: Comparison, result: Mapping[str, Any]) -> list[Section]:
     """Return measured against predicted: by condition, as a map, and overlaid."""
-    obs, before_um, residual_um = found.obs, found.before_um, found.residual_um
+    obs, before_um, residual_um = comparison.obs, comparison.before_um, comparison.residual_um
     means = localise.condition_means(obs, residual_um)
     measured = localise.condition_means(obs, before_um)
     floor = float(result["noise_floor_um"])

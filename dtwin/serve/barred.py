@@ -31,9 +31,9 @@ def allow(machine: str, home: Home, version: int) -> None:
     if not (folder / BARRED).exists():
         return
     with locked(folder):
-        found = _read(machine, home)
-        if found.pop(str(version), None) is not None:
-            write_sealed(folder, BARRED, found)
+        content = _read(machine, home)
+        if content.pop(str(version), None) is not None:
+            write_sealed(folder, BARRED, content)
 
 
 def barred_why(machine: str, home: Home, version: int) -> str:
@@ -72,17 +72,17 @@ class BarredWatch:
 
     def _look(self) -> tuple[int, int]:
         try:
-            found = self._file.stat()
+            state = self._file.stat()
         except OSError:
             return 0, 0
-        return found.st_mtime_ns, found.st_ino
+        return state.st_mtime_ns, state.st_ino
 
 
 def _read(machine: str, home: Home) -> dict[str, str]:
     folder = machine_folder(machine, home)
-    found = read_sealed(folder, BARRED)
-    if found is None:
+    sealed = read_sealed(folder, BARRED)
+    if sealed is None:
         return {}
-    if not isinstance(found, dict):
+    if not isinstance(sealed, dict):
         raise InputError("the list of withdrawn versions is malformed", code="barred.file", where=str(folder / BARRED))
-    return {str(key): str(value) for key, value in found.items()}
+    return {str(key): str(value) for key, value in sealed.items()}

@@ -146,15 +146,15 @@ def renew_proof(machine: str, home: Home, version: int, proved: str) -> None:
         content = read_sealed(folder, CHAMPION)
         if content is None:
             return
-        found = only_fields(content, _FIELDS, CHAMPION)
-        if (found["version"], found["state"]) == (version, "champion"):
-            write_sealed(folder, CHAMPION, found | {"proved": proved})
+        fields = only_fields(content, _FIELDS, CHAMPION)
+        if (fields["version"], fields["state"]) == (version, "champion"):
+            write_sealed(folder, CHAMPION, fields | {"proved": proved})
 
 
 def on_trial(machine: str, home: Home) -> int | None:
     """Return the version that is on trial, None when there is none."""
-    found = read_sealed(machine_folder(machine, home), TRIAL)
-    return None if found is None else whole(only_fields(found, _FIELDS, TRIAL)["version"], "version")
+    sealed = read_sealed(machine_folder(machine, home), TRIAL)
+    return None if sealed is None else whole(only_fields(sealed, _FIELDS, TRIAL)["version"], "version")
 
 
 def clear_trial(machine: str, home: Home) -> None:
@@ -216,9 +216,9 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
         When the bundle was changed, or its version may not correct a machine.
     """
     if model.endswith(".json"):
-        found = _resolve_file(Path(model), machine, home)
+        resolved = _resolve_file(Path(model), machine, home)
     elif model in _POINTERS:
-        found = _follow(model, only_machine(home, model) if machine is None else machine, home)
+        resolved = _follow(model, only_machine(home, model) if machine is None else machine, home)
     else:
         raise InputError(
             "unknown model",
@@ -227,19 +227,19 @@ def resolve(model: str, machine: str | None, home: Home, *, harmless: bool = Fal
             allowed="latest, trial, or the path of a bundle's .json file",
             hint="dtwin promote moves the pointer that latest follows",
         )
-    why = barred_why(found.machine, home, found.version)
-    if why and found.state in _SERVED_LIVE:
-        found = dataclasses.replace(found, state="barred")
-    if found.state not in _SERVED_LIVE and not harmless:
+    why = barred_why(resolved.machine, home, resolved.version)
+    if why and resolved.state in _SERVED_LIVE:
+        resolved = dataclasses.replace(resolved, state="barred")
+    if resolved.state not in _SERVED_LIVE and not harmless:
         raise GateRefusal(
-            f"version {found.version} is {found.state} and may not correct a machine",
+            f"version {resolved.version} is {resolved.state} and may not correct a machine",
             code="serve.not_passed",
-            where=str(found.path),
-            got=f"{found.state}: {why}" if why else found.state,
+            where=str(resolved.path),
+            got=f"{resolved.state}: {why}" if why else resolved.state,
             allowed=", ".join(_SERVED_LIVE),
             hint="dtwin promote it, or look at it with --shadow or --dry-run",
         )
-    return found
+    return resolved
 
 
 def _follow(model: str, machine: str, home: Home) -> Resolved:
@@ -253,12 +253,12 @@ def _follow(model: str, machine: str, home: Home) -> Resolved:
             where=str(pointer),
             hint=_absent_hint(model, machine, home),
         )
-    found = read_sealed(folder, pointer.name)
-    if found is None:
+    sealed = read_sealed(folder, pointer.name)
+    if sealed is None:
         raise InputError(
             "the file cannot be read", code="bundle.missing", where=str(pointer), hint="dtwin promote writes it"
         )
-    fields = only_fields(found, _FIELDS, str(pointer))
+    fields = only_fields(sealed, _FIELDS, str(pointer))
     path = _inside(folder, text(fields["bundle"], "bundle"))
     states = tuple(state for state in STATES if (state == "trial") == (model == "trial"))
     state = one_of(fields["state"], states, "state")

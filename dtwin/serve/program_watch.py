@@ -87,9 +87,9 @@ class ProgramWatch:
             about = {_ABOUT[name]: trouble} if trouble and name in _ABOUT else {}
             self._note("guard", why=name, **about)
 
-    def _change(self, found: str, now_s: float) -> None:
-        before, self.condition, self.since_s = self.condition, found, now_s
+    def _change(self, condition: str, now_s: float) -> None:
+        before, self.condition, self.since_s = self.condition, condition, now_s
         if before.endswith("_stop") or before == "stopped":
             self._free_at_s = now_s + self._settle_s
-        if before or found != "running":
-            self._note("program", was=before or "unknown", now=found)
+        if before or condition != "running":
+            self._note("program", was=before or "unknown", now=condition)

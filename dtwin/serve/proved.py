@@ -12,7 +12,7 @@ from dtwin.serve.pointer import Resolved
 WhenExpired = Literal["refuse", "warn"]
 
 
-def proof_of(found: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]:
+def proof_of(resolved: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]:
     """Return when a model was last proved, for people, and whether that still holds.
 
     Parameters
@@ -24,7 +24,7 @@ def proof_of(found: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]
     """
     days = bundle.provenance.valid_days
     limit = f"; a proof holds for {days:g} days" if days else ""
-    when = _moment(found.proved)
+    when = _moment(resolved.proved)
     if when is None:
         return f"never proved in a closed loop{limit}", not days
     age = now - when
@@ -32,7 +32,7 @@ def proof_of(found: Resolved, bundle: Bundle, now: datetime) -> tuple[str, bool]
     return f"last proved {when:%Y-%m-%d}, {max(age.days, 0)} days ago{limit}", holds
 
 
-def require_proof(found: Resolved, bundle: Bundle, when_expired: WhenExpired, now: datetime | None = None) -> str:
+def require_proof(resolved: Resolved, bundle: Bundle, when_expired: WhenExpired, now: datetime | None = None) -> str:
     """Return what is to be told of a champion's proof before it moves a machine.
 
     Parameters
@@ -49,7 +49,7 @@ def require_proof(found: Resolved, bundle: Bundle, when_expired: WhenExpired, no
     GateRefusal
         When it does not hold and this was not to be a warning.
     """
-    told, holds = proof_of(found, bundle, now or datetime.now(UTC))
+    told, holds = proof_of(resolved, bundle, now or datetime.now(UTC))
     if holds:
         return told
     if when_expired == "warn":
@@ -57,7 +57,7 @@ def require_proof(found: Resolved, bundle: Bundle, when_expired: WhenExpired, no
     raise GateRefusal(
         "the evidence for this model has expired",
         code="serve.expired",
-        where=str(found.path),
+        where=str(resolved.path),
         got=told,
         hint="dtwin recheck proves it anew; or look at it with --shadow; --expired warn serves it all the same",
     )

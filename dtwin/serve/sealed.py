@@ -135,14 +135,14 @@ def _allowed(folder: Path) -> _Allowed | None:
         return None
     path = folder / SEAL
     try:
-        found = only_fields(parse_json(read_bytes(path, _MAX_BYTES), path), SEALED, str(path))
+        fields = only_fields(parse_json(read_bytes(path, _MAX_BYTES), path), SEALED, str(path))
     except InputError as error:
         raise _broken(path, "seal.broken", "the seal of a machine's files is not whole") from error
-    for digests in found.values():
+    for digests in fields.values():
         known = isinstance(digests, list) and 1 <= len(digests) <= 2
         if not known or not all(d is None or isinstance(d, str) for d in digests):
             raise _broken(path, "seal.broken", "the seal of a machine's files is not whole")
-    return found
+    return fields
 
 
 def _write_seal(folder: Path, allowed: _Allowed) -> None:

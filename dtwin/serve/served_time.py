@@ -135,8 +135,8 @@ def _told(stretch: ServedStretch) -> str:
 def _events(lines: Iterable[bytes]) -> Iterable[Mapping[str, Any]]:
     for line in lines:
         try:
-            found = json.loads(line)
-            yield found | {"at": datetime.fromisoformat(found["time"])}
+            document = json.loads(line)
+            yield document | {"at": datetime.fromisoformat(document["time"])}
         except (ValueError, KeyError, TypeError):
             # The end of a line that a full disk cut off.
             continue

@@ -79,7 +79,7 @@ def _instructions(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> 
     """Return one instruction per operation, or per two that are cheaper together."""
     products, cosines = _products_of_sums(graph), _cosines_of_sines(graph)
     absorbed = {*products.values(), *cosines.values()}
-    found = []
+    instructions = []
     for i, node in enumerate(graph.nodes):
         if node.op not in OPERATORS or i in absorbed:
             continue
@@ -87,15 +87,15 @@ def _instructions(graph: Graph, slots: Sequence[int], tables: Sequence[int]) -> 
         if i in products:
             other = next(a for a in (*node.args[1:], node.args[0]) if a != products[i])
             places = [slots[a] for a in (*graph.nodes[products[i]].args, other)]
-            found.append(Instruction(MULTIPLY_ADD, slots[i], _three(places), frozenset(places)))
+            instructions.append(Instruction(MULTIPLY_ADD, slots[i], _three(places), frozenset(places)))
         elif i in cosines:
             also = slots[cosines[i]]
-            found.append(Instruction(SINE_AND_COSINE, slots[i], (places[0], also, 0), frozenset(places), also))
+            instructions.append(Instruction(SINE_AND_COSINE, slots[i], (places[0], also, 0), frozenset(places), also))
         else:
             arguments = places[0], _second(node, tables, places[-1]), 0
             op = OPERATORS[node.op].code
-            found.append(Instruction(op, slots[i], arguments, frozenset(places)))
-    return found
+            instructions.append(Instruction(op, slots[i], arguments, frozenset(places)))
+    return instructions
 
 
 def _products_of_sums(graph: Graph) -> dict[int, int]:

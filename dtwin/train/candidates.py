@@ -200,7 +200,7 @@ def baselines(rows: Rows) -> list[Candidate]:
         "first-harmonic": (lambda r, i: _linear(harmonic, r.target_um, i), 3),
         "look-up": (_lookup, 72),
     }
-    found = []
+    candidates = []
     for name, (make, size) in makers.items():
         scores = {}
         for group in held_out_groups(rows):
@@ -210,8 +210,8 @@ def baselines(rows: Rows) -> list[Candidate]:
             scores[group] = score(rows, predicted, group)
         everything = np.ones(rows.n, dtype=bool)
         rest = rows.without_setups(rows.target_um - make(rows, everything))
-        found.append(Candidate(name, "baseline", False, size, scores, rows.rms_um(rest)))
-    return found
+        candidates.append(Candidate(name, "baseline", False, size, scores, rows.rms_um(rest)))
+    return candidates
 
 
 def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed: int) -> Regressor:

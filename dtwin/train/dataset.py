@@ -77,12 +77,12 @@ def load_ticks(
     progress : callable, optional
         Called with (done, total, run id).
     """
-    found = []
+    runs = []
     for done, row in enumerate(rows, start=1):
-        found.append(_tick_run(lake.load(row), campaign))
+        runs.append(_tick_run(lake.load(row), campaign))
         if progress is not None:
             progress(done, len(rows), str(row["run_id"]))
-    return found
+    return runs
 
 
 def _tick_run(run: Run, campaign: Campaign) -> TickRun:

@@ -45,23 +45,23 @@ class Record:
         return [condition_name(c) for c in self.content["conditions"] if c["worse"]]
 
 
-def keep(registry: Registry, found: RegisteredVersion, evidence: Evidence) -> Record:
+def keep(registry: Registry, version: RegisteredVersion, evidence: Evidence) -> Record:
     """Keep evidence with a version, beside what was kept before."""
     now = datetime.now(UTC)
     content = evidence.as_dict() | {"notes": dict(evidence.notes), "time": now.isoformat()}
     text = json.dumps(content, indent=1)
     name = hashlib.sha256(text.encode()).hexdigest()[:12]
-    registry.attach(found, {f"{_FOLDER}/{now:%Y%m%dT%H%M%S%f}-{name}.json": text})
+    registry.attach(version, {f"{_FOLDER}/{now:%Y%m%dT%H%M%S%f}-{name}.json": text})
     return Record(name, content["time"], content)
 
 
-def records(registry: Registry, found: RegisteredVersion) -> list[Record]:
+def records(registry: Registry, version: RegisteredVersion) -> list[Record]:
     """Return all evidence that is kept with a version, oldest first."""
     out = []
-    for path in registry.files(found, _FOLDER):
+    for path in registry.files(version, _FOLDER):
         if not path.endswith(".json"):
             continue
-        content = registry.read_json(found, path)
+        content = registry.read_json(version, path)
         text = json.dumps(content, indent=1)
         name = path.removesuffix(".json").rpartition("-")[2]
         if hashlib.sha256(text.encode()).hexdigest()[:12] != name or not _whole(content):
@@ -75,9 +75,9 @@ def records(registry: Registry, found: RegisteredVersion) -> list[Record]:
     return out
 
 
-def newest(registry: Registry, found: RegisteredVersion) -> Record | None:
+def newest(registry: Registry, version: RegisteredVersion) -> Record | None:
     """Return the evidence that was computed last, None without any."""
-    kept = records(registry, found)
+    kept = records(registry, version)
     return kept[-1] if kept else None
 
 

@@ -110,9 +110,9 @@ def _of_campaign(lake: Lake, name: str, ways: Sequence[Way], model_sha256: str) 
     return found, told
 
 
-def _require_recorded(name: str, geometry: Mapping[str, Any], found: Sequence[EvidenceRun]) -> None:
+def _require_recorded(name: str, geometry: Mapping[str, Any], runs: Sequence[EvidenceRun]) -> None:
     """Refuse a campaign that says it was corrected while none of its runs says by what."""
-    if geometry.get("corrected", False) and not any(r.run.meta.correction for r in found):
+    if geometry.get("corrected", False) and not any(r.run.meta.correction for r in runs):
         raise GateRefusal(
             "a correction was in force during the campaign, but no run says which",
             code="evidence.without",

@@ -27,23 +27,23 @@ TRIAL_ONLY = "trial_only"
 _Action = Literal["trial", "champion", "refused", "rollback"]
 
 
-def check_version(registry: Registry, found: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
+def check_version(registry: Registry, version: RegisteredVersion) -> tuple[Bundle, list[Verdict]]:
     """Return a version's bundle and the verdicts of the offline gates."""
-    bundle = Bundle.from_dict(registry.bundle(found))
-    if bundle.machine != found.machine:
+    bundle = Bundle.from_dict(registry.bundle(version))
+    if bundle.machine != version.machine:
         raise GateRefusal(
-            "the bundle is for another machine", code="promote.machine", got=bundle.machine, allowed=found.machine
+            "the bundle is for another machine", code="promote.machine", got=bundle.machine, allowed=version.machine
         )
-    verdicts = kind_of(bundle).gates(bundle, registry.metrics(found))
-    barred = found.tags.get("state") == "barred"
-    verdicts.append(Verdict("not barred", not barred, found.tags.get("state", "candidate")))
+    verdicts = kind_of(bundle).gates(bundle, registry.metrics(version))
+    barred = version.tags.get("state") == "barred"
+    verdicts.append(Verdict("not barred", not barred, version.tags.get("state", "candidate")))
     return bundle, verdicts
 
 
 def promote(
     registry: Registry,
     home: Home,
-    found: RegisteredVersion,
+    version: RegisteredVersion,
     *,
     geometry: Mapping[str, Any],
     evidence: Evidence | None,
@@ -74,39 +74,39 @@ def promote(
     GateRefusal
         When a gate says no.
     """
-    bundle, verdicts = check_version(registry, found)
-    if found.tags.get(TRIAL_ONLY):
-        verdicts.append(Verdict("the twin is confirmed", False, found.tags[TRIAL_ONLY]))
+    bundle, verdicts = check_version(registry, version)
+    if version.tags.get(TRIAL_ONLY):
+        verdicts.append(Verdict("the twin is confirmed", False, version.tags[TRIAL_ONLY]))
     if evidence is None:
         verdicts.append(Verdict("closed-loop evidence", False, "none: measure it on trial first"))
     else:
         real = not bool(geometry.get("virtual", False))
         verdicts += evidence_gate(evidence, bundle, real=real)
-        verdicts += _against(records(registry, found), despite)
-    _record_verdicts(registry, found, verdicts)
+        verdicts += _against(records(registry, version), despite)
+    _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):
-        _remember(home, found, "refused", comment, verdicts, despite)
-        raise _refusal(found, verdicts)
+        _remember(home, version, "refused", comment, verdicts, despite)
+        raise _refusal(version, verdicts)
     kind = evidence.kind if evidence else "none"
-    path = _freeze(home, found, bundle, verdicts, kind, valid_days)
+    path = _freeze(home, version, bundle, verdicts, kind, valid_days)
     proved = _proved(evidence)
-    previous = registry.champion(found.machine)
-    _write_machine(found.machine, home, geometry)
-    allow(found.machine, home, int(found.version))
-    write_pointer(found.machine, home, path, int(found.version), "champion", proved)
-    if on_trial(found.machine, home) == int(found.version):
+    previous = registry.champion(version.machine)
+    _write_machine(version.machine, home, geometry)
+    allow(version.machine, home, int(version.version))
+    write_pointer(version.machine, home, path, int(version.version), "champion", proved)
+    if on_trial(version.machine, home) == int(version.version):
         # Its bundle now states the evidence, so that the trial's checksum is no longer the file's.
-        clear_trial(found.machine, home)
-    if previous is not None and previous.version != found.version:
+        clear_trial(version.machine, home)
+    if previous is not None and previous.version != version.version:
         registry.mark(previous, {"state": "previous"}, alias="previous")
     tags = {"state": "champion", "evidence": kind, "proved": proved}
-    registry.mark(found, tags, alias="champion")
-    _remember(home, found, "champion", comment, verdicts, despite)
+    registry.mark(version, tags, alias="champion")
+    _remember(home, version, "champion", comment, verdicts, despite)
     return path
 
 
 def trial(
-    registry: Registry, home: Home, found: RegisteredVersion, *, geometry: Mapping[str, Any], comment: str = ""
+    registry: Registry, home: Home, version: RegisteredVersion, *, geometry: Mapping[str, Any], comment: str = ""
 ) -> Path:
     """Put a version on trial: served only with ``--trial``, under a tight clamp.
 
@@ -120,16 +120,16 @@ def trial(
     GateRefusal
         When an offline gate says no.
     """
-    bundle, verdicts = check_version(registry, found)
-    _record_verdicts(registry, found, verdicts)
+    bundle, verdicts = check_version(registry, version)
+    _record_verdicts(registry, version, verdicts)
     if not all(v.passed for v in verdicts):
-        _remember(home, found, "refused", comment, verdicts)
-        raise _refusal(found, verdicts)
-    path = _freeze(home, found, bundle, verdicts, "none")
-    _write_machine(found.machine, home, geometry)
-    write_pointer(found.machine, home, path, int(found.version), "trial")
-    registry.mark(found, {"state": "trial"})
-    _remember(home, found, "trial", comment, verdicts)
+        _remember(home, version, "refused", comment, verdicts)
+        raise _refusal(version, verdicts)
+    path = _freeze(home, version, bundle, verdicts, "none")
+    _write_machine(version.machine, home, geometry)
+    write_pointer(version.machine, home, path, int(version.version), "trial")
+    registry.mark(version, {"state": "trial"})
+    _remember(home, version, "trial", comment, verdicts)
     return path
 
 
@@ -252,13 +252,13 @@ def _write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Non
         write_machine(machine, home, dict(geometry))
 
 
-def _bundle_path(home: Home, found: RegisteredVersion) -> Path:
-    return machine_folder(found.machine, home) / f"v{int(found.version):04d}.json"
+def _bundle_path(home: Home, version: RegisteredVersion) -> Path:
+    return machine_folder(version.machine, home) / f"v{int(version.version):04d}.json"
 
 
 def _freeze(
     home: Home,
-    found: RegisteredVersion,
+    version: RegisteredVersion,
     bundle: Bundle,
     verdicts: Sequence[Verdict],
     kind: str,
@@ -266,27 +266,27 @@ def _freeze(
 ) -> Path:
     provenance = dataclasses.replace(
         bundle.provenance,
-        mlflow_version=found.version,
+        mlflow_version=version.version,
         evidence=kind,
         gates={v.gate: v.passed for v in verdicts},
         valid_days=valid_days,
     )
-    frozen = dataclasses.replace(bundle, model_version=int(found.version), provenance=provenance)
-    path = _bundle_path(home, found)
+    frozen = dataclasses.replace(bundle, model_version=int(version.version), provenance=provenance)
+    path = _bundle_path(home, version)
     path.parent.mkdir(parents=True, exist_ok=True)
     return save_bundle(frozen, path)
 
 
-def _record_verdicts(registry: Registry, found: RegisteredVersion, verdicts: Sequence[Verdict]) -> None:
+def _record_verdicts(registry: Registry, version: RegisteredVersion, verdicts: Sequence[Verdict]) -> None:
     passed = all(v.passed for v in verdicts)
-    registry.mark(found, {"gates": "passed" if passed else "refused"})
-    registry.attach(found, {"gates.txt": "\n".join(verdict_lines(verdicts)) + "\n"})
+    registry.mark(version, {"gates": "passed" if passed else "refused"})
+    registry.attach(version, {"gates.txt": "\n".join(verdict_lines(verdicts)) + "\n"})
 
 
-def _refusal(found: RegisteredVersion, verdicts: Sequence[Verdict]) -> GateRefusal:
+def _refusal(version: RegisteredVersion, verdicts: Sequence[Verdict]) -> GateRefusal:
     failed = [f"{v.gate}: {v.reason}" for v in verdicts if not v.passed]
     return GateRefusal(
-        f"version {found.version} of {found.machine} is not promoted",
+        f"version {version.version} of {version.machine} is not promoted",
         code="promote.refused",
         got="; ".join(failed),
         hint="the reasons are in the registry too; a better candidate comes from dtwin train",
@@ -309,16 +309,16 @@ def _now() -> str:
 
 def _remember(
     home: Home,
-    found: RegisteredVersion,
+    version: RegisteredVersion,
     action: _Action,
     comment: str,
     verdicts: Sequence[Verdict],
     despite: Sequence[str] = (),
 ) -> None:
-    path = machine_folder(found.machine, home) / _HISTORY
+    path = machine_folder(version.machine, home) / _HISTORY
     entry = {
         "time": _now(),
-        "version": found.version,
+        "version": version.version,
         "action": action,
         "comment": comment,
         "failed": [v.gate for v in verdicts if not v.passed],

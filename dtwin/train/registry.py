@@ -207,8 +207,8 @@ class Registry:
 
     def versions(self, machine: str) -> list[RegisteredVersion]:
         """Return all versions of a machine's model, newest first."""
-        found = self.client.search_model_versions(f"name='{model_name(machine)}'")
-        numbers = sorted((int(v.version) for v in found), reverse=True)
+        versions = self.client.search_model_versions(f"name='{model_name(machine)}'")
+        numbers = sorted((int(v.version) for v in versions), reverse=True)
         return [self.version(machine, str(number)) for number in numbers]
 
     def machines(self) -> list[str]:
@@ -216,12 +216,12 @@ class Registry:
         names = [model.name for model in self.client.search_registered_models()]
         return sorted(n.removeprefix("dtwin-") for n in names if n.startswith("dtwin-"))
 
-    def bundle(self, found: RegisteredVersion) -> dict[str, Any]:
+    def bundle(self, version: RegisteredVersion) -> dict[str, Any]:
         """Return the bundle of a version, as data."""
-        loaded: dict[str, Any] = self.read_json(found, f"{_BUNDLE_FOLDER}/bundle.json")
+        loaded: dict[str, Any] = self.read_json(version, f"{_BUNDLE_FOLDER}/bundle.json")
         return loaded
 
-    def read_json(self, found: RegisteredVersion, name: str) -> Any:
+    def read_json(self, version: RegisteredVersion, name: str) -> Any:
         """Return a JSON artifact of the run behind a version.
 
         Raises
@@ -231,10 +231,10 @@ class Registry:
         StoreError
             When it cannot be read as JSON.
         """
-        where = f"machine {found.machine} version {found.version} {name}"
+        where = f"machine {version.machine} version {version.version} {name}"
         try:
             with tempfile.TemporaryDirectory() as folder:
-                path = Path(self.client.download_artifacts(found.run_id, name, folder))
+                path = Path(self.client.download_artifacts(version.run_id, name, folder))
                 content = path.read_text(encoding="utf-8")
         except (MlflowException, OSError) as error:
             raise InputError(
@@ -245,48 +245,48 @@ class Registry:
         except ValueError as error:
             raise StoreError("a file in the registry is damaged", code="model.artifact", where=where) from error
 
-    def files(self, found: RegisteredVersion, folder: str) -> list[str]:
+    def files(self, version: RegisteredVersion, folder: str) -> list[str]:
         """Return the names of the files in a folder of the run behind a version, sorted."""
         try:
-            listed = self.client.list_artifacts(found.run_id, folder)
+            listed = self.client.list_artifacts(version.run_id, folder)
         except (MlflowException, OSError) as error:
             raise StoreError(
                 "the registry's files cannot be listed",
                 code="model.artifact",
-                where=f"machine {found.machine} version {found.version} {folder}",
+                where=f"machine {version.machine} version {version.version} {folder}",
                 got=str(error)[:160],
             ) from error
         return sorted(item.path for item in listed if not item.is_dir)
 
-    def metrics(self, found: RegisteredVersion) -> dict[str, float]:
+    def metrics(self, version: RegisteredVersion) -> dict[str, float]:
         """Return the metrics of the run behind a version."""
-        return dict(self.client.get_run(found.run_id).data.metrics)
+        return dict(self.client.get_run(version.run_id).data.metrics)
 
     def mark(
         self,
-        found: RegisteredVersion,
+        version: RegisteredVersion,
         tags: Mapping[str, str],
         *,
         alias: str | None = None,
         description: str | None = None,
     ) -> None:
         """Set tags, and perhaps an alias and a description, on a version."""
-        name = model_name(found.machine)
+        name = model_name(version.machine)
         for key, value in tags.items():
-            self.client.set_model_version_tag(name, found.version, key, value)
+            self.client.set_model_version_tag(name, version.version, key, value)
         if alias is not None:
-            self.client.set_registered_model_alias(name, alias, found.version)
+            self.client.set_registered_model_alias(name, alias, version.version)
         if description is not None:
-            self.client.update_model_version(name, found.version, description)
+            self.client.update_model_version(name, version.version, description)
 
-    def description(self, found: RegisteredVersion) -> str:
+    def description(self, version: RegisteredVersion) -> str:
         """Return the description of a version."""
-        version_ = self.client.get_model_version(model_name(found.machine), found.version)
+        version_ = self.client.get_model_version(model_name(version.machine), version.version)
         return version_.description or ""
 
-    def attach(self, found: RegisteredVersion, artifacts: Mapping[str, str | bytes]) -> None:
+    def attach(self, version: RegisteredVersion, artifacts: Mapping[str, str | bytes]) -> None:
         """Add files to the run behind a version, for the reviewer."""
-        self.log_files(found.run_id, artifacts)
+        self.log_files(version.run_id, artifacts)
 
     def _log_candidate(self, run_id: str, parent: str, report: TrainingReport, candidate: Candidate) -> None:
         params = {
@@ -344,19 +344,19 @@ class Registry:
 
     def experiment(self) -> str:
         """Return the id of dtwin's experiment, which is made when it is not there."""
-        found = self.client.get_experiment_by_name(_EXPERIMENT)
-        if found is not None:
-            return str(found.experiment_id)
+        experiment = self.client.get_experiment_by_name(_EXPERIMENT)
+        if experiment is not None:
+            return str(experiment.experiment_id)
         local = self.uri.startswith("sqlite:")
         where = str(self.home.mlflow_artifacts) if local else None
         try:
             return str(self.client.create_experiment(_EXPERIMENT, artifact_location=where))
         except MlflowException:
             # Another process was first.
-            found = self.client.get_experiment_by_name(_EXPERIMENT)
-            if found is None:
+            experiment = self.client.get_experiment_by_name(_EXPERIMENT)
+            if experiment is None:
                 raise
-            return str(found.experiment_id)
+            return str(experiment.experiment_id)
 
 
 def model_name(machine: str) -> str:

@@ -44,8 +44,8 @@ def log_twin(
             registry.log(run_id, _params(document), _figures(document), {})
             registry.log_files(run_id, {"twin.json": json.dumps(document, indent=1)})
     registry.ensure_model(name, f"Versions of the twin {document['twin']}, one for each rung.")
-    found = client.search_model_versions(f"run_id='{run_id}'")
-    created = next(iter(found), None) or client.create_model_version(
+    versions = client.search_model_versions(f"run_id='{run_id}'")
+    created = next(iter(versions), None) or client.create_model_version(
         name,
         source=f"runs:/{run_id}/twin.json",
         run_id=run_id,

@@ -127,9 +127,9 @@ def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Inte
         )
     there = [change for change in changes if change.was_there]
     confirmed = bool(there) and all(change.went for change in there)
-    found = Intervention(label, what, twin.campaign, obs.campaign.name, changes, confirmed)
-    _keep(twins, name, found)
-    return found
+    intervention = Intervention(label, what, twin.campaign, obs.campaign.name, changes, confirmed)
+    _keep(twins, name, intervention)
+    return intervention
 
 
 def interventions(twins: TwinShelf, name: str) -> list[dict[str, Any]]:
@@ -142,6 +142,6 @@ def _change(before: Estimate, after: Estimate) -> _Change:
     return _Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
 
 
-def _keep(twins: Twins, name: str, found: Intervention) -> None:
-    document = {"interventions": [*interventions(twins, name), finite(found.as_dict())]}
+def _keep(twins: Twins, name: str, intervention: Intervention) -> None:
+    document = {"interventions": [*interventions(twins, name), finite(intervention.as_dict())]}
     write_document(twins.root / name / _FILE, document, "the intervention")

@@ -209,28 +209,28 @@ def _graded(
     out = []
     for term in corrected.terms:
         others = [t for t in twin.terms if t.label != term.label]
-        found = diagnose(obs, others, twins.library, seed=seed)
-        out.append(_grading(term, found, way))
+        diagnosis = diagnose(obs, others, twins.library, seed=seed)
+        out.append(_grading(term, diagnosis, way))
     return tuple(out)
 
 
-def _grading(term: Term, found: Diagnosis, way: TwinWay) -> Grading:
-    if found.verdict in way.quiet:
+def _grading(term: Term, diagnosis: Diagnosis, way: TwinWay) -> Grading:
+    if diagnosis.verdict in way.quiet:
         return Grading(term.label, _NOT_NEEDED, False)
-    named = next((s for s in found.suspects if s.label == term.label and s.in_group), None)
+    named = next((s for s in diagnosis.suspects if s.label == term.label and s.in_group), None)
     if named is None:
-        return Grading(term.label, f"not found again: {found.verdict}", False)
-    if found.verdict != "missing_effect":
-        alike = ", ".join(s.label for s in found.group if s.label != term.label)
+        return Grading(term.label, f"not found again: {diagnosis.verdict}", False)
+    if diagnosis.verdict != "missing_effect":
+        alike = ", ".join(s.label for s in diagnosis.group if s.label != term.label)
         return Grading(term.label, f"not told from {alike or 'others'}", False)
     grade = str(named.grade)
     return Grading(term.label, grade, grade in way.grades)
 
 
-def _objections(found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: TwinWay) -> list[str]:
+def _objections(diagnosis: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: TwinWay) -> list[str]:
     out = []
-    if found.verdict not in way.quiet and not _left(found, corrected, way):
-        out.append(f"{found.verdict}: {found.headline}")
+    if diagnosis.verdict not in way.quiet and not _left(diagnosis, corrected, way):
+        out.append(f"{diagnosis.verdict}: {diagnosis.headline}")
     out += [f"{g.label}: {g.grade}" for g in gradings if not g.confirmed]
     labels = set(corrected.labels)
     out += [
@@ -241,14 +241,14 @@ def _objections(found: Diagnosis, gradings: Sequence[Grading], corrected: Twin, 
     return out
 
 
-def _left(found: Diagnosis, twin: Twin, way: TwinWay) -> str:
+def _left(diagnosis: Diagnosis, twin: Twin, way: TwinWay) -> str:
     """Say what a diagnosis finds that is too little to object to; empty without."""
-    share = found.systematic_rms_um / twin.figures["rms_before_um"]
-    if found.verdict not in _STRUCTURE or not share < way.little:
+    share = diagnosis.systematic_rms_um / twin.figures["rms_before_um"]
+    if diagnosis.verdict not in _STRUCTURE or not share < way.little:
         return ""
     return (
-        f"{found.verdict}, but what repeats agree on is {100 * share:.2g} % of the error (up to "
-        f"{100 * way.little:g} % may be left): {found.headline}"
+        f"{diagnosis.verdict}, but what repeats agree on is {100 * share:.2g} % of the error (up to "
+        f"{100 * way.little:g} % may be left): {diagnosis.headline}"
     )
 
 
@@ -292,10 +292,10 @@ def _predicted(frozen: TwinBundle, obs: Observations) -> list[dict[str, Any]]:
     return out
 
 
-def _description(frozen: TwinBundle, found: Diagnosis, objections: Sequence[str], left: str) -> str:
+def _description(frozen: TwinBundle, diagnosis: Diagnosis, objections: Sequence[str], left: str) -> str:
     twin = frozen.twin
     lines = [
-        f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{found.verdict}`, "
+        f"Correction of twin **{twin.name}** version {twin.version}, diagnosed `{diagnosis.verdict}`, "
         f"on `{twin.campaign}`.",
         "",
         *(f"- {t.label}: {'corrected. ' if t.included else 'not corrected: '}{t.how}" for t in frozen.terms),

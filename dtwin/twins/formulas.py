@@ -21,10 +21,10 @@ class WithFormulas(Mapping[str, Effect]):
     def __init__(self, library: Mapping[str, Effect], folder: Path) -> None:
         self.library, self.folder = library, folder
 
-    def keep(self, found: ResidualFormula) -> str:
+    def keep(self, formula: ResidualFormula) -> str:
         """Keep a formula and return its name."""
-        name = _name_of(found.text)
-        document = json.dumps({"name": name, **vars(found)}, indent=1)
+        name = _name_of(formula.text)
+        document = json.dumps({"name": name, **vars(formula)}, indent=1)
         write_text(self.folder / f"{name}.json", document, "the formula")
         return name
 

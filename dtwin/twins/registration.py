@@ -87,13 +87,13 @@ def waiting(home: Home, name: str = "*") -> list[Waiting]:
     ]
 
 
-def waiting_text(found: Sequence[Waiting]) -> str:
+def waiting_text(left: Sequence[Waiting]) -> str:
     """Return how many versions wait and why, for people; empty when none does."""
-    if not found:
+    if not left:
         return ""
-    said = f"not yet in MLflow: {', '.join(item.label for item in found[:4])}"
-    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    failed = next((f"{item.label} failed: {item.failed}" for item in found if item.failed), "")
+    said = f"not yet in MLflow: {', '.join(item.label for item in left[:4])}"
+    more = f" and {len(left) - 4} more" if len(left) > 4 else ""
+    failed = next((f"{item.label} failed: {item.failed}" for item in left if item.failed), "")
     told = (
         f"; {failed}; dtwin repair tries again"
         if failed
@@ -150,8 +150,8 @@ def log_waiting(home: Home) -> list[Waiting]:
 
 
 def _log_all(home: Home) -> None:
-    found = waiting(home)
-    if not found:
+    waiting_items = waiting(home)
+    if not waiting_items:
         return
     # Whatever goes wrong stands in the receipts: nobody looks at this process.
     try:
@@ -160,11 +160,11 @@ def _log_all(home: Home) -> None:
         registry = Registry(home)
         registry.experiment()
     except Exception as error:
-        for item in found:
+        for item in waiting_items:
             _fail(item.path, error)
         return
     blocked: set[Path] = set()
-    for item in found:
+    for item in waiting_items:
         # A later version of a twin must not come before an earlier one.
         if item.path.parent in blocked:
             continue

@@ -89,13 +89,13 @@ class Twins(TwinShelf):
         twin = self.newest(name)
         loaded = load(self.home, twin.campaign)
         obs = loaded.obs
-        found = diagnose(obs, twin.terms, self.library, seed=seed)
-        proposed = next_experiment(obs, twin.terms, found, self.library)
-        found = replace(found, next_experiment=proposed, told=tuple(data_lines(loaded.data)))
+        diagnosis = diagnose(obs, twin.terms, self.library, seed=seed)
+        proposed = next_experiment(obs, twin.terms, diagnosis, self.library)
+        diagnosis = replace(diagnosis, next_experiment=proposed, told=tuple(data_lines(loaded.data)))
         document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
-        document |= found.as_dict()
+        document |= diagnosis.as_dict()
         self.store_diagnosis(document)
-        return twin, found
+        return twin, diagnosis
 
     def add(self, name: str, effect: str, axis: str = "") -> Twin:
         """Add an effect, refit, and store the new version.

@@ -125,11 +125,11 @@ class Jobs:
 
 
 def _left_behind(folder: Path) -> list[Job]:
-    found: list[Job] = []
+    jobs: list[Job] = []
     for path in folder.glob("*.json"):
         try:
             document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-            found.append(Job(**document))
+            jobs.append(Job(**document))
         except (OSError, ValueError, TypeError):
             path.unlink(missing_ok=True)
-    return sorted(found, key=lambda job: job.begun)
+    return sorted(jobs, key=lambda job: job.begun)

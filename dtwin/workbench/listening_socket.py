@@ -55,10 +55,10 @@ def listening(host: str, port: int | None) -> socket.socket:
             return listening(host, 0)
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        found = socket.socket(family, socket.SOCK_STREAM)
-        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        found.bind((host, port))
-        found.listen(128)
+        connection = socket.socket(family, socket.SOCK_STREAM)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        connection.bind((host, port))
+        connection.listen(128)
     except OSError as error:
         taken = error.errno == errno.EADDRINUSE
         raise InputError(
@@ -68,4 +68,4 @@ def listening(host: str, port: int | None) -> socket.socket:
             got=error.strerror or str(error),
             hint="dtwin ui without --port takes a free one" if taken else "leave --host out",
         ) from error
-    return found
+    return connection

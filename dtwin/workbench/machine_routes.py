@@ -48,22 +48,22 @@ class ScheduleTold(BaseModel):
 @router.get("/machines")
 def machine_list(request: Request) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
-    found = machine_overviews(bench_of(request).home)
-    return rendered(request, "machines.html", title="Machines", machines=found, limit_mb=MAX_TRAY_BYTES // 1024**2)
+    overviews = machine_overviews(bench_of(request).home)
+    return rendered(request, "machines.html", title="Machines", machines=overviews, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 
 @router.get("/machines/{name}")
 def machine_page(request: Request, name: str) -> Response:
     """Show one machine."""
-    found = _history(bench_of(request), name)
-    changes = [change for one in found["series"] for change in one["changes"]]
+    history = _history(bench_of(request), name)
+    changes = [change for one in history["series"] for change in one["changes"]]
     return rendered(
         request,
         "machine.html",
         title=f"Machine {name}",
-        machine=found,
+        machine=history,
         changes=sorted(changes, key=lambda change: str(change["seen"]), reverse=True),
-        overdue=_overdue(found),
+        overdue=_overdue(history),
         false_alarms=TESTS_PER_FALSE_ALARM,
         known_events=EVENTS,
     )
@@ -104,24 +104,24 @@ def next_test_file(request: Request, name: str) -> Response:
 @router.get("/api/machines/{name}/summary")
 def summary(request: Request, name: str) -> dict[str, Any]:
     """Return what the last test of a machine says, its values so far, its newest change, and whether a test is due."""
-    found = _history(bench_of(request), name)
-    tests = [test for test in found["tests"] if test["figure"]]
+    history = _history(bench_of(request), name)
+    tests = [test for test in history["tests"] if test["figure"]]
     last = tests[-1] if tests else None
     values = [test["value_um"] for test in tests if last is not None and test["figure"] == last["figure"]]
-    current = [one["changes"][0]["text"] for one in found["series"] if one["state"] in ("changed", "trend")]
+    current = [one["changes"][0]["text"] for one in history["series"] if one["state"] in ("changed", "trend")]
     return {
         "last": None if last is None else {**last, "sheet": None},
         "values_um": values,
         "changed": current[0] if current else "",
-        "overdue": _overdue(found),
+        "overdue": _overdue(history),
     }
 
 
 @router.get("/api/machines/{name}/series")
 def series(request: Request, name: str, of: str) -> Response:
     """Return the picture of a figure over time."""
-    found = _history(bench_of(request), name)
-    return drawn(series_figure(_series(found, of), found["events"]))
+    history = _history(bench_of(request), name)
+    return drawn(series_figure(_series(history, of), history["events"]))
 
 
 @router.get("/api/machines/{name}/chart")

@@ -61,10 +61,10 @@ def registry_of(home: Home) -> Registry | None:
 
 def require_registry(home: Home) -> Registry:
     """Return the registry."""
-    found = registry_of(home)
-    if found is None:
+    registry = registry_of(home)
+    if registry is None:
         raise InputError("no model is registered yet", code="model.unknown", hint="dtwin train CAMPAIGN")
-    return found
+    return registry
 
 
 def judged(registry: Registry, machine: str, wanted: str) -> Judged:

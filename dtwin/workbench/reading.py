@@ -153,12 +153,12 @@ def diagnosis_of(bench: Bench, name: str, version: int) -> dict[str, Any] | None
     return read_document(path) if path.exists() else None
 
 
-def floor_of(bench: Bench, found: View) -> Floor:
+def floor_of(bench: Bench, view: View) -> Floor:
     """Return the noise floor: from repeats, else the lower bound of a diagnosis, else none."""
-    if math.isfinite(found.floor_um):
-        return Floor(found.floor_um, "repeats")
-    same = found.obs.campaign.name == found.twin.campaign
-    diagnosis = diagnosis_of(bench, found.twin.name, found.twin.version) if same else None
+    if math.isfinite(view.floor_um):
+        return Floor(view.floor_um, "repeats")
+    same = view.obs.campaign.name == view.twin.campaign
+    diagnosis = diagnosis_of(bench, view.twin.name, view.twin.version) if same else None
     diagnosis = diagnosis or {}
     lower = diagnosis.get("noise_floor_um")
     if diagnosis.get("floor_kind") == "within_run" and lower is not None:
@@ -166,13 +166,13 @@ def floor_of(bench: Bench, found: View) -> Floor:
     return Floor(math.nan, "none")
 
 
-def chosen_conditions(found: View, wanted: Sequence[int]) -> list[int]:
+def chosen_conditions(view: View, wanted: Sequence[int]) -> list[int]:
     """Return valid numbers of conditions; the one with the largest residual without any."""
-    here = [c for c in dict.fromkeys(wanted) if 0 <= c < len(found.obs.conditions)]
-    return here or [int(np.argmax(np.nanmean(found.residual_um**2, axis=1)))]
+    here = [c for c in dict.fromkeys(wanted) if 0 <= c < len(view.obs.conditions)]
+    return here or [int(np.argmax(np.nanmean(view.residual_um**2, axis=1)))]
 
 
-def overlay(found: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]) -> dict[str, Floats]:
+def overlay(view: View, conditions: Sequence[int], show: Sequence[str], runs: Sequence[str]) -> dict[str, Floats]:
     """Return curves by name.
 
     ``conditions``: conditions, means over their repeats.
@@ -181,44 +181,44 @@ def overlay(found: View, conditions: Sequence[int], show: Sequence[str], runs: S
     """
     curves: dict[str, Floats] = {}
     for number in conditions:
-        suffix = f" {found.labels[number]}" if len(conditions) > 1 else ""
-        measured, left = found.measured_um[number], found.residual_um[number]
+        suffix = f" {view.labels[number]}" if len(conditions) > 1 else ""
+        measured, left = view.measured_um[number], view.residual_um[number]
         for kind, values in (("measured", measured), ("twin", measured - left), ("residual", left)):
             if kind in show:
                 curves[kind + suffix] = values
-    for row, meta in enumerate(found.obs.runs):
+    for row, meta in enumerate(view.obs.runs):
         if meta.run_id in runs:
             name = f"run {meta.run_id}"
             turn = sum(known.startswith(name) for known in curves)
-            values = _masked(found.comparison.before_um, found.obs)[row]
+            values = _masked(view.comparison.before_um, view.obs)[row]
             curves[f"{name} turn {turn + 1}" if turn else name] = values
     return curves
 
 
-def runs_of(found: View, conditions: Sequence[int]) -> list[str]:
+def runs_of(view: View, conditions: Sequence[int]) -> list[str]:
     """Return the runs of conditions, in the order of measurement."""
-    rows = np.flatnonzero(np.isin(found.obs.condition_of, conditions))
-    return list(dict.fromkeys(found.obs.runs[int(row)].run_id for row in rows))
+    rows = np.flatnonzero(np.isin(view.obs.condition_of, conditions))
+    return list(dict.fromkeys(view.obs.runs[int(row)].run_id for row in rows))
 
 
-def floor_harmonics_um(found: View) -> Floats | None:
+def floor_harmonics_um(view: View) -> Floats | None:
     """Return the amplitude by which repeats disagree at each harmonic, shape (n // 2 + 1,).
 
     Mean square over the rows of what each differs from the mean of its condition, with the
     degrees of freedom of the means taken out; None without repeats over full turns.
     """
-    obs = found.obs
+    obs = view.obs
     full = obs.mask.all(axis=1)
     total, dof = np.zeros(obs.n_bins // 2 + 1), 0
     for number in range(len(obs.conditions)):
-        rows = found.comparison.residual_um[(obs.condition_of == number) & full]
+        rows = view.comparison.residual_um[(obs.condition_of == number) & full]
         if len(rows) > 1:
             total += (harmonic_amplitudes_um(rows - rows.mean(axis=0)) ** 2).sum(axis=0)
             dof += len(rows) - 1
     return np.asarray(np.sqrt(total / dof)) if dof else None
 
 
-def taken_away_um(bench: Bench, found: View, label: str) -> Floats:
+def taken_away_um(bench: Bench, view: View, label: str) -> Floats:
     """Return what adding an effect would take from the mean residual of every condition.
 
     ``label``: effect with axis, for example ``backlash X``.
@@ -226,17 +226,17 @@ def taken_away_um(bench: Bench, found: View, label: str) -> Floats:
     """
     name, _, axis = label.partition(" ")
     instance = Instance(bench.library[name], axis)
-    if label in found.twin.labels:
+    if label in view.twin.labels:
         raise InputError("the twin has this effect already", code="twin.has_effect", got=label)
 
     def refitted() -> Floats:
-        obs = found.obs
+        obs = view.obs
         term = Term(instance, instance.effect.start_shape)
-        left = fit(obs, [*found.twin.terms, term]).residual_um
-        change = found.comparison.residual_um - left
+        left = fit(obs, [*view.twin.terms, term]).residual_um
+        change = view.comparison.residual_um - left
         return _with_gaps(localise.condition_means(obs, change), obs)
 
-    return bench.cache.get(("signature", label, *found.key), refitted)
+    return bench.cache.get(("signature", label, *view.key), refitted)
 
 
 def _loaded(bench: Bench, campaign: str) -> Loaded:
@@ -252,14 +252,14 @@ def _compared(twin: Twin, loaded: Loaded) -> Comparison:
     return Comparison(twin, obs, residual, before, warnings, loaded.controller_um)
 
 
-def _viewed(key: tuple[str | int, ...], found: Comparison) -> View:
-    obs = found.obs
+def _viewed(key: tuple[str | int, ...], comparison: Comparison) -> View:
+    obs = comparison.obs
     return View(
         key,
-        found,
-        found.as_dict(),
-        _with_gaps(localise.condition_means(obs, found.before_um), obs),
-        _with_gaps(localise.condition_means(obs, found.residual_um), obs),
+        comparison,
+        comparison.as_dict(),
+        _with_gaps(localise.condition_means(obs, comparison.before_um), obs),
+        _with_gaps(localise.condition_means(obs, comparison.residual_um), obs),
     )
 
 

@@ -66,27 +66,27 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
     bench = bench_of(request)
     if bench.is_of_heat(name):
         return heat_page(request, name, on)
-    found = reading.view(bench, name, on=on)
-    machine = found.twin.machine
+    view = reading.view(bench, name, on=on)
+    machine = view.twin.machine
     campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == machine})
-    worst = reading.chosen_conditions(found, ())
+    worst = reading.chosen_conditions(view, ())
     return rendered(
         request,
         "compare.html",
         title=f"Twin {name}: compare",
         name=name,
         tab="compare",
-        twin=found.twin,
-        result=found.result,
-        labels=found.labels,
+        twin=view.twin,
+        result=view.result,
+        labels=view.labels,
         worst=worst,
-        conditions=found.obs.conditions,
-        floor=reading.floor_of(bench, found),
-        parameters=parameter_table(found.twin),
+        conditions=view.obs.conditions,
+        floor=reading.floor_of(bench, view),
+        parameters=parameter_table(view.twin),
         campaigns=campaigns,
-        on=found.obs.campaign.name,
-        kind=found.obs.grid.kind,
-        seen=encoder_section(split) if (split := found.result["encoder_split"]) else None,
+        on=view.obs.campaign.name,
+        kind=view.obs.grid.kind,
+        seen=encoder_section(split) if (split := view.result["encoder_split"]) else None,
     )
 
 
@@ -191,24 +191,24 @@ def overlay(
 ) -> Response:
     """Return curves of conditions and runs: polar, over the angle, or their harmonics."""
     bench = bench_of(request)
-    found = reading.view(bench, name, on=on)
-    floor_um = reading.floor_of(bench, found).um
-    chosen = reading.chosen_conditions(found, condition)[:6]
+    view = reading.view(bench, name, on=on)
+    floor_um = reading.floor_of(bench, view).um
+    chosen = reading.chosen_conditions(view, condition)[:6]
     shown = [w for w in ("measured", "twin", "residual") if w in show] or ["measured", "twin"]
-    curves = reading.overlay(found, chosen, shown, run[:12])
-    title = found.labels[chosen[0]] if len(chosen) == 1 else f"{len(chosen)} conditions"
-    grid = found.obs.grid
+    curves = reading.overlay(view, chosen, shown, run[:12])
+    title = view.labels[chosen[0]] if len(chosen) == 1 else f"{len(chosen)} conditions"
+    grid = view.obs.grid
     if kind == "angle":
         return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=grid))
     if kind == "harmonics":
-        floor = reading.floor_harmonics_um(found)
+        floor = reading.floor_harmonics_um(view)
         whole = {n: c for n, c in curves.items() if np.isfinite(c).all()}
         known = "" if floor is not None else " (noise floor not known: no repeats of full turns)"
         most = _HARMONICS if grid is CIRCLE else grid.n // 2
         return drawn(harmonics_figure(whole, floor, title=f"Harmonics, {title}{known}", most=most))
     if grid is not CIRCLE:
         raise InputError("only circles are drawn as polar plots", code="page.unknown", where=name, got=grid.kind)
-    radius = found.obs.conditions[chosen[0]].radius_mm
+    radius = view.obs.conditions[chosen[0]].radius_mm
     factor = decimal(magnification, "the magnification") if magnification else None
     return drawn(overlay_figure(curves, radius, title=title, floor_um=floor_um, magnification=factor, slider=False))
 
@@ -216,20 +216,20 @@ def overlay(
 @router.get("/api/twins/{name}/runs")
 def runs(request: Request, name: str, condition: _Numbers = [], on: str = "") -> dict[str, Any]:  # noqa: B006
     """Return the runs of conditions."""
-    found = reading.view(bench_of(request), name, on=on)
-    chosen = reading.chosen_conditions(found, condition)
-    return {"campaign": found.obs.campaign.name, "conditions": chosen, "runs": reading.runs_of(found, chosen)}
+    view = reading.view(bench_of(request), name, on=on)
+    chosen = reading.chosen_conditions(view, condition)
+    return {"campaign": view.obs.campaign.name, "conditions": chosen, "runs": reading.runs_of(view, chosen)}
 
 
 @router.get("/api/twins/{name}/map")
 def heat_map(request: Request, name: str, on: str = "") -> Response:
     """Return the mean residual of every condition over the angle."""
     bench = bench_of(request)
-    found = reading.view(bench, name, on=on)
-    floor_um = reading.floor_of(bench, found).um
-    means, grid = found.residual_um, found.obs.grid
+    view = reading.view(bench, name, on=on)
+    floor_um = reading.floor_of(bench, view).um
+    means, grid = view.residual_um, view.obs.grid
     title = "Mean residual"
-    return drawn(residual_map(means, found.labels, floor_um=floor_um, title=title, grid=grid))
+    return drawn(residual_map(means, view.labels, floor_um=floor_um, title=title, grid=grid))
 
 
 @router.get("/api/twins/{name}/encoder")
@@ -261,21 +261,21 @@ def ranked(request: Request, name: str) -> Response:
 def signature(request: Request, name: str, effect: str, condition: _Numbers = []) -> Response:  # noqa: B006
     """Return what adding an effect would take away, over the residual."""
     bench = bench_of(request)
-    found = reading.view(bench, name)
-    taken = reading.taken_away_um(bench, found, effect)
-    chosen = reading.chosen_conditions(found, condition)[0]
-    curves = {"residual": found.residual_um[chosen], f"predicted: {effect}": taken[chosen]}
-    title = f"What {effect} would take away, {found.labels[chosen]}"
-    floor_um = reading.floor_of(bench, found).um
-    return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=found.obs.grid))
+    view = reading.view(bench, name)
+    taken = reading.taken_away_um(bench, view, effect)
+    chosen = reading.chosen_conditions(view, condition)[0]
+    curves = {"residual": view.residual_um[chosen], f"predicted: {effect}": taken[chosen]}
+    title = f"What {effect} would take away, {view.labels[chosen]}"
+    floor_um = reading.floor_of(bench, view).um
+    return drawn(along_figure(curves, title=title, floor_um=floor_um, grid=view.obs.grid))
 
 
 def _sections(bench: Bench, name: str) -> list[Section]:
     """Return the whole story of a twin of tests of a path."""
-    found = reading.view(bench, name)
-    sections = [twin_section(found.twin)]
-    sections += comparison_sections(found.comparison, found.result)
-    diagnosis = reading.diagnosis_of(bench, name, found.twin.version)
+    view = reading.view(bench, name)
+    sections = [twin_section(view.twin)]
+    sections += comparison_sections(view.comparison, view.result)
+    diagnosis = reading.diagnosis_of(bench, name, view.twin.version)
     if diagnosis is not None:
         sections.append(diagnosis_section(name, _with_nan(diagnosis)))
     sections.append(history_section(bench.twins.history(name)))

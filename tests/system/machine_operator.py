@@ -30,6 +30,7 @@ from dtwin.acquire.linuxcnc import run_circles
 from dtwin.acquire.linuxcnc import run_of as run_of_trace
 from dtwin.acquire.virtual import VirtualCobotBench, run_of
 from dtwin.acquire.virtual_mill import virtual_mill
+from dtwin.kinds.circular.circles import run_circle
 from dtwin.machines.cobot import CircleCondition
 from dtwin.machines.linuxcnc.circles import Circle
 from dtwin.machines.linuxcnc.session import LinuxcncSession
@@ -38,7 +39,6 @@ from dtwin.pipeline.desk import DONE, REPEAT, give_answer, open_question
 from dtwin.plan import PlannedTest
 from dtwin.schema import Direction, Plane, Run
 from dtwin.serve.bundle_file import load_bundle
-from dtwin.train.circles import run_circle
 
 _PLANES: dict[str, Plane] = {"G17": "XY", "G18": "ZX", "G19": "YZ"}
 

@@ -22,7 +22,7 @@ from dtwin.errors import InputError
 from dtwin.lifecycle.evidence import make_champion, measure
 from dtwin.lifecycle.train import put_on_trial
 from dtwin.pipeline.desk import open_question
-from dtwin.train.circle_evidence import EvidencePlan
+from dtwin.plan import EvidencePlan
 from dtwin.train.registry import Registry
 from dtwin.twins.verbs import Twins
 from flows import _plots

@@ -20,14 +20,15 @@ from running_servers import running_up
 from dtwin.cli import main
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
+from dtwin.kinds.circular.evidence import measured_circles
 from dtwin.kinds.circular.physics_fit import predicted_left_out
 from dtwin.kinds.circular.term_columns import TermColumns
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.evidence import make_champion, measure, proven
 from dtwin.lifecycle.train import put_on_trial, train
+from dtwin.plan import EvidencePlan
 from dtwin.serve.pointer import resolve
 from dtwin.train.candidate_runs import training_candidates
-from dtwin.train.circle_evidence import EvidencePlan, measured_circles
 from dtwin.train.dataset import load_ticks
 from dtwin.train.promotion import history, promote, rollback
 from dtwin.train.registry import Registry

@@ -24,9 +24,8 @@ from dtwin.lifecycle.schedule import news, scheduled_training
 from dtwin.lifecycle.train import put_on_trial, train
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.pipeline.measuring import ingest
-from dtwin.plan import training_plan
+from dtwin.plan import EvidencePlan, training_plan
 from dtwin.serve.pointer import resolve
-from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.promotion import check_version, history
 from dtwin.train.recheck import CheckedRun
 from dtwin.train.registry import Registry

@@ -18,10 +18,10 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError
 from dtwin.kinds.circular.freeze import wrong_way
 from dtwin.kinds.circular.mill_evidence import measured_mill
+from dtwin.plan import EvidencePlan
 from dtwin.report.correction import correction_text
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.pointer import resolve
-from dtwin.train.circle_evidence import EvidencePlan
 from dtwin.train.evidence import Evidence
 from dtwin.train.gates import evidence_gate
 

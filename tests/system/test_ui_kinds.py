@@ -99,11 +99,6 @@ def test_without_repeats_the_page_says_so(bench: Workbench) -> None:
     assert "Repeats are needed" in said(bench, "/twins/slide/diagnose")
 
 
-def test_a_sweep_is_drawn_in_both_directions(bench: Workbench) -> None:
-    drawn = json.loads(said(bench, "/api/campaigns/z/runs/z-1/along"))
-    assert [trace["name"] for trace in drawn["data"]] == ["forward", "reverse"]
-
-
 def test_what_mlflow_does_not_show_yet_is_said(bench: Workbench) -> None:
     assert "not yet in MLflow" not in said(bench, "/twins")
     (bench.home / "twins" / "slide" / "v001.mlflow.json").unlink()

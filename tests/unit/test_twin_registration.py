@@ -20,6 +20,7 @@ from dtwin.errors import InputError, StoreError
 from dtwin.locks import locked
 from dtwin.train.registry import Registry
 from dtwin.twins import registration as twin_registration
+from dtwin.twins import shelf as shelves
 from dtwin.twins.registration import log_waiting, place_of, waiting, waiting_text
 from dtwin.twins.shelf import PATHS, TwinShelf
 
@@ -72,6 +73,7 @@ def shelf(tmp_path: Path, empty_store: Path, monkeypatch: pytest.MonkeyPatch) ->
     shutil.copytree(empty_store, home.root / "mlflow")
     monkeypatch.setenv("DTWIN_MLFLOW", "later")
     monkeypatch.setattr(twin_registration.subprocess, "Popen", Unborn)
+    monkeypatch.setattr(shelves, "log_soon", twin_registration.log_soon)
     return TwinShelf(home, PATHS)
 
 
@@ -138,6 +140,21 @@ def test_after_a_kill_at_any_moment_each_version_is_there_exactly_once(shelf: Tw
     assert [r.info.status for r in found] == ["FINISHED"] * 3
     children = sorted(r.info.run_name for r in found if "mlflow.parentRunId" in r.data.tags)
     assert children == ["twin-k v1: step 1", "twin-k v2: step 2"]
+
+
+def test_a_killed_training_is_closed_and_a_running_one_is_not(shelf: TwinShelf) -> None:
+    def die_in_a_run() -> None:
+        with Registry(shelf.home).open_run("training", {}):
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    assert killed(shelf.home, die_in_a_run)
+    registry = Registry(shelf.home)
+    with registry.open_run("mine", {}) as mine:
+        assert registry.close_abandoned() == 1
+        states = {r.info.run_name: r.info.status for r in registry.client.search_runs([registry.experiment()])}
+        assert states == {"training": "KILLED", "mine": "RUNNING"}
+    assert registry.client.get_run(mine).info.status == "FINISHED"
+    assert registry.close_abandoned() == 0
 
 
 def killed(home: Home, prepare: Callable[[], None]) -> bool:

@@ -88,12 +88,12 @@ def split_campaign(home: Home, campaign: str, request: DynamicsRequest) -> Split
             got=f"{len(runs)} runs, all with errors",
             hint=f"dtwin check {campaign}",
         )
-    found = split_runs(known, usable, request)
-    if found.tuning is not None:
-        run_id = log_tuning(Registry(home), found.tuning, request.swarm, campaign)
-        found.result["tuning"]["mlflow_run"] = run_id
-    found.result["left_out"] = sorted({r.meta.run_id for r in runs} - {r.meta.run_id for r in usable})
-    return found
+    split = split_runs(known, usable, request)
+    if split.tuning is not None:
+        run_id = log_tuning(Registry(home), split.tuning, request.swarm, campaign)
+        split.result["tuning"]["mlflow_run"] = run_id
+    split.result["left_out"] = sorted({r.meta.run_id for r in runs} - {r.meta.run_id for r in usable})
+    return split
 
 
 def split_runs(campaign: Campaign, runs: Sequence[Run], request: DynamicsRequest) -> Split:

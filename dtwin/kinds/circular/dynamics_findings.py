@@ -21,10 +21,10 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
     ``measured``: fewest readings per revolution of a run, before resampling.
     """
     rows = result["rows"]
-    found: list[Finding] = []
+    findings: list[Finding] = []
 
     def say(code: str, message: str, **numbers: float) -> None:
-        found.append(Finding(f"dynamics.{code}", "warning", message, numbers))
+        findings.append(Finding(f"dynamics.{code}", "warning", message, numbers))
 
     lobes = result["two_lobes"]
     if lobes and lobes["taken"] > _MOST_TAKEN:
@@ -87,4 +87,4 @@ def findings_of(result: Mapping[str, Any], measured: int) -> list[Finding]:
             f"in {len(grown)} of {len(rows)} runs the circular deviation is larger after than before",
             runs=float(len(grown)),
         )
-    return found
+    return findings

@@ -160,7 +160,7 @@ def sensitivity(turn_um: Floats, filters: Sequence[Filter]) -> list[float]:
     return [float(np.ptp(_centred_um(chosen.static_um(turn_um)))) for chosen in filters]
 
 
-def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, source: str) -> str:
+def log_tuning(registry: Registry, tuning: Tuning, settings: SwarmSettings, source: str) -> str:
     """Log a tuning as an MLflow run and return its id.
 
     ``source``: campaign or table that the turns come from.
@@ -168,15 +168,15 @@ def log_tuning(registry: Registry, found: Tuning, settings: SwarmSettings, sourc
     tags = {"dtwin.campaign": source, "dtwin.kind": "filter tuning"}
     name = f"filter tuning {source}"
     params = {
-        "filter": found.chosen.name,
-        "tuned": found.tuned,
-        "fitness": found.fitness,
+        "filter": tuning.chosen.name,
+        "tuned": tuning.tuned,
+        "fitness": tuning.fitness,
         **asdict(settings),
         **{f"version.{k}": v for k, v in environment().items()},
     }
-    metrics = {**asdict(found.judged), "evaluations": float(found.evaluations)}
-    metrics |= {"alpha": found.chosen.alpha, "q_um2": found.chosen.q_um2}
+    metrics = {**asdict(tuning.judged), "evaluations": float(tuning.evaluations)}
+    metrics |= {"alpha": tuning.chosen.alpha, "q_um2": tuning.chosen.q_um2}
     with registry.open_run(name, tags) as run_id:
-        registry.log(run_id, params, metrics | {"seconds": found.seconds}, {})
-        registry.log_files(run_id, {"tuning.json": json.dumps(found.as_dict(), indent=1)})
+        registry.log(run_id, params, metrics | {"seconds": tuning.seconds}, {})
+        registry.log_files(run_id, {"tuning.json": json.dumps(tuning.as_dict(), indent=1)})
     return run_id

@@ -11,9 +11,8 @@ from dtwin.kinds.machine import PLAN, EvidenceRequest, Options, Request, Simulat
 
 if TYPE_CHECKING:
     from dtwin.acquire.runner import Bench
-    from dtwin.plan import Plan
+    from dtwin.plan import EvidencePlan, Plan
     from dtwin.progress import Progress
-    from dtwin.train.circle_evidence import EvidencePlan
     from dtwin.train.measured_ways import MeasuredWays
     from dtwin.train.recheck import CheckedRun
 
@@ -36,7 +35,7 @@ class _Cobot(VirtualMachine):
     def evidence(self, request: EvidenceRequest) -> MeasuredWays:
         import numpy as np
 
-        from dtwin.train.circle_evidence import measured_circles
+        from dtwin.kinds.circular.evidence import measured_circles
 
         return measured_circles(
             request.bundle,
@@ -121,7 +120,7 @@ def _on_bench(bench: Bench, plan: Plan, request: Request, progress: Progress) ->
 
 
 def _trained_circles(request: EvidenceRequest) -> EvidencePlan:
-    from dtwin.train.circle_evidence import plan_within
+    from dtwin.plan import plan_within
     from dtwin.train.results import CONDITIONS_FILE
 
     trained = request.registry.read_json(request.version, CONDITIONS_FILE)

@@ -8,17 +8,18 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
+from dtwin.kinds.circular.evidence import WAYS
 from dtwin.machines.mill import Correction, SetupErrors, VirtualMill
 from dtwin.machines.mill_drive import STEP_S, Command
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest
+from dtwin.plan import EvidencePlan
 from dtwin.progress import Progress
 from dtwin.schema import PLANES, Direction, Floats, Plane, Run
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.direction import Direction as Frame
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import Guard
-from dtwin.train.circle_evidence import WAYS, EvidencePlan
 from dtwin.train.dataset import TICK_HZ
 from dtwin.train.measured_ways import MeasuredWays, guard_shares, numbered
 from dtwin.train.results import condition_name

@@ -24,23 +24,23 @@ def find_modes(rows: Rows, residual_um: Floats, *, most: int = 4) -> list[Mode]:
     since_s, directions = _after_start(rows)
     inside = np.flatnonzero((since_s < _AFTER_S) & (since_s > 0.0))
     since_s, directions, left = since_s[inside], directions[inside], residual_um[inside].copy()
-    found: list[Mode] = []
-    while len(found) < most and left.size > 200:
+    modes: list[Mode] = []
+    while len(modes) < most and left.size > 200:
         scored = [
             (_explained(left, since_s, directions, mode)[0], mode)
             for mode in (
                 Mode(float(f), z)
                 for f in _FREQUENCIES_HZ
                 for z in _DAMPING
-                if all(abs(f - m.frequency_hz) > 1.5 for m in found)
+                if all(abs(f - m.frequency_hz) > 1.5 for m in modes)
             )
         ]
         gain, mode = max(scored, key=lambda pair: pair[0])
         if gain < _SMALLEST_GAIN * float(left @ left):
             break
-        found.append(mode)
+        modes.append(mode)
         left -= _explained(left, since_s, directions, mode)[1]
-    return found
+    return modes
 
 
 def _after_start(rows: Rows) -> tuple[Floats, Floats]:

@@ -43,19 +43,19 @@ def find_gears(
         gains = _explained(part, q[:, j], lever[:, j], flank[:, j], orders)
         return float(gains.max()), Gear(joint, float(orders[int(np.argmax(gains))]))
 
-    found: list[Gear] = []
-    residual = rows.target_um - explained(found)
+    gears: list[Gear] = []
+    residual = rows.target_um - explained(gears)
     for step in range(most):
         part = residual[some]
         coarse = max((best(part, j, _COARSE) for j in range(1, 7)), key=lambda pair: pair[0])[1]
         gain, gear = best(part, coarse.joint, coarse.order + _FINE)
         if gain < _SMALLEST_GAIN * float(part @ part):
             break
-        found.append(gear)
-        residual = rows.target_um - explained(found)
+        gears.append(gear)
+        residual = rows.target_um - explained(gears)
         if progress is not None:
             progress(step + 1, most, f"joint {gear.joint} order {gear.order:g}")
-    return found
+    return gears
 
 
 def _joint_state(rows: Rows) -> tuple[Floats, Floats, Floats]:

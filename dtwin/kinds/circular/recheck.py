@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.kinds.circular.circles import evaluate_circle, rms_per_run, run_circle
 from dtwin.kinds.machine import EvidenceRequest
 from dtwin.machines.cobot import CircleCondition, VirtualCobot
-from dtwin.train.circle_evidence import plan_within
-from dtwin.train.circles import evaluate_circle, rms_per_run, run_circle
+from dtwin.plan import plan_within
 from dtwin.train.evidence_record import newest
 from dtwin.train.recheck import CheckedRun
 from dtwin.train.results import CONDITIONS_FILE

@@ -116,7 +116,7 @@ class _Circular(Kind):
         return CIRCLE, [row for run, time_h in pairs for row in rows_of(run, time_h)]
 
     def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.train.run_errors import circle_errors
+        from dtwin.kinds.circular.run_errors import circle_errors
 
         return circle_errors(runs)
 

@@ -52,26 +52,26 @@ def circular_sheet(runs: Sequence[Run]) -> Sheet:
 
 
 def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...]:
-    found: list[Characteristic] = []
+    characteristics: list[Characteristic] = []
     for way in _WAYS:
         each = [circular_figures(*_arc(run), radius_mm) for run in runs if run.meta.direction == way]
         if each:
             words = "counter-clockwise" if way == "CCW" else "clockwise"
-            found += [
+            characteristics += [
                 repeated(f"G({way})", f"circular deviation, {words}", [e.circular_deviation_um for e in each]),
                 repeated(f"Fmax({way})", "largest radial deviation", [e.radial_deviation_max_um for e in each]),
                 repeated(f"Fmin({way})", "smallest radial deviation", [e.radial_deviation_min_um for e in each]),
             ]
     pairs = [bidirectional_figures(_arc(up), _arc(down), radius_mm) for up, down in _pairs(runs)]
     if pairs:
-        found += [
+        characteristics += [
             repeated(
                 "G(b)", "bi-directional circular deviation", [p.circular_deviation_common_centre_um for p in pairs]
             ),
             repeated("H", "radial hysteresis", [p.hysteresis_um for p in pairs]),
             repeated("D", "mean bi-directional radial deviation", [p.mean_bidirectional_radius_um for p in pairs]),
         ]
-    return tuple(found)
+    return tuple(characteristics)
 
 
 def _pairs(runs: Sequence[Run]) -> list[tuple[Run, Run]]:

@@ -65,7 +65,7 @@ class VirtualHexapodBench:
     def measure(self, test: PlannedTest, direction: Direction) -> Run:
         """Run one direction of a test on the machine clock."""
         condition = CircleCondition(test.plane, test.radius_mm, test.feed_mm_min, direction)
-        found = self.machine.measure(condition, setup=test.setup, repeat=test.repeat)
+        measured = self.machine.measure(condition, setup=test.setup, repeat=test.repeat)
         rate_hz = self.machine.parameters.bar.rate_hz
         number = 2 * int(test.test_id[1:]) + (direction == "CW")
         meta = RunMeta(
@@ -80,8 +80,8 @@ class VirtualHexapodBench:
             sample_rate_hz=rate_hz,
             covariates={"temperature_c": 20.0},
         )
-        samples = {"t_s": found.t_s, "angle_deg": found.angle_deg, "deviation_um": found.deviation_um}
-        return Run(meta, samples, found.window, (found.vibration,), "virtual hexapod")
+        samples = {"t_s": measured.t_s, "angle_deg": measured.angle_deg, "deviation_um": measured.deviation_um}
+        return Run(meta, samples, measured.window, (measured.vibration,), "virtual hexapod")
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""

@@ -131,7 +131,7 @@ def _bfgs(net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: floa
         if intermediate_result.fun <= goal:
             raise StopIteration
 
-    found = optimize.minimize(
+    solution = optimize.minimize(
         objective,
         net.parameters(),
         jac=True,
@@ -139,7 +139,7 @@ def _bfgs(net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: floa
         callback=reached,
         options={"maxiter": epochs, "gtol": _SMALLEST_GRADIENT},
     )
-    return net.with_parameters(found.x), int(found.nit)
+    return net.with_parameters(solution.x), int(solution.nit)
 
 
 def _scg(net: SmallNet, inputs: Floats, target: Floats, epochs: int, goal: float) -> tuple[SmallNet, int]:

@@ -256,7 +256,7 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
                 "the pitch of the screw is not stated: nothing can be said about its cyclic error",
             )
         ]
-    span, unit, found = plan.end - plan.start, plan.unit, []
+    span, unit, findings = plan.end - plan.start, plan.unit, []
     count = _phases(plan.step, span, plan.pitch, _GRAIN[unit])
     if count < _ENOUGH_PHASES:
         step = better_step(plan, math.inf)
@@ -266,7 +266,7 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
             if count == 1
             else f"meets {count} angles of the screw, enough for {(count - 1) // 2} harmonics of its turn"
         )
-        found.append(
+        findings.append(
             Finding(
                 "plan.step_and_pitch",
                 "warning" if count < 5 else "info",
@@ -275,7 +275,7 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
             )
         )
     if plan.step > plan.pitch / 10.0 * (1 + 1e-9):
-        found.append(
+        findings.append(
             Finding(
                 "plan.too_coarse_for_a_table",
                 "info",
@@ -283,13 +283,13 @@ def _pitch_advice(plan: LinearPlan) -> list[Finding]:
                 f"{plan.pitch / 10:g} {unit} or less",
             )
         )
-    return found
+    return findings
 
 
 def _trigger_advice(plan: LinearPlan) -> list[Finding]:
-    found = []
+    findings = []
     if plan.dwell_s <= plan.laser_dwell_s:
-        found.append(
+        findings.append(
             Finding(
                 "plan.dwell_too_short",
                 "warning",
@@ -298,7 +298,7 @@ def _trigger_advice(plan: LinearPlan) -> list[Finding]:
             )
         )
     if plan.window >= plan.step / 2.0:
-        found.append(
+        findings.append(
             Finding(
                 "plan.window_too_wide",
                 "warning",
@@ -307,7 +307,7 @@ def _trigger_advice(plan: LinearPlan) -> list[Finding]:
             )
         )
     if plan.overshoot <= plan.window:
-        found.append(
+        findings.append(
             Finding(
                 "plan.overshoot_in_window",
                 "warning",
@@ -315,14 +315,14 @@ def _trigger_advice(plan: LinearPlan) -> list[Finding]:
                 f"window of {plan.window:g}: the laser cannot tell that it has turned",
             )
         )
-    return found
+    return findings
 
 
 def _size_advice(plan: LinearPlan) -> list[Finding]:
-    found = []
+    findings = []
     hours = duration_s(plan) / 3600.0
     if hours > 2.0:
-        found.append(
+        findings.append(
             Finding(
                 "plan.long",
                 "warning",
@@ -332,8 +332,8 @@ def _size_advice(plan: LinearPlan) -> list[Finding]:
             )
         )
     if plan.runs < 2:
-        found.append(Finding("plan.no_repeats", "warning", "one run: the noise floor cannot be known"))
-    return found
+        findings.append(Finding("plan.no_repeats", "warning", "one run: the noise floor cannot be known"))
+    return findings
 
 
 def targets_mm(plan: LinearPlan) -> Floats:

@@ -140,7 +140,7 @@ class _Linear(Kind):
         return stroke_rows(runs, times_h)
 
     def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.train.run_errors import stroke_errors
+        from dtwin.kinds.linear.run_errors import stroke_errors
 
         return stroke_errors(runs)
 

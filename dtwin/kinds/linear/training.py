@@ -222,22 +222,22 @@ def _candidate(
     )
 
 
-def _with_table_score(found: Sequence[Candidate]) -> list[Candidate]:
+def _with_table_score(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Give every candidate the held-out error of the table that a control can do by itself."""
-    table = next(c for c in found if c.name == _TABLE).held_out.rms_um
-    return [Candidate(**{**vars(c), "numbers": {**c.numbers, "table_rms_um": table}}) for c in found]
+    table = next(c for c in candidates if c.name == _TABLE).held_out.rms_um
+    return [Candidate(**{**vars(c), "numbers": {**c.numbers, "table_rms_um": table}}) for c in candidates]
 
 
-def _proposed(found: Sequence[Candidate]) -> str:
+def _proposed(candidates: Sequence[Candidate]) -> str:
     """Return the equation that the fewest positioning gates refuse, and of these the best."""
-    equations = [c for c in found if c.promotable]
+    equations = [c for c in candidates if c.promotable]
     return min(equations, key=lambda c: (c.numbers["refused_gates"], c.held_out.rms_um)).name
 
 
-def _not_proposed(found: Sequence[Candidate]) -> list[str]:
+def _not_proposed(candidates: Sequence[Candidate]) -> list[str]:
     return [
         f"{c.name} is not proposed, it fails: {'; '.join(f.split(': ')[1] for f in c.findings)}"
-        for c in found
+        for c in candidates
         if c.promotable and c.findings
     ]
 

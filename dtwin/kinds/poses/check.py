@@ -72,11 +72,11 @@ def _commanded(run: Run, series: Series) -> list[Finding]:
     planned = series_of(joints_of(run), axes(run, "target"), chain_in(run), None)
     size = np.linalg.norm(planned.error_mm, axis=1)
     rows = np.flatnonzero(size > max(1.0, 20.0 * float(np.median(size))))
-    found = []
+    findings = []
     if rows.size:
         listed = ", ".join(str(r + 1) for r in rows[:8])
         said = f"the target of {len(rows)} rows does not follow from joints and chain, by up to {size.max():z.1f} mm: {listed}"
-        found.append(Finding("poses.commanded", "warning", said, {"rows_1": float(len(rows))}))
+        findings.append(Finding("poses.commanded", "warning", said, {"rows_1": float(len(rows))}))
     if "measured_x_mm" in run.samples:
         ratio = float(
             np.ptp(axes(run, "target"), axis=0).max()
@@ -84,8 +84,8 @@ def _commanded(run: Run, series: Series) -> list[Finding]:
         )
         if not _ALIKE < ratio < 1.0 / _ALIKE:
             said = f"targets span {ratio:.3g} times what the points do: metres under a name of millimetres?"
-            found.append(Finding("poses.units", "warning", said, {"ratio_1": ratio}))
-    return found
+            findings.append(Finding("poses.units", "warning", said, {"ratio_1": ratio}))
+    return findings
 
 
 def _repeats(series: Series) -> list[Finding]:

@@ -220,7 +220,7 @@ def _invisible(grams: Grams, terms: Sequence[Term]) -> tuple[str, ...]:
 def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
     """Return every family that is not whole in the twin, less the joints at which it does not pay, level by level."""
     before, counted = _left(grams, terms), grams.count
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     for level in _LEVELS:
         tried = []
         for effect in level:
@@ -234,8 +234,8 @@ def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
             left = float(after.sum())
             gain = 1.0 - left / float(before.sum())
             size = 1000.0 * float(np.sqrt(max(left, 0.0) / counted.sum()))
-            found.append(Candidate(effect, tuple(more), gain, float(p), size, after))
-    return found
+            candidates.append(Candidate(effect, tuple(more), gain, float(p), size, after))
+    return candidates
 
 
 def _pruned(grams: Grams, terms: Sequence[Term], more: Sequence[Term]) -> tuple[list[Term], Floats]:
@@ -258,9 +258,9 @@ def _paid(gain: Floats, count: Floats) -> float:
     return t_tail(float(each.mean()) / spread, len(each) - 1.0) if spread > 0.0 else 1.0
 
 
-def _group(grams: Grams, terms: Sequence[Term], found: Sequence[Candidate]) -> list[Candidate]:
+def _group(grams: Grams, terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the plainest family that pays, or a fancier one that explains it away, and those that tell the same."""
-    pays = [c for c in found if c.pays]
+    pays = [c for c in candidates if c.pays]
     if not pays:
         return []
     level = next(level for level in _LEVELS if pays[0].effect in level)

@@ -177,7 +177,7 @@ def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...
     InputError
         When there is no such effect or joint.
     """
-    found: dict[Term, None] = {}
+    ordered: dict[Term, None] = {}
     for name in names:
         effect, _, at = name.partition("@")
         known = EFFECTS.get(effect)
@@ -193,5 +193,5 @@ def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...
         joints_of = [allowed[joint] for joint in wanted] or list(allowed.values()) or [0]
         if effect == "gravity_sag":
             joints_of = [j for j in joints_of if j <= joints // 2]
-        found |= dict.fromkeys(Term(effect, j) for j in joints_of)
-    return tuple(found)
+        ordered |= dict.fromkeys(Term(effect, j) for j in joints_of)
+    return tuple(ordered)

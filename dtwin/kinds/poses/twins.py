@@ -194,10 +194,10 @@ class PoseTwins(TwinShelf):
         return _from(document)
 
     def _diagnosed(self, twin: PoseTwin, loaded: Loaded) -> PoseDiagnosis:
-        found = diagnose(loaded.grams, twin.terms)
+        diagnosis = diagnose(loaded.grams, twin.terms)
         named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
-        self.store_diagnosis({**named, **found.as_dict()})
-        return found
+        self.store_diagnosis({**named, **diagnosis.as_dict()})
+        return diagnosis
 
     def _store(self, name: str, loaded: Loaded, terms: Sequence[Term], action: str) -> PoseTwin:
         figures = {k: v if np.isfinite(v) else None for k, v in pose_figures(loaded.grams, terms).items()}

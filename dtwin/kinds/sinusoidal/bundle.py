@@ -124,7 +124,7 @@ def _inputs(amplitude: Law, phase: Law, groups: ToneGroups) -> list[Input]:
     crest = tone_columns(channel)[TONE_FEATURES.index("crest_factor")]
     used = sorted({*amplitude.features, *phase.features} - {crest})
     columns = groups.columns
-    found = [
+    inputs = [
         *command_inputs(groups),
         # Dead in an equation, alive here: it tells a tone from noise.
         Input(crest, "1", "sensor", rate, "feature", 1.0, MOST_CREST),
@@ -132,8 +132,8 @@ def _inputs(amplitude: Law, phase: Law, groups: ToneGroups) -> list[Input]:
     for name in used:
         low, high = float(columns[name].min()), float(columns[name].max())
         room = (1.0 - 1.0 / ROOM) * abs(low)
-        found.append(Input(name, unit_of(name) or "1", "sensor", rate, "feature", low - room, 1.02 * high))
-    return found
+        inputs.append(Input(name, unit_of(name) or "1", "sensor", rate, "feature", low - room, 1.02 * high))
+    return inputs
 
 
 def _window_graph(amplitude: Law, phase: Law, boxes: dict[str, tuple[float, float]]) -> Graph:

@@ -111,8 +111,8 @@ def form_candidate(
     def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
         return _values(fit(train), test)
 
-    found = judged(groups, predict)
-    return _law_candidate(groups, fit(groups), name, found, machine, table_versions, action)
+    scored = judged(groups, predict)
+    return _law_candidate(groups, fit(groups), name, scored, machine, table_versions, action)
 
 
 def searched_candidate(
@@ -145,7 +145,7 @@ def _law_candidate(
     groups: ToneGroups,
     laws: tuple[Law, Law],
     name: str,
-    found: Judged,
+    judged: Judged,
     machine: str,
     table_versions: dict[str, int],
     action: Action,
@@ -155,7 +155,7 @@ def _law_candidate(
     dead = dead_terms(bundle, groups)
     assert bundle.window_graph is not None
     rest = groups.amplitude_error_um - laws[0].values(groups.columns)
-    numbers = found.numbers | {"spectral_radius": radius, "dead_terms": float(len(dead))}
+    numbers = judged.numbers | {"spectral_radius": radius, "dead_terms": float(len(dead))}
     equation = f"amplitude error, µm = {laws[0].readable()}\nlag, deg = {laws[1].readable()}"
     findings = [f"{name_} is a dead constant on clean sines" for name_ in dead]
     if where:
@@ -165,7 +165,7 @@ def _law_candidate(
         family="symbolic",
         promotable=True,
         complexity=len(bundle.window_graph.nodes),
-        scores=found.scores,
+        scores=judged.scores,
         train_rms_um=rms(rest),
         latency=bundle_latency(bundle),
         equation=equation,
@@ -205,17 +205,17 @@ def narx_candidate(groups: ToneGroups) -> Candidate:
 
 
 def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Predict) -> Candidate:
-    found = judged(groups, predict)
+    scored = judged(groups, predict)
     rest = groups.amplitude_error_um - predict(groups, groups)[0]
     return Candidate(
         name,
         family,
         False,
         size,
-        found.scores,
+        scored.scores,
         rms(rest),
         findings=("not an expression: cannot be promoted",) if family != "baseline" else (),
-        numbers=found.numbers,
+        numbers=scored.numbers,
     )
 
 

@@ -149,9 +149,9 @@ def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
 
 def _sampling(run: Run, told: Commanded) -> list[Finding]:
     t = run.samples["t_s"]
-    found = _rate_finding(run.meta.sample_rate_hz, told.frequency_hz, "the samples")
+    findings = _rate_finding(run.meta.sample_rate_hz, told.frequency_hz, "the samples")
     if len(t) and t[-1] - t[0] < LEARNED_S - 0.01:
-        found.append(
+        findings.append(
             Finding(
                 "sinusoidal.short",
                 "warning",
@@ -160,7 +160,7 @@ def _sampling(run: Run, told: Commanded) -> list[Finding]:
                 {"duration_s": float(t[-1] - t[0])},
             )
         )
-    return found
+    return findings
 
 
 def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Finding]:
@@ -184,10 +184,10 @@ def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Findin
 
 
 def _tone(run: Run, told: Commanded) -> list[Finding]:
-    found = []
+    findings = []
     tone = fit_tone(run.samples["t_s"], run.samples["cmd_z_mm"] * UM_PER_MM, told.frequency_hz)
     if tone.share < _SAME_TONE or abs(tone.amplitude - told.amplitude_um) > 0.1 * told.amplitude_um:
-        found.append(
+        findings.append(
             Finding(
                 "sinusoidal.not_the_tone",
                 "error",
@@ -198,25 +198,25 @@ def _tone(run: Run, told: Commanded) -> list[Finding]:
             )
         )
     if "tool_z_mm" not in run.samples:
-        found.append(
+        findings.append(
             Finding(
                 "sinusoidal.no_reference",
                 "warning",
                 "no column tool_z_mm: what the tool does beyond the encoder is not known",
             )
         )
-    return found
+    return findings
 
 
 def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
-    found = _rate_finding(group.rate_hz, told.frequency_hz, f"the signals of {group.name}")
+    findings = _rate_finding(group.rate_hz, told.frequency_hz, f"the signals of {group.name}")
     for name, values in group.columns.items():
-        found += _clipped(values, name, "sensor.saturated")
+        findings += _clipped(values, name, "sensor.saturated")
     if group.name != "accelerometers" or not group.columns:
-        return found
+        return findings
     tone = heard(run)
     if tone is not None and tone.share < HEARD:
-        found.append(
+        findings.append(
             Finding(
                 "sensor.below_noise",
                 "warning",
@@ -225,7 +225,7 @@ def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
                 {"share_1": tone.share},
             )
         )
-    return found
+    return findings
 
 
 def _clipped(values: Floats, name: str, code: str) -> list[Finding]:

@@ -63,7 +63,7 @@ def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -
         kept = tuple(t for t in again.terms if t.label in frozen.twin.labels)
         return _told(replace(again, terms=kept), obs, test)
 
-    found = judged(groups, predict)
+    verdicts = judged(groups, predict)
     bundle = frozen.bundle
     graph = bundle.window_graph
     assert graph is not None
@@ -76,14 +76,14 @@ def judge_tones(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -
         family="symbolic",
         promotable=True,
         complexity=len(graph.nodes),
-        scores=found.scores,
+        scores=verdicts.scores,
         train_rms_um=rms(left[obs.mask]),
         latency=bundle_latency(bundle),
         equation="\n".join([equation, *(f"  {t.label}: {t.instance.effect.formula}" for t in frozen.twin.terms)]),
         exports={"window.txt": to_text(graph), "tick.txt": to_text(bundle.tick_graph)},
         bundle=bundle.to_dict(),
         findings=(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}",) if where else (),
-        numbers=found.numbers | {"spectral_radius": radius, "dead_terms": float(len(dead_terms(bundle, groups)))},
+        numbers=verdicts.numbers | {"spectral_radius": radius, "dead_terms": float(len(dead_terms(bundle, groups)))},
     )
     tones = sorted(_tone(obs, row) for row in range(obs.n_rows))
     conditions = tuple((f"{f:g} Hz", f, a) for f, a in dict.fromkeys(tones))

@@ -139,24 +139,24 @@ def tone_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
 
 
 def _held_out(metrics: Mapping[str, float]) -> list[Verdict]:
-    found = []
+    verdicts = []
     for name, least in _LEAST_R2.items():
         values = {g: metrics.get(f"leave_{g}_out.{name}", float("nan")) for g in HELD_OUT}
         told = ", ".join(f"{group} out: {value:z.4f}" for group, value in values.items())
         what = "amplitude" if name == "r2" else "phase"
-        found.append(
+        verdicts.append(
             Verdict(f"held-out {what}", all(v >= least for v in values.values()), f"R2 {told}; at least {least}")
         )
     errors = [metrics.get(f"leave_{g}_out.mae_um", float("nan")) for g in HELD_OUT]
     told = ", ".join(f"{1000 * error:z.1f} nm" for error in errors)
-    found.append(
+    verdicts.append(
         Verdict(
             "held-out mean error",
             all(e <= MOST_ERROR_UM for e in errors),
             f"{told}; at most {1000 * MOST_ERROR_UM:g} nm",
         )
     )
-    return found
+    return verdicts
 
 
 def features_used(bundle: Bundle) -> dict[str, Sequence[str]]:

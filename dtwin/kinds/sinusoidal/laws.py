@@ -42,8 +42,8 @@ class Law:
         """Return the value for rows of features, shape (n,)."""
         scaled = _scaled(columns, self.scales)
         n = len(next(iter(columns.values())))
-        found: Floats = np.broadcast_to(self.formula.values(scaled, self.constants), (n,))
-        return np.nan_to_num(found, nan=1e6, posinf=1e6, neginf=-1e6)
+        values: Floats = np.broadcast_to(self.formula.values(scaled, self.constants), (n,))
+        return np.nan_to_num(values, nan=1e6, posinf=1e6, neginf=-1e6)
 
     def refitted(self, columns: Mapping[str, Floats], target: Floats) -> Law:
         """Return the same equation with its constants fitted to other rows."""

@@ -142,10 +142,10 @@ def _drive_advice(plan: TonePlan) -> list[Finding]:
 
 
 def _sampling_advice(plan: TonePlan) -> list[Finding]:
-    found = []
+    findings = []
     few = [f for f in plan.frequencies_hz if plan.sample_hz < FEWEST_PER_PERIOD * f]
     if few:
-        found.append(
+        findings.append(
             Finding(
                 "plan.too_few_samples",
                 "warning",
@@ -156,7 +156,7 @@ def _sampling_advice(plan: TonePlan) -> list[Finding]:
         )
     slow = [f for f in plan.frequencies_hz if f * FORETOLD_S < 1.0]
     if slow:
-        found.append(
+        findings.append(
             Finding(
                 "plan.too_slow",
                 "warning",
@@ -164,7 +164,7 @@ def _sampling_advice(plan: TonePlan) -> list[Finding]:
             )
         )
     if plan.seconds < LEARNED_S:
-        found.append(
+        findings.append(
             Finding(
                 "plan.too_short",
                 "warning",
@@ -174,7 +174,7 @@ def _sampling_advice(plan: TonePlan) -> list[Finding]:
         )
     weakest = min(plan.frequencies_hz) ** 2 * min(plan.amplitudes_um) * _G_PER_UM_HZ2
     if weakest < _WEAK_G:
-        found.append(
+        findings.append(
             Finding(
                 "plan.weak",
                 "info",
@@ -183,15 +183,15 @@ def _sampling_advice(plan: TonePlan) -> list[Finding]:
                 {"weakest_g": weakest},
             )
         )
-    return found
+    return findings
 
 
 def _size_advice(plan: TonePlan) -> list[Finding]:
-    found = []
+    findings = []
     if plan.repeats < 2:
-        found.append(Finding("plan.no_repeats", "warning", "no repeats: the noise floor cannot be known"))
+        findings.append(Finding("plan.no_repeats", "warning", "no repeats: the noise floor cannot be known"))
     if min(len(plan.frequencies_hz), len(plan.amplitudes_um)) < _FEWEST_TONES:
-        found.append(
+        findings.append(
             Finding(
                 "plan.too_few_tones",
                 "warning",
@@ -201,7 +201,7 @@ def _size_advice(plan: TonePlan) -> list[Finding]:
         )
     hours = duration_s(plan) / 3600.0
     if hours > _LONG_H:
-        found.append(
+        findings.append(
             Finding(
                 "plan.long",
                 "warning",
@@ -209,7 +209,7 @@ def _size_advice(plan: TonePlan) -> list[Finding]:
                 {"duration_s": hours * 3600.0},
             )
         )
-    return found
+    return findings
 
 
 def _distinct(values: tuple[float, ...], most: float) -> bool:

@@ -100,7 +100,7 @@ class _Sinusoidal(Kind):
         return TONE, [tone_row(run, time_h) for run, time_h in zip(runs, times_h, strict=True)]
 
     def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.train.run_errors import tone_errors
+        from dtwin.kinds.sinusoidal.run_errors import tone_errors
 
         return tone_errors(runs)
 

@@ -61,18 +61,18 @@ def _fixed(pose: Floats, ball: Floats, error: Floats) -> list[Finding]:
 
 
 def _temperatures(group: SignalGroup) -> list[Finding]:
-    found = []
+    findings = []
     for name, values in group.columns.items():
         if not name.endswith("_c"):
             continue
         gaps = float(np.mean(~np.isfinite(values)))
         if gaps > 0.0:
             text = f"{name} has no reading in {gaps:.0%} of the cycle"
-            found.append(Finding("sensor.gap", "warning", text, {"share_1": gaps}))
+            findings.append(Finding("sensor.gap", "warning", text, {"share_1": gaps}))
             continue
         if values.min() < _PLAUSIBLE_C[0] or values.max() > _PLAUSIBLE_C[1]:
             text = f"{name} reads {values.min():z.1f} to {values.max():z.1f} degC: a broken wire"
-            found.append(Finding("sensor.implausible", "warning", text))
+            findings.append(Finding("sensor.implausible", "warning", text))
         elif len(values) > 10 and np.ptp(values) < _STUCK_C:
-            found.append(Finding("sensor.stuck", "warning", f"{name} does not change at all"))
-    return found
+            findings.append(Finding("sensor.stuck", "warning", f"{name} does not change at all"))
+    return findings

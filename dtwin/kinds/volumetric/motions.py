@@ -165,17 +165,17 @@ def heat_terms(wanted: Sequence[str], axis: str = "") -> tuple[HeatTerm, ...]:
     InputError
         When a name means nothing, or nothing is left.
     """
-    found: dict[str, HeatTerm] = {}
+    terms: dict[str, HeatTerm] = {}
     for name in wanted:
         for term in _named(name, axis):
-            if found.setdefault(term.motion, term) != term:
+            if terms.setdefault(term.motion, term) != term:
                 raise InputError(
                     "one error motion is named twice, with other temperatures",
                     code="twin.effect_twice",
-                    got=f"{found[term.motion].label}, {term.label}",
+                    got=f"{terms[term.motion].label}, {term.label}",
                     hint="EXX1@bed+table takes both",
                 )
-    return tuple(found.values())
+    return tuple(terms.values())
 
 
 def _named(name: str, axis: str) -> list[HeatTerm]:

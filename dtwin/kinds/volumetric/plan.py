@@ -116,9 +116,9 @@ def _drift_advice(plan: BallPlan) -> list[Finding]:
 
 
 def _ball_advice(plan: BallPlan) -> list[Finding]:
-    found = []
+    findings = []
     if plan.table_balls < FEWEST_TABLE_BALLS:
-        found.append(
+        findings.append(
             Finding(
                 "plan.table_balls",
                 "warning",
@@ -130,7 +130,7 @@ def _ball_advice(plan: BallPlan) -> list[Finding]:
     unknown = _MOTIONS + _PLACE * plan.poses
     short = plan.balls < _FEWEST_BALLS or plan.poses < _FEWEST_POSES
     if short or told < _REDUNDANCY * unknown:
-        found.append(
+        findings.append(
             Finding(
                 "plan.too_few_balls",
                 "warning",
@@ -141,11 +141,11 @@ def _ball_advice(plan: BallPlan) -> list[Finding]:
                 {"readings_1": float(told), "unknowns_1": float(unknown)},
             )
         )
-    return found
+    return findings
 
 
 def _length_advice(plan: BallPlan) -> list[Finding]:
-    found = [
+    findings = [
         Finding(
             "plan.one_campaign",
             "info",
@@ -154,7 +154,7 @@ def _length_advice(plan: BallPlan) -> list[Finding]:
         )
     ]
     if plan.cycles < _FEWEST_CYCLES:
-        found.append(
+        findings.append(
             Finding(
                 "plan.too_few_cycles",
                 "warning",
@@ -163,4 +163,4 @@ def _length_advice(plan: BallPlan) -> list[Finding]:
                 {"cycles_1": float(plan.cycles)},
             )
         )
-    return found
+    return findings

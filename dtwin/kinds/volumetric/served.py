@@ -65,13 +65,13 @@ class ServedMill:
         share = min((within + 1) / _TRAVEL, 1.0)
         x, y, z = (self._from_mm[ball] + share * (self._to_mm[ball] - self._from_mm[ball])).tolist()
         now_s = float(self._at_s[ball]) - (_BALL - 1 - within) * _PERIOD_S
-        found = {"timestamp_s": now_s, "x_mm": x, "y_mm": y, "z_mm": z}
+        figures = {"timestamp_s": now_s, "x_mm": x, "y_mm": y, "z_mm": z}
         if within == 0:
             number = ball // self._per_cycle
             since_s = max(now_s - self._cycles[number] * CYCLE_S, 0.0)
             row = int(since_s / READING_S)
-            found |= {name: float(values[row]) for name, values in self._temperatures[number].items()}
-        return found
+            figures |= {name: float(values[row]) for name, values in self._temperatures[number].items()}
+        return figures
 
     def advance(self, tick: int, offset_um: Floats) -> None:
         """Take what is in force; the last of a ball is there when the probe touches."""

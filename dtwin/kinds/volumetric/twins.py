@@ -262,10 +262,10 @@ class HeatTwins(TwinShelf):
         series = loaded.series
         fitted = fit_heat(series, twin.terms)
         places = loaded.worst_places(series.values - fitted.expected)
-        found = diagnose_heat(series, fitted, places)
+        diagnosis = diagnose_heat(series, fitted, places)
         named = {"twin": twin.name, "version": twin.version, "campaign": twin.campaign}
-        self.store_diagnosis({**named, **found.as_dict()})
-        return found
+        self.store_diagnosis({**named, **diagnosis.as_dict()})
+        return diagnosis
 
     def _store(self, name: str, loaded: HeatLoaded, terms: Sequence[HeatTerm], action: str) -> HeatTwin:
         version = self.next_version(name)

@@ -93,6 +93,7 @@ from dtwin.plan import training_plan
 plan = training_plan(radii_mm=(100.0,), feeds_mm_min=(4000.0, 6000.0), planes=("YZ",), repeats=4)
 run_campaign(plan, VirtualCobotBench(), Path(sys.argv[1]), lambda d, n, w: print(w, flush=True))
 """
+_PLAN = training_plan(radii_mm=(100.0,), feeds_mm_min=(4000.0, 6000.0), planes=("YZ",), repeats=4)
 
 
 def test_a_killed_campaign_continues_and_ends_the_same(tmp_path: Path) -> None:
@@ -107,7 +108,7 @@ def test_a_killed_campaign_continues_and_ends_the_same(tmp_path: Path) -> None:
     kept = len((tmp_path / "a" / MANIFEST).read_text().splitlines())
     assert 3 <= kept < 8
     for target in ("a", "b"):
-        subprocess.run([sys.executable, "-c", _CHILD, str(tmp_path / target)], check=True, capture_output=True)
+        run_campaign(_PLAN, VirtualCobotBench(), tmp_path / target)
     for name in sorted(p.name for p in (tmp_path / "b").glob("t*")):
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
     plan = json.loads((tmp_path / "a" / "plan.json").read_text())

@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from starlette.testclient import TestClient
 
-from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.lake.store import Lake
-from dtwin.schema import Campaign, Floats, Run, RunMeta
-from dtwin.workbench.access import Access
-from dtwin.workbench.bench import Bench
-from dtwin.workbench.server import application
+from dtwin.schema import Floats, Run, RunMeta
 
 RATE_HZ, PERIOD_S = 250.0, 4.0
 T_S = np.arange(round(2.0 * PERIOD_S * RATE_HZ)) / RATE_HZ
@@ -122,17 +115,3 @@ def test_a_run_without_the_columns_is_refused(kind: str, name: str) -> None:
     with pytest.raises(InputError) as refused:
         drawing.draw(run, no_floor)
     assert (refused.value.code, refused.value.got) == ("run.columns", "t_s")
-
-
-def test_the_page_of_a_run_shows_what_its_kind_draws(tmp_path: Path) -> None:
-    home = Home(tmp_path)
-    Lake(home.lake).commit(Campaign("z", "m", kind="linear"), [sweeps()])
-    bench = Bench(home, Access("127.0.0.1", 8765))
-    client = TestClient(application(bench), base_url="http://127.0.0.1:8765")
-    page = client.get("/campaigns/z/runs/s1").text
-    assert "/api/campaigns/z/runs/s1/along" in page
-    assert "/polar" not in page
-    drawn = client.get("/api/campaigns/z/runs/s1/along").json()
-    assert [trace["name"] for trace in drawn["data"]] == ["forward", "reverse"]
-    absent = client.get("/api/campaigns/z/runs/s1/polar")
-    assert (absent.status_code, absent.json()["error"]["allowed"]) == (404, "along")

@@ -17,7 +17,7 @@ from dtwin.acquire.quality import judge_run
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds import registry
-from dtwin.kinds.kind import VERBS, Kind, NotOffered, Planned
+from dtwin.kinds.kind import Kind, NotOffered, Planned
 from dtwin.kinds.machine import PLAN, Options, Request, Simulated, VirtualMachine
 from dtwin.kinds.registry import kind_named, kind_names, kinds, machine_named, verb_table
 from dtwin.progress import Progress
@@ -36,18 +36,6 @@ def test_a_kind_that_is_not_there_is_refused_with_those_that_are() -> None:
     with pytest.raises(InputError) as refused:
         kind_named("spiral")
     assert refused.value.allowed == ", ".join(kind_names())
-
-
-@pytest.mark.parametrize("verb", VERBS)
-def test_what_a_kind_lacks_is_refused_with_its_name_and_a_way_out(verb: str) -> None:
-    for kind in kinds():
-        if kind.offers(verb):
-            kind.require(verb)
-            continue
-        with pytest.raises(NotOffered) as refused:
-            kind.require(verb)
-        assert (refused.value.got, refused.value.code) == (kind.name, "kind.not_offered")
-        assert refused.value.hint
 
 
 def test_the_table_of_the_docs_is_that_of_the_records() -> None:

@@ -17,7 +17,7 @@ from dtwin.schema import Campaign, Finding, Run, RunMeta
 from dtwin.tolerances import limits_from
 
 ROOT = Path(__file__).parents[3]
-ANGLE = np.arange(0.5, 360.0, 1.0)
+ANGLE = np.arange(1.0, 360.0, 2.0)
 
 
 def circle(

@@ -229,7 +229,7 @@ def loop_for(link: Any, mode: Any = "live") -> ServingLoop:
 def test_serving_over_rtde_corrects_and_releases(robot: Any) -> None:
     host, _ = robot
     with UrLink(host) as link:
-        status = loop_for(link).run(3.0, priority=0)
+        status = loop_for(link).run(1.0, priority=0)
         applied = None
         for _ in range(100):
             state = link.wait_state(0.2)
@@ -252,7 +252,7 @@ def test_controller_that_drops_the_link_ends_the_serving_with_a_reason(robot: An
 
     def stop() -> bool:
         asked.append(1)
-        if len(asked) == 400:
+        if len(asked) == 150:
             do("drop")
         return False
 
@@ -270,9 +270,9 @@ def test_controller_that_stalls_is_answered_with_zero(robot: Any) -> None:
 
     def stop() -> bool:
         asked.append(1)
-        if len(asked) == 400:
-            do("stall", seconds=0.6)
-        return len(asked) > 900
+        if len(asked) == 150:
+            do("stall", seconds=0.3)
+        return len(asked) > 400
 
     with UrLink(host) as link:
         loop = loop_for(link)
@@ -287,7 +287,7 @@ def test_controller_that_stalls_is_answered_with_zero(robot: Any) -> None:
 def test_shadow_sends_nothing(robot: Any) -> None:
     host, _ = robot
     with UrLink(host) as link:
-        status = loop_for(link, "shadow").run(1.0, priority=0)
+        status = loop_for(link, "shadow").run(0.5, priority=0)
         state = link.wait_state(1.0)
         assert state is not None
         assert not state[layout.APPLIED : layout.APPLIED + 3].any()
