@@ -12,7 +12,7 @@ from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.schema import Floats
 
-_PITCH = "pitch_mm"
+PITCH = "pitch_mm"
 _Index = NDArray[np.intp]
 
 
@@ -94,18 +94,18 @@ class Dictionary:
         periodic = [
             instance
             for instance in self._candidates.instances
-            if instance.effect.shapes and instance.effect.shapes[0].name == _PITCH
+            if instance.effect.shapes and instance.effect.shapes[0].name == PITCH
         ]
         for instance in periodic:
             # An axis has one screw.
             pitches = [
-                term.shape[_PITCH]
+                term.shape[PITCH]
                 for label, term in have.items()
-                if term.instance.axis == instance.axis and _PITCH in term.shape and label != instance.label
+                if term.instance.axis == instance.axis and PITCH in term.shape and label != instance.label
             ]
             if instance.label not in have:
                 pitches += likely_pitches(self._problem.obs, rows, instance, 1)
-            self.add(Term(instance, {_PITCH: pitch}) for pitch in pitches)
+            self.add(Term(instance, {PITCH: pitch}) for pitch in pitches)
 
     def fitted(self, chosen: Sequence[Entry]) -> Floats:
         """Return what a set explains, whitened, shape (rows * n,)."""
