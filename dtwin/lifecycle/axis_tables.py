@@ -135,7 +135,7 @@ def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
         f"; MD32450 $MA_BACKLASH[0,{name}] = {lost_motion_um(table)[0] / UM_PER_MM:z.6f}",
         "CHANDATA(1)",
         *(f"$AA_ENC_COMP[0,{n},{name}]={value:z.6f}" for n, value in enumerate(both)),
-        f"$AA_ENC_COMP_STEP[0,{name}]={step:.6f}",
+        f"$AA_ENC_COMP_STEP[0,{name}]={step:z.6f}",
         f"$AA_ENC_COMP_MIN[0,{name}]={low:z.6f}",
         f"$AA_ENC_COMP_MAX[0,{name}]={low + last * step:z.6f}",
         f"$AA_ENC_COMP_IS_MODULO[0,{name}]=0",

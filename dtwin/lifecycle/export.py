@@ -263,7 +263,7 @@ def _table_notes(request: Request, tables: Sequence[AxisTable], most: int) -> li
             "the control wants 0 at the reference point: the axis moves by the value there when it is switched on"
         )
         if uneven > TOLERANCE_UM:
-            notes.append(f"lost motion changes along the axis: by up to {uneven:.2f} µm it is not what MD32450 holds")
+            notes.append(f"lost motion changes along the axis: by up to {uneven:z.2f} µm it is not what MD32450 holds")
     if request.form == "comp":
         notes.append("COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table")
         notes.append("LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure")

@@ -59,6 +59,6 @@ def klipper_settings(by_plane: dict[str, float], said: Sequence[str]) -> str:
     for plane, skew in by_plane.items():
         cosine = math.sin(math.atan(skew))
         lengths = (math.sqrt(2.0 + 2.0 * cosine), math.sqrt(2.0 - 2.0 * cosine), 1.0)
-        parts.append(f"{plane}=" + ",".join(f"{_SIDE_MM * length:.7f}" for length in lengths))
+        parts.append(f"{plane}=" + ",".join(f"{_SIDE_MM * length:z.7f}" for length in lengths))
     head = [*said, "needs [skew_correction] in printer.cfg; keep it with SKEW_PROFILE SAVE=dtwin and SAVE_CONFIG"]
     return "".join(f"; {line}\n" for line in head) + f"SET_SKEW {' '.join(parts)}\n"
