@@ -200,6 +200,21 @@ def learn_effect(
     _show_rung(before.figures, twin, as_json=as_json)
 
 
+@twin_app.command("budget")
+def error_budget(
+    name: Name,
+    campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """How much of the error each cause makes, and what would be left after its remedy."""
+    from dtwin.report.budget import budget_text
+
+    twin, found = _twins(effects_path).budget(name, campaign)
+    payload = {"twin": name, "version": twin.version, "campaign": campaign or twin.campaign, **found.as_dict()}
+    emit(payload, lambda: budget_text(found), as_json=as_json)
+
+
 @twin_app.command("correct")
 def correct_machine(
     name: Name,

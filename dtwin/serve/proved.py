@@ -37,7 +37,7 @@ def require_proof(resolved: Resolved, bundle: Bundle, when_expired: WhenExpired,
 
     Parameters
     ----------
-    found, bundle
+    resolved, bundle
         As for :func:`proof_of`.
     when_expired : {"refuse", "warn"}
         What to do when the proof does not hold any more.

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from dtwin.config import Home
 from dtwin.physics import localise
+from dtwin.physics.budget import Budget, budget
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.diagnosis import Diagnosis
 from dtwin.physics.effect import Effect
@@ -83,6 +84,19 @@ class Twins(TwinShelf):
         residual = frozen_residual_um(twin, obs)
         before = localise.residual_um(obs, [])
         return Comparison(twin, obs, residual, before, tuple(warnings), loaded.controller_um)
+
+    def budget(self, name: str, campaign: str | None = None) -> tuple[Twin, Budget]:
+        """Return how much each effect of a twin makes of the error.
+
+        Parameters
+        ----------
+        campaign : str, optional
+            Other measurements than those of the fit.
+        """
+        twin = self.newest(name)
+        obs = load(self.home, campaign or twin.campaign).obs
+        require_same_machine(name, twin.machine, obs.campaign.name, obs.campaign.machine)
+        return twin, budget(twin, obs)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
         """Find out what a twin lacks."""

@@ -1,0 +1,37 @@
+"""The error budget of a twin, for people."""
+
+from __future__ import annotations
+
+from dtwin.physics.budget import Budget, Share
+from dtwin.report.faults import with_k2
+from dtwin.report.text import micrometres, table
+
+
+def budget_rows(found: Budget) -> tuple[list[str], list[list[str]]]:
+    """Return head and rows of the table: every cause, the largest first, and what is left without all of them."""
+    planes = list(found.shares[0].rms_um)[1:] if found.shares else []
+    several = planes if len(planes) > 1 else []
+    head = [
+        "cause",
+        "its own RMS, µm (k = 2)",
+        *(f"{p}, µm" for p in several),
+        "left without it, µm",
+        "largest P-V, µm",
+    ]
+    rows = [_row(share, several) for share in found.shares]
+    nothing = ["-"] * len(several)
+    rows.append(["as measured", "-", *nothing, micrometres(found.error_um), micrometres(found.largest_um)])
+    left = [micrometres(found.unexplained_um), micrometres(found.unexplained_largest_um)]
+    return head, [*rows, ["without all of them", "-", *nothing, *left]]
+
+
+def budget_text(found: Budget) -> str:
+    """Return the budget for the terminal."""
+    remedies = [f"{share.label}: {share.remedy}" for share in found.shares]
+    return "\n".join([table(*budget_rows(found)), "", *remedies])
+
+
+def _row(share: Share, planes: list[str]) -> list[str]:
+    own = with_k2(share.rms_um[""], share.uncertainty_um, "um").removesuffix(" µm")
+    each = [micrometres(share.rms_um[plane]) for plane in planes]
+    return [share.label, own, *each, micrometres(share.left_um), micrometres(share.largest_um)]
