@@ -39,7 +39,7 @@ TASKS: dict[str, tuple[str, ...]] = {
     "Run": ("serve", "robot-program", "robot-targets", "export", "analogue", "linuxcnc", "cell", "up"),
 }
 TWIN_TASKS: dict[str, tuple[str, ...]] = {
-    "Fit and look": ("fit", "compare", "recording", "show", "history"),
+    "Fit and look": ("fit", "compare", "recording", "show", "history", "budget"),
     "Find what is missing": ("diagnose", "discover", "learn"),
     "Change": ("add", "remove", "restore"),
     "Prove and use": ("confirm", "correct"),

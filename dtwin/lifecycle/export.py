@@ -121,7 +121,7 @@ def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, 
     if name in ("latest", "trial") or name.endswith(".json"):
         resolved = resolve(name, machine, home, harmless=True)
         bundle = Bundle.from_dict(read_json(resolved.path, MAX_BYTES))
-        version = _registered(registry, resolved.machine, resolved.version)
+        version = _registered(registry, resolved.machine, resolved.version, bundle)
         return _source(home, bundle, resolved.state, version, library)
     if name.isdigit():
         if machine is None:
@@ -318,11 +318,14 @@ def _source(
     return Source(bundle, state, replace(twin, terms=kept), number)
 
 
-def _registered(registry: Registry, machine: str, number: int) -> RegisteredVersion | None:
+def _registered(registry: Registry, machine: str, number: int, bundle: Bundle) -> RegisteredVersion | None:
+    """Return the version that a bundle says it is; None when it is not registered, or another equation is."""
     try:
-        return registry.version(machine, str(number))
+        version = registry.version(machine, str(number))
     except InputError:
         return None
+    same = Bundle.from_dict(registry.bundle(version)).model_sha256 == bundle.model_sha256
+    return version if same else None
 
 
 def _of_twin(home: Home, registry: Registry, name: str) -> RegisteredVersion:
