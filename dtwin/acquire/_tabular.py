@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from dtwin.acquire.spreadsheet import ending_as_table, is_spreadsheet, table_bytes
 from dtwin.acquire.xmlsafe import require_bounded
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
@@ -68,33 +70,37 @@ def kind_of_table(path: Path) -> str:
 
 
 def _read_table(path: Path) -> pa.Table:
-    suffix = path.suffix.lower()
+    suffix = ending_as_table(path)
     if suffix not in (".csv", ".parquet"):
         raise InputError(
             "unknown kind of table",
             code="table.type",
             where=str(path),
             got=suffix or "no ending",
-            allowed=".csv, .parquet",
+            allowed=".csv, .parquet, .xlsx",
         )
     require_bounded(path, _MAX_TABLE_BYTES)
     try:
         if suffix == ".parquet":
             return pq.read_table(path, page_checksum_verification=True)
-        return pa_csv.read_csv(path, **_dialect(path))
+        return pa_csv.read_csv(_source(path), **_dialect(path))
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _malformed(path, error) from error
 
 
 def _names(path: Path) -> list[str]:
-    if path.suffix.lower() != ".csv":
+    if ending_as_table(path) != ".csv":
         return list(_read_table(path).column_names)
     require_bounded(path, _MAX_TABLE_BYTES)
     try:
-        with pa_csv.open_csv(path, **_dialect(path)) as opened:
+        with pa_csv.open_csv(_source(path), **_dialect(path)) as opened:
             return list(opened.schema.names)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _malformed(path, error) from error
+
+
+def _source(path: Path) -> Path | io.BytesIO:
+    return io.BytesIO(table_bytes(path, _MAX_TABLE_BYTES)) if is_spreadsheet(path) else path
 
 
 def _dialect(path: Path) -> dict[str, Any]:
@@ -103,7 +109,8 @@ def _dialect(path: Path) -> dict[str, Any]:
     Spreadsheets of many countries part columns by semicolons and write decimal commas.
     """
     comments = 0
-    with path.open("rb") as file:
+    source = _source(path)
+    with source.open("rb") if isinstance(source, Path) else source as file:
         head = file.readline(_LONGEST_HEAD)
         while head.startswith(b"#") and comments < _MOST_COMMENTS:
             comments += 1

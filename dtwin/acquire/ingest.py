@@ -11,6 +11,7 @@ from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.b5r import read_b5r
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.quality import judge_campaign, judge_copies, judge_run, without_samples
+from dtwin.acquire.spreadsheet import ending_as_table
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kinds
 from dtwin.lake.rows import columns_sha256
@@ -104,7 +105,9 @@ def open_source(
         What is told of a table that lies alone.
     """
     suffix = path.suffix.lower()
-    if path.is_file() and (suffix in (".csv", ".parquet") or any(kind.takes_alone(path) for kind in kinds())):
+    if path.is_file() and (
+        ending_as_table(path) in (".csv", ".parquet") or any(kind.takes_alone(path) for kind in kinds())
+    ):
         table = open_table(path, told or {})
         return table.campaign, table, 1
     if any(value is not None for value in (told or {}).values()):
@@ -113,7 +116,7 @@ def open_source(
             code="ingest.told",
             where=str(path),
             got=", ".join(name for name, value in (told or {}).items() if value is not None),
-            allowed="a .csv or .parquet file",
+            allowed="a .csv, .parquet or .xlsx file",
             hint="leave the options away: the file itself, or campaign.toml, says it",
         )
     if path.is_dir() or suffix == ".toml":
@@ -140,7 +143,7 @@ def open_source(
         code="ingest.type",
         where=str(path),
         got=path.suffix or "no ending",
-        allowed="a campaign folder, campaign.toml, .b5r, .csv or .parquet",
+        allowed="a campaign folder, campaign.toml, .b5r, .csv, .parquet or .xlsx",
         hint="name the file in a campaign.toml: it says plane, radius, feed and direction",
     )
 

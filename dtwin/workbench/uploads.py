@@ -10,6 +10,7 @@ import zipfile
 from collections.abc import AsyncIterator
 from pathlib import Path, PurePosixPath
 
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.errors import InputError
 
 MAX_TRAY_BYTES = 512 * 1024 * 1024
@@ -20,7 +21,7 @@ _RATIO_FROM_BYTES = 10 * 1024 * 1024
 _MAX_DEPTH = 4
 _CHUNK = 1024 * 1024
 _PART = re.compile(r"[\w(][\w .,()+\-]{0,119}")
-_ALLOWED = "a .b5r, a .csv, a .zip of a campaign folder, or all files of one with its campaign.toml"
+_ALLOWED = "a .b5r, a .csv, an .xlsx, a .zip of a campaign folder, or all files of one with its campaign.toml"
 
 
 class Trays:
@@ -100,7 +101,7 @@ def sources(folder: Path) -> list[Path]:
         archive.unlink()
     found = sorted(folder.rglob("campaign.toml"))
     homes = [toml.parent for toml in found]
-    alone = {".b5r"} if homes else {".b5r", ".csv", ".parquet"}
+    alone = {".b5r"} if homes else {".b5r", ".csv", ".parquet", *SPREADSHEETS}
     loose = [
         path
         for path in sorted(folder.rglob("*"))

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import is_number
@@ -37,7 +37,7 @@ def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     InputError
         When there is no displacement, no temperature or no time, or the size of a step is not told.
     """
-    text = read_bounded(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
+    text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
     rows = list(csv.reader(lines, delimiter=";" if semicolon else ","))

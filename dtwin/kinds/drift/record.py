@@ -23,9 +23,10 @@ class _Drift(Kind):
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
+        from dtwin.acquire.spreadsheet import SUFFIXES
         from dtwin.kinds.drift.read import read_drift
 
-        return {".csv": read_drift}
+        return dict.fromkeys((".csv", *SUFFIXES), read_drift)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.kinds.drift.check import judge_drift

@@ -21,12 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
+from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
 
-SUFFIXES = (".csv", ".dat", ".txt", ".tsv")
+SUFFIXES = (".csv", ".dat", ".txt", ".tsv", *SPREADSHEETS)
 _MAX_BYTES = 16 * 1024 * 1024
 _SNIFFED = 65_536
 _PERIOD_S = 1.0
@@ -71,12 +72,18 @@ def is_position_table(path: Path) -> bool:
     """Return whether a file looks like one of the forms; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    with path.open("rb") as file:
-        text = file.read(_SNIFFED).decode("utf-8-sig", errors="replace")
+    text = _beginning(path).decode("utf-8-sig", errors="replace")
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return True
     rows = _rows(text)
     return bool(rows) and (_wide(rows[0]) is not None or _long(rows[0]) is not None)
+
+
+def _beginning(path: Path) -> bytes:
+    if is_spreadsheet(path):
+        return table_bytes(path, _MAX_BYTES)[:_SNIFFED]
+    with path.open("rb") as file:
+        return file.read(_SNIFFED)
 
 
 def read_position_runs(
@@ -123,7 +130,7 @@ def read_position_table(path: Path) -> PositionTable:
     InputError
         When a cell is no number, or targets, cycles or directions do not belong together.
     """
-    text = read_bounded(path, _MAX_BYTES).decode("utf-8-sig", errors="replace")
+    text = table_bytes(path, _MAX_BYTES).decode("utf-8-sig", errors="replace")
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return _matrix(_assigned(text, path), path)
     rows = _rows(text)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.xmlsafe import read_bounded
+from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 
@@ -30,7 +30,7 @@ def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tup
     InputError
         When a column is missing, with those that the file has.
     """
-    text = read_bounded(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
+    text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
     lines = text.splitlines()
     semicolon = bool(lines) and lines[0].count(";") > lines[0].count(",")
     rows = [row for row in csv.reader(lines, delimiter=";" if semicolon else ",") if any(row)]

@@ -32,9 +32,10 @@ class _Poses(Kind):
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
+        from dtwin.acquire.spreadsheet import SUFFIXES
         from dtwin.kinds.poses.read import read_poses
 
-        return {".csv": read_poses}
+        return dict.fromkeys((".csv", *SUFFIXES), read_poses)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.kinds.poses.data import with_chain

@@ -1,0 +1,111 @@
+"""Tables in a spreadsheet (.xlsx), read as the CSV that they would be saved as."""
+
+from __future__ import annotations
+
+import csv
+import io
+import zipfile
+from collections.abc import Iterator, Sequence
+from datetime import date, datetime
+from functools import lru_cache
+from pathlib import Path
+
+from dtwin.acquire.xmlsafe import read_bounded, require_bounded
+from dtwin.errors import InputError
+
+SUFFIXES = (".xlsx", ".xlsm")
+_MAX_BYTES = 32 * 1024**2
+# Unpacked: a small archive may be a bomb.
+_MAX_UNPACKED = 256 * 1024**2
+_MOST_ROWS, _MOST_COLUMNS = 200_000, 512
+
+
+def is_spreadsheet(path: Path) -> bool:
+    """Tell by its ending whether a file is a spreadsheet."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def ending_as_table(path: Path) -> str:
+    """Return the ending of a file in lower case; a spreadsheet counts as the CSV that is made of it."""
+    return ".csv" if is_spreadsheet(path) else path.suffix.lower()
+
+
+def table_bytes(path: Path, max_bytes: int) -> bytes:
+    """Return a table of text; of a spreadsheet its first sheet that holds more than one cell, as CSV.
+
+    Formulas count as what the spreadsheet program last saved of them. Empty rows and columns are left out.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, or is larger than ``max_bytes`` or than the limits of this module.
+    """
+    if not is_spreadsheet(path):
+        return read_bounded(path, max_bytes)
+    require_bounded(path, _MAX_BYTES)
+    return _converted(path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=4)
+def _converted(path: Path, _changed_ns: int) -> bytes:
+    import openpyxl
+
+    try:
+        with zipfile.ZipFile(path) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if unpacked > _MAX_UNPACKED:
+            raise _refused(path, f"{unpacked / 1e6:z.0f} MB unpacked", f"up to {_MAX_UNPACKED / 1e6:z.0f} MB")
+        book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
+        try:
+            for sheet in book.worksheets:
+                rows = _rows(path, sheet.iter_rows(values_only=True))
+                if sum(map(len, rows)) > 1:
+                    return _as_csv(rows)
+        finally:
+            book.close()
+    except InputError:
+        raise
+    # What a damaged or hostile archive raises is not documented: zlib, XML, keys and types.
+    except Exception as error:
+        raise _refused(path, f"{type(error).__name__}: {error}"[:160], "a workbook of Excel 2007 or later") from error
+    raise _refused(path, "no sheet holds a table", "a sheet with a row of names and rows of values")
+
+
+def _rows(path: Path, cells: Iterator[Sequence[object]]) -> list[list[str]]:
+    rows: list[list[str]] = []
+    for row in cells:
+        texts = [_text(cell) for cell in row]
+        if not any(texts):
+            continue
+        rows.append(texts)
+        if len(rows) > _MOST_ROWS or len(texts) > _MOST_COLUMNS:
+            raise _refused(
+                path, f"{len(rows)} rows of {len(texts)} cells", f"up to {_MOST_ROWS} rows and {_MOST_COLUMNS} columns"
+            )
+    used = [i for i in range(max(map(len, rows), default=0)) if any(i < len(row) and row[i] for row in rows)]
+    return [[row[i] if i < len(row) else "" for i in used] for row in rows]
+
+
+def _text(cell: object) -> str:
+    if cell is None:
+        return ""
+    if isinstance(cell, datetime | date):
+        return cell.isoformat()
+    return repr(cell) if isinstance(cell, float) else str(cell).strip()
+
+
+def _as_csv(rows: list[list[str]]) -> bytes:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue().encode()
+
+
+def _refused(path: Path, got: str, allowed: str) -> InputError:
+    return InputError(
+        "the spreadsheet cannot be read",
+        code="spreadsheet.unusable",
+        where=str(path),
+        got=got,
+        allowed=allowed,
+        hint="save the table as CSV and bring that",
+    )

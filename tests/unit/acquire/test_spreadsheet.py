@@ -1,0 +1,112 @@
+"""Tables in a spreadsheet: the same as their CSV, and what is refused."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import openpyxl
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from dtwin.acquire.ingest import ingest
+from dtwin.acquire.spreadsheet import table_bytes
+from dtwin.errors import InputError
+from dtwin.lake.store import Lake
+
+
+def write(path: Path, rows: list[list[object]], *, above: int = 0, first_sheet_empty: bool = False) -> Path:
+    book = openpyxl.Workbook()
+    sheet = book.active
+    assert sheet is not None
+    if first_sheet_empty:
+        sheet = book.create_sheet("data")
+    for number, row in enumerate(rows, start=1 + above):
+        for column, value in enumerate(row, start=2):
+            sheet.cell(number, column, value)
+    book.save(path)
+    return path
+
+
+def circle(n: int = 400) -> list[list[object]]:
+    angle = np.linspace(0.0, 360.0, n)
+    error = 3.0 * np.sin(2 * np.radians(angle)) + 0.1 * np.random.default_rng(0).standard_normal(n)
+    head: list[object] = ["t_s", "angle_deg", "deviation_um"]
+    return [head, *([0.05 * i, float(a), float(e)] for i, (a, e) in enumerate(zip(angle, error, strict=True)))]
+
+
+def require_alike(lake: Lake, one: str, other: str, runs: int) -> None:
+    pairs = list(zip(lake.runs(one), lake.runs(other), strict=True))
+    assert len(pairs) == runs
+    for left, right in pairs:
+        first, second = lake.load(left).samples, lake.load(right).samples
+        assert set(first) == set(second)
+        for name, values in first.items():
+            if values.dtype.kind == "f":
+                np.testing.assert_allclose(values, second[name], rtol=0.0, atol=1e-9)
+            else:
+                assert values.tolist() == second[name].tolist()
+
+
+def test_a_circle_in_a_spreadsheet_is_the_same_run_as_its_csv(tmp_path: Path) -> None:
+    rows = circle()
+    told = {"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1000.0, "machine": "mill"}
+    sheet = write(tmp_path / "sheet.xlsx", rows, above=3, first_sheet_empty=True)
+    (tmp_path / "text.csv").write_text("\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    lake = Lake(tmp_path / "lake")
+    ingest(sheet, lake, told=told)
+    ingest(tmp_path / "text.csv", lake, told=told)
+    require_alike(lake, "sheet", "text", 1)
+
+
+def test_a_positioning_table_in_a_spreadsheet_is_recognised(tmp_path: Path) -> None:
+    head: list[object] = ["target_mm", "forward 1 um", "reverse 1 um", "forward 2 um", "reverse 2 um"]
+    rows = [head, *([10.0 * i, 0.1 * i, 0.1 * i + 2.0, 0.1 * i + 0.1, 0.1 * i + 2.1] for i in range(11))]
+    lake = Lake(tmp_path / "lake")
+    text = tmp_path / "text.csv"
+    text.write_text("\n".join(",".join(map(str, row)) for row in rows) + "\n")
+    told = {"axis": "X", "machine": "mill"}
+    ingest(text, lake, told=told)
+    ingest(write(tmp_path / "sheet.xlsx", rows), lake, told=told)
+    require_alike(lake, "sheet", "text", 2)
+
+
+def test_an_archive_that_is_a_bomb_is_refused(tmp_path: Path) -> None:
+    bomb = tmp_path / "bomb.xlsx"
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/worksheets/sheet1.xml", b"0" * (300 * 1024**2))
+    with pytest.raises(InputError, match="the spreadsheet cannot be read"):
+        table_bytes(bomb, 1)
+
+
+def test_xml_that_names_entities_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "sheet.xlsx", [["a", "b"], [1.0, 2.0]])
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    doctype = b'<?xml version="1.0"?><!DOCTYPE a [<!ENTITY e SYSTEM "file:///etc/passwd">]>'
+    parts["xl/workbook.xml"] = doctype + parts["xl/workbook.xml"].split(b"?>")[-1]
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    with pytest.raises(InputError, match="the spreadsheet cannot be read"):
+        table_bytes(path, 1)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(where=st.integers(0, 6000), byte=st.integers(0, 255), cut=st.integers(0, 6000))
+def test_a_damaged_spreadsheet_is_read_or_refused_with_a_message(
+    tmp_path: Path, where: int, byte: int, cut: int
+) -> None:
+    whole = write(tmp_path / "whole.xlsx", circle(20)).read_bytes()
+    data = bytearray(whole)
+    data[where % len(data)] = byte
+    damaged = tmp_path / f"damaged-{where}-{byte}-{cut}.xlsx"
+    damaged.write_bytes(bytes(data[: max(1, len(data) - cut)]))
+    code = ""
+    try:
+        table_bytes(damaged, 1)
+    except InputError as error:
+        code = error.code
+    assert code in ("", "spreadsheet.unusable")
