@@ -23,9 +23,13 @@ from dtwin.lake.parquet import encoded, read_encoded, write_bytes
 _COMMIT_TRIES = 20
 # Log entries stay: repair reads in them which files were ever committed.
 _KEEP_LOG = PostCommitHookProperties(cleanup_expired_logs=False)
+# Who opens a table reads the entries since the last summary of the log, which is written every so many.
+_CHECKPOINT = 10
 # Hexadecimal digits of its own hash that the name of a data file ends with.
 _DIGITS = 24
 _NAME = re.compile(rf"[^\x00]+\.([0-9a-f]{{{_DIGITS}}})\.parquet")
+# One group of rows of a data file.
+_PART = re.compile(r"([^\x00]+\.parquet)#([0-9]{1,6})")
 
 
 class Written(NamedTuple):
@@ -34,6 +38,21 @@ class Written(NamedTuple):
     name: str
     size: int
     rows: int
+
+
+def file_of(name: str) -> str:
+    """Return the file that a name of a file, or of a group of rows in one, means."""
+    return _split(name)[0]
+
+
+def part_of(name: str) -> int:
+    """Return which group of rows of its file a name means, the first where it means the whole file."""
+    return _split(name)[1] or 0
+
+
+def stem_of(name: str) -> str:
+    """Return the name of a file without its hash and ending."""
+    return name.rsplit(".", 2)[0]
 
 
 class DeltaFiles:
@@ -54,7 +73,8 @@ class DeltaFiles:
 
     def version(self) -> int:
         """Return the current table version; -1 when the table does not exist."""
-        return self._open().version() if self.exists() else -1
+        entries = self._entries()
+        return int(entries[-1].stem) if entries else -1
 
     def files(self, version: int | None = None) -> list[str]:
         """Return the relative paths of the live data files.
@@ -181,8 +201,10 @@ class DeltaFiles:
         return self._synced()
 
     def _synced(self) -> int:
-        version = self._open().version()
+        version = self.version()
         sync(self._entry(version))
+        if version % _CHECKPOINT == _CHECKPOINT - 1:
+            self._open().create_checkpoint()
         sync(self.folder / "_delta_log")
         return version
 
@@ -204,35 +226,30 @@ class DeltaFiles:
         return self._written(table, actions, live - set(names)) if actions else table.version()
 
     def read_file(self, name: str) -> pa.Table:
-        """Read one data file; its content is compared with the hash in its name.
+        """Read one data file, or one group of its rows; the file is compared with the hash in its name.
 
         Raises
         ------
         StoreError
             When the file is missing or not the one that was written.
         """
-        path, digest = self._path(name)
+        file, group = _split(name)
+        path, digest = self._path(file)
 
         def verify(data: memoryview) -> None:
             if not content_hash(data).startswith(digest):
                 raise OSError("its content is not the one that was written")
 
-        return read_encoded(path, verify)[0]
+        return read_encoded(path, verify, group)[0]
 
     def intact(self, name: str) -> bool:
         """Return whether a data file is there as it was written."""
-        path, digest = self._path(name)
+        path, digest = self._path(file_of(name))
         return path.is_file() and content_hash(path.read_bytes()).startswith(digest)
 
-    def read(self, version: int | None = None) -> pa.Table:
-        """Read every live file, verified; files that lack a column give nulls.
-
-        Parameters
-        ----------
-        version : int, optional
-            Table version to read; the newest by default.
-        """
-        parts = [self.read_file(name) for name in self.files(version)]
+    def read(self, names: Iterable[str] | None = None) -> pa.Table:
+        """Read files, every live one by default, verified; files that lack a column give nulls."""
+        parts = [self.read_file(name) for name in (self.files() if names is None else names)]
         return pa.concat_tables(parts, promote_options="permissive") if parts else pa.table({})
 
     def sweep(self) -> int:
@@ -295,6 +312,8 @@ class DeltaFiles:
             hashes = [action["commitInfo"].get(LIVE) for action in actions if "commitInfo" in action]
         except (DeltaError, OSError, ValueError, TypeError, AttributeError) as error:
             raise self._damaged(str(error)) from error
+        if hashes == [live_hash(live)[LIVE]]:
+            return live
         if self.is_earlier():
             raise StoreError(
                 "an earlier version of dtwin made this lake",
@@ -302,9 +321,7 @@ class DeltaFiles:
                 where=str(self.folder),
                 hint="dtwin migrate",
             )
-        if hashes != [live_hash(live)[LIVE]]:
-            raise self._damaged("the newest entry does not agree with the files that are live")
-        return live
+        raise self._damaged("the newest entry does not agree with the files that are live")
 
     def _open(self, version: int | None = None) -> DeltaTable:
         try:
@@ -361,3 +378,9 @@ class DeltaFiles:
             got=str(error)[:200],
             hint="check free space and permissions; nothing was committed",
         )
+
+
+def _split(name: str) -> tuple[str, int | None]:
+    """Return a file and the group of rows in it that a name means."""
+    part = _PART.fullmatch(name)
+    return (part[1], int(part[2])) if part else (name, None)

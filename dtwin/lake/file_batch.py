@@ -1,38 +1,76 @@
-"""Data files of one table that are written one by one and committed together."""
+"""Data files of one table that are committed together, small ones in one file."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from dtwin.lake.delta import DeltaFiles, Written
-from dtwin.lake.parquet import table_of
+from dtwin.lake.parquet import encoded, table_of
 from dtwin.schema import Encoded
+
+# So many bytes of columns go into one file, at most.
+_FILE_BYTES = 8 * 2**20
+
+
+class Part(NamedTuple):
+    """Columns to write: path inside the table without ending, columns, and the bytes that they were read from."""
+
+    stem: str
+    columns: Mapping[str, NDArray[Any]]
+    encoded: Encoded | None = None
 
 
 class Batch:
-    """Files of one table; their columns are accepted by it before the first is written.
+    """Parts of one table, whose columns it accepts before the first is written.
 
-    ``parts``: columns of every file that will be written.
+    Parts of the same columns lie together in one file, each a group of its rows; a part that was read from a Parquet
+    file is kept as that was.
     """
 
-    def __init__(self, table: DeltaFiles, parts: Sequence[Mapping[str, NDArray[Any]]]) -> None:
+    def __init__(self, table: DeltaFiles, parts: Sequence[Part]) -> None:
         self.table = table
-        self.written: list[Written] = []
-        self.schema = table.accepted([table_of(columns).schema for columns in parts])
+        self._parts = [(part, table_of(part.columns)) for part in parts]
+        self._schema = table.accepted([rows.schema for _, rows in self._parts])
+        self._written: list[Written] = []
 
-    def write(self, stem: str, columns: Mapping[str, NDArray[Any]], encoded: Encoded | None = None) -> str:
-        """Write one file, as it was read where its columns were not replaced; return its name."""
-        table = table_of(columns)
-        if encoded is not None and encoded.columns is columns:
-            self.written.append(self.table.write_encoded(stem, encoded.data, table.num_rows))
-        else:
-            self.written.append(self.table.write(stem, table))
-        return self.written[-1].name
+    def write(self) -> list[str]:
+        """Write the files; return what :meth:`DeltaFiles.read_file` finds each part by."""
+        files: list[list[tuple[Part, pa.Table]]] = []
+        for part, rows in self._parts:
+            if files and _fits(files[-1], part, rows):
+                files[-1].append((part, rows))
+            else:
+                files.append([(part, rows)])
+        return [name for file in files for name in self._names(file)]
 
     def commit(self) -> None:
         """Make the files live in one step."""
-        if self.written:
-            self.table.commit(self.written, self.schema)
+        if self._written:
+            self.table.commit(self._written, self._schema)
+
+    def _names(self, file: Sequence[tuple[Part, pa.Table]]) -> list[str]:
+        """Write one file; return the names of its parts."""
+        tables = [rows for _, rows in file]
+        part, more = file[0][0], len(file) - 1
+        data = part.encoded.data if _is_as_read(part) and part.encoded else encoded(*tables)
+        stem = f"{part.stem}+{more}" if more else part.stem
+        written = self.table.write_encoded(stem, data, sum(rows.num_rows for rows in tables))
+        self._written.append(written)
+        return [f"{written.name}#{k}" for k in range(len(file))] if more else [written.name]
+
+
+def _is_as_read(part: Part) -> bool:
+    """Tell whether the columns of a part were not replaced since they were read."""
+    return part.encoded is not None and part.encoded.columns is part.columns
+
+
+def _fits(file: Sequence[tuple[Part, pa.Table]], part: Part, rows: pa.Table) -> bool:
+    """Tell whether a part may lie in a file beside those that are there."""
+    first, there = file[0]
+    size = sum(other.nbytes for _, other in file) + rows.nbytes
+    alike = rows.schema.equals(there.schema, check_metadata=True)
+    return alike and size <= _FILE_BYTES and not _is_as_read(first) and not _is_as_read(part)

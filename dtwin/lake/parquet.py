@@ -55,20 +55,25 @@ def write_parquet(path: Path, table: pa.Table) -> int:
     return write_bytes(path, encoded(table))
 
 
-def encoded(table: pa.Table) -> memoryview:
-    """Return a table as the bytes of a Parquet file with page checksums."""
+def encoded(*tables: pa.Table) -> memoryview:
+    """Return tables of one schema as the bytes of a Parquet file with page checksums.
+
+    Several tables are a group of rows each; a single one is as many as it needs.
+    """
     sink = pa.BufferOutputStream()
-    pq.write_table(
-        table.replace_schema_metadata((table.schema.metadata or {}) | _CHECKSUMS),
+    schema = tables[0].schema.with_metadata((tables[0].schema.metadata or {}) | _CHECKSUMS)
+    with pq.ParquetWriter(
         sink,
+        schema,
         compression="zstd",
         compression_level=1,
-        use_dictionary=[f.name for f in table.schema if _is_text(f.type)],
-        column_encoding=_encodings(table.schema) or None,
+        use_dictionary=[f.name for f in schema if _is_text(f.type)],
+        column_encoding=_encodings(schema) or None,
         write_page_checksum=True,
         write_statistics=True,
-        row_group_size=_ROW_GROUP_ROWS,
-    )
+    ) as writer:
+        for table in tables:
+            writer.write_table(table.cast(schema), row_group_size=_ROW_GROUP_ROWS)
     return memoryview(sink.getvalue())
 
 
@@ -95,13 +100,17 @@ def read_parquet(path: Path) -> pa.Table:
     return read_encoded(path)[0]
 
 
-def read_encoded(path: Path, verify: Callable[[memoryview], None] | None = None) -> tuple[pa.Table, memoryview | None]:
+def read_encoded(
+    path: Path, verify: Callable[[memoryview], None] | None = None, group: int | None = None
+) -> tuple[pa.Table, memoryview | None]:
     """Read a table as :func:`read_parquet` does, and the bytes that it was verified from.
 
     Parameters
     ----------
     verify : callable, optional
         Raises OSError for a file that is damaged; its pages are then not checked one by one.
+    group : int, optional
+        The one group of rows to read.
 
     Returns
     -------
@@ -119,7 +128,8 @@ def read_encoded(path: Path, verify: Callable[[memoryview], None] | None = None)
         data = memoryview(buffer)
         if verify is not None:
             verify(data)
-        table = pq.ParquetFile(pa.BufferReader(buffer), page_checksum_verification=verify is None).read()
+        whole = pq.ParquetFile(pa.BufferReader(buffer), page_checksum_verification=verify is None)
+        table = whole.read() if group is None else whole.read_row_group(group)
     # Damaged names of columns end in UnicodeDecodeError.
     except (OSError, pa.ArrowException, ValueError) as error:
         raise StoreError(

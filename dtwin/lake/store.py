@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +14,9 @@ import pyarrow as pa
 from dtwin.atomic import make_folder
 from dtwin.errors import InputError, StoreError
 from dtwin.lake.admission import accepted, fresh
-from dtwin.lake.delta import DeltaFiles
+from dtwin.lake.delta import DeltaFiles, file_of, part_of, stem_of
 from dtwin.lake.delta_columns import content_hash
-from dtwin.lake.file_batch import Batch
+from dtwin.lake.file_batch import Batch, Part
 from dtwin.lake.parquet import columns_of, table_of
 from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, campaign_of, meta_of, sealed, unsealed
 from dtwin.locks import take
@@ -93,9 +93,7 @@ class Lake:
         with self._writing():
             known = self._known(campaign)
             new = fresh(campaign.name, known, rows)
-            for run in runs:
-                if run.meta.run_id in known:
-                    self._heal(campaign, run, known[run.meta.run_id])
+            self._heal([(run, known[run.meta.run_id]) for run in runs if run.meta.run_id in known])
             if not new:
                 return CommitReport((), tuple(rows), self.versions())
             batches = self._write_data([run for run in runs if run.meta.run_id in new], rows)
@@ -106,7 +104,7 @@ class Lake:
                 # Another writer may have been faster.
                 new = fresh(campaign.name, self._known(campaign), new)
                 if new:
-                    self._add_rows("runs", campaign.name, list(new.values()), RUN_SCHEMA)
+                    self._add_rows("runs", f"{campaign.name}/{campaign.machine}", list(new.values()), RUN_SCHEMA)
         return CommitReport(added=tuple(new), unchanged=tuple(sorted(set(rows) - set(new))), versions=self.versions())
 
     def _known(self, campaign: Campaign) -> dict[str, dict[str, Any]]:
@@ -137,20 +135,26 @@ class Lake:
                 }
                 for record in records
             ]
-            self._add_rows("amendments", campaign, rows, AMENDMENT_SCHEMA)
+            self._add_rows("amendments", require_name(campaign, "the campaign name"), rows, AMENDMENT_SCHEMA)
         return version
 
     def runs(
-        self, campaign: str | None = None, left_out: bool = False, at: Mapping[str, int] | None = None
+        self,
+        campaign: str | None = None,
+        left_out: bool = False,
+        at: Mapping[str, int] | None = None,
+        *,
+        machine: str | None = None,
     ) -> list[dict[str, Any]]:
         """Return the runs as they are stated now, in the order they were planned or read.
 
-        Every row was compared with its hash, and carries its amendments.
+        Every row was compared with its hash, and carries its amendments. Files of other campaigns, and of other machines,
+        are not read.
 
         Parameters
         ----------
-        campaign : str, optional
-            Only this campaign.
+        campaign, machine : str, optional
+            Only this campaign; only this machine.
         left_out : bool
             Whether runs that a user left out are returned too.
         at : mapping of str to int, optional
@@ -162,12 +166,25 @@ class Lake:
             When the log, a file or a row is not what was written.
         """
 
-        def rows_of(name: str, schema: pa.Schema) -> list[dict[str, Any]]:
-            table = self.tables[name].read(None if at is None else at.get(name, -1))
-            return unsealed(table, schema, str(self.root / name))
+        def rows_of(name: str, schema: pa.Schema, anew: Collection[str] | None = None) -> list[dict[str, Any]]:
+            table = self.tables[name]
+            files = table.files(None if at is None else at.get(name, -1))
+            if campaign is not None:
+                files = [f for f in files if _campaign_of(f) == campaign]
+            if machine is not None and anew is not None:
+                # What was stated anew of a campaign may be its machine.
+                files = [f for f in files if _machine_of(f) in (machine, None) or _campaign_of(f) in anew]
+            return unsealed(table.read(files), schema, str(self.root / name))
 
-        rows = amended(rows_of("runs", RUN_SCHEMA), rows_of("amendments", AMENDMENT_SCHEMA))
-        chosen = [row for row in rows if campaign in (None, row["campaign"]) and (left_out or row["left_out"] is None)]
+        told = rows_of("amendments", AMENDMENT_SCHEMA)
+        rows = amended(rows_of("runs", RUN_SCHEMA, {row["campaign"] for row in told}), told)
+        chosen = [
+            row
+            for row in rows
+            if campaign in (None, row["campaign"])
+            and machine in (None, row["machine"])
+            and (left_out or row["left_out"] is None)
+        ]
         return sorted(chosen, key=lambda r: (r["campaign"], r["started"] or "", r["run_id"]))
 
     def load(self, row: Mapping[str, Any], *, signals: bool = True) -> Run:
@@ -199,7 +216,7 @@ class Lake:
 
     def campaigns(self) -> list[str]:
         """Return the names of all campaigns that have visible runs."""
-        return sorted({row["campaign"] for row in self.runs(left_out=True)})
+        return sorted({_campaign_of(file) for file in self.tables["runs"].files()})
 
     def campaign(self, name: str) -> Campaign:
         """Return what is known of a campaign.
@@ -243,8 +260,8 @@ class Lake:
         schema = files.accepted([table.schema])
         return files.commit([files.write(stem, table)], schema)
 
-    def _add_rows(self, table_name: str, campaign: str, rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> None:
-        self._add(table_name, require_name(campaign, "the campaign name"), sealed(rows, schema))
+    def _add_rows(self, table_name: str, stem: str, rows: Sequence[Mapping[str, Any]], schema: pa.Schema) -> None:
+        self._add(table_name, stem, sealed(rows, schema))
 
     def repair(self) -> dict[str, Any]:
         """Drop what a killed ingest or a power cut left behind.
@@ -262,8 +279,8 @@ class Lake:
             ]
             rows = self.runs(left_out=True)
             wanted = {
-                "samples": {row["samples_file"] for row in rows},
-                "signals": {g["file"] for row in rows for g in json.loads(row["signals_json"])},
+                "samples": {file_of(row["samples_file"]) for row in rows},
+                "signals": {file_of(g["file"]) for row in rows for g in json.loads(row["signals_json"])},
             }
             dropped: dict[str, Any] = {}
             for name, table in self.tables.items():
@@ -273,34 +290,35 @@ class Lake:
                 dropped[name] = len(orphans) + table.sweep()
             return {**dropped, "log": cut}
 
-    def _heal(self, campaign: Campaign, run: Run, row: Mapping[str, Any]) -> None:
-        """Write those files of a run again that are missing or damaged: its source has the content."""
-        stem = f"{campaign.name}/{run.meta.run_id}"
-        kept = {g["group"]: g["file"] for g in json.loads(row["signals_json"])}
-        if not self.tables["samples"].intact(row["samples_file"]):
-            Batch(self.tables["samples"], ()).write(stem, run.samples)
-        for g in run.signals:
-            if g.name in kept and not self.tables["signals"].intact(kept[g.name]):
-                signals = Batch(self.tables["signals"], ())
-                signals.write(f"{stem}-{g.name}", g.columns, g.encoded)
+    def _heal(self, runs: Sequence[tuple[Run, Mapping[str, Any]]]) -> None:
+        """Write those files of runs again that are missing or damaged: their source has the content."""
+        samples, signals = [], []
+        for run, row in runs:
+            samples.append((row["samples_file"], _samples(run, row)))
+            by_group = dict(zip((g.name for g in run.signals), _signals(run, row), strict=True))
+            kept = {g["group"]: g["file"] for g in json.loads(row["signals_json"])}
+            signals += [(kept[name], part) for name, part in by_group.items() if name in kept]
+        for table, named in ((self.tables["samples"], samples), (self.tables["signals"], signals)):
+            for file in {file_of(name) for name, _ in named}:
+                if not table.intact(file):
+                    # In the order in which they lie in the file.
+                    parts = sorted(
+                        ((part_of(name), part) for name, part in named if file_of(name) == file),
+                        key=lambda pair: pair[0],
+                    )
+                    Batch(table, [part for _, part in parts]).write()
 
     def _write_data(self, runs: Sequence[Run], rows: Mapping[str, dict[str, Any]]) -> tuple[Batch, Batch]:
         """Write the files of runs and enter their names into the rows."""
-        groups = [group for run in runs for group in run.signals]
-        samples = Batch(self.tables["samples"], [run.samples for run in runs])
-        signals = Batch(self.tables["signals"], [group.columns for group in groups])
-        for run in runs:
-            row = rows[run.meta.run_id]
-            stem = f"{row['campaign']}/{run.meta.run_id}"
-            row["samples_file"] = samples.write(stem, run.samples)
+        stated = [(run, rows[run.meta.run_id]) for run in runs]
+        samples = Batch(self.tables["samples"], [_samples(run, row) for run, row in stated])
+        signals = Batch(self.tables["signals"], [part for run, row in stated for part in _signals(run, row)])
+        files, kept = samples.write(), iter(signals.write())
+        for (run, row), file in zip(stated, files, strict=True):
+            row["samples_file"] = file
             row["signals_json"] = json.dumps(
                 [
-                    {
-                        "group": group.name,
-                        "file": signals.write(f"{stem}-{group.name}", group.columns, group.encoded),
-                        "rate_hz": group.rate_hz,
-                        "start_s": group.start_s,
-                    }
+                    {"group": group.name, "file": next(kept), "rate_hz": group.rate_hz, "start_s": group.start_s}
                     for group in run.signals
                 ]
             )
@@ -351,3 +369,22 @@ class Lake:
         with handle:
             take(handle, shared=shared, wait=True)
             yield
+
+
+def _samples(run: Run, row: Mapping[str, Any]) -> Part:
+    return Part(f"{row['campaign']}/{run.meta.run_id}", run.samples)
+
+
+def _signals(run: Run, row: Mapping[str, Any]) -> list[Part]:
+    stem = f"{row['campaign']}/{run.meta.run_id}"
+    return [Part(f"{stem}-{group.name}", group.columns, group.encoded) for group in run.signals]
+
+
+def _campaign_of(file: str) -> str:
+    """Return the campaign whose rows a file holds."""
+    return stem_of(file).split("/")[0]
+
+
+def _machine_of(file: str) -> str | None:
+    """Return the machine of which a campaign was ingested; None where the name of its file does not say."""
+    return stem_of(file).partition("/")[2] or None

@@ -278,7 +278,7 @@ def chosen_terms(names: Sequence[str], library: Mapping[str, Effect], obs: Obser
             raise InputError(
                 "an effect cannot act in this campaign",
                 code="effect.where",
-                got=wanted,
+                got=f"{name} {where}".strip(),
                 allowed=_allowed(possible, name, effect, obs),
             )
         out += [Term(i, i.effect.start_shape) for i in here]

@@ -117,7 +117,7 @@ def _campaign_head(
         head["machine_geometry"] = geometry_of(Registry(home), version)
     else:
         lake = Lake(home.lake)
-        rows = [row for row in lake.runs() if row["machine"] == machine]
+        rows = lake.runs(machine=machine)
         if rows:
             known = lake.campaign(max(rows, key=lambda row: str(row["ingested"]))["campaign"])
             head = {"machine_geometry": dict(known.machine_geometry), "instrument": dict(known.instrument)}

@@ -31,8 +31,7 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
             "no such language", code="certificate.language", got=language[:20], allowed=", ".join(LANGUAGES)
         )
     lake = Lake(home.lake)
-    rows = lake.runs(left_out=True)
-    mine = [row for row in rows if row["campaign"] == campaign]
+    mine = lake.runs(campaign, left_out=True)
     known = campaign_of(mine) if mine else lake.campaign(campaign)
     kind = kind_named(known.kind)
     kind.require("sheet")
@@ -42,7 +41,7 @@ def certificate(home: Home, campaign: str, language: str = "en") -> str:
     figures = [kind.sheet_figure([runs[name] for name in part["runs"]]) for part in sheet["parts"]]
     record = read_record(home, known.machine) or MachineRecord(known.machine)
     told = [(f["severity"], f["message"]) for f in grouped_findings(mine) if f["severity"] != "info"]
-    earlier = _earlier(home, rows, mine)
+    earlier = _earlier(home, lake.runs(left_out=True, machine=known.machine), mine)
     return certificate_page(_facts(mine, record), sheet, figures, told, earlier=earlier, language=language)
 
 

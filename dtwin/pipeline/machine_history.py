@@ -26,12 +26,17 @@ from dtwin.twins.of_kind import every_shelf
 from dtwin.twins.verbs import Twins
 
 
-def machine_overviews(home: Home) -> list[dict[str, Any]]:
-    """Return every machine that has a record or a campaign, JSON-ready, by name."""
-    rows = Lake(home.lake).runs()
+def machine_overviews(home: Home, rows: Sequence[Mapping[str, Any]] | None = None) -> list[dict[str, Any]]:
+    """Return every machine that has a record or a campaign, JSON-ready, by name.
+
+    ``rows``: of all runs, where they were read before.
+    """
+    of_machine: dict[str, list[Mapping[str, Any]]] = {name: [] for name in recorded(home)}
+    for row in Lake(home.lake).runs() if rows is None else rows:
+        if row["left_out"] is None:
+            of_machine.setdefault(row["machine"], []).append(row)
     twins = _twins(home)
-    names = sorted({*recorded(home), *(row["machine"] for row in rows)})
-    return [_overview(home, name, [r for r in rows if r["machine"] == name], twins.get(name, [])) for name in names]
+    return [_overview(home, name, mine, twins.get(name, [])) for name, mine in sorted(of_machine.items())]
 
 
 def machine_history(
@@ -53,7 +58,7 @@ def machine_history(
     """
     lake = Lake(home.lake)
     # Runs that are left out belong to the stamp of a campaign: taken in again, they change its figures.
-    rows = [row for row in lake.runs(left_out=True) if row["machine"] == machine]
+    rows = lake.runs(left_out=True, machine=machine)
     record = read_record(home, machine)
     if record is None and not rows:
         known = ", ".join(found["machine"] for found in machine_overviews(home)) or "none"
@@ -173,7 +178,7 @@ def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
     return rows
 
 
-def _overview(home: Home, machine: str, rows: Sequence[dict[str, Any]], twins: Sequence[str]) -> dict[str, Any]:
+def _overview(home: Home, machine: str, rows: Sequence[Mapping[str, Any]], twins: Sequence[str]) -> dict[str, Any]:
     record = read_record(home, machine)
     return {
         "machine": machine,

@@ -42,9 +42,9 @@ def machine_joint(
     InputError
         When fewer than two tests can be compared, or one is of another machine.
     """
-    rows = Lake(home.lake).runs(left_out=True)
-    names = [in_lake(home, name) for name in campaigns]
-    chosen = _stated(rows, machine, names) if names else _newest(rows, machine)
+    lake, names = Lake(home.lake), [in_lake(home, name) for name in campaigns]
+    rows = [row for name in names for row in lake.runs(name, left_out=True)]
+    chosen = _stated(rows, machine, names) if names else _newest(lake.runs(left_out=True, machine=machine), machine)
     if len(chosen) < 2:
         raise InputError(
             "there are not two tests to compare",

@@ -67,13 +67,18 @@ def axis_errors_um(twin: Twin, motion: Motion, columns: Mapping[str, float] | No
     """
     out = np.zeros(motion.position_mm.shape)
     for term in twin.terms:
-        out += _term_errors_um(term, twin, motion, columns or {})
+        out += term_errors_um(term, twin, motion, columns or {})
     return out
 
 
-def _term_errors_um(term: Term, twin: Twin, motion: Motion, columns: Mapping[str, float]) -> Floats:
-    """Return what one effect adds to every axis, shape (n, 3)."""
-    weights = twin.values(term)
+def term_errors_um(
+    term: Term, twin: Twin, motion: Motion, columns: Mapping[str, float], values: Floats | None = None
+) -> Floats:
+    """Return what one effect adds to every axis, shape (n, 3).
+
+    ``values``: of its parameters; those of the twin without.
+    """
+    weights = twin.values(term) if values is None else values
     out = np.zeros(motion.position_mm.shape)
     for axis in range(3):
         # An effect that acts on an axis in two planes is the same one in both.
@@ -125,9 +130,9 @@ def own_axis_only(
     out = {}
     for term in terms:
         try:
-            base = _term_errors_um(term, twin, alone, {})[:, number]
+            base = term_errors_um(term, twin, alone, {})[:, number]
             for reason, motion in tries.items():
-                other = _term_errors_um(term, twin, motion, {})[:, number]
+                other = term_errors_um(term, twin, motion, {})[:, number]
                 if np.abs(other - base).max() > _TOLERANCE_UM:
                     out[term.label] = reason
                     break

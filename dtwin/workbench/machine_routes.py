@@ -48,7 +48,8 @@ class ScheduleTold(BaseModel):
 @router.get("/machines")
 def machine_list(request: Request) -> Response:
     """Show all machines; what their tests say is filled in afterwards, for it may take long the first time."""
-    overviews = machine_overviews(bench_of(request).home)
+    bench = bench_of(request)
+    overviews = machine_overviews(bench.home, bench.run_rows())
     return rendered(request, "machines.html", title="Machines", machines=overviews, limit_mb=MAX_TRAY_BYTES // 1024**2)
 
 

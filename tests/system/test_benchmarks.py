@@ -44,6 +44,7 @@ def test_none_is_left_out() -> None:
         "bench_tone_tick.py",
         "bench_verbs.py",
         "bench_workbench.py",
+        "bench_growth.py",
         "cobot_family.py",
         "machine_years.py",
         "mechanism_bias.py",
@@ -91,6 +92,7 @@ def test_flips() -> None:
         ("bench_ingest.py", ["steps.lake.x_plain", "steps.commit.x_plain"]),
         ("bench_tone_tick.py", ["calls"]),
         ("bench_workbench.py", ["runs"]),
+        ("bench_growth.py", ["last_to_first.ingest_s", "last_to_first.runs_s"]),
     ],
 )
 def test_what_is_timed(script: str, ratios: list[str]) -> None:

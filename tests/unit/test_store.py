@@ -325,6 +325,52 @@ def test_a_replaced_data_file_is_refused(tmp_path: Path) -> None:
         lake.load(row)
 
 
+def test_a_commit_is_one_file_and_each_run_a_part_of_it(tmp_path: Path) -> None:
+    lake, runs = Lake(tmp_path / "lake"), [make_run(f"r{i}", i, 60 + i) for i in range(12)]
+    lake.commit(CAMPAIGN, runs)
+    for table in ("runs", "samples", "signals"):
+        assert len(lake.tables[table].files()) == 1
+    for row, run in zip(lake.runs(), sorted(runs, key=lambda r: r.meta.run_id), strict=True):
+        loaded = lake.load(row)
+        np.testing.assert_array_equal(loaded.samples["deviation_um"], run.samples["deviation_um"])
+        np.testing.assert_array_equal(loaded.signals[0].columns["wrist_x_g"], run.signals[0].columns["wrist_x_g"])
+    with pytest.raises(StoreError):
+        lake.load({**lake.runs()[0], "samples_file": f"{lake.tables['samples'].files()[0]}#12"})
+    (file,) = (lake.root / "samples").rglob("*.parquet")
+    whole = file.read_bytes()
+    file.write_bytes(whole[:100])
+    lake.commit(CAMPAIGN, runs)
+    assert file.read_bytes() == whole
+    assert lake.repair()["samples"] == 0
+
+
+def test_runs_of_one_campaign_or_machine_do_not_read_those_of_others(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    for name, machine in (("a", "m1"), ("b", "m2"), ("c", "m2"), ("d", "m3")):
+        lake.commit(replace(CAMPAIGN, name=name, machine=machine), [make_run("r1"), make_run("r2", 2)])
+    lake.amend(
+        "d",
+        [{"run_id": r, "who": "w", "when": "t", "because": "x", "changes": {"machine": "m2"}} for r in ("r1", "r2")],
+    )
+    assert lake.campaigns() == ["a", "b", "c", "d"]
+    assert {row["campaign"] for row in lake.runs(machine="m2")} == {"b", "c", "d"}
+    assert lake.runs(machine="m3") == []
+    (others,) = (file for file in lake.tables["runs"].files() if file.startswith("a/"))
+    (lake.root / "runs" / others).unlink()
+    assert len(lake.runs("b")) == 2
+    assert len(lake.runs(machine="m2")) == 6
+    with pytest.raises(StoreError):
+        lake.runs()
+
+
+def test_the_log_is_summed_up_and_goes_on(tmp_path: Path) -> None:
+    lake = Lake(tmp_path / "lake")
+    for number in range(12):
+        lake.commit(replace(CAMPAIGN, name=f"c{number}"), [make_run("r1", number)])
+    assert list((lake.root / "runs" / "_delta_log").glob("*.checkpoint.parquet"))
+    assert len(lake.campaigns()) == 12
+
+
 def test_a_damaged_or_missing_file_is_written_again_from_its_source(tmp_path: Path) -> None:
     lake, run = Lake(tmp_path / "lake"), make_run("r1")
     lake.commit(CAMPAIGN, [run])
