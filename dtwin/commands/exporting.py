@@ -52,8 +52,8 @@ def export(
         raise InputError("no such form", code="export.form", got=form[:40], allowed=", ".join(FORMATS))
     if out.exists() and not force:
         raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")
-    low_high = _numbers(travel, 2, "--travel") if travel is not None else None
-    x, y, z = _numbers(origin, 3, "--origin")
+    low_high = numbers(travel, 2, "--travel") if travel is not None else None
+    x, y, z = numbers(origin, 3, "--origin")
     request = Request(
         form=form,
         axis=axis.upper(),
@@ -92,7 +92,8 @@ def _shown(value: object) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _numbers(text: str, count: int, option: str) -> list[float]:
+def numbers(text: str, count: int, option: str) -> list[float]:
+    """Return so many numbers with commas between them, or refuse what an option got."""
     parts = text.split(",")
     try:
         values = [float(part) for part in parts]
@@ -146,7 +147,7 @@ def robot_targets(
     from dtwin.serve.pointer import read_machine, resolve
     from dtwin.serve.targets import TargetCorrection, TargetFrame, corrected_csv, read_targets
 
-    frame = TargetFrame(plane, np.array(_numbers(centre, 3, "--centre")), np.radians(_numbers(joints, 6, "--joints")))
+    frame = TargetFrame(plane, np.array(numbers(centre, 3, "--centre")), np.radians(numbers(joints, 6, "--joints")))
     wanted = read_targets(targets)
     if out.exists() and not force:
         raise InputError("the file is there already", code="export.exists", where=str(out), hint="--force")

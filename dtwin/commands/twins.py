@@ -11,11 +11,14 @@ import typer
 
 from dtwin.commands import effects, single
 from dtwin.commands.effects import Paths, library_with
+from dtwin.commands.exporting import numbers
 from dtwin.commands.output import Json, Report, emit
 from dtwin.commands.tasks import TwinCommands
+from dtwin.errors import InputError
 
 if TYPE_CHECKING:
     from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.physics.twin import Twin
     from dtwin.twins.verbs import Twins
 
 Name = Annotated[str, typer.Argument(help="Name of the twin.")]
@@ -204,15 +207,39 @@ def learn_effect(
 def error_budget(
     name: Name,
     campaign: Annotated[str | None, typer.Option("--on", help="Other measurements.")] = None,
+    program: Annotated[Path | None, typer.Option(help="G-code: of this program instead of the measured paths.")] = None,
+    origin: Annotated[
+        str | None,
+        typer.Option(help="With --program: X,Y,Z in mm, centre of the measured circles on this machine; 0,0,0."),
+    ] = None,
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
     """How much of the error each cause makes, and what would be left after its remedy."""
     from dtwin.report.budget import budget_text
 
+    if program is not None:
+        _budget_of_program(_twins(effects_path).newest(name), program, origin, campaign, as_json=as_json)
+        return
+    if origin is not None:
+        raise InputError("--origin is of a program only", code="budget.origin", got=origin, hint="--program FILE")
     twin, found = _twins(effects_path).budget(name, campaign)
     payload = {"twin": name, "version": twin.version, "campaign": campaign or twin.campaign, **found.as_dict()}
     emit(payload, lambda: budget_text(found), as_json=as_json)
+
+
+def _budget_of_program(twin: Twin, program: Path, origin: str | None, campaign: str | None, *, as_json: bool) -> None:
+    import numpy as np
+
+    from dtwin.lifecycle.gcode_program import program_of
+    from dtwin.lifecycle.program_budget import program_budget, program_text
+
+    if campaign is not None:
+        raise InputError("either a program or other measurements", code="budget.on", got=f"--program, --on {campaign}")
+    origin_mm = np.array(numbers(origin or "0,0,0", 3, "--origin"))
+    found = program_budget(twin, program_of(program), origin_mm=origin_mm, where=program.name)
+    payload = {"twin": twin.name, "version": twin.version, "program": str(program), **found.as_dict()}
+    emit(payload, lambda: program_text(found), as_json=as_json)
 
 
 @twin_app.command("correct")

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.lifecycle.axis_tables import (
@@ -25,6 +24,7 @@ from dtwin.lifecycle.axis_tables import (
 )
 from dtwin.lifecycle.export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle.gcode_compensation import compensate
+from dtwin.lifecycle.gcode_program import program_of
 from dtwin.lifecycle.skew_settings import EFFECT, klipper_settings, skews
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
@@ -44,7 +44,6 @@ _TABLES = (*_ONE_AXIS, "csv", "gcode", "klipper")
 FORMATS = (*_EQUATIONS, *_TABLES)
 _UNREGISTERED = "not registered"
 _NOT_LOADED = "Read back by dtwin's own interpreter of this form; never loaded into a control."
-_MAX_PROGRAM_BYTES = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -280,13 +279,7 @@ def _program(twin: Twin, request: Request) -> Export:
             got=f"{request.tolerance_um:g} µm",
             allowed="0.001 to 100 µm",
         )
-    raw = read_bounded(request.program, _MAX_PROGRAM_BYTES)
-    try:
-        text = raw.decode("ascii")
-    except UnicodeDecodeError as error:
-        raise InputError(
-            "the program is no plain text", code="gcode.text", where=str(request.program), got=str(error)[:80]
-        ) from error
+    text = program_of(request.program)
     made = compensate(
         text, twin, origin_mm=np.array(request.origin_mm), where=request.program.name, tolerance_um=request.tolerance_um
     )

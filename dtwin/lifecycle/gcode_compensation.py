@@ -80,12 +80,51 @@ def compensate(
     return Compensated("\n".join(lines) + "\n", work.points, work.largest_um, work.interpolation_um, work.outside)
 
 
+class Followed:
+    """A program followed motion by motion: where the machine is, and from which side each axis comes.
+
+    ``origin_mm``, (3,): centre of the measured circles in the coordinates of the program.
+    """
+
+    def __init__(self, origin_mm: Floats) -> None:
+        self.origin_mm = origin_mm
+        self.side = np.zeros(3)
+
+    def turn(self, direction: Floats) -> None:
+        """Let axes move in a direction, shape (3,); those that stand keep the side that they came from."""
+        self.side = np.where(np.abs(direction) > 1e-9, np.sign(direction), self.side)
+
+    def motion(self, move: Move, shares: Floats) -> Motion:
+        """Return the motion at shares of the way (n,), from the centre of the measured circles."""
+        points, speed = move.points(shares), move.feed_mm_min / 60.0
+        # At a quadrant the axis that turns round has no speed, but a side.
+        velocity = np.maximum(np.abs(move.directions(shares)) * speed, _CREEP_MM_S) * self.side
+        # Of an axis that the program has not placed nothing is known; it counts as centred.
+        here = np.where(move.known, points - self.origin_mm, 0.0)
+        return Motion(here, velocity, _acceleration(move, points, speed))
+
+
+def _acceleration(move: Move, points: Floats, speed: float) -> Floats:
+    out = np.zeros(points.shape)
+    if move.centre_mm is not None:
+        plane = list(move.plane)
+        spokes = points[:, plane] - move.centre_mm
+        out[:, plane] = -(speed**2) * spokes / (spokes**2).sum(axis=1, keepdims=True)
+    return out
+
+
+def outside(twin: Twin, motion: Motion) -> int:
+    """Return how many points of a motion lie further out than anything that the twin was fitted to."""
+    reach = twin.box.radius_mm[1] * (1.0 + 1e-9)
+    return int((np.abs(motion.position_mm).max(axis=1) > reach).sum())
+
+
 class _Work:
     """What is remembered from motion to motion."""
 
     def __init__(self, twin: Twin, origin_mm: Floats, tolerance_um: float) -> None:
-        self.twin, self.origin_mm, self.tolerance_um = twin, origin_mm, tolerance_um
-        self.side = np.zeros(3)
+        self.twin, self.tolerance_um = twin, tolerance_um
+        self.followed = Followed(origin_mm)
         self.points = self.outside = 0
         self.largest_um = self.interpolation_um = 0.0
         self.written = np.full(3, np.nan)
@@ -95,17 +134,17 @@ class _Work:
         head = [move.rest] if move.rest else []
         last = np.array([1.0])
         if move.rapid:
-            self._turn(move.directions(last)[0])
+            self.followed.turn(move.directions(last)[0])
             return [*head, self._line("G0", move, self._targets(move, last)[0])]
         if move.feed_mm_min <= 0.0:
             raise InputError("a motion has no feed", code="gcode.feed", where=f"line {move.line}", hint="add F")
         if move.started != move.known:
             # Where this motion begins is not known: its end is.
-            self._turn(np.where(move.started, move.directions(last)[0], 0.0))
+            self.followed.turn(np.where(move.started, move.directions(last)[0], 0.0))
             return [*head, self._line("G1", move, self._targets(move, last)[0])]
         lines = head
         for first, final in pairwise(move.quadrants()):
-            self._turn(move.directions(np.array([0.5 * (first + final)]))[0])
+            self.followed.turn(move.directions(np.array([0.5 * (first + final)]))[0])
             begin, *chords = self._chords(move, first, final)
             if not np.all(np.abs(begin - self.written) < _JUMP_MM):
                 lines.append(self._line("G1", move, begin))
@@ -124,31 +163,12 @@ class _Work:
                 return np.asarray(targets[::2])
             n *= 2
 
-    def _turn(self, direction: Floats) -> None:
-        moving = np.abs(direction) > 1e-9
-        self.side = np.where(moving, np.sign(direction), self.side)
-
     def _targets(self, move: Move, shares: Floats) -> Floats:
-        points = move.points(shares)
-        speed = move.feed_mm_min / 60.0
-        # At a quadrant the axis that turns round has no speed, but a side.
-        velocity = np.maximum(np.abs(move.directions(shares)) * speed, _CREEP_MM_S) * self.side
-        # Of an axis that the program has not placed nothing is known; it counts as centred.
-        here = np.where(move.known, points - self.origin_mm, 0.0)
-        motion = Motion(here, velocity, self._acceleration(move, points, speed))
+        motion = self.followed.motion(move, shares)
         errors = axis_errors_um(self.twin, motion)
         self.largest_um = max(self.largest_um, float(np.linalg.norm(errors, axis=1).max()))
-        reach = self.twin.box.radius_mm[1] * (1.0 + 1e-9)
-        self.outside += int((np.abs(here).max(axis=1) > reach).sum())
-        return np.asarray(points - errors / UM_PER_MM)
-
-    def _acceleration(self, move: Move, points: Floats, speed: float) -> Floats:
-        out = np.zeros(points.shape)
-        if move.centre_mm is not None:
-            plane = list(move.plane)
-            spokes = points[:, plane] - move.centre_mm
-            out[:, plane] = -(speed**2) * spokes / (spokes**2).sum(axis=1, keepdims=True)
-        return out
+        self.outside += outside(self.twin, motion)
+        return np.asarray(move.points(shares) - errors / UM_PER_MM)
 
     def _line(self, code: str, move: Move, target: Floats) -> str:
         self.points += 1

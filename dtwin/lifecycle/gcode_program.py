@@ -6,9 +6,11 @@ import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
+from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError
 from dtwin.schema import Floats
 
@@ -20,6 +22,7 @@ _MODES = (0.0, 1.0, 2.0, 3.0)
 _HARMLESS = {17.0, 18.0, 19.0, 21.0, 40.0, 49.0, 54.0, 61.0, 64.0, 71.0, 80.0, 90.0, 94.0}
 _ALLOWED = "G0 to G4, G17 to G19, G21 (G71), G40, G49, G54, G61, G64, G80, G90, G94; X Y Z I J K F"
 _LONGEST_LINE = 400
+_MAX_BYTES = 20_000_000
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,16 @@ class Move:
         a, b = self.plane
         x, y = self.start_mm[a] - self.centre_mm[0], self.start_mm[b] - self.centre_mm[1]
         return math.hypot(x, y), math.atan2(y, x)
+
+
+def program_of(path: Path) -> str:
+    """Return the text of a program; raises InputError for one that is missing, too large or no plain text."""
+    try:
+        return read_bounded(path, _MAX_BYTES).decode("ascii")
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "the program is no plain text", code="gcode.text", where=str(path), got=str(error)[:80]
+        ) from error
 
 
 def read_program(text: str, where: str) -> Iterator[Passed | Move]:

@@ -59,6 +59,8 @@ class ShapeParameter:
         Whether values between those that are tried are possible.
     ends : bool
         Whether the effect is another one beyond the largest value tried: there it is not believed.
+    vanishes : bool
+        Whether the effect stays the same one far below the smallest value tried: diagnosis may go there.
     """
 
     name: str
@@ -68,6 +70,7 @@ class ShapeParameter:
     limits: tuple[float, float] | None = None
     refined: bool = True
     ends: bool = False
+    vanishes: bool = False
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -159,6 +162,10 @@ class Effect:
     within_condition: bool = False
     on_spread: bool = False
     source: str = field(default="dtwin", compare=False)
+
+    def another_law(self, shape: Shape) -> bool:
+        """Tell whether a shape has another than the usual value where only those that are tried are possible."""
+        return any(shape[s.name] != s.start for s in self.shapes if not s.refined)
 
     @property
     def refined_shapes(self) -> tuple[ShapeParameter, ...]:

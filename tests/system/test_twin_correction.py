@@ -43,6 +43,8 @@ def told(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Run the page as a reader would, with --json, and keep what it said."""
     folder = tmp_path_factory.mktemp("correct")
     text = (ROOT / "docs" / "how-to" / "twin-to-correction.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"^```gcode\n(.*?)^```", text, re.S | re.M)
+    (folder / "part.nc").write_text(program, encoding="utf-8")
     blocks = re.findall(r"^```sh\n(.*?)^```", text, re.S | re.M)
     lines = [line for block in blocks for line in block.strip().splitlines()]
     said: dict[str, str] = {}

@@ -1,0 +1,200 @@
+"""How much of the error of a program each cause makes, by what a twin says of the machine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.lifecycle.gcode_compensation import Followed, outside
+from dtwin.lifecycle.gcode_program import Move, read_program
+from dtwin.physics.problem import Term
+from dtwin.physics.twin import Twin
+from dtwin.report.faults import with_k2
+from dtwin.report.text import micrometres, table
+from dtwin.schema import Floats
+from dtwin.train.twin_axes import AXES, Motion, term_errors_um
+from dtwin.train.twin_terms import choose
+
+# Between two evaluated points.
+_STEP_MM = 0.5
+_MOST_POINTS = 2_000_000
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What one cause does along a program; every figure in µm.
+
+    Attributes
+    ----------
+    label : str
+        The effect.
+    rms_um : dict of str to float
+        RMS over the way, of the vector under "", along X, Y and Z, and ``across`` the way: what the workpiece shows.
+    uncertainty_um : float
+        Of the RMS of the vector, expanded, k = 2, from those of the parameters, taken as uncorrelated.
+    largest_um : float
+        Largest vector.
+    left_um : float
+        RMS of the vector that all the other causes leave.
+    """
+
+    label: str
+    rms_um: dict[str, float]
+    uncertainty_um: float
+    largest_um: float
+    left_um: float
+
+
+@dataclass(frozen=True)
+class ProgramBudget:
+    """The causes of a program's error, the largest first.
+
+    Attributes
+    ----------
+    causes : tuple of Cut
+        Every effect that says what it does at any place.
+    every : Cut
+        All of them together; effects may undo each other, so they are no parts of a sum.
+    not_told : dict of str to str
+        Effects that are left out, and why.
+    length_mm : float
+        Length of the way at feed; rapid motion does not count.
+    outside : float
+        Share of the way further out than the twin was fitted to.
+    """
+
+    causes: tuple[Cut, ...]
+    every: Cut
+    not_told: Mapping[str, str]
+    length_mm: float
+    outside: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        made = {**vars(self), "causes": [vars(cut) for cut in self.causes], "every": vars(self.every)}
+        return {**made, "not_told": dict(self.not_told)}
+
+
+def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> ProgramBudget:
+    """Return how much each effect of a twin makes of the error of a program.
+
+    Motion at feed is followed in steps of half a millimetre, at the speed that is programmed: what a control does to
+    speed in corners is not known here.
+
+    Parameters
+    ----------
+    origin_mm : ndarray, shape (3,)
+        Centre of the measured circles in the coordinates of the program.
+    where : str
+        Name of the program, for messages.
+
+    Raises
+    ------
+    InputError
+        When the program says something that is not understood, has no motion at feed, or is too long.
+    """
+    motion, way, step_mm = _followed(text, origin_mm, where)
+    not_told = {c.label: c.how for c in map(choose, twin.terms) if not c.included}
+    does: dict[str, Floats] = {}
+    widths: dict[str, list[Floats]] = {}
+    for term in twin.terms:
+        if term.label in not_told:
+            continue
+        try:
+            does[term.label] = term_errors_um(term, twin, motion, {})
+        except InputError as error:
+            not_told[term.label] = f"{error.message}: {error.got}"
+            continue
+        widths[term.label] = _widths_um(term, twin, motion)
+    total = sum(does.values(), np.zeros(motion.position_mm.shape))
+    causes = [_cut(label, one, total - one, way, step_mm, widths[label]) for label, one in does.items()]
+    together = [width for one in widths.values() for width in one]
+    every = _cut("all of them", total, np.zeros_like(total), way, step_mm, together)
+    ordered = tuple(sorted(causes, key=lambda cut: -cut.rms_um[""]))
+    return ProgramBudget(ordered, every, not_told, float(step_mm.sum()), outside(twin, motion) / len(way))
+
+
+def _followed(text: str, origin_mm: Floats, where: str) -> tuple[Motion, Floats, Floats]:
+    """Return the motion at feed, the direction of the way (n, 3), and the length that each point stands for (n,)."""
+    followed, motions, ways, steps, points = Followed(origin_mm), [], [], [], 0
+    for move in read_program(text, where):
+        if not isinstance(move, Move):
+            continue
+        if move.rapid or move.started != move.known or move.feed_mm_min <= 0.0:
+            # Where a first motion begins is not known.
+            followed.turn(np.where(move.started, move.directions(np.array([1.0]))[0], 0.0))
+            continue
+        for first, last in pairwise(move.quadrants()):
+            length_mm = move.length_mm * (last - first)
+            n = max(1, math.ceil(length_mm / _STEP_MM))
+            points += n
+            if points > _MOST_POINTS:
+                raise InputError(
+                    "the program is too long", code="gcode.size", where=where, got=f"more than {points} points"
+                )
+            shares = first + (last - first) * (np.arange(n) + 0.5) / n
+            followed.turn(move.directions(np.array([0.5 * (first + last)]))[0])
+            motions.append(followed.motion(move, shares))
+            ways.append(move.directions(shares))
+            steps.append(np.full(n, length_mm / n))
+    if not motions or sum(float(s.sum()) for s in steps) <= 0.0:
+        raise InputError(
+            "the program has no motion at feed", code="gcode.empty", where=where, allowed="G1, G2 or G3 with F"
+        )
+    whole = Motion(
+        np.concatenate([m.position_mm for m in motions]),
+        np.concatenate([m.velocity_mm_s for m in motions]),
+        np.concatenate([m.acceleration_mm_s2 for m in motions]),
+    )
+    return whole, np.concatenate(ways), np.concatenate(steps)
+
+
+def _cut(label: str, does: Floats, others: Floats, way: Floats, step_mm: Floats, widths_um: list[Floats]) -> Cut:
+    across = does - (does * way).sum(axis=1, keepdims=True) * way
+    rms = {"": _rms(does, step_mm)}
+    rms |= {axis: _rms(does[:, [k]], step_mm) for k, axis in enumerate(AXES)}
+    rms["across"] = _rms(across, step_mm)
+    # How the RMS changes with each parameter.
+    parts = [_along(width, does, step_mm) for width in widths_um]
+    largest = float(np.linalg.norm(does, axis=1).max())
+    return Cut(label, rms, float(np.hypot.reduce([0.0, *parts])), largest, _rms(others, step_mm))
+
+
+def _widths_um(term: Term, twin: Twin, motion: Motion) -> list[Floats]:
+    """Return what the expanded uncertainty of each parameter of an effect does, shape (n, 3) each."""
+    name, axis = term.instance.effect.name, term.instance.axis
+    widths = [e.uncertainty for e in twin.estimates if (e.effect, e.axis) == (name, axis)]
+    return [term_errors_um(term, twin, motion, {}, np.eye(len(widths))[k] * w) for k, w in enumerate(widths)]
+
+
+def _along(part: Floats, does: Floats, step_mm: Floats) -> float:
+    rms = _rms(does, step_mm)
+    return float(((part * does).sum(axis=1) * step_mm).sum() / step_mm.sum() / rms) if rms > 0.0 else 0.0
+
+
+def _rms(vectors: Floats, step_mm: Floats) -> float:
+    return float(np.sqrt(((vectors**2).sum(axis=1) * step_mm).sum() / step_mm.sum()))
+
+
+def program_text(found: ProgramBudget) -> str:
+    """Return the budget of a program for the terminal."""
+    head = ["cause", "RMS, µm (k = 2)", "X, µm", "Y, µm", "Z, µm", "across the way, µm", "largest, µm"]
+    rows = [[*_row(cut), micrometres(cut.left_um)] for cut in found.causes]
+    lines = [table([*head, "left without it, µm"], [*rows, [*_row(found.every), "-"]]), ""]
+    lines.append(f"{found.length_mm:z.0f} mm at feed, at the speed that is programmed")
+    if found.outside > 0.0:
+        lines.append(f"{100 * found.outside:z.0f} % of the points lie further out than anything that was measured")
+    lines += [f"not in it: {label}: {why}" for label, why in found.not_told.items()]
+    return "\n".join(lines)
+
+
+def _row(cut: Cut) -> list[str]:
+    own = with_k2(cut.rms_um[""], cut.uncertainty_um, "um").removesuffix(" µm")
+    parts = [micrometres(cut.rms_um[name]) for name in ("X", "Y", "Z", "across")]
+    return [cut.label, own, *parts, micrometres(cut.largest_um)]
