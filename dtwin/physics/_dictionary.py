@@ -50,37 +50,40 @@ class Dictionary:
 
     def add(self, terms: Iterable[Term]) -> list[Entry]:
         """Take more effects in; those that nothing can be seen of are left out."""
-        new, parts, at = [], [], len(self._right)
-        for term in terms:
-            whitened = self._candidates.whitened(self._problem, term)
-            size = np.sqrt((whitened**2).sum(axis=0))
-            whitened = whitened[:, size > 0.0] / size[size > 0.0]
-            basis = self._problem.basis
-            left = whitened - basis @ (basis.T @ whitened)
-            left = left[:, (left**2).sum(axis=0) > least_visible(term)]
-            k = left.shape[1]
-            if not k:
-                continue
-            effect = term.instance.effect
-            new.append(Entry(term, slice(at, at + k), k + len(effect.refined_shapes)))
-            parts.append(left)
-            at += k
+        every = [(term, self._candidates.whitened(self._problem, term)) for term in terms]
+        if not every:
+            return []
+        rows = np.concatenate([whitened.T for _, whitened in every])
+        size = np.sqrt(_squares(rows))
+        rows /= np.where(size > 0.0, size, 1.0)[:, None]
+        basis = self._problem.basis
+        rows -= (rows @ basis) @ basis.T
+        number = np.repeat(np.arange(len(every)), [whitened.shape[1] for _, whitened in every])
+        seen = (size > 0.0) & (_squares(rows) > np.array([least_visible(term) for term, _ in every])[number])
+        many = np.bincount(number[seen], minlength=len(every))
+        ends = len(self._right) + np.cumsum(many)
+        new = [
+            Entry(term, slice(int(end - k), int(end)), int(k) + len(term.instance.effect.refined_shapes))
+            for (term, _), k, end in zip(every, many, ends, strict=True)
+            if k
+        ]
         if new:
-            self._append(np.concatenate(parts, axis=1))
+            self._append(rows[seen])
             self.entries += new
             self._sizes = None
         return new
 
     def _append(self, added: Floats) -> None:
-        now, then = len(self._right), len(self._right) + added.shape[1]
+        now, then = len(self._right), len(self._right) + len(added)
         if then > len(self._room):
             room, gram = np.empty((2 * then, len(self._residual))), np.empty((2 * then, 2 * then))
             room[:now], gram[:now, :now] = self._room[:now], self._gram
             self._room, self._room_gram = room, gram
-        self._room[now:then] = added.T
-        cross = self._room[:then] @ added
-        self._room_gram[:then, now:then], self._room_gram[now:then, :then] = cross, cross.T
-        self._right = np.concatenate([self._right, added.T @ self._residual])
+        self._room[now:then] = added
+        cross = self._room[:now] @ added.T
+        self._room_gram[:now, now:then], self._room_gram[now:then, :now] = cross, cross.T
+        self._room_gram[now:then, now:then] = added @ added.T
+        self._right = np.concatenate([self._right, added @ self._residual])
 
     @property
     def _gram(self) -> Floats:
@@ -155,6 +158,11 @@ class Dictionary:
                 for index in [np.flatnonzero(sizes == k)]
             ]
         return self._sizes
+
+
+def _squares(rows: Floats) -> Floats:
+    """Return the sum of squares of each row."""
+    return np.asarray(np.einsum("ij,ij->i", rows, rows))
 
 
 def _indices(chosen: Sequence[Entry]) -> _Index:

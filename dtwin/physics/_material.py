@@ -17,12 +17,16 @@ from dtwin.schema import Floats
 IMMATERIAL = 0.08
 _INEXACT = 0.05
 _LEAST = 0.02
+# A handful of passes over some dozens of targets tells less.
+_LEAST_OF_FEW = 0.05
 _LOCAL = 0.1
 # The same where all that was found leaves no more than noise.
 _EXACT = 0.035
 _EXACT_LEAST = 0.015
 # So much misfit, of the noise floor, would not be noticed there.
 _IN_NOISE = 0.22
+# So much of a law that hangs on several shapes another such law may take of it, of the same axis and alike.
+_AFTER = 0.15
 # As RMS, of what all explain.
 _MUCH = 0.1
 _MOSTLY = 0.5
@@ -61,13 +65,19 @@ def material(
     in_noise = (_IN_NOISE * floor_um(problem)) ** 2 * float(obs.mask.sum())
     exact = exact and in_noise < _LEAST**2 * whole
     least_share, inexact = (_EXACT_LEAST, _EXACT) if exact else (_LEAST, _INEXACT)
+    if obs.there_and_back:
+        least_share = _LEAST_OF_FEW
     floor = max(floor, least_share**2 * whole)
     # What has several shapes can take that of any misfit.
     shaped = _INEXACT**2 * whole
     where = _where_it_acts(dictionary, found, obs) if exact else [np.inf] * len(found)
+    beside = {entry.label: _AFTER**2 * _most_alike(dictionary, found, entry) for entry in found}
     least = {
         entry.label: max(
-            floor, min(shaped, max(in_noise, _LOCAL**2 * local)) if len(entry.term.shape) > 1 else inexact**2 * alike
+            floor,
+            min(shaped, max(in_noise, beside[entry.label], _LOCAL**2 * local))
+            if len(entry.term.shape) > 1
+            else inexact**2 * alike,
         )
         for entry, alike, local in zip(found, _alike(dictionary, found, obs), where, strict=True)
     }
@@ -93,7 +103,9 @@ def hidden_by_mask(
     whole = Dictionary(unweighted(problem.obs, known), Candidates(problem.obs, []))
     chosen = whole.add(found)
     have = {entry.label for entry in chosen}
-    rest = [entry for entry in whole.add(everywhere) if entry.label not in have]
+    # Near reversals laws are least exact: what keeps its place there may be any of that.
+    usual = [term for term in everywhere if not term.instance.effect.another_law(term.shape)]
+    rest = [entry for entry in whole.add(usual) if entry.label not in have]
     least = _MUCH**2 * whole.explained([*chosen, *rest])
     out: list[Term] = []
     while rest:
@@ -147,6 +159,19 @@ def _where_it_acts(dictionary: Dictionary, found: list[Entry], obs: Observations
     of_all = power(found)
     own = [power([entry]) for entry in found]
     return [float(one @ of_all) / max(float(one.max()), 1e-300) for one in own]
+
+
+def _most_alike(dictionary: Dictionary, found: list[Entry], entry: Entry) -> float:
+    """Return the largest sum of squares of the effects of several shapes that look like one, on its axis."""
+    mine = entry.term.instance
+    alike = [
+        other
+        for other in found
+        if other.term.instance.axis == mine.axis
+        and other.term.instance.effect.name in mine.effect.confusables
+        and len(other.term.shape) > 1
+    ]
+    return max((dictionary.explained([other]) for other in alike), default=0.0)
 
 
 def _stand_ins(dictionary: Dictionary, chosen: list[Entry], entry: Entry, least: float) -> list[Term]:

@@ -153,8 +153,8 @@ def _at(term: Term, logs: Floats) -> Term:
 
 
 def _least(shape: ShapeParameter) -> float:
-    """Return the smallest value of a grid; far less of what may be absent, so that the solver does not stick there."""
-    return min(shape.grid) * (_NEAR_ABSENT if shape.bounds[0] == 0.0 else 1.0)
+    """Return the smallest value of a grid; far less where the effect stays the same, so that the solver does not stick there."""
+    return min(shape.grid) * (_NEAR_ABSENT if shape.vanishes else 1.0)
 
 
 def _bounds(term: Term, begun: Floats, within_grid: bool) -> tuple[Floats, Floats]:

@@ -40,6 +40,8 @@ LACK_OF_FIT = 0.003
 _FIT_IS_DOUBTFUL = 0.05
 # What was found must explain this share, or what is left must be this small beside the floor.
 _EXPLAINED = 0.93
+# What is found at one speed is what the curve looks like only, and is said so.
+_EXPLAINED_AT_ONE_SPEED = 0.85
 _LEFT = 0.3
 _LITTLE = 0.2
 _SPOKEN_OF = 0.1
@@ -264,7 +266,8 @@ def _much_left(found: Search, floor_um: float) -> bool:
     p_value, left_um = found.lack_of_fit[-1], found.systematic_um[-1]
     certain = p_value <= LACK_OF_FIT and left_um > _LITTLE * floor_um
     probable = p_value <= _FIT_IS_DOUBTFUL and left_um > _LEFT * floor_um
-    return (certain or probable) and found.explained < _EXPLAINED
+    enough = _EXPLAINED if found.plain.obs.several_speeds else _EXPLAINED_AT_ONE_SPEED
+    return (certain or probable) and found.explained < enough
 
 
 def _worth_telling(found: Search, floor_um: float) -> bool:

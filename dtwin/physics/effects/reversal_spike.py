@@ -82,8 +82,8 @@ EFFECT = Effect(
     ),
     shapes=(
         ShapeParameter("duration_ms", "ms", 60.0, (10.0, 30.0, 80.0, 250.0), ends=True),
-        ShapeParameter("rise_ms", "ms", 1.0, (1.0, 20.0), (0.0, 150.0)),
-        ShapeParameter("presliding_um", "um", 0.2, (0.2, 4.0, 20.0), (0.0, 60.0)),
+        ShapeParameter("rise_ms", "ms", 1.0, (1.0, 20.0), (0.0, 150.0), vanishes=True),
+        ShapeParameter("presliding_um", "um", 0.2, (0.2, 4.0, 20.0), (0.0, 60.0), vanishes=True),
         ShapeParameter("speed_exponent", "1", 0.0, (0.0,), (0.0, 1.5), refined=False),
     ),
     also_tried=tuple(
