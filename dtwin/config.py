@@ -15,8 +15,8 @@ _TELEMETRY_OFF = {
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "PREFECT_SERVER_ANALYTICS_ENABLED": "false",
 }
-# One busy core must not slow a small fit a hundredfold.
-_THREADS = {"OMP_WAIT_POLICY": "passive"}
+# Matrices are small: threads of BLAS cost more than they give, and ten times that beside other work.
+_THREADS = {"OMP_WAIT_POLICY": "passive", "OPENBLAS_NUM_THREADS": "1"}
 
 
 SETTINGS: dict[str, tuple[str, str]] = {

@@ -56,8 +56,12 @@ def planned_campaign(path: Path, unstated: str = DEFAULT_KIND) -> Planned:
     InputError
         When the file cannot be read, its kind is unknown, or a rule of the kind is broken.
     """
-    document = read_plan_file(path)
-    return _plan_kind(document, unstated).plan(document, str(path))
+    return planned_document(read_plan_file(path), str(path), unstated)
+
+
+def planned_document(document: Mapping[str, Any], where: str, unstated: str = DEFAULT_KIND) -> Planned:
+    """Return the campaign that the content of a plan file plans; ``where`` is its name, for error messages."""
+    return _plan_kind(document, unstated).plan(document, where)
 
 
 def _plan_kind(document: Mapping[str, Any], unstated: str) -> Kind:

@@ -197,8 +197,11 @@ def plan(
     findings = [finding.as_dict() for finding in planned.findings]
     payload = {**planned.summary, "total_s": planned.duration_s, "findings": findings}
     if check_only:
+        from dtwin.physics.experiment import detectable
+        from dtwin.physics.library import Library
+
         payload["noise_um"] = _NOISE_UM if noise_um is None else noise_um
-        sizes = kind.detectable(planned, payload["noise_um"])
+        sizes = detectable(kind.foreseen(planned), Library(), noise_um=payload["noise_um"])
         payload["detectable"] = [effect.as_dict() for effect in sizes]
     elif planned.order:
         payload["order"] = list(planned.order)
@@ -304,7 +307,7 @@ def _require_plan_options(
 ) -> None:
     """Refuse what the kind lacks, and options that would do nothing."""
     if check_only:
-        kind.require("detectable")
+        kind.require("foreseen")
     if out is not None:
         kind.require("programs")
     if noise_um is not None and not check_only:

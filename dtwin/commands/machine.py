@@ -134,6 +134,65 @@ def diagnose(
     emit(found, lambda: _joint_text(found), as_json=as_json)
 
 
+@app_machine.command("next")
+def next_test(
+    name: Name,
+    kind: Annotated[list[str] | None, typer.Option(help="Kind of test that can be made; may be repeated.")] = None,
+    minutes: Annotated[float | None, typer.Option(min=1.0, help="Longest time, mounting included.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the plan file of the first one here.")] = None,
+    effects_path: Paths = None,
+    as_json: Json = False,
+) -> None:
+    """Say which test tells most about a machine for its time, after what was measured."""
+    from dtwin.atomic import write_toml
+    from dtwin.commands.effects import library_with
+    from dtwin.commands.output import ProgressLine
+    from dtwin.config import home
+    from dtwin.pipeline.machine_next import machine_next
+
+    progress = ProgressLine("tests", quiet=as_json)
+    found = machine_next(home(), name, kind or (), minutes, progress, library_with(effects_path))
+    if out is not None:
+        found["plan_file"] = str(write_toml(out, found["tests"][0]["document"], "the plan file"))
+    emit(found, lambda: _next_text(found), as_json=as_json)
+
+
+def _next_text(found: Mapping[str, Any]) -> str:
+    from dtwin.report.text import table
+
+    head = ("test", "kind", "minutes", "bits", "bits per minute", "tells (k = 2)")
+    rows = [
+        [
+            t["name"],
+            t["kind"],
+            round(t["minutes"]),
+            round(t["bits"], 1),
+            round(t["bits_per_minute"], 2),
+            _told_text(t["told"]),
+        ]
+        for t in found["tests"]
+    ]
+    lines = [f"measured: {', '.join(found['measured']) or 'nothing yet'}", ""]
+    if found["measured"]:
+        lines.insert(1, f"found, and not told apart: {_listed([' or '.join(group) for group in found['unclear']])}")
+        lines.insert(2, f"not told by that: {_listed(found['untold'])}")
+    lines.append(table(head, rows))
+    if "plan_file" in found:
+        lines.append(f"\nplan of the first: {found['plan_file']} (dtwin plan {found['plan_file']})")
+    return "\n".join(lines)
+
+
+def _told_text(told: Sequence[Mapping[str, Any]]) -> str:
+    from dtwin.units import shown_unit
+
+    most = [f"{g['cause']} ± {g['before']:.2g} → {g['after']:.2g} {shown_unit(g['unit'])}" for g in told[:2]]
+    return ", ".join(most) + (f" and {len(told) - 2} more" if len(told) > 2 else "")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "") or "nothing"
+
+
 def _joint_text(found: Mapping[str, Any]) -> str:
     from dtwin.report.text import table
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from dtwin.kinds.volumetric.twins import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
-    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.report.html import Section
     from dtwin.report.sheet import Sheet
@@ -51,7 +51,8 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "plan": ("a plan", "settings that a plan file states, and rules for them"),
     "usual_plan": ("a plan without a file", "a usual campaign"),
     "programs": ("writing motion programs", "motion that a control runs by itself"),
-    "detectable": ("telling what a plan could detect", "a grid on which runs are compared"),
+    "foreseen": ("telling what a plan could detect", "a grid on which runs are compared"),
+    "proposals": ("proposing a test", "plans for the axes of a machine"),
     "judge_run": ("a check of runs", "a judgement of one run"),
     "sheet": ("a test sheet", "figures of a standard"),
     "drawings": ("a picture of a run", "a figure of one run"),
@@ -93,6 +94,10 @@ class Planned:
         Conditions in the order of measurement, JSON-ready; empty when the kind has one order only.
     order_text : str
         The order as text, when it is long.
+    mounting_s : float
+        Usual time to mount and align the instrument, which ``duration_s`` does not hold.
+    noise_um : float
+        RMS by which repeats of a usual instrument disagree.
     """
 
     kind: str
@@ -103,6 +108,8 @@ class Planned:
     lines: tuple[str, ...]
     order: tuple[Mapping[str, Any], ...] = ()
     order_text: str = ""
+    mounting_s: float = 600.0
+    noise_um: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -224,9 +231,16 @@ class Kind:
         """Return the motion programs of a plan by file name; ``control`` is one of ``controls``."""
         raise self.lacks("programs")
 
-    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        """Return the size from which each effect is seen, when repeats disagree by ``noise_um``."""
-        raise self.lacks("detectable")
+    def foreseen(self, planned: Planned) -> Observations:
+        """Return the runs of a plan as if they had been measured, with no error in them."""
+        raise self.lacks("foreseen")
+
+    def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
+        """Return plan files, as TOML is read, of tests of a machine that could be worth their time.
+
+        ``axes``: its axes, with ``travel_mm`` and ``pitch_mm`` where they are known.
+        """
+        raise self.lacks("proposals")
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         """Return a run with what the campaign states of its instrument."""

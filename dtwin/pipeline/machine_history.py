@@ -59,11 +59,7 @@ def machine_history(
     lake = Lake(home.lake)
     # Runs that are left out belong to the stamp of a campaign: taken in again, they change its figures.
     rows = lake.runs(left_out=True, machine=machine)
-    record = read_record(home, machine)
-    if record is None and not rows:
-        known = ", ".join(found["machine"] for found in machine_overviews(home)) or "none"
-        raise InputError("no such machine", code="machine.unknown", got=machine, allowed=known)
-    record = record or MachineRecord(machine)
+    record = record_of(home, machine, rows)
     of_campaign: dict[str, list[dict[str, Any]]] = {}
     for row in rows:
         of_campaign.setdefault(row["campaign"], []).append(row)
@@ -100,6 +96,25 @@ def machine_history(
         "next_test": next_test(judged, record, overview["last_test"]),
         "champion": _champion(home, machine),
     }
+
+
+def record_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]]) -> MachineRecord:
+    """Return the record of a machine, an empty one where only its runs are known.
+
+    ``rows``: of the lake's table of runs.
+
+    Raises
+    ------
+    InputError
+        When there is neither a record nor a run of it.
+    """
+    record = read_record(home, machine)
+    if record is None and not rows:
+        known = ", ".join(found["machine"] for found in machine_overviews(home)) or "none"
+        raise InputError(
+            "no such machine", code="machine.unknown", got=machine, allowed=known, hint=f"dtwin machine add {machine}"
+        )
+    return record or MachineRecord(machine)
 
 
 def _readable(shelf: Twins, name: str) -> Twin | None:

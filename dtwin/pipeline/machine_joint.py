@@ -44,7 +44,9 @@ def machine_joint(
     """
     lake, names = Lake(home.lake), [in_lake(home, name) for name in campaigns]
     rows = [row for name in names for row in lake.runs(name, left_out=True)]
-    chosen = _stated(rows, machine, names) if names else _newest(lake.runs(left_out=True, machine=machine), machine)
+    chosen = (
+        _stated(rows, machine, names) if names else newest_tests(lake.runs(left_out=True, machine=machine), machine)
+    )
     if len(chosen) < 2:
         raise InputError(
             "there are not two tests to compare",
@@ -54,10 +56,23 @@ def machine_joint(
             allowed="campaigns of circles, positions or tones; of the same kind, of other planes, axes or days",
             hint=f"dtwin machine show {machine}",
         )
-    known = Library() if library is None else library
-    stamp = " ".join(f"{name} {stamp_of(mine)}" for name, mine in chosen.items()) + " ".join(known)
+    return compared(home, machine, chosen, Library() if library is None else library, progress)
+
+
+def compared(
+    home: Home,
+    machine: str,
+    chosen: Mapping[str, _Rows],
+    library: Mapping[str, Effect],
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Return what campaigns of a machine find, as :func:`machine_joint`; one is enough.
+
+    ``chosen``: their rows of the lake's table of runs, by name.
+    """
+    stamp = " ".join(f"{name} {stamp_of(mine)}" for name, mine in chosen.items()) + " ".join(library)
     made: dict[str, Any] = kept(
-        home, "joint", machine, stamp, lambda: _compared(home, machine, list(chosen), known, progress)
+        home, "joint", machine, stamp, lambda: _compared(home, machine, list(chosen), library, progress)
     )
     return made
 
@@ -93,7 +108,7 @@ def _by_campaign(rows: _Rows) -> dict[str, list[Mapping[str, Any]]]:
     return {name: mine for name, mine in out.items() if not all(row["left_out"] for row in mine)}
 
 
-def _newest(rows: _Rows, machine: str) -> dict[str, list[Mapping[str, Any]]]:
+def newest_tests(rows: _Rows, machine: str) -> dict[str, list[Mapping[str, Any]]]:
     """Return the newest campaign of each kind with the same planes or axes that can have a twin."""
     newest: dict[tuple[Any, ...], str] = {}
     mine = _by_campaign([row for row in rows if row["machine"] == machine])

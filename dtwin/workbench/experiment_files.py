@@ -1,17 +1,18 @@
-"""The next experiment as files: plans for ``dtwin plan`` and programs for the machine."""
+"""Tests to make as files: plans for ``dtwin plan`` and programs for the machine."""
 
 from __future__ import annotations
 
 import io
-import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from itertools import product
 from typing import Any
 
-from dtwin.acquire.programs import gcode, urscript
+import tomli_w
+
 from dtwin.errors import InputError
-from dtwin.plan import expand
+from dtwin.kinds.registry import kind_named
+from dtwin.plan_file import planned_document
 
 Grid = dict[str, Any]
 
@@ -52,35 +53,32 @@ def grids_of(experiment: Mapping[str, Any] | None) -> list[Grid]:
     return grids
 
 
-def plan_toml(name: str, machine: str, grid: Grid) -> str:
-    """Return a plan file.
-
-    ``name``, ``machine``: names of the campaign and of the machine.
-    ``grid``: one of ``grids_of``.
-    """
-    head = f"[plan]\nname = {json.dumps(name)}\nmachine = {json.dumps(machine)}\nseed = 1\n"
-    body = "\n".join(f"{key} = {json.dumps(value)}" for key, value in grid.items())
-    return f"{head}\n[grid]\n{body}\n"
-
-
-def experiment_zip(name: str, machine: str, experiment: Mapping[str, Any] | None) -> bytes:
-    """Return plans and programs of an experiment as one archive.
+def experiment_documents(name: str, machine: str, experiment: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    """Return the content of the plan files of an experiment.
 
     ``name``, ``machine``: names of the campaign and of the machine.
     ``experiment``: ``next_experiment`` of a diagnosis.
     """
-    out = io.BytesIO()
     grids = grids_of(experiment)
+    stems = [name] if len(grids) == 1 else [f"{name}-{number}" for number in range(1, len(grids) + 1)]
+    return [
+        {"plan": {"name": stem, "machine": machine, "seed": 1}, "grid": grid}
+        for stem, grid in zip(stems, grids, strict=True)
+    ]
+
+
+def plans_zip(documents: Iterable[Mapping[str, Any]]) -> bytes:
+    """Return plan files and the motion programs of each as one archive; ``documents``: what they hold."""
+    out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
-        for number, grid in enumerate(grids, start=1):
-            stem = name if len(grids) == 1 else f"{name}-{number}"
-            document = {"plan": {"name": stem, "machine": machine, "seed": 1}, "grid": grid}
-            plan = expand(document, stem)
-            archive.writestr(f"{stem}.toml", plan_toml(stem, machine, grid))
-            for test in plan.tests:
-                for suffix, program in ((".nc", gcode), (".script", urscript)):
-                    text = program(test, plan.directions)
-                    archive.writestr(f"{stem}/{test.test_id}{suffix}", text)
+        for document in documents:
+            stem = str(document["plan"]["name"])
+            planned = planned_document(document, stem)
+            kind = kind_named(planned.kind)
+            archive.writestr(f"{stem}.toml", tomli_w.dumps(document))
+            control = kind.controls[0] if kind.controls else ""
+            for file, text in kind.programs(planned, control).items():
+                archive.writestr(f"{stem}/{file}", text)
     return out.getvalue()
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Literal
 
+import tomli_w
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse, Response
@@ -14,11 +15,13 @@ from dtwin.errors import InputError
 from dtwin.machine_record import EVENTS, MachineRecord, read_record, record_from, with_event, write_record
 from dtwin.pipeline.machine_history import machine_history, machine_overviews
 from dtwin.pipeline.machine_joint import machine_joint
+from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.joint import title_of
 from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.pages import accepted, drawn, rendered
+from dtwin.workbench.experiment_files import plans_zip
+from dtwin.workbench.pages import accepted, download, drawn, rendered
 from dtwin.workbench.uploads import MAX_TRAY_BYTES
 
 router = APIRouter()
@@ -92,14 +95,36 @@ def together(request: Request, name: str) -> Response:
     return rendered(request, "together.html", title=title, machine=name, found=found, groups=groups)
 
 
+@router.get("/machines/{name}/next")
+def next_page(request: Request, name: str) -> Response:
+    """Show which test tells most for its time."""
+    bench = bench_of(request)
+    found = machine_next(bench.home, name, library=bench.library)
+    return rendered(request, "next.html", title=f"Next test of {name}", found=found)
+
+
+@router.get("/machines/{name}/next/{test}.{ending}")
+def next_files(request: Request, name: str, test: str, ending: Literal["toml", "zip"]) -> Response:
+    """Return a proposed test as its plan file, or as plan file and programs."""
+    bench = bench_of(request)
+    tests = machine_next(bench.home, name, library=bench.library)["tests"]
+    document = next((t["document"] for t in tests if t["name"] == test), None)
+    if document is None:
+        raise InputError(
+            "no such test is proposed", code="page.unknown", where=name, got=test, hint="names hold the day: look again"
+        )
+    if ending == "toml":
+        return download(tomli_w.dumps(document), f"{test}.toml", "application/toml")
+    return download(plans_zip([document]), f"{test}.zip", "application/zip")
+
+
 @router.get("/machines/{name}/next-test.ics")
 def next_test_file(request: Request, name: str) -> Response:
     """Return the next test as a calendar file."""
     due = _history(bench_of(request), name)["next_test"]
     if not due:
         raise InputError("no next test is known", code="page.unknown", where=name, hint="state how often it is tested")
-    headers = {"Content-Disposition": f'attachment; filename="{name}.ics"'}
-    return Response(calendar_of(name, due, datetime.now(UTC)), media_type="text/calendar", headers=headers)
+    return download(calendar_of(name, due, datetime.now(UTC)), f"{name}.ics", "text/calendar")
 
 
 @router.get("/api/machines/{name}/summary")

@@ -16,6 +16,7 @@ from dtwin import __version__
 from dtwin.errors import DtwinError, GateRefusal
 from dtwin.report.text import micrometres
 from dtwin.report.twins import condition_words, number, place_words
+from dtwin.units import shown_unit
 from dtwin.workbench.bench import bench_of
 from dtwin.workbench.jobs import Job
 
@@ -61,6 +62,7 @@ _ENVIRONMENT.filters |= {
     "condition": condition_words,
     "place": place_words,
     "stated": stated,
+    "unit": shown_unit,
 }
 _ENVIRONMENT.globals |= {"version": __version__, "verdict_words": _WORDS}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
+import tomli_w
 from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
@@ -33,7 +34,7 @@ from dtwin.twins.registration import waiting, waiting_text
 from dtwin.workbench import reading
 from dtwin.workbench.bench import Bench, bench_of
 from dtwin.workbench.campaigns import possible_effects
-from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml
+from dtwin.workbench.experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench.heat_pages import heat_page, heat_sections
 from dtwin.workbench.models import mlflow_page
 from dtwin.workbench.numbers import decimal
@@ -165,9 +166,9 @@ def report(request: Request, name: str) -> Response:
 def experiment_plan(request: Request, name: str) -> Response:
     """Return the next experiment as a plan file, when one grid holds it."""
     twin, experiment = _experiment(request, name)
-    grids = grids_of(experiment)
     stem = f"{name}-next"
-    return download(plan_toml(stem, twin.machine, grids[0]), f"{stem}.toml", "application/toml")
+    first = experiment_documents(stem, twin.machine, experiment)[0]
+    return download(tomli_w.dumps(first), f"{stem}.toml", "application/toml")
 
 
 @router.get("/twins/{name}/next-experiment.zip")
@@ -175,7 +176,8 @@ def experiment_programs(request: Request, name: str) -> Response:
     """Return the next experiment as plans and programs."""
     twin, experiment = _experiment(request, name)
     stem = f"{name}-next"
-    return download(experiment_zip(stem, twin.machine, experiment), f"{stem}.zip", "application/zip")
+    documents = experiment_documents(stem, twin.machine, experiment)
+    return download(plans_zip(documents), f"{stem}.zip", "application/zip")
 
 
 @router.get("/api/twins/{name}/overlay/{kind}")

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from dtwin.acquire.programs import gcode, urscript
 from dtwin.kinds.kind import Planned
-from dtwin.physics.experiment import Detectable, detectable, planned_observations
-from dtwin.physics.library import Library
+from dtwin.physics.experiment import REPEATS, planned_observations
+from dtwin.physics.observations import Observations
+from dtwin.physics.state import AXES_OF
 from dtwin.plan import Plan, advice, duration_s
 from dtwin.report.text import table
 
+# Lengths of usual ball bars, the room that their mounts need, and the travel of an axis of which nothing is stated.
+_BARS_MM = (50.0, 100.0, 150.0, 300.0)
+_ROOM_MM = 100.0
+_TRAVEL_MM = 400.0
+_MOUNTING_S = 600.0
 _COLUMNS = ("test", "setup", "plane", "radius_mm", "feed_mm_min", "repeat")
 
 
@@ -34,6 +43,7 @@ def planned(plan: Plan) -> Planned:
         ),
         order=tuple(vars(test) for test in plan.tests),
         order_text=table(_COLUMNS, rows),
+        mounting_s=_MOUNTING_S * len({t.setup for t in plan.tests}),
     )
 
 
@@ -45,6 +55,25 @@ def programs(plan: Plan) -> dict[str, str]:
     }
 
 
-def detected(plan: Plan, noise_um: float) -> list[Detectable]:
-    """Return the size from which each effect is seen on the circles."""
-    return detectable(planned_observations(plan), Library(), noise_um=noise_um)
+def foreseen(plan: Plan) -> Observations:
+    """Return the circles of a plan with nothing in them."""
+    return planned_observations(plan)
+
+
+def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:
+    """Return plans of one circle, of one at three feeds, and of two at three feeds, in each plane."""
+    out = []
+    for plane, pair in AXES_OF.items():
+        if not set(pair) <= set(axes):
+            continue
+        travel_mm = min(axes[axis].get("travel_mm", _TRAVEL_MM) for axis in pair)
+        radius = max((r for r in _BARS_MM if 2.0 * r + _ROOM_MM <= travel_mm), default=_BARS_MM[0])
+        for feeds, radii in (
+            ([1000.0], [radius]),
+            ([500.0, 1500.0, 4000.0], [radius]),
+            ([500.0, 1500.0, 4000.0], [radius / 2.0, radius]),
+        ):
+            name = f"{plane.lower()}-{len(radii)}r-{len(feeds)}f"
+            grid = {"radius_mm": radii, "feed_mm_min": feeds, "plane": [plane], "repeats": REPEATS}
+            out.append({"plan": {"name": name, "machine": machine, "seed": 1}, "grid": grid})
+    return out

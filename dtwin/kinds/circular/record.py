@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
-    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.schema import Finding, Run
@@ -62,10 +62,15 @@ class _Circular(Kind):
 
         return programs(planned.plan)
 
-    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        from dtwin.kinds.circular.planned import detected
+    def foreseen(self, planned: Planned) -> Observations:
+        from dtwin.kinds.circular.planned import foreseen
 
-        return detected(planned.plan, noise_um)
+        return foreseen(planned.plan)
+
+    def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
+        from dtwin.kinds.circular.planned import proposals
+
+        return proposals(machine, axes)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.kinds.circular.check import judge_circular_run

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from dtwin.kinds.kind import Planned
-from dtwin.kinds.linear.plan import LinearPlan, duration_s, linear_advice, linear_plan, targets_mm
+from dtwin.kinds.linear.plan import LinearPlan, better_step, duration_s, linear_advice, linear_plan, targets_mm
 from dtwin.kinds.linear.program import laser_program
-from dtwin.physics.experiment import Detectable, detectable
-from dtwin.physics.library import Library
-from dtwin.physics.observations import observe
+from dtwin.physics.observations import Observations, observe
 from dtwin.plan_file import plan_settings
 from dtwin.schema import Campaign, Run, RunMeta
+
+# Intervals and sweeps of a short test and of one after ISO 230-2; turns beyond the ends; the travel of an axis of
+# which nothing is stated; the time to mount and align a laser.
+_SIZES = ((10, 3), (20, 5))
+_OVERSHOOT_MM = 5.0
+_TRAVEL_MM = 400.0
+_MOUNTING_S = 2700.0
 
 
 def planned(document: Mapping[str, Any], where: str) -> Planned:
@@ -40,6 +46,7 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
             f"to {plan.end:g} {plan.unit}, {plan.runs} runs, {plan.readings} readings, about "
             f"{total_s / 3600:z.1f} h",
         ),
+        mounting_s=_MOUNTING_S,
     )
 
 
@@ -48,10 +55,39 @@ def programs(plan: LinearPlan, control: str) -> dict[str, str]:
     return {f"{plan.name}.nc": laser_program(plan, control)}
 
 
-def detected(plan: LinearPlan, noise_um: float) -> list[Detectable]:
-    """Return the size from which each effect is seen on the sweeps."""
-    obs = observe(_campaign_of(plan), _empty_runs(plan))
-    return detectable(obs, Library(), noise_um=noise_um)
+def foreseen(plan: LinearPlan) -> Observations:
+    """Return the sweeps of a plan with nothing in them."""
+    return observe(_campaign_of(plan), _empty_runs(plan))
+
+
+def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:
+    """Return a short and a full plan of each axis; targets meet the screw at many angles where its pitch is known."""
+    return [_proposal(machine, axis, axes[axis], *size) for axis in "XYZ" if axis in axes for size in _SIZES]
+
+
+def _proposal(machine: str, axis: str, known: Mapping[str, float], intervals: int, runs: int) -> dict[str, Any]:
+    travel_mm = known.get("travel_mm", _TRAVEL_MM)
+    step = max(1.0, math.floor((travel_mm - 2.0 * _OVERSHOOT_MM) / intervals))
+    stated: dict[str, Any] = {
+        "name": f"{axis.lower()}-{intervals + 1}-targets",
+        "machine": machine,
+        "axis": axis,
+        "axes": "XYZ",
+        "unit": "mm",
+        "start": _OVERSHOOT_MM,
+        "end": _OVERSHOOT_MM + intervals * step,
+        "step": step,
+        "runs": runs,
+        "dwell_s": 5.0,
+        "feed_min": 1000.0,
+        "overshoot": _OVERSHOOT_MM,
+        "axis_low": 0.0,
+        "axis_high": travel_mm,
+        "pitch": known.get("pitch_mm", 0.0),
+    }
+    plan = linear_plan(stated, "the proposal")
+    better = better_step(plan, 2.0 * step) if plan.pitch > 0.0 else None
+    return {"plan": {"kind": "linear", **stated, **({"step": better} if better else {})}}
 
 
 def _campaign_of(plan: LinearPlan) -> Campaign:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
-    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.report.sheet import Sheet
     from dtwin.schema import Campaign, Finding, Run
@@ -75,10 +75,15 @@ class _Linear(Kind):
 
         return programs(planned.plan, control)
 
-    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        from dtwin.kinds.linear.planned import detected
+    def foreseen(self, planned: Planned) -> Observations:
+        from dtwin.kinds.linear.planned import foreseen
 
-        return detected(planned.plan, noise_um)
+        return foreseen(planned.plan)
+
+    def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
+        from dtwin.kinds.linear.planned import proposals
+
+        return proposals(machine, axes)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.kinds.linear.read import with_pitch

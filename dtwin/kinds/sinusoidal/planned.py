@@ -10,9 +10,7 @@ import numpy as np
 
 from dtwin.kinds.kind import Planned
 from dtwin.kinds.sinusoidal.plan import ToneGroup, TonePlan, duration_s, tone_advice, tone_plan
-from dtwin.physics.experiment import Detectable, detectable
-from dtwin.physics.library import Library
-from dtwin.physics.observations import observe
+from dtwin.physics.observations import Observations, observe
 from dtwin.plan_file import plan_settings
 from dtwin.schema import Campaign, Run, RunMeta
 from dtwin.units import UM_PER_MM
@@ -48,11 +46,10 @@ def planned(document: Mapping[str, Any], where: str) -> Planned:
     )
 
 
-def detected(plan: TonePlan, noise_um: float) -> list[Detectable]:
-    """Return the size from which each effect is seen in the tones."""
+def foreseen(plan: TonePlan) -> Observations:
+    """Return the tones of a plan with nothing in them."""
     campaign = Campaign(plan.name, plan.machine, kind="sinusoidal")
-    runs = [_empty_run(plan, n, group) for n, group in enumerate(plan.groups, start=1)]
-    return detectable(observe(campaign, runs), Library(), noise_um=noise_um)
+    return observe(campaign, [_empty_run(plan, n, group) for n, group in enumerate(plan.groups, start=1)])
 
 
 def _empty_run(plan: TonePlan, number: int, group: ToneGroup) -> Run:

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
-    from dtwin.physics.experiment import Detectable
     from dtwin.physics.grid import Grid, Row
+    from dtwin.physics.observations import Observations
     from dtwin.progress import Progress
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.serve.bundle import Bundle
@@ -46,10 +46,10 @@ class _Sinusoidal(Kind):
 
         return planned(document, where)
 
-    def detectable(self, planned: Planned, noise_um: float) -> list[Detectable]:
-        from dtwin.kinds.sinusoidal.planned import detected
+    def foreseen(self, planned: Planned) -> Observations:
+        from dtwin.kinds.sinusoidal.planned import foreseen
 
-        return detected(planned.plan, noise_um)
+        return foreseen(planned.plan)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
         from dtwin.kinds.sinusoidal.check import with_bandwidth

@@ -46,7 +46,8 @@ EFFECTS = {
 GIVEN: dict[str, tuple[Any, ...]] = {
     "plan": ({}, "here"),
     "programs": (None, ""),
-    "detectable": (None, 1.0),
+    "foreseen": (None,),
+    "proposals": ("m", {}),
     "judge_run": (None,),
     "sheet": ((),),
     "twins": (None, None),

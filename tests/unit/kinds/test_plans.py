@@ -12,9 +12,12 @@ from typer.testing import CliRunner
 
 from dtwin.cli import app
 from dtwin.errors import InputError
-from dtwin.kinds.kind import NotOffered
+from dtwin.kinds.kind import Kind, NotOffered
 from dtwin.kinds.linear.program import CONTROLS
 from dtwin.kinds.registry import kind_named, kinds
+from dtwin.physics.experiment import detectable
+from dtwin.physics.library import Library
+from dtwin.plan_file import planned_document
 
 HEAD = {"name": "p", "machine": "m"}
 LINEAR = HEAD | {
@@ -72,7 +75,7 @@ def sizes(kind: str, noise_um: float = 1.0, **changed: Any) -> dict[str, float]:
     """Return from which size on a plan sees each effect."""
     document = {"plan": PLANS[kind]["plan"] | changed}
     record = kind_named(kind)
-    found = record.detectable(record.plan(document, "test"), noise_um)
+    found = detectable(record.foreseen(record.plan(document, "test")), Library(), noise_um=noise_um)
     return {effect.label: effect.amplitude for effect in found}
 
 
@@ -90,7 +93,7 @@ def test_a_plan_says_its_names_its_time_and_what_it_cannot_tell(plan: tuple[str,
 
 
 @pytest.mark.parametrize(
-    ("verb", "option", "key"), [("detectable", "--check", "detectable"), ("programs", "--out", "programs")]
+    ("verb", "option", "key"), [("foreseen", "--check", "detectable"), ("programs", "--out", "programs")]
 )
 def test_an_option_acts_or_is_refused(plan: tuple[str, Path], tmp_path: Path, verb: str, option: str, key: str) -> None:
     kind, file = plan
@@ -152,3 +155,26 @@ def test_a_step_that_divides_into_the_pitch_sees_no_error_of_the_screw() -> None
 def test_a_delay_shows_in_proportion_to_the_frequency() -> None:
     slow, fast = (sizes("sinusoidal", frequencies_hz=[f])["tracking_delay Z"] for f in (10.0, 20.0))
     assert slow == pytest.approx(2.0 * fast, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "kind", [kind for kind in kinds() if kind.offers("proposals")], ids=lambda kind: str(kind.name)
+)
+@pytest.mark.parametrize(
+    "known", [{}, {"travel_mm": 150.0}, {"travel_mm": 2000.0, "pitch_mm": 10.0}, {"travel_mm": 37.0, "pitch_mm": 5.08}]
+)
+def test_every_proposal_is_a_plan_that_the_kind_takes_and_foresees(kind: Kind, known: dict[str, float]) -> None:
+    documents = kind.proposals("m", {axis: known for axis in "XYZ"})
+    assert len({document["plan"]["name"] for document in documents}) == len(documents) > 0
+    for document in documents:
+        planned = planned_document(document, "a proposal")
+        assert planned.kind == kind.name
+        obs = kind.foreseen(planned)
+        assert not obs.y_um.any()
+        assert min(planned.duration_s, planned.mounting_s) > 0.0
+    axes = {axis for document in documents for axis in kind.foreseen(planned_document(document, "p")).axes}
+    assert axes == set("XYZ")
+
+
+def test_no_circle_is_proposed_for_a_single_axis() -> None:
+    assert kind_named("circular").proposals("m", {"Z": {}}) == []

@@ -17,7 +17,7 @@ from dtwin.plan import expand, training_plan
 from dtwin.twins.measured import pure_rms_um
 from dtwin.workbench.access import Access
 from dtwin.workbench.cache import Cache
-from dtwin.workbench.experiment_files import experiment_zip, grids_of, plan_toml
+from dtwin.workbench.experiment_files import experiment_documents, grids_of, plans_zip
 from dtwin.workbench.jobs import Jobs, Tell
 from dtwin.workbench.numbers import decimal
 
@@ -79,8 +79,8 @@ def test_a_full_grid_is_one_plan_that_measures_exactly_it() -> None:
     experiment = _conditions(
         *((p, r, f, d) for p in ("XY", "YZ") for r in (50.0, 100.0) for f in (1000.0, 2000.0) for d in ("CCW", "CW"))
     )
-    (grid,) = grids_of(experiment)
-    plan = expand(tomllib.loads(plan_toml("next", "mill-a", grid)), "plan")
+    (document,) = experiment_documents("next", "mill-a", experiment)
+    plan = expand(document, "plan")
     assert plan.n_runs == 3 * 16
     assert set(plan.directions) == {"CCW", "CW"}
 
@@ -88,16 +88,17 @@ def test_a_full_grid_is_one_plan_that_measures_exactly_it() -> None:
 def test_what_is_no_grid_becomes_several_plans_and_nothing_more() -> None:
     wanted = {("XY", 50.0, 1000.0, "CCW"), ("XY", 100.0, 2000.0, "CW"), ("YZ", 50.0, 1000.0, "CCW")}
     measured = set()
-    for number, grid in enumerate(grids_of(_conditions(*wanted))):
-        plan = expand(tomllib.loads(plan_toml(f"next-{number}", "mill-a", grid)), "plan")
+    for document in experiment_documents("next", "mill-a", _conditions(*wanted)):
+        plan = expand(document, "plan")
         measured |= {(t.plane, t.radius_mm, t.feed_mm_min, d) for t in plan.tests for d in plan.directions}
     assert measured == wanted
 
 
 def test_programs_come_with_the_plan() -> None:
-    packed = experiment_zip("next", "mill-a", _conditions(("XY", 50.0, 1000.0, "CCW")))
-    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+    documents = experiment_documents("next", "mill-a", _conditions(("XY", 50.0, 1000.0, "CCW")))
+    with zipfile.ZipFile(io.BytesIO(plans_zip(documents))) as archive:
         names = archive.namelist()
+        assert tomllib.loads(archive.read("next.toml").decode()) == documents[0]
         assert {"next.toml", "next/t001.nc", "next/t003.script"} <= set(names)
         assert "G3" in archive.read("next/t001.nc").decode()
         assert "G2 " not in archive.read("next/t001.nc").decode()

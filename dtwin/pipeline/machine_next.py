@@ -1,0 +1,129 @@
+"""Which test of a machine tells most for its time: proposals of every kind, by bits per minute."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.kind import Planned
+from dtwin.kinds.registry import kind_named, kinds
+from dtwin.lake.store import Lake
+from dtwin.machine_record import MachineRecord
+from dtwin.physics.effect import Effect
+from dtwin.physics.library import Library
+from dtwin.physics.next_test import Knowledge, Made, Unknown, unclear
+from dtwin.physics.observations import Observations
+from dtwin.pipeline.machine_history import record_of
+from dtwin.pipeline.machine_joint import compared, newest_tests
+from dtwin.plan_file import planned_document
+from dtwin.progress import Progress
+from dtwin.twins.measured import load
+
+_USUAL_AXES = "XYZ"
+
+
+def machine_next(
+    home: Home,
+    machine: str,
+    allowed: Sequence[str] = (),
+    minutes: float | None = None,
+    progress: Progress | None = None,
+    library: Mapping[str, Effect] | None = None,
+) -> dict[str, Any]:
+    """Return the tests that could be made next, JSON-ready, most bits per minute first.
+
+    Parameters
+    ----------
+    allowed : sequence of str
+        Kinds of test for which there is an instrument; all without.
+    minutes : float, optional
+        Longest time, mounting the instrument included.
+
+    Returns
+    -------
+    dict
+        ``machine``; ``measured``: campaigns that count, the newest of each kind with the same planes or axes;
+        ``unclear``: groups of effects that they find and do not tell apart; ``untold``: causes whose size they do
+        not tell; ``tests``: ``name``, ``kind``, ``minutes``, ``bits``, ``bits_per_minute``, ``told`` and ``document``,
+        the plan file.
+
+    Raises
+    ------
+    InputError
+        When the machine is not known, a kind proposes no tests, or none is short enough.
+    """
+    lake, known = Lake(home.lake), Library() if library is None else library
+    rows = lake.runs(left_out=True, machine=machine)
+    record = record_of(home, machine, rows)
+    chosen = newest_tests(rows, machine)
+    groups = _groups(compared(home, machine, chosen, known, progress)) if chosen else []
+    measured = [Made(load(home, name).obs, left) for name, left in zip(chosen, unclear(groups), strict=True)]
+    plans = _proposed(record, allowed, [test.obs for test in measured])
+    within = [(p, document) for p, document in plans if minutes is None or _minutes(p) <= minutes]
+    if not within:
+        raise InputError(
+            "no proposed test is that short",
+            code="machine.minutes",
+            where=machine,
+            got=f"{minutes:g} min",
+            allowed=f"{min(_minutes(p) for p, _ in plans):.0f} min or more, mounting included",
+        )
+    planned = [kind_named(p.kind).foreseen(p) for p, _ in within]
+    knowledge = Knowledge(measured, planned, known, {p.kind: p.noise_um for p, _ in within})
+    tests = []
+    for number, (plan, document) in enumerate(within):
+        worth = knowledge.worth(number)
+        tests.append(
+            {
+                "name": document["plan"]["name"],
+                "kind": plan.kind,
+                "minutes": _minutes(plan),
+                "bits": worth.bits,
+                "bits_per_minute": worth.bits / _minutes(plan),
+                "told": [gain.as_dict() for gain in worth.told],
+                "document": document,
+            }
+        )
+    return {
+        "machine": machine,
+        "measured": list(chosen),
+        "unclear": [list(group) for test in measured for group in test.unclear],
+        "untold": _by_cause(knowledge.untold),
+        "tests": sorted(tests, key=lambda test: -test["bits_per_minute"]),
+    }
+
+
+def _groups(together: Mapping[str, Any]) -> list[list[list[str]]]:
+    """Return what each test found, settled by the others."""
+    left = {(s["campaign"], tuple(s["group"])): s["left"] for s in together["settled"]}
+    return [[left.get((t["campaign"], tuple(g))) or g for g in t["found"]] for t in together["tests"]]
+
+
+def _by_cause(unknowns: Sequence[Unknown]) -> list[str]:
+    """Return each cause once, with its axes."""
+    axes: dict[str, dict[str, None]] = {}
+    for unknown in unknowns:
+        axes.setdefault(unknown.name, {})[unknown.axis] = None
+    return [f"{name} {', '.join(of)}".rstrip() for name, of in axes.items()]
+
+
+def _minutes(plan: Planned) -> float:
+    return (plan.duration_s + plan.mounting_s) / 60.0
+
+
+def _proposed(
+    record: MachineRecord, allowed: Sequence[str], measured: Sequence[Observations]
+) -> list[tuple[Planned, dict[str, Any]]]:
+    """Return plans with their documents, named after machine and day so that each becomes a campaign of its own."""
+    axes = record.axes or {axis: {} for obs in measured for axis in obs.axes} or {axis: {} for axis in _USUAL_AXES}
+    day = datetime.now(UTC).date().isoformat()
+    out = []
+    for kind in [kind_named(name) for name in allowed] or [kind for kind in kinds() if kind.offers("proposals")]:
+        for document in kind.proposals(record.name, axes):
+            named = {**document["plan"], "name": f"{record.name}-{document['plan']['name']}-{day}"}
+            made = {**document, "plan": named}
+            out.append((planned_document(made, named["name"]), made))
+    return out

@@ -1,0 +1,97 @@
+"""Which test of a machine to make next: by command, in the browser, and as files that the plan verb takes."""
+
+from __future__ import annotations
+
+import io
+import json
+import tomllib
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import pytest
+from laser_axis import write_laser
+from starlette.testclient import TestClient
+from typer.testing import CliRunner
+
+from dtwin.acquire.ingest import ingest
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.errors import DtwinError, InputError
+from dtwin.kinds.kind import NotOffered
+from dtwin.lake.store import Lake
+from dtwin.workbench.access import Access
+from dtwin.workbench.bench import Bench
+from dtwin.workbench.server import application
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a home with a laser test of X."""
+    made = tmp_path_factory.mktemp("next")
+    ingest(write_laser(made / "laser-x", "mill-7", "X", 10.0, 4.0), Lake(Home(made / "home").lake))
+    return made
+
+
+@pytest.fixture
+def home(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("DTWIN_HOME", str(folder / "home"))
+    return folder / "home"
+
+
+def said(*words: str) -> dict[str, Any]:
+    done = CliRunner().invoke(app, [*words, "--json"], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return dict(json.loads(done.stdout))
+
+
+def refused(*words: str) -> DtwinError:
+    with pytest.raises(InputError) as error:
+        said(*words)
+    return error.value
+
+
+def test_what_was_measured_is_not_proposed_first_and_the_plan_can_be_used(home: Path, tmp_path: Path) -> None:
+    for axis in "XYZ":
+        said("machine", "add", "mill-7", "--axis", f"{axis}:travel_mm=400,pitch_mm=10")
+    file = tmp_path / "next.toml"
+    found = said("machine", "next", "mill-7", "--out", str(file))
+    assert found["measured"] == ["laser-x"]
+    rates = [test["bits_per_minute"] for test in found["tests"]]
+    assert rates == sorted(rates, reverse=True)
+    lasers = [test["document"]["plan"]["axis"] for test in found["tests"] if test["kind"] == "linear"]
+    assert lasers[-1] == "X"
+    assert tomllib.loads(file.read_text()) == found["tests"][0]["document"]
+    assert said("plan", str(file))["name"] == found["tests"][0]["name"]
+    assert "scale X" not in " ".join(found["untold"])
+
+
+def test_kinds_and_minutes_choose(home: Path) -> None:
+    assert {t["kind"] for t in said("machine", "next", "mill-7", "--kind", "linear")["tests"]} == {"linear"}
+    every = said("machine", "next", "mill-7")["tests"]
+    quick = said("machine", "next", "mill-7", "--minutes", "30")["tests"]
+    assert 0 < len(quick) < len(every)
+    assert max(test["minutes"] for test in quick) <= 30.0
+
+
+def test_what_cannot_be_proposed_is_refused_with_what_can(home: Path) -> None:
+    assert "mill-7" in str(refused("machine", "next", "mill-8").allowed)
+    assert "mounting included" in str(refused("machine", "next", "mill-7", "--minutes", "1").allowed)
+    assert isinstance(refused("machine", "next", "mill-7", "--kind", "poses"), NotOffered)
+    assert "linear" in str(refused("machine", "next", "mill-7", "--kind", "lasers").allowed)
+
+
+def test_the_page_shows_the_tests_and_gives_their_files(home: Path) -> None:
+    browser = TestClient(application(Bench(Home(home), Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+    assert "/machines/mill-7/next" in browser.get("/machines/mill-7").text
+    page = browser.get("/machines/mill-7/next").text
+    tests = said("machine", "next", "mill-7")["tests"]
+    assert all(test["name"] in page for test in tests)
+    circles = next(test for test in tests if test["kind"] == "circular")
+    plan = browser.get(f"/machines/mill-7/next/{circles['name']}.toml")
+    assert tomllib.loads(plan.text) == circles["document"]
+    packed = browser.get(f"/machines/mill-7/next/{circles['name']}.zip").content
+    with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+        assert f"{circles['name']}/t001.nc" in archive.namelist()
+    assert browser.get("/machines/mill-7/next/nothing.toml").status_code == 404
+    assert browser.get(f"/machines/mill-7/next/{circles['name']}.exe").status_code == 400
