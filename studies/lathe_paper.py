@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.linear.bundle import deployed_bundle, flanks_of, printed_pair
-from dtwin.kinds.linear.loop import Figures, measured
-from dtwin.kinds.linear.models import (
+from dtwin.kinds.linear._models import (
     Averages,
     Bidirectional,
     PositionModel,
@@ -20,11 +18,13 @@ from dtwin.kinds.linear.models import (
     fit_single,
     whole_turns,
 )
-from dtwin.kinds.linear.net_training import ALGORITHMS, Trained, train_net
+from dtwin.kinds.linear._net_training import ALGORITHMS, Trained, train_net
+from dtwin.kinds.linear._report import before_after_figures
+from dtwin.kinds.linear._small_net import new_net
+from dtwin.kinds.linear.bundle import deployed_bundle, flanks_of, printed_pair
+from dtwin.kinds.linear.loop import Figures, measured
 from dtwin.kinds.linear.plan import LinearPlan
-from dtwin.kinds.linear.report import before_after_figures
 from dtwin.kinds.linear.simulate import mapping_plan, verification_plan, virtual_lathe
-from dtwin.kinds.linear.small_net import new_net
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.progress import Progress

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from dtwin.kinds.circular.mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
+from dtwin.kinds.circular._mill_evidence import CLOCK, TRANSPORT_S, ServedCorrection, oracle_correction
 from dtwin.machines.mill import Correction, SetupErrors
 from dtwin.machines.mill_noise import NoiseParameters
 from dtwin.machines.mill_parameters import CircularTest

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
-from dtwin.kinds.volumetric.intervals import reduction_pct
+from dtwin.kinds.volumetric._intervals import reduction_pct
+from dtwin.kinds.volumetric._simulate import parameters_of, simulate_volumetric
 from dtwin.kinds.volumetric.judging import judged, models_of
 from dtwin.kinds.volumetric.session import Session, session, with_offered
-from dtwin.kinds.volumetric.simulate import parameters_of, simulate_volumetric
 from dtwin.progress import Progress
 from studies.paper_line import Line, by_what_is_left, left_open, worst, yes_or_no
 

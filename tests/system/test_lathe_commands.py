@@ -18,8 +18,8 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
+from dtwin.kinds.linear._gates import registered_positioning_gates
 from dtwin.kinds.linear.fit import fitted
-from dtwin.kinds.linear.gates import registered_positioning_gates
 from dtwin.kinds.linear.loop import campaign_test
 from dtwin.kinds.linear.simulate import mapping_plan, simulate_lathe, verification_plan
 from dtwin.lifecycle.drift import check_drift

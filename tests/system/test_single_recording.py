@@ -16,8 +16,7 @@ from typer.testing import CliRunner
 from dtwin.acquire.b5r import read_b5r
 from dtwin.cli import app
 from dtwin.errors import InputError
-from dtwin.kinds.circular.recording import ur10e_geometry
-from dtwin.kinds.circular.recording_models import (
+from dtwin.kinds.circular._recording_models import (
     candidate_terms,
     grow,
     harmonic_columns,
@@ -26,7 +25,8 @@ from dtwin.kinds.circular.recording_models import (
     passes_of,
     setup_terms,
 )
-from dtwin.kinds.circular.recording_passes import align
+from dtwin.kinds.circular._recording_passes import align
+from dtwin.kinds.circular.recording import ur10e_geometry
 from dtwin.kinds.circular.recording_report import recording_text
 from dtwin.physics.library import Library
 

@@ -18,9 +18,9 @@ from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
-from dtwin.kinds.sinusoidal.plan import TonePlan
-from dtwin.kinds.sinusoidal.served import ServedSlide
-from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_slide
+from dtwin.kinds.sinusoidal._plan import TonePlan
+from dtwin.kinds.sinusoidal._served import ServedSlide
+from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_slide
 from dtwin.lifecycle.drift import check_drift
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle

@@ -16,8 +16,8 @@ from dtwin.acquire.virtual_mill import geometry_of_mill, virtual_mill
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import DtwinError
+from dtwin.kinds.circular._mill_evidence import measured_mill
 from dtwin.kinds.circular.freeze import wrong_way
-from dtwin.kinds.circular.mill_evidence import measured_mill
 from dtwin.plan import EvidencePlan
 from dtwin.report.correction import correction_text
 from dtwin.serve.bundle import Bundle

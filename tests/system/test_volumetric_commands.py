@@ -17,14 +17,14 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import GateRefusal, InputError
-from dtwin.kinds.volumetric.check import judge_volumetric_run
-from dtwin.kinds.volumetric.evidence import judged_hours
-from dtwin.kinds.volumetric.identify import Artefact, Balls, averaged_balls
+from dtwin.kinds.volumetric._check import judge_volumetric_run
+from dtwin.kinds.volumetric._evidence import judged_hours
+from dtwin.kinds.volumetric._identify import Artefact, Balls, averaged_balls
+from dtwin.kinds.volumetric._plan import BallPlan
+from dtwin.kinds.volumetric._served import ServedMill
+from dtwin.kinds.volumetric._simulate import simulate_volumetric
 from dtwin.kinds.volumetric.judging import distance_changes_um
-from dtwin.kinds.volumetric.plan import BallPlan
-from dtwin.kinds.volumetric.served import ServedMill
 from dtwin.kinds.volumetric.session import session, session_in
-from dtwin.kinds.volumetric.simulate import simulate_volumetric
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.schedule import scheduled_training
 from dtwin.machines.thermal_network import TRAINING

@@ -11,7 +11,7 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.features.motion import PATH_INPUT_UNITS
-from dtwin.kinds.circular.traced_joints import JOINT_RANGES, traced_joints
+from dtwin.kinds.circular._traced_joints import JOINT_RANGES, traced_joints
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.state import circular_state

@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.circular.gram import Sums, forward_order, solve, sums_of, total
-from dtwin.kinds.circular.library import Gear, Library
-from dtwin.kinds.circular.mode_search import find_modes
-from dtwin.kinds.circular.order_search import find_gears
-from dtwin.kinds.circular.term_columns import TermColumns
+from dtwin.kinds.circular._gram import Sums, forward_order, solve, sums_of, total
+from dtwin.kinds.circular._library import Gear, Library
+from dtwin.kinds.circular._mode_search import find_modes
+from dtwin.kinds.circular._order_search import find_gears
+from dtwin.kinds.circular._term_columns import TermColumns
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.train.rows import Rows, gather, thinned

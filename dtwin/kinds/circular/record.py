@@ -41,65 +41,65 @@ class _Circular(Kind):
 
     @property
     def machines(self) -> Sequence[VirtualMachine]:
-        from dtwin.kinds.circular.machines import MACHINES
+        from dtwin.kinds.circular._machines import MACHINES
 
         return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.circular.planned import planned
+        from dtwin.kinds.circular._planned import planned
         from dtwin.plan import expand
 
         return planned(expand(document, where))
 
     def usual_plan(self) -> Planned:
-        from dtwin.kinds.circular.planned import planned
+        from dtwin.kinds.circular._planned import planned
         from dtwin.plan import training_plan
 
         return planned(training_plan())
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
-        from dtwin.kinds.circular.planned import programs
+        from dtwin.kinds.circular._planned import programs
 
         return programs(planned.plan)
 
     def foreseen(self, planned: Planned) -> Observations:
-        from dtwin.kinds.circular.planned import foreseen
+        from dtwin.kinds.circular._planned import foreseen
 
         return foreseen(planned.plan)
 
     def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
-        from dtwin.kinds.circular.planned import proposals
+        from dtwin.kinds.circular._planned import proposals
 
         return proposals(machine, axes)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.kinds.circular.check import judge_circular_run
+        from dtwin.kinds.circular._check import judge_circular_run
 
         return judge_circular_run(run)
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.circular.check import judge_circular_campaign
+        from dtwin.kinds.circular._check import judge_circular_campaign
 
         return judge_circular_campaign(runs)
 
     def sheet(self, runs: Sequence[Run]) -> Sheet:
-        from dtwin.kinds.circular.sheet import circular_sheet
+        from dtwin.kinds.circular._sheet import circular_sheet
 
         return circular_sheet(runs)
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.kinds.circular.sheet import both_ways_figure
+        from dtwin.kinds.circular._sheet import both_ways_figure
 
         return both_ways_figure(runs)
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
-        from dtwin.kinds.circular.report import circular_result
+        from dtwin.kinds.circular._report import circular_result
 
         return circular_result(run) if run.meta.radius_mm else {}
 
     @property
     def drawings(self) -> Sequence[Drawing]:
-        from dtwin.kinds.circular.drawings import DRAWINGS
+        from dtwin.kinds.circular._drawings import DRAWINGS
 
         return DRAWINGS
 
@@ -121,12 +121,12 @@ class _Circular(Kind):
         return CIRCLE, [row for run, time_h in pairs for row in rows_of(run, time_h)]
 
     def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.kinds.circular.run_errors import circle_errors
+        from dtwin.kinds.circular._run_errors import circle_errors
 
         return circle_errors(runs)
 
     def training(self) -> Callable[..., Training]:
-        from dtwin.kinds.circular.training import train_campaign
+        from dtwin.kinds.circular._training import train_campaign
 
         return train_campaign
 
@@ -136,7 +136,7 @@ class _Circular(Kind):
         return offline_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
-        from dtwin.kinds.circular.correction import freeze_circles, judge_circles
+        from dtwin.kinds.circular._correction import freeze_circles, judge_circles
         from dtwin.twins.correct import BY_LAW, TwinWay
 
         return TwinWay(freeze_circles, judge_circles, BY_LAW, ("nothing_missing",), 0.0)
@@ -158,12 +158,12 @@ class _Circular(Kind):
         metrics: Mapping[str, float],
         progress: Progress | None = None,
     ) -> ChampionError:
-        from dtwin.kinds.circular.drift import circles_error
+        from dtwin.kinds.circular._drift import circles_error
 
         return circles_error(lake, rows, bundle, metrics, progress)
 
     def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
-        from dtwin.kinds.circular.drift import circles_held_out
+        from dtwin.kinds.circular._drift import circles_held_out
 
         return circles_held_out(known, fresh)
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from dtwin.acquire.b5r import BallbarTest, read_b5r
-from dtwin.kinds.circular import recording_models as models
-from dtwin.kinds.circular.recording_harmonics import chosen_harmonics
-from dtwin.kinds.circular.recording_passes import Aligned, align, within_run_floor_um
-from dtwin.kinds.circular.recording_vendor import vendor_figures
+from dtwin.kinds.circular import _recording_models as models
+from dtwin.kinds.circular._recording_harmonics import chosen_harmonics
+from dtwin.kinds.circular._recording_passes import Aligned, align, within_run_floor_um
+from dtwin.kinds.circular._recording_vendor import vendor_figures
 from dtwin.physics.effect import Effect
 from dtwin.physics.problem import Term
 from dtwin.physics.state import has_joints

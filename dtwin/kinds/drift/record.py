@@ -24,28 +24,28 @@ class _Drift(Kind):
     @property
     def readers(self) -> Mapping[str, FileReader]:
         from dtwin.acquire.spreadsheet import SUFFIXES
-        from dtwin.kinds.drift.read import read_drift
+        from dtwin.kinds.drift._read import read_drift
 
         return dict.fromkeys((".csv", *SUFFIXES), read_drift)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.kinds.drift.check import judge_drift
+        from dtwin.kinds.drift._check import judge_drift
 
         return judge_drift(run)
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.drift.check import judge_campaign_drift
+        from dtwin.kinds.drift._check import judge_campaign_drift
 
         whole = [run for run in runs if run.samples]
         return judge_campaign_drift(whole) if len(whole) > 1 else []
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.kinds.drift.check import drift_figures
+        from dtwin.kinds.drift._check import drift_figures
 
         return {"drift": drift_figures(runs)}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.kinds.drift.check import drift_lines
+        from dtwin.kinds.drift._check import drift_lines
 
         return drift_lines(result["drift"])
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dtwin import __version__
-from dtwin.kinds.linear.models import MM_PER_IN, UM_PER_IN, Averages, DualNet
-from dtwin.kinds.linear.small_net import SmallNet
+from dtwin.kinds.linear._models import MM_PER_IN, UM_PER_IN, Averages, DualNet
+from dtwin.kinds.linear._small_net import SmallNet
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork, Layer
 from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder

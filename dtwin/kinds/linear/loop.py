@@ -10,12 +10,12 @@ import numpy as np
 
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
+from dtwin.kinds.linear._gates import along
+from dtwin.kinds.linear._matrix import LinearTest, linear_test
+from dtwin.kinds.linear._models import PositionModel
+from dtwin.kinds.linear._report import before_after_figures
 from dtwin.kinds.linear.bundle import RATE_HZ, axis_number, told
-from dtwin.kinds.linear.gates import along
-from dtwin.kinds.linear.matrix import LinearTest, linear_test
-from dtwin.kinds.linear.models import PositionModel
 from dtwin.kinds.linear.plan import LinearPlan
-from dtwin.kinds.linear.report import before_after_figures
 from dtwin.kinds.linear.simulate import laser_setup, motion_of_plan, verification_plan, virtual_lathe
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN, LatheRecording, VirtualLathe, Wander
 from dtwin.schema import Floats

@@ -45,86 +45,86 @@ class _Linear(Kind):
 
     @property
     def machines(self) -> Sequence[VirtualMachine]:
-        from dtwin.kinds.linear.machines import MACHINES
+        from dtwin.kinds.linear._machines import MACHINES
 
         return MACHINES
 
     @property
     def readers(self) -> Mapping[str, FileReader]:
-        from dtwin.kinds.linear.read import read_laser_runs
+        from dtwin.kinds.linear._read import read_laser_runs
 
         return {".txt": read_laser_runs, ".las": read_laser_runs}
 
     def reader_of(self, path: Path) -> FileReader | None:
-        from dtwin.kinds.linear.position_table import is_position_table, read_position_runs
+        from dtwin.kinds.linear._position_table import is_position_table, read_position_runs
 
         return read_position_runs if is_position_table(path) else super().reader_of(path)
 
     def takes_alone(self, path: Path) -> bool:
-        from dtwin.kinds.linear.position_table import is_position_table
+        from dtwin.kinds.linear._position_table import is_position_table
 
         return is_position_table(path)
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.linear.planned import planned
+        from dtwin.kinds.linear._planned import planned
 
         return planned(document, where)
 
     def programs(self, planned: Planned, control: str) -> Mapping[str, str]:
-        from dtwin.kinds.linear.planned import programs
+        from dtwin.kinds.linear._planned import programs
 
         return programs(planned.plan, control)
 
     def foreseen(self, planned: Planned) -> Observations:
-        from dtwin.kinds.linear.planned import foreseen
+        from dtwin.kinds.linear._planned import foreseen
 
         return foreseen(planned.plan)
 
     def proposals(self, machine: str, axes: Mapping[str, Mapping[str, float]]) -> Sequence[Mapping[str, Any]]:
-        from dtwin.kinds.linear.planned import proposals
+        from dtwin.kinds.linear._planned import proposals
 
         return proposals(machine, axes)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.kinds.linear.read import with_pitch
+        from dtwin.kinds.linear._read import with_pitch
 
         return with_pitch(run, campaign)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.acquire.quality import judge_clock
-        from dtwin.kinds.linear.check import judge_linear_run
+        from dtwin.kinds.linear._check import judge_linear_run
 
         return [*judge_clock(run), *judge_linear_run(run)]
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.linear.check import judge_linear_campaign
+        from dtwin.kinds.linear._check import judge_linear_campaign
 
         whole = [run for run in runs if run.samples]
         return judge_linear_campaign(whole) if whole else []
 
     def sheet(self, runs: Sequence[Run]) -> Sheet:
-        from dtwin.kinds.linear.sheet import positioning_sheet
+        from dtwin.kinds.linear._sheet import positioning_sheet
 
         return positioning_sheet(runs)
 
     def sheet_figure(self, runs: Sequence[Run]) -> go.Figure:
-        from dtwin.kinds.linear.sheet import positioning_figure
+        from dtwin.kinds.linear._sheet import positioning_figure
 
         return positioning_figure(runs)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.kinds.linear.report import positioning_result
+        from dtwin.kinds.linear._report import positioning_result
 
         return {"positioning": positioning_result(runs)}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.kinds.linear.report import positioning_lines
+        from dtwin.kinds.linear._report import positioning_lines
 
         return positioning_lines(result["positioning"])
 
     @property
     def drawings(self) -> Sequence[Drawing]:
-        from dtwin.kinds.linear.drawings import DRAWINGS
+        from dtwin.kinds.linear._drawings import DRAWINGS
 
         return DRAWINGS
 
@@ -145,12 +145,12 @@ class _Linear(Kind):
         return stroke_rows(runs, times_h)
 
     def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.kinds.linear.run_errors import stroke_errors
+        from dtwin.kinds.linear._run_errors import stroke_errors
 
         return stroke_errors(runs)
 
     def training(self) -> Callable[..., Training]:
-        from dtwin.kinds.linear.training import train_positioning
+        from dtwin.kinds.linear._training import train_positioning
 
         return train_positioning
 
@@ -160,12 +160,12 @@ class _Linear(Kind):
         return is_positioning_bundle(bundle)
 
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.kinds.linear.gates import registered_positioning_gates
+        from dtwin.kinds.linear._gates import registered_positioning_gates
 
         return registered_positioning_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
-        from dtwin.kinds.linear.correction import freeze_axis, judge_axis
+        from dtwin.kinds.linear._correction import freeze_axis, judge_axis
         from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(freeze_axis, judge_axis, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "lathe"})
@@ -178,12 +178,12 @@ class _Linear(Kind):
         metrics: Mapping[str, float],
         progress: Progress | None = None,
     ) -> ChampionError:
-        from dtwin.kinds.linear.drift import strokes_error
+        from dtwin.kinds.linear._drift import strokes_error
 
         return strokes_error(lake, rows, bundle)
 
     def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
-        from dtwin.kinds.linear.drift import strokes_held_out
+        from dtwin.kinds.linear._drift import strokes_held_out
 
         return strokes_held_out(known, fresh)
 

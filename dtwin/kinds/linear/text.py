@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from dtwin.kinds.linear.report import before_after_lines
+from dtwin.kinds.linear._report import before_after_lines
 
 
 def gate_lines(verdicts: Sequence[Any]) -> list[str]:

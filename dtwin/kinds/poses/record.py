@@ -33,42 +33,42 @@ class _Poses(Kind):
     @property
     def readers(self) -> Mapping[str, FileReader]:
         from dtwin.acquire.spreadsheet import SUFFIXES
-        from dtwin.kinds.poses.read import read_poses
+        from dtwin.kinds.poses._read import read_poses
 
         return dict.fromkeys((".csv", *SUFFIXES), read_poses)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.kinds.poses.data import with_chain
+        from dtwin.kinds.poses._data import with_chain
 
         return with_chain(run, campaign)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.kinds.poses.check import judge_poses
+        from dtwin.kinds.poses._check import judge_poses
 
         return judge_poses(run)
 
     def campaign_figures(self, runs: Sequence[Run]) -> Mapping[str, Any]:
-        from dtwin.kinds.poses.check import problem_of
-        from dtwin.kinds.poses.data import chain_in
-        from dtwin.kinds.poses.iso9283 import figures
+        from dtwin.kinds.poses._check import problem_of
+        from dtwin.kinds.poses._data import chain_in
+        from dtwin.kinds.poses._iso9283 import figures
 
         told = {run.meta.run_id: figures(run, chain_in(run), problem_of(run).poses.place) for run in runs}
         return {"iso9283": told}
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.kinds.poses.iso9283 import lines
+        from dtwin.kinds.poses._iso9283 import lines
 
         return [line for run, found in result["iso9283"].items() for line in lines(run, found)]
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> Twins:
-        from dtwin.kinds.poses.twins import PoseTwins
+        from dtwin.kinds.poses._twins import PoseTwins
 
         # The same verbs, for a twin of an arm.
         return cast("Twins", PoseTwins(home))
 
     @property
     def twin_report(self) -> TwinReport:
-        from dtwin.kinds.poses import twin_report
+        from dtwin.kinds.poses import _twin_report as twin_report
 
         return twin_report
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from dtwin import __version__
 from dtwin.features.tone_window import COMMAND_AMPLITUDE, COMMAND_PHASE, TONE_FEATURES, tone_columns
-from dtwin.kinds.sinusoidal.groups import SENT_RMS, ToneGroups
-from dtwin.kinds.sinusoidal.laws import Law
+from dtwin.kinds.sinusoidal._groups import SENT_RMS, ToneGroups
+from dtwin.kinds.sinusoidal._laws import Law
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle

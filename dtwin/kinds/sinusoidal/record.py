@@ -37,33 +37,33 @@ class _Sinusoidal(Kind):
 
     @property
     def machines(self) -> Sequence[VirtualMachine]:
-        from dtwin.kinds.sinusoidal.machines import MACHINES
+        from dtwin.kinds.sinusoidal._machines import MACHINES
 
         return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.sinusoidal.planned import planned
+        from dtwin.kinds.sinusoidal._planned import planned
 
         return planned(document, where)
 
     def foreseen(self, planned: Planned) -> Observations:
-        from dtwin.kinds.sinusoidal.planned import foreseen
+        from dtwin.kinds.sinusoidal._planned import foreseen
 
         return foreseen(planned.plan)
 
     def completed(self, run: Run, campaign: Campaign) -> Run:
-        from dtwin.kinds.sinusoidal.check import with_bandwidth
+        from dtwin.kinds.sinusoidal._check import with_bandwidth
 
         return with_bandwidth(run, campaign)
 
     def judge_run(self, run: Run) -> list[Finding]:
         from dtwin.acquire.quality import judge_clock
-        from dtwin.kinds.sinusoidal.check import judge_sinusoidal_run
+        from dtwin.kinds.sinusoidal._check import judge_sinusoidal_run
 
         return [*judge_clock(run), *judge_sinusoidal_run(run)]
 
     def judge_campaign(self, runs: Sequence[Run]) -> list[Finding]:
-        from dtwin.kinds.sinusoidal.check import judge_sinusoidal_campaign
+        from dtwin.kinds.sinusoidal._check import judge_sinusoidal_campaign
 
         return judge_sinusoidal_campaign(runs)
 
@@ -79,7 +79,7 @@ class _Sinusoidal(Kind):
 
     @property
     def drawings(self) -> Sequence[Drawing]:
-        from dtwin.kinds.sinusoidal.drawings import DRAWINGS
+        from dtwin.kinds.sinusoidal._drawings import DRAWINGS
 
         return DRAWINGS
 
@@ -100,12 +100,12 @@ class _Sinusoidal(Kind):
         return TONE, [tone_row(run, time_h) for run, time_h in zip(runs, times_h, strict=True)]
 
     def run_errors(self, runs: Sequence[Run]) -> list[RunError]:
-        from dtwin.kinds.sinusoidal.run_errors import tone_errors
+        from dtwin.kinds.sinusoidal._run_errors import tone_errors
 
         return tone_errors(runs)
 
     def training(self) -> Callable[..., Training]:
-        from dtwin.kinds.sinusoidal.training import train_tones
+        from dtwin.kinds.sinusoidal._training import train_tones
 
         return train_tones
 
@@ -115,12 +115,12 @@ class _Sinusoidal(Kind):
         return is_tone_bundle(bundle)
 
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.kinds.sinusoidal.gates import tone_gates
+        from dtwin.kinds.sinusoidal._gates import tone_gates
 
         return tone_gates(bundle, metrics)
 
     def twin_correction(self) -> TwinWay:
-        from dtwin.kinds.sinusoidal.correction import freeze_tones, judge_tones
+        from dtwin.kinds.sinusoidal._correction import freeze_tones, judge_tones
         from dtwin.twins.correct import BY_SHAPE, LITTLE, MEAN_IS_TOLD, TwinWay
 
         return TwinWay(freeze_tones, judge_tones, BY_SHAPE, MEAN_IS_TOLD, LITTLE, {"type": "turning"})
@@ -133,12 +133,12 @@ class _Sinusoidal(Kind):
         metrics: Mapping[str, float],
         progress: Progress | None = None,
     ) -> ChampionError:
-        from dtwin.kinds.sinusoidal.drift import tones_error
+        from dtwin.kinds.sinusoidal._drift import tones_error
 
         return tones_error(lake, rows, bundle)
 
     def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
-        from dtwin.kinds.sinusoidal.drift import tones_held_out
+        from dtwin.kinds.sinusoidal._drift import tones_held_out
 
         return tones_held_out(known, fresh)
 

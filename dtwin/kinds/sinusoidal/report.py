@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from dtwin.kinds.sinusoidal.check import commanded, followed, heard
-from dtwin.kinds.sinusoidal.plots import Surface, surface_figures_of, trial_figures
+from dtwin.kinds.sinusoidal._check import commanded, followed, heard
+from dtwin.kinds.sinusoidal._plots import Surface, surface_figures_of, trial_figures
 from dtwin.report.html import Section, Table
 from dtwin.report.text import table
 from dtwin.schema import Run

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from dtwin.features.sine import fit_tone
-from dtwin.kinds.sinusoidal.loop import CLOCK, LoopRecord, ToneCommand, run_loop
-from dtwin.kinds.sinusoidal.plots import Surface
-from dtwin.kinds.sinusoidal.simulate import virtual_slide
+from dtwin.kinds.sinusoidal._loop import CLOCK, LoopRecord, ToneCommand, run_loop
+from dtwin.kinds.sinusoidal._plots import Surface
+from dtwin.kinds.sinusoidal._simulate import virtual_slide
 from dtwin.machines.turning import SERVO_HZ, Slide
 from dtwin.progress import Progress
 from dtwin.schema import Floats
@@ -92,7 +92,7 @@ def trial(
     bundle : Bundle
         Corrects tones.
     truth : str
-        As for :func:`dtwin.kinds.sinusoidal.simulate.virtual_slide`.
+        As for :func:`dtwin.kinds.sinusoidal._simulate.virtual_slide`.
     slide : Slide, optional
         A mechanism instead of ``truth``.
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric.chain import COEFFICIENTS, coefficient
+from dtwin.kinds.volumetric._chain import COEFFICIENTS, coefficient
 
 _BY = "@"
 _AND = "+"

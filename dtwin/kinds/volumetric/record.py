@@ -32,17 +32,17 @@ class _Volumetric(Kind):
 
     @property
     def machines(self) -> Sequence[VirtualMachine]:
-        from dtwin.kinds.volumetric.machines import MACHINES
+        from dtwin.kinds.volumetric._machines import MACHINES
 
         return MACHINES
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
-        from dtwin.kinds.volumetric.planned import planned
+        from dtwin.kinds.volumetric._planned import planned
 
         return planned(document, where)
 
     def judge_run(self, run: Run) -> list[Finding]:
-        from dtwin.kinds.volumetric.check import judge_volumetric_run
+        from dtwin.kinds.volumetric._check import judge_volumetric_run
 
         # Between the poses the array is turned: gaps in time are no lost samples.
         return judge_volumetric_run(run)
@@ -64,12 +64,12 @@ class _Volumetric(Kind):
         return train_volumetric
 
     def recognises(self, bundle: Bundle) -> bool:
-        from dtwin.kinds.volumetric.bundle import is_volumetric_bundle
+        from dtwin.kinds.volumetric._bundle import is_volumetric_bundle
 
         return is_volumetric_bundle(bundle)
 
     def gates(self, bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]:
-        from dtwin.kinds.volumetric.gates import volumetric_gates
+        from dtwin.kinds.volumetric._gates import volumetric_gates
 
         return volumetric_gates(bundle, metrics)
 
@@ -81,12 +81,12 @@ class _Volumetric(Kind):
         metrics: Mapping[str, float],
         progress: Progress | None = None,
     ) -> ChampionError:
-        from dtwin.kinds.volumetric.drift import heat_error
+        from dtwin.kinds.volumetric._drift import heat_error
 
         return heat_error(lake, rows, bundle, progress)
 
     def held_out(self, known: Sequence[Mapping[str, Any]], fresh: Sequence[Mapping[str, Any]]) -> HeldOut:
-        from dtwin.kinds.volumetric.drift import heat_held_out
+        from dtwin.kinds.volumetric._drift import heat_held_out
 
         return heat_held_out(known, fresh)
 

@@ -11,8 +11,8 @@ import numpy as np
 from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric.heat_series import require_temperatures
-from dtwin.kinds.volumetric.identify import Artefact, Balls, Identified, averaged_balls
+from dtwin.kinds.volumetric._heat_series import require_temperatures
+from dtwin.kinds.volumetric._identify import Artefact, Balls, Identified, averaged_balls
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats, Run

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dtwin.kinds.volumetric.bundle import volumetric_bundle
+from dtwin.kinds.volumetric._bundle import volumetric_bundle
 from dtwin.kinds.volumetric.judging import distance_changes_um
 from dtwin.kinds.volumetric.session import Session, session_in
 from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal

@@ -7,9 +7,9 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from dtwin.kinds.volumetric.chain import COEFFICIENTS
-from dtwin.kinds.volumetric.heat_diagnosis import MATERIAL
-from dtwin.kinds.volumetric.heat_series import body_of
+from dtwin.kinds.volumetric._chain import COEFFICIENTS
+from dtwin.kinds.volumetric._heat_diagnosis import MATERIAL
+from dtwin.kinds.volumetric._heat_series import body_of
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.kinds.volumetric.motions import FAMILIES, Family, family_of, motion_words
 from dtwin.report.html import Section, Table

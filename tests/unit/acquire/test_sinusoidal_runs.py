@@ -14,7 +14,7 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.quality import judge_campaign, judge_run
 from dtwin.errors import InputError
-from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_runs, virtual_slide
+from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_runs, virtual_slide
 from dtwin.report.checking import check_source, render_check
 from dtwin.schema import Run
 

@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 from dtwin.acquire.ingest import open_source
 from dtwin.cli import app
 from dtwin.errors import InputError
-from dtwin.kinds.drift.check import judge_campaign_drift, judge_drift
-from dtwin.kinds.drift.model import Series, Term, fitted, missing, series_of, steady
+from dtwin.kinds.drift._check import judge_campaign_drift, judge_drift
+from dtwin.kinds.drift._model import Series, Term, fitted, missing, series_of, steady
 from dtwin.schema import Run
 
 HEAD = """[campaign]

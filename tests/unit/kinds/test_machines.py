@@ -16,8 +16,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.linear import simulate as virtual_lathe
 from dtwin.kinds.machine import PLAN, VirtualMachine
 from dtwin.kinds.registry import kind_names, machine_named, machine_of_type, machine_table, machines
-from dtwin.kinds.sinusoidal import simulate as virtual_turning
-from dtwin.kinds.volumetric import simulate as virtual_volumetric
+from dtwin.kinds.sinusoidal import _simulate as virtual_turning
+from dtwin.kinds.volumetric import _simulate as virtual_volumetric
 from dtwin.lifecycle import evidence
 from dtwin.machines.thermal_network import SCHEDULES
 from dtwin.serve.machine_file import machine_folder

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.errors import InputError
 from dtwin.kinds.kind import Kind, NotOffered
-from dtwin.kinds.linear.program import CONTROLS
+from dtwin.kinds.linear._program import CONTROLS
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.physics.experiment import detectable
 from dtwin.physics.library import Library

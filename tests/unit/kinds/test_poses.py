@@ -12,12 +12,12 @@ from scipy.spatial.transform import Rotation
 from dtwin.acquire.ingest import open_source
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.poses.chain import KNOWN, frames
-from dtwin.kinds.poses.diagnosis import diagnose, idle_terms, nested_mean_mm, selected
-from dtwin.kinds.poses.effects import Term, terms_of
-from dtwin.kinds.poses.fit import Grams, held_out_mm, parameters
-from dtwin.kinds.poses.series import series_of
-from dtwin.kinds.poses.twins import PoseTwins
+from dtwin.kinds.poses._chain import KNOWN, frames
+from dtwin.kinds.poses._diagnosis import diagnose, idle_terms, nested_mean_mm, selected
+from dtwin.kinds.poses._effects import Term, terms_of
+from dtwin.kinds.poses._fit import Grams, held_out_mm, parameters
+from dtwin.kinds.poses._series import series_of
+from dtwin.kinds.poses._twins import PoseTwins
 from dtwin.kinds.registry import kind_named
 from dtwin.schema import Floats
 

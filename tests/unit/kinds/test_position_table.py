@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 from dtwin.cli import app
 from dtwin.errors import InputError
-from dtwin.kinds.linear.cycles import moving_zero, spoilt_readings
-from dtwin.kinds.linear.matrix import LinearTest
-from dtwin.kinds.linear.position_table import is_position_table, read_position_table
+from dtwin.kinds.linear._cycles import moving_zero, spoilt_readings
+from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.kinds.linear._position_table import is_position_table, read_position_table
 
 ROOT = Path(__file__).parents[3]
 TARGETS = np.array([0.0, 50.0, 100.0])

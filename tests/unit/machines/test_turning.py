@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dtwin.features.sine import ToneErrors, tone_errors
-from dtwin.kinds.sinusoidal.simulate import noiseless, record_group, virtual_slide
+from dtwin.kinds.sinusoidal._simulate import noiseless, record_group, virtual_slide
 from dtwin.machines.turning import (
     SERVO_HZ,
     UM_S2_PER_G,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric.chain import COEFFICIENTS, design
-from dtwin.kinds.volumetric.heat_diagnosis import HeatDiagnosis, diagnose_heat
-from dtwin.kinds.volumetric.heat_series import HeatSeries
+from dtwin.kinds.volumetric._chain import COEFFICIENTS, design
+from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
+from dtwin.kinds.volumetric._heat_series import HeatSeries
+from dtwin.kinds.volumetric._identify import Artefact, Balls
 from dtwin.kinds.volumetric.heat_twin import fit_heat, heat_figures, heat_twin_from, heat_twin_of
-from dtwin.kinds.volumetric.identify import Artefact, Balls
 from dtwin.kinds.volumetric.motions import FAMILIES, family_of, heat_terms
 
 NOISE = 0.5

@@ -11,7 +11,7 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_runs, virtual_slide
+from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_runs, virtual_slide
 from dtwin.lake.parquet import write_parquet
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.circular.sheet import circular_sheet
+from dtwin.kinds.circular._sheet import circular_sheet
 from dtwin.kinds.registry import kind_named
 from dtwin.report.checking import check_source, sheet_of
 from dtwin.report.sheet import Characteristic, Limits, judged, sheet_lines

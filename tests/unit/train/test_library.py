@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dtwin.features.motion import PATH_INPUTS
-from dtwin.kinds.circular.library import Gear, Library, Mode, free_step, weighted_sum
+from dtwin.kinds.circular._library import Gear, Library, Mode, free_step, weighted_sum
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.tape import Tape
 

@@ -12,10 +12,10 @@ import pytest
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
-from dtwin.kinds.sinusoidal.freeze import response_at, tone_of, tone_twin_bundle
-from dtwin.kinds.sinusoidal.groups import ToneGroups, groups_of
-from dtwin.kinds.sinusoidal.loop import ToneCommand, run_loop
-from dtwin.kinds.sinusoidal.simulate import Grid, simulate_turning, virtual_slide
+from dtwin.kinds.sinusoidal._freeze import response_at, tone_of, tone_twin_bundle
+from dtwin.kinds.sinusoidal._groups import ToneGroups, groups_of
+from dtwin.kinds.sinusoidal._loop import ToneCommand, run_loop
+from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning, virtual_slide
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.observations import Observations, observe

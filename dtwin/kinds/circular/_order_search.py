@@ -1,0 +1,92 @@
+"""Find the orders per joint turn at which a robot's error repeats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from dtwin.kinds.circular._library import FLANK_RAD, Gear
+from dtwin.progress import Progress
+from dtwin.schema import Floats
+from dtwin.train.dataset import input_column
+from dtwin.train.rows import Rows
+
+_COARSE = np.arange(20.0, 460.0, 4.0)
+_FINE = np.arange(-4.0, 4.01, 0.5)
+_SMALLEST_GAIN = 0.01
+
+
+def find_gears(
+    rows: Rows,
+    explained: Callable[[Sequence[Gear]], Floats],
+    *,
+    most: int = 16,
+    every: int = 2,
+    progress: Progress | None = None,
+) -> list[Gear]:
+    """Add one order of one joint after the other while the residual falls.
+
+    Every order of every joint is correlated with the residual of the terms so far
+    (orthogonal matching pursuit); the best one is refined and joins them. The search ends
+    when an order explains less than one per cent of what is left.
+
+    ``explained``: given the gears so far, returns the fitted prediction at all rows.
+    ``most``: largest number of orders.
+    ``every``: only each such row is looked at.
+    """
+    some = np.arange(0, rows.n, every)
+    q, lever, flank = (part[some] for part in _joint_state(rows))
+
+    def best(part: Floats, joint: int, orders: Floats) -> tuple[float, Gear]:
+        j = joint - 1
+        gains = _explained(part, q[:, j], lever[:, j], flank[:, j], orders)
+        return float(gains.max()), Gear(joint, float(orders[int(np.argmax(gains))]))
+
+    gears: list[Gear] = []
+    residual = rows.target_um - explained(gears)
+    for step in range(most):
+        part = residual[some]
+        coarse = max((best(part, j, _COARSE) for j in range(1, 7)), key=lambda pair: pair[0])[1]
+        gain, gear = best(part, coarse.joint, coarse.order + _FINE)
+        if gain < _SMALLEST_GAIN * float(part @ part):
+            break
+        gears.append(gear)
+        residual = rows.target_um - explained(gears)
+        if progress is not None:
+            progress(step + 1, most, f"joint {gear.joint} order {gear.order:g}")
+    return gears
+
+
+def _joint_state(rows: Rows) -> tuple[Floats, Floats, Floats]:
+    """Return joint angles, levers and loaded flanks at the rows, shapes (n, 6)."""
+    first_q, first_lever = input_column("q1_rad"), input_column("lever_1_mm_rad")
+    q = np.concatenate([run.inputs[run.arc, first_q : first_q + 6] for run in rows.runs])
+    lever = np.concatenate([run.inputs[run.arc, first_lever : first_lever + 6] for run in rows.runs])
+    flank = np.concatenate([_flank(run.inputs[:, first_q : first_q + 6].astype(float))[run.arc] for run in rows.runs])
+    return q.astype(float), lever.astype(float), flank
+
+
+def _flank(q: Floats) -> Floats:
+    """Return the sign of the last motion of each joint that exceeded the play."""
+    moved = np.sign(np.diff(q, axis=0, prepend=q[:1]))
+    moved[np.abs(np.diff(q, axis=0, prepend=q[:1])) < 0.01 * FLANK_RAD] = 0.0
+    index = np.where(moved != 0.0, np.arange(len(q))[:, None], 0)
+    return np.asarray(np.take_along_axis(moved, np.maximum.accumulate(index, axis=0), axis=0))
+
+
+def _explained(residual: Floats, q: Floats, lever: Floats, flank: Floats, orders: Floats) -> Floats:
+    """Return the sum of squares that the four terms of each order of a joint take, shape (orders,)."""
+    # The orders lie evenly: each wave is the one before, turned further.
+    turns = np.empty((orders.size, q.size), dtype=complex)
+    turns[0], turns[1:] = np.exp(1j * orders[0] * q), np.exp(1j * (orders[1] - orders[0]) * q)
+    spun = np.multiply.accumulate(turns, axis=0)
+    waves = np.stack([spun.real, spun.imag], axis=1) * lever
+    terms = np.concatenate([waves, waves * flank], axis=1)
+    gram = terms @ terms.transpose(0, 2, 1)
+    size = np.trace(gram, axis1=1, axis2=2)
+    still = size <= 1e-12 * len(residual)
+    gram += np.where(still, 1.0, 1e-6 * size)[:, None, None] * np.eye(4)
+    moment = terms @ residual
+    taken = np.linalg.solve(gram, moment[:, :, None])[:, :, 0]
+    return np.where(still, 0.0, np.sum(moment * taken, axis=1))

@@ -1,0 +1,151 @@
+"""What is wrong with logs of drift, and what their displacement follows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.drift._model import Fitted, Series, Step, missing, series_of, steady
+from dtwin.report.text import decimals, table
+from dtwin.schema import Finding, Run
+
+_FEWEST = 100
+_JUMP_UM = 200.0
+_JUMPS = 50.0
+_OF_SPAN = 0.25
+_NOISY = 0.1
+_MOST_APART = 2.0
+"""How far two runs of one machine may differ before a step size is doubted."""
+_BEYOND = 1.5
+
+
+def judge_drift(run: Run) -> list[Finding]:
+    """Return what is wrong with one log."""
+    series = series_of(run)
+    if len(series.t_s) < _FEWEST:
+        said = f"{len(series.t_s)} readings: a fit to temperatures needs at least {_FEWEST}"
+        return [Finding("drift.few", "error", said, {"readings_1": float(len(series.t_s))})]
+    findings = []
+    steps = np.abs(np.diff(series.moved_um))
+    usual = max(float(np.median(steps)), 1.0)
+    span = float(np.subtract(*np.percentile(series.moved_um, [98.0, 2.0])))
+    jumps = np.flatnonzero(steps > max(_JUMP_UM, _JUMPS * usual, _OF_SPAN * span))
+    if jumps.size:
+        said = (
+            f"{jumps.size} jump{'s' if jumps.size > 1 else ''} between neighbouring readings, the largest {steps.max():z.0f} µm after {series.t_s[jumps[0]] / 60:z.0f} min: "
+            "lost reference, or a probing that went wrong; nothing is to be fitted to this run"
+        )
+        findings.append(Finding("drift.jump", "error", said, {"largest_um": float(steps.max())}))
+    if series.floor_um > _NOISY * float(np.ptp(series.moved_um)):
+        said = f"readings of one sample scatter by {series.floor_um:z.1f} µm, a tenth of all that moved or more: the probing does not repeat"
+        findings.append(Finding("drift.noise", "error", said, {"scatter_um": series.floor_um}))
+    if not np.isfinite(series.floor_um):
+        findings.append(Finding("drift.no_repeat", "warning", "no sample was read twice: no noise floor is known"))
+    return findings
+
+
+def judge_campaign_drift(runs: Sequence[Run]) -> list[Finding]:
+    """Return what logs of one machine say together: whether they move alike for the same temperatures."""
+    known = {r.meta.run_id: series_of(r) for r in runs if not any(f.severity == "error" for f in judge_drift(r))}
+    models = {name: steady(series) for name, series in known.items()}
+    told = [name for name in known if models[name].terms]
+    findings = []
+    for n, name in enumerate(told):
+        others = [other for other in told if other != name and (len(told) > 2 or told.index(other) < n)]
+        times = [_times(models[other], known[name]) for other in others]
+        times = [t for t in times if np.isfinite(t)]
+        if not times or 1.0 / _MOST_APART < float(np.median(times)) < _MOST_APART:
+            continue
+        which = f"that of {others[0]}" if len(others) == 1 else f"those of {', '.join(others)}"
+        said = (
+            f"{name} moves {np.median(times):z.2f} times as far as models of the same machine predict from its temperatures "
+            f"({which}): one of the runs has a wrong step_mm or a wrong unit"
+        )
+        findings.append(Finding("drift.scale", "error", said, {"ratio_1": float(np.median(times))}))
+    return findings
+
+
+def drift_figures(runs: Sequence[Run]) -> dict[str, Any]:
+    """Return what each log follows, JSON-ready: steady temperatures first, then what that lacks."""
+    return {run.meta.run_id: _figures(run) for run in runs}
+
+
+def drift_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return what :func:`drift_figures` gave as lines."""
+    lines: list[str] = []
+    for run, found in result.items():
+        if found is None:
+            lines.append(f"{run}: not fitted, see the findings")
+            continue
+        floor = "not known" if found["floor_um"] is None else f"{found['floor_um']:z.2f} µm"
+        lines += ["", f"{run}: {found['readings']} readings over {found['hours']:z.1f} h, noise floor {floor}"]
+        rows = [_row("temperatures at once", found["steady"])]
+        rows += [_row(f"and {step['said']}", step["model"]) for step in found["missing"]]
+        lines += table(("model", "left, µm", "held out, µm", "R²", "µm/K, ± 95 %"), rows).splitlines()
+        lines.append(found["verdict"])
+    return lines
+
+
+def _row(name: str, model: Mapping[str, Any]) -> list[str]:
+    told = "; ".join(f"{term['label']} {term['shown']}" for term in model["terms"])
+    return [name, f"{model['left_um']:z.2f}", f"{model['held_out_um']:z.2f}", f"{model['r2']:z.4f}", told]
+
+
+def _figures(run: Run) -> dict[str, Any] | None:
+    if any(f.severity == "error" for f in [*run.findings, *judge_drift(run)]):
+        return None
+    series = series_of(run)
+    base = steady(series)
+    steps = missing(series, base)
+    last = steps[-1].fitted if steps else base
+    return {
+        "readings": len(series.t_s),
+        "hours": float(series.t_s[-1]) / 3600.0,
+        "floor_um": series.floor_um if np.isfinite(series.floor_um) else None,
+        "steady": _model(base),
+        "missing": [_step(step) for step in steps],
+        "verdict": _verdict(series, last, steps),
+    }
+
+
+def _verdict(series: Series, last: Fitted, steps: Sequence[Step]) -> str:
+    named = f"missing: {'; '.join(step.said for step in steps)}. " if steps else ""
+    if not np.isfinite(series.floor_um):
+        return f"{named}need_repeats: what is left cannot be compared with noise"
+    times = last.held_out_um / series.floor_um
+    if times > _BEYOND:
+        return f"{named}unknown_effect: {last.held_out_um:z.1f} µm are left on times held out, {times:z.1f} times the noise of a reading"
+    return f"{named}nothing_missing: what is left is noise"
+
+
+def _model(model: Fitted) -> dict[str, Any]:
+    return {
+        "terms": [
+            {
+                "label": term.label,
+                "um_per_k": float(value),
+                "expanded": float(half),
+                "shown": f"{value:z.{decimals(float(half))}f} ± {half:z.{decimals(float(half))}f}",
+            }
+            for term, value, half in zip(model.terms, model.value[1:], model.k2[1:], strict=True)
+        ],
+        "intercept_um": float(model.value[0]),
+        "left_um": model.left_um,
+        "held_out_um": model.held_out_um,
+        "r2": model.r2,
+    }
+
+
+def _step(step: Step) -> dict[str, Any]:
+    return {"said": step.said, "gain": step.gain, "p_value": step.p_value, "model": _model(step.fitted)}
+
+
+def _times(model: Fitted, series: Series) -> float:
+    """Return how many times what another run's model predicts a log has moved; NaN when it lacks a sensor."""
+    if any(term.channel not in series.temperatures_c for term in model.terms):
+        return float("nan")
+    told = sum(value * series.column(term) for term, value in zip(model.terms, model.value[1:], strict=True))
+    off = np.asarray(told) - float(np.mean(told))
+    return float(off @ (series.moved_um - series.moved_um.mean()) / (off @ off))

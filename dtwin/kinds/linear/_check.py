@@ -1,0 +1,218 @@
+"""What is wrong with a positioning test, said before anyone compensates by it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from dtwin.kinds.linear._cycles import moving_zero, spoilt_finding
+from dtwin.kinds.linear._matrix import TARGET_MM, linear_test
+from dtwin.schema import Finding, Floats, Run
+
+# A slide that is further off than this has lost steps, or the unit is wrong.
+_MAX_ERROR_UM = 5_000.0
+# Fewer phases of the screw than this leave a second harmonic without redundancy.
+FEWEST_PHASES = 5
+_STUCK_READINGS = 12
+_FEWEST_FOR_DRIFT = 8
+
+
+def _targets_of(position_mm: Floats) -> Floats:
+    """Return the targets among positions, ascending, in multiples of ``TARGET_MM``."""
+    return np.unique(np.round(np.asarray(position_mm, float) / TARGET_MM)) * TARGET_MM
+
+
+def phases_of(position_mm: Floats, pitch_mm: float) -> int:
+    """Return at how many different angles of the screw there are targets.
+
+    ``position_mm``, (n,): targets.
+    ``pitch_mm``: travel in one turn of the screw.
+    """
+    turned = np.sort(np.mod(np.asarray(position_mm, float), pitch_mm))
+    gaps = np.diff(turned, append=turned[0] + pitch_mm)
+    return max(1, int(np.count_nonzero(gaps > TARGET_MM)))
+
+
+def judge_linear_run(run: Run) -> list[Finding]:
+    """Return the findings of one positioning run.
+
+    ``run``: with ``position_mm``, ``direction`` and ``error_um``.
+    """
+    position, error = run.samples["position_mm"], run.samples["error_um"]
+    findings = _missed(run)
+    largest = float(np.max(np.abs(error)))
+    if largest > _MAX_ERROR_UM:
+        findings.append(
+            Finding(
+                "reading.out_of_range",
+                "error",
+                f"an error of {largest:z.0f} µm is beyond any slide: wrong unit, a lost beam, or the "
+                "laser was not zeroed at the first target",
+                {"largest_um": largest},
+            )
+        )
+    constant = _longest_constant(error)
+    if constant >= _STUCK_READINGS:
+        findings.append(
+            Finding(
+                "reading.stuck",
+                "error",
+                f"{constant} equal errors in a row: the beam was broken or the laser not read",
+                {"readings_1": float(constant)},
+            )
+        )
+    pitch = run.meta.condition.get("screw_pitch_mm")
+    if isinstance(pitch, float):
+        findings += _aliased(_targets_of(position), pitch)
+    return findings
+
+
+def judge_linear_campaign(runs: Sequence[Run]) -> list[Finding]:
+    """Return what the positioning runs of a campaign say together: repeats, spoilt readings, drift.
+
+    ``runs``: with their samples.
+    """
+    findings: list[Finding] = []
+    if len(runs) == 1:
+        findings.append(
+            Finding(
+                "campaign.no_repeat",
+                "warning",
+                "one run only: repeatability and noise floor are unknown",
+                {"conditions_1": 1.0},
+            )
+        )
+    told = [f for axis in _by_axis(runs) for f in _across_cycles(axis)]
+    return findings + (told or _drift(runs))
+
+
+def _by_axis(runs: Sequence[Run]) -> list[list[Run]]:
+    """Return the runs of both directions, axis by axis."""
+    found: dict[str, list[Run]] = {}
+    for run in runs:
+        if set(run.samples["direction"]) == {"forward", "reverse"}:
+            found.setdefault(str(run.meta.condition.get("axis", "")), []).append(run)
+    return list(found.values())
+
+
+def _across_cycles(runs: Sequence[Run]) -> list[Finding]:
+    test = linear_test(runs)
+    if test.position_mm.size < 2:
+        return []
+    return [finding for finding in (spoilt_finding(test), moving_zero(test)) if finding is not None]
+
+
+def _missed(run: Run) -> list[Finding]:
+    position, direction = run.samples["position_mm"], run.samples["direction"]
+    wanted = _targets_of(position)
+    ways = [way for way in ("forward", "reverse") if np.any(direction == way)]
+    if len(ways) == 1:
+        return [
+            Finding(
+                "linear.one_direction", "warning", f"the targets were approached {ways[0]} only: play cannot be seen"
+            )
+        ]
+    absent: list[float] = []
+    twice = 0
+    for way in ways:
+        at = position[direction == way]
+        found = _targets_of(at)
+        absent += sorted(set(np.round(wanted, 6)) - set(np.round(found, 6)))
+        twice += len(at) - len(found)
+    findings = []
+    if absent:
+        findings.append(
+            Finding(
+                "linear.missed_targets",
+                "error",
+                f"{len(absent)} readings of {2 * len(wanted)} are missing, the first at "
+                f"{absent[0]:z.3f} mm: window too small, or the dwell too short",
+                {"missed_1": float(len(absent)), "first_mm": float(absent[0])},
+            )
+        )
+    if twice:
+        findings.append(
+            Finding(
+                "linear.read_twice",
+                "warning",
+                f"{twice} targets were read more than once in one sweep",
+                {"readings_1": float(twice)},
+            )
+        )
+    return findings
+
+
+def _aliased(wanted: Floats, pitch_mm: float) -> list[Finding]:
+    phases = phases_of(wanted, pitch_mm)
+    if len(wanted) < 2 or phases >= FEWEST_PHASES:
+        return []
+    step = float(np.median(np.diff(wanted)))
+    seen = "one angle" if phases == 1 else f"{phases} angles"
+    return [
+        Finding(
+            "linear.step_divides_pitch",
+            "warning",
+            f"the step of {step:z.3f} mm meets the screw (pitch {pitch_mm:g} mm) at {seen} only: its "
+            "cyclic error is folded into the slow error, and a table made of this does not see it",
+            {"step_mm": step, "phases_1": float(phases)},
+        )
+    ]
+
+
+def _drift(runs: Sequence[Run]) -> list[Finding]:
+    """Tell drift from noise by whether neighbouring readings of a run deviate alike.
+
+    Deviations from the mean over the runs are put in the order of time; the mean square of their
+    successive differences is twice their variance when each reading is on its own (von Neumann,
+    Annals of Mathematical Statistics 12, 1941) and far less when they wander.
+    """
+    deviations = _run_deviations_um(runs)
+    n = len(deviations)
+    if n < 2 or deviations.shape[1] < _FEWEST_FOR_DRIFT:
+        return []
+    # The mean over the runs took a share of every run with it.
+    scale = n / (n - 1)
+    variance = scale * float(np.mean(deviations**2))
+    noise = scale * float(np.mean(np.diff(deviations, axis=1) ** 2)) / 2.0
+    if variance <= 0.0:
+        return []
+    expected_scatter = 4.0 / math.sqrt(deviations.size)
+    if noise / variance > min(0.7, 1.0 - expected_scatter):
+        return []
+    drift_um, noise_um = math.sqrt(max(variance - noise, 0.0)), math.sqrt(noise)
+    return [
+        Finding(
+            "linear.drift",
+            "warning",
+            f"the runs disagree by drift, not by noise: {drift_um:z.2f} µm RMS wander from run to "
+            f"run, {noise_um:z.2f} µm RMS from one reading to the next; more runs do not average "
+            "it away, log temperatures and shorten the test",
+            {"drift_um": drift_um, "noise_um": noise_um},
+        )
+    ]
+
+
+def _run_deviations_um(runs: Sequence[Run]) -> Floats:
+    """Return deviations from the mean over the runs, shape (runs, readings), in order of time.
+
+    ``runs``: those whose targets and directions are not the first one's are left out.
+    """
+    if not runs:
+        return np.empty((0, 0))
+    first = runs[0].samples
+    alike = [
+        run.samples["error_um"]
+        for run in runs
+        if np.array_equal(run.samples["direction"], first["direction"])
+        and np.allclose(run.samples["position_mm"], first["position_mm"], atol=TARGET_MM)
+    ]
+    stacked = np.stack(alike)
+    deviations: Floats = stacked - stacked.mean(axis=0)
+    return deviations
+
+
+def _longest_constant(values: Floats) -> int:
+    edges = np.concatenate([[-1], np.flatnonzero(np.diff(values) != 0), [len(values) - 1]])
+    return int(np.max(np.diff(edges)))

@@ -1,0 +1,139 @@
+"""A twin of an axis as a correction: its bundle, judged by runs that were left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.linear._freeze import flanks_twin_bundle, pitch_in, reach_in
+from dtwin.kinds.linear._judging import (
+    HELD_OUT,
+    explained_share,
+    noise_floor_um,
+    runs_left_out,
+    scores_of,
+    stacked,
+    table_rms_um,
+)
+from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.kinds.linear._models import MM_PER_IN
+from dtwin.physics.fit import fit
+from dtwin.physics.gridding import Indices
+from dtwin.physics.observations import Observations
+from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
+from dtwin.schema import Floats
+from dtwin.serve.export import to_text
+from dtwin.statistics import rms
+from dtwin.train.latency import bundle_latency
+from dtwin.train.results import Candidate
+from dtwin.train.twin_terms import TwinBundle
+from dtwin.twins.judged import NAME, Judged
+
+_FEWEST_RUNS = 2
+
+
+def freeze_axis(twin: Twin, obs: Observations, home: Home) -> TwinBundle:
+    """Freeze a twin of an axis, when there are runs enough to judge it by."""
+    test_of_runs(obs)
+    return flanks_twin_bundle(twin, obs)
+
+
+def judge_axis(frozen: TwinBundle, twin: Twin, obs: Observations, home: Home) -> Judged:
+    """Fit the twin without one run at a time, and predict it.
+
+    The unit of replication is the run, one sweep up and one down. The zero of the laser is taken from
+    the runs that were not left out, as it is for tables.
+
+    ``home``: not used: the runs say everything.
+    """
+    test = test_of_runs(obs)
+    left = runs_left_out(test, lambda run: _foretold_um(frozen, twin, obs, run))
+    error = stacked(test)[2]
+    floor = noise_floor_um(test)
+    low, high = reach_in(obs)
+    rest = frozen_residual_um(frozen.twin, obs)
+    bundle = frozen.bundle
+    candidate = Candidate(
+        name=NAME,
+        family="symbolic",
+        promotable=True,
+        complexity=len(bundle.tick_graph.nodes),
+        scores={HELD_OUT: scores_of(test, left)},
+        train_rms_um=rms(rest[obs.mask]),
+        latency=bundle_latency(bundle),
+        equation=_equation(frozen.twin),
+        exports={"tick.txt": to_text(bundle.tick_graph)},
+        bundle=bundle.to_dict(),
+        numbers={
+            "screw_pitch_in": pitch_in(obs),
+            "mapped_from_in": low,
+            "mapped_to_in": high,
+            "explained_share": explained_share(error, left, floor),
+            "table_rms_um": table_rms_um(test),
+        },
+    )
+    return Judged(candidate, floor, rms(error), ((obs.axes[0], low, high),))
+
+
+def test_of_runs(obs: Observations) -> LinearTest:
+    """Return the readings of a campaign in matrices, targets that some run missed left out."""
+    both = [_rows(obs, run) for run in np.unique(obs.run_of).tolist()]
+    ways = [obs.sense[rows].tolist() for rows in both]
+    if len(both) < _FEWEST_RUNS or any(sorted(way) != [-1.0, 1.0] for way in ways):
+        raise InputError(
+            "a correction of a position cannot be judged",
+            code="correct.runs",
+            where=obs.campaign.name,
+            got=f"{len(both)} runs, {ways.count([1.0, -1.0])} of them up and down",
+            allowed=f"{_FEWEST_RUNS} runs or more, each up and down: one is left out in turn",
+            hint="repeat the test: runs = 2 in the plan",
+        )
+    everywhere = obs.mask.all(axis=0)
+    errors = {
+        sense: np.column_stack([obs.y_um[r[obs.sense[r] == sense][0]][everywhere] for r in both])
+        for sense in (1.0, -1.0)
+    }
+    return LinearTest(
+        obs.grid.points[everywhere],
+        errors[1.0],
+        errors[-1.0],
+        int(np.count_nonzero(~everywhere)),
+        pitch_in(obs) * MM_PER_IN,
+        obs.axes[0],
+    )
+
+
+test_of_runs.__test__ = False  # type: ignore[attr-defined]
+
+
+def _rows(obs: Observations, run: int) -> Indices:
+    return np.flatnonzero(obs.run_of == run)
+
+
+def _foretold_um(frozen: TwinBundle, twin: Twin, obs: Observations, run: int) -> Floats:
+    """Return what the other runs let expect of a run, in the order of ``stacked``."""
+    number = np.unique(obs.run_of)[run]
+    others, own = obs.take(np.flatnonzero(obs.run_of != number)), _rows(obs, number)
+    made = fit(others, list(twin.terms))
+    seen = twin_of(made, others, name=twin.name, version=1, action="", data={})
+    kept = replace(seen, terms=tuple(t for t in made.terms if t.label in frozen.twin.labels))
+    zero_um = float((others.y_um - predict_um(kept, others))[others.mask].mean())
+    here = obs.take(own[np.argsort(-obs.sense[own])])
+    everywhere = obs.mask.all(axis=0)
+    return np.asarray(predict_um(kept, here)[:, everywhere].ravel() + zero_um)
+
+
+def _equation(twin: Twin) -> str:
+    lines = [f"  {t.label}: {t.instance.effect.formula}" for t in twin.terms]
+    return "\n".join(
+        [
+            "slide = min(max(slide before, position + forward flank), position + reverse flank)",
+            "error = slide - position",
+            "each flank = the sum over the twin's effects, in its direction,",
+            "taken where the correction puts the screw; tick.txt holds every number",
+            *lines,
+        ]
+    )

@@ -1,0 +1,183 @@
+"""What differs from cycle to cycle of a positioning test: spoilt readings, and a zero that moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.physics.linear import linear_figures
+from dtwin.schema import Finding, Floats
+
+_FEWEST_CYCLES = 4
+_FAR = 8.0
+"""Robust standard deviations of all readings about those of the other cycles."""
+_APART = 5.0
+"""How many times a spoilt reading is further off than the others of its target span."""
+_MOST_SPOILT = 0.1
+"""Share of all readings that may be called spoilt; more is something else."""
+_GAUSS = 1.4826
+_TAUS = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6)
+"""Time constants of warming that are tried, in cycles."""
+_WORTH = 0.5
+"""Share of the variance between cycles that a description must take to be told."""
+
+
+@dataclass(frozen=True)
+class SpoiltReading:
+    """A reading that the other cycles contradict.
+
+    Attributes
+    ----------
+    cycle : int
+        From 0.
+    way : str
+        ``forward`` or ``reverse``.
+    off_um : float
+        From the median of the other cycles.
+    span_um : float
+        Range of the other cycles.
+    """
+
+    target: int
+    cycle: int
+    way: str
+    off_um: float
+    span_um: float
+
+
+def spoilt_readings(test: LinearTest) -> list[SpoiltReading]:
+    """Return the readings that the others of their target contradict; none where cycles differ as wholes."""
+    cycles = test.forward_um.shape[1]
+    if cycles < _FEWEST_CYCLES:
+        return []
+    ways = (("forward", test.forward_um), ("reverse", test.reverse_um))
+    off = {way: values - _of_others(values, np.median) for way, values in ways}
+    span = {way: _of_others(values, np.ptp) for way, values in ways}
+    every = np.concatenate([o.ravel() for o in off.values()])
+    limit = _FAR * _GAUSS * float(np.median(np.abs(every)))
+    found = [
+        SpoiltReading(int(i), int(c), way, float(off[way][i, c]), float(span[way][i, c]))
+        for way, _ in ways
+        for i, c in np.argwhere((np.abs(off[way]) > limit) & (np.abs(off[way]) > _APART * span[way]))
+    ]
+    return found if len(found) <= max(2, _MOST_SPOILT * every.size) else []
+
+
+def spoilt_finding(test: LinearTest) -> Finding | None:
+    """Return which readings are spoilt and what they do to the repeatability, None when none is."""
+    found = spoilt_readings(test)
+    if not found:
+        return None
+    told = "; ".join(
+        f"cycle {s.cycle + 1} {s.way} at {test.position_mm[s.target]:g} mm: {s.off_um:+z.3g} µm from the other "
+        f"{test.forward_um.shape[1] - 1}, which agree within {s.span_um:.2g} µm"
+        for s in found[:6]
+    )
+    with_all = linear_figures(test.forward_um, test.reverse_um).repeatability_um
+    one = len(found) == 1
+    return Finding(
+        "linear.spoilt_readings",
+        "error",
+        f"{len(found)} reading{'' if one else 's'} {'does' if one else 'do'} not belong to the others ({told}): R is "
+        f"{with_all:z.4g} µm with {'it' if one else 'them'} and {repeatability_without(test, found):z.4g} µm without; measure "
+        "that sweep again, or leave that cycle out",
+        {"readings_1": float(len(found)), "largest_um": max(abs(s.off_um) for s in found)},
+    )
+
+
+def repeatability_without(test: LinearTest, spoilt: Sequence[SpoiltReading]) -> float:
+    """Return R when at each target the cycles with a spoilt reading there are left out."""
+    largest = 0.0
+    for i in range(len(test.position_mm)):
+        bad = {s.cycle for s in spoilt if s.target == i}
+        kept = [c for c in range(test.forward_um.shape[1]) if c not in bad]
+        if len(kept) > 1:
+            part = linear_figures(test.forward_um[[i]][:, kept], test.reverse_um[[i]][:, kept])
+            largest = max(largest, part.repeatability_um)
+    return largest
+
+
+def moving_zero(test: LinearTest) -> Finding | None:
+    """Return how readings move from cycle to cycle: by jumps, steadily, or as something that warms; None when they do not.
+
+    The first sweep of each direction tells what belongs to the targets; the rest is described by a shift that grows by the
+    same amount each cycle (slip), one shift or several between cycles (lost steps), or a shift and a stretch that settle (warming).
+    Schwarz's criterion chooses; spoilt readings are left out.
+    """
+    cycles = test.forward_um.shape[1]
+    if cycles < _FEWEST_CYCLES:
+        return None
+    values = np.stack([test.forward_um, test.reverse_um])
+    for s in spoilt_readings(test):
+        values[0 if s.way == "forward" else 1, s.target, s.cycle] = np.nan
+    moved = values - np.nanmean(values, axis=2, keepdims=True)
+    told = np.isfinite(moved)
+    total, n = float(np.nansum(moved**2)), int(told.sum())
+    place = (test.position_mm - test.position_mm.mean()) / max(float(np.ptp(test.position_mm)), 1e-9)
+    cycle = np.arange(cycles, dtype=float)
+
+    def left(columns: Sequence[Floats]) -> tuple[Floats, Floats]:
+        # Like the readings, columns are told from their mean over the cycles.
+        spread = [np.broadcast_to(c, moved.shape) for c in columns]
+        design = np.stack([(c - c.mean(axis=2, keepdims=True))[told] for c in spread], axis=1)
+        found, *_ = np.linalg.lstsq(design, moved[told], rcond=None)
+        rest = np.full(moved.shape, np.nan)
+        rest[told] = moved[told] - design @ found
+        return rest, np.asarray(found)
+
+    rivals: list[tuple[float, Floats, str, float, Floats]] = []
+
+    def tried(name: str, where: float, columns: Sequence[Floats], searched: int) -> None:
+        rest, sizes = left(columns)
+        cost = n * np.log(max(float(np.nansum(rest**2)), 1e-12) / n) + (len(columns) + searched) * np.log(n)
+        rivals.append((float(cost), rest, name, where, sizes))
+
+    share = (np.arange(len(place)) + 0.5) / (2 * len(place))
+    within = np.stack([share, 1.0 - share])[:, :, None] + cycle
+    tried("slip", 0.0, [cycle], 0)
+    tried("slip", 0.0, [within], 0)
+    tried("jumps", 0.0, [(cycle >= at).astype(float) for at in range(1, cycles)], 0)
+    for at in np.arange(1, 2 * cycles * len(place)) / (2 * len(place)):
+        tried("jump", float(at), [(within >= at).astype(float)], 1)
+    # What moves within sweeps, too, is no jump: straight lines from the beginning of one cycle to that of the next.
+    tried("wander", 0.0, [np.clip(1.0 - np.abs(within - knot), 0.0, None) for knot in range(1, cycles + 1)], 0)
+    for tau in _TAUS:
+        settling = -np.exp(-within / tau)
+        tried("warming", tau, [settling, settling * place[None, :, None]], 1)
+    cost, rest, name, where, sizes = min(rivals, key=lambda rival: rival[0])
+    little = cost >= n * np.log(max(total, 1e-12) / n) or 1.0 - float(np.nansum(rest**2)) / total < _WORTH
+    if little or name not in _SAID or _wanders(rest):
+        return None
+    steps = ", ".join(f"{size:+z.3g}" for size in sizes)
+    words = _SAID[name].format(
+        steps=steps, size=f"{sizes[0]:+z.3g}", more=f"{sizes[-1]:+z.3g}", tau=f"{where:g}", cycle=int(where) + 1
+    )
+    return Finding(f"linear.{name}", "warning", f"cycles differ: {words}", {"size_um": float(sizes[0])})
+
+
+_SAID = {
+    "slip": "the zero moves by {size} µm each cycle, alike at all targets: a coupling or an encoder that slips, or lost steps in "
+    "every cycle; not warming, which would settle and stretch",
+    "jump": "from a reading in cycle {cycle} on all lie {size} µm off, alike at all targets: lost steps, or something that moved "
+    "once; not backlash, which is the same in every cycle",
+    "jumps": "from cycle to cycle all readings move by {steps} µm, alike at all targets, neither steadily nor settling: lost steps, "
+    "a coupling that slips now and then; not backlash, which is the same in every cycle",
+    "warming": "readings settle with a time constant of about {tau} cycles, by {size} µm in the middle and {more} µm more from "
+    "one end to the other: warming, or cooling",
+}
+
+
+def _wanders(rest_um: Floats) -> bool:
+    """Return whether neighbours in time deviate alike, (2, targets, cycles): what is left is no noise (von Neumann)."""
+    in_time = np.concatenate([rest_um[0], rest_um[1, ::-1]])
+    successive = float(np.nanmean(np.diff(in_time, axis=0) ** 2)) / 2.0
+    return successive < min(0.7, 1.0 - 4.0 / np.sqrt(in_time.size)) * float(np.nanmean(in_time**2))
+
+
+def _of_others(values: Floats, figure: Callable[..., Floats]) -> Floats:
+    """Return a figure of the other cycles for each reading, shape (targets, cycles)."""
+    others = [figure(np.delete(values, c, axis=1), axis=1) for c in range(values.shape[1])]
+    return np.stack(others, axis=1)

@@ -1,0 +1,95 @@
+"""How positioning errors are judged by runs that were left out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.kinds.linear._models import MM_PER_IN, UM_PER_IN, Unidirectional, averages_of
+from dtwin.schema import Floats
+from dtwin.statistics import rms
+from dtwin.train.results import Scores
+
+HELD_OUT = "run"
+# Parts of the travel, each in both directions, that no candidate may make worse.
+_PARTS = 10
+
+
+def without_run(test: LinearTest, run: int) -> LinearTest:
+    """Return a test without one of its runs."""
+    others = [k for k in range(test.forward_um.shape[1]) if k != run]
+    return replace(test, forward_um=test.forward_um[:, others], reverse_um=test.reverse_um[:, others])
+
+
+def runs_left_out(test: LinearTest, expected_um: Callable[[int], Floats]) -> Floats:
+    """Leave out every run in turn; return what is left of it, shape (2 targets, runs).
+
+    ``test``: two runs or more.
+    ``expected_um``: given the number of the run that is left out, returns the errors in both directions that the others
+    let expect, shape (2 targets,).
+    """
+    error = stacked(test)[2]
+    return np.column_stack([error[:, k] - expected_um(k) for k in range(error.shape[1])])
+
+
+def table_rms_um(test: LinearTest) -> float:
+    """Return what a table and one backlash leave of runs left out: what a control can do by itself."""
+    direction, position, _ = stacked(test)
+
+    def table(run: int) -> Floats:
+        averages = averages_of(without_run(test, run))
+        return Unidirectional(averages).error_in(direction, position) * UM_PER_IN
+
+    return rms(runs_left_out(test, table))
+
+
+def noise_floor_um(test: LinearTest) -> float:
+    """Return what runs disagree by at the same target and direction: pooled standard deviation.
+
+    ``test``: two runs or more; drift between the runs counts.
+    """
+    return _spread_um(np.vstack([test.forward_um, test.reverse_um]))
+
+
+def scores_of(test: LinearTest, left: Floats) -> Scores:
+    """Return scores of what is left of runs left out, shape (2 targets, runs), um."""
+    direction, position, error = stacked(test)
+    share = (position - position.min()) / (position.max() - position.min())
+    part = np.minimum((share * _PARTS).astype(int), _PARTS - 1) + _PARTS * direction.astype(int)
+    ratios = {}
+    for k in np.unique(part):
+        # The laser was zeroed at the first target: near it there is nothing but noise to take away.
+        without = np.hypot(rms(error[part == k]), _spread_um(error[part == k]))
+        inside = position[part == k] * MM_PER_IN
+        where = f"{'reverse' if k >= _PARTS else 'forward'}, {inside.min():z.0f} to {inside.max():z.0f} mm"
+        ratios[where] = rms(left[part == k]) / without
+    worst = max(ratios, key=lambda name: ratios[name])
+    r2 = 1.0 - float(np.sum(left**2) / np.sum((error - error.mean()) ** 2))
+    runs = error.shape[1]
+    return Scores(HELD_OUT, r2, rms(left), float(np.mean(np.abs(left))), ratios[worst], worst, runs, runs)
+
+
+def explained_share(error: Floats, left: Floats, floor: float) -> float:
+    """Return the share of what the runs have in common that is explained in runs left out.
+
+    Drift from run to run cannot be foretold: the mean of the other runs leaves the noise floor times
+    the root of n / (n - 1), n being the number of runs.
+    """
+    runs = error.shape[1]
+    common = float(np.var(error)) - floor**2
+    missed = max(float(np.mean(left**2)) - floor**2 * runs / (runs - 1), 0.0)
+    return 1.0 - missed / common if common > 0.0 else 0.0
+
+
+def stacked(test: LinearTest) -> tuple[Floats, Floats, Floats]:
+    """Return direction and position in inches, (2 targets,), and errors in um, (2 targets, runs)."""
+    direction, position, _ = averages_of(test).stacked()
+    return direction, position, np.vstack([test.forward_um, test.reverse_um])
+
+
+def _spread_um(errors: Floats) -> float:
+    """Return the pooled standard deviation over runs of errors, (targets, runs)."""
+    return rms(errors.std(axis=1, ddof=1))

@@ -1,0 +1,216 @@
+"""What a control can hold of a positioning error: tables, networks, and a play of two flanks.
+
+All in inches and with direction 0 forward, 1 reverse, as the published networks are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from dtwin.kinds.linear._matrix import LinearTest
+from dtwin.kinds.linear._net_training import Trained, train_net
+from dtwin.kinds.linear._small_net import SmallNet, new_net
+from dtwin.schema import Floats
+
+MM_PER_IN, UM_PER_IN = 25.4, 25_400.0
+
+
+class PositionModel(Protocol):
+    """Predicts the error of an axis."""
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return the error in inches, shape (n,)."""
+
+
+@dataclass(frozen=True)
+class Averages:
+    """Mean error at each target of a bidirectional test.
+
+    Attributes
+    ----------
+    position_in : ndarray, shape (targets,)
+        Ascending.
+    forward_in, reverse_in : ndarray, shape (targets,)
+        Mean errors.
+    """
+
+    position_in: Floats
+    forward_in: Floats
+    reverse_in: Floats
+
+    def stacked(self) -> tuple[Floats, Floats, Floats]:
+        """Return direction, position and error of both directions, each (2 targets,)."""
+        n = len(self.position_in)
+        return (
+            np.repeat([0.0, 1.0], n),
+            np.tile(self.position_in, 2),
+            np.concatenate([self.forward_in, self.reverse_in]),
+        )
+
+    def every(self, step_in: float) -> Averages:
+        """Return the targets that are whole steps from the first one."""
+        offset = (self.position_in - self.position_in[0]) / step_in
+        kept = np.abs(offset - np.round(offset)) < 1e-6
+        return Averages(self.position_in[kept], self.forward_in[kept], self.reverse_in[kept])
+
+
+def averages_of(test: LinearTest) -> Averages:
+    """Return the mean errors of a test in inches."""
+    return Averages(
+        test.position_mm / MM_PER_IN, test.forward_um.mean(axis=1) / UM_PER_IN, test.reverse_um.mean(axis=1) / UM_PER_IN
+    )
+
+
+@dataclass(frozen=True)
+class Uncorrected:
+    """No correction: an error of zero everywhere."""
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return zeros, shape (n,)."""
+        return np.zeros(np.broadcast(direction, position_in).shape)
+
+
+@dataclass(frozen=True)
+class Bidirectional:
+    """Two tables, chosen by direction; straight between entries, ends held."""
+
+    averages: Averages
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return the error in inches, shape (n,)."""
+        a = self.averages
+        forward = np.interp(position_in, a.position_in, a.forward_in)
+        reverse = np.interp(position_in, a.position_in, a.reverse_in)
+        return np.where(np.asarray(direction) >= 0.5, reverse, forward)
+
+
+@dataclass(frozen=True)
+class Unidirectional:
+    """One table and one backlash for the whole axis.
+
+    Attributes
+    ----------
+    averages : Averages
+        Forward entries are used; the backlash is the mean difference of the directions.
+    """
+
+    averages: Averages
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return the error in inches, shape (n,)."""
+        a = self.averages
+        backlash = float(np.mean(a.reverse_in - a.forward_in))
+        forward = np.interp(position_in, a.position_in, a.forward_in)
+        return forward + backlash * (np.asarray(direction) >= 0.5)
+
+
+@dataclass(frozen=True)
+class DualNet:
+    """One network for the travel, one for a turn of the screw, added.
+
+    ``full``, ``cyclic``: inputs are direction and position; direction and position within the turn.
+    """
+
+    full: SmallNet
+    cyclic: SmallNet
+    pitch_in: float
+    trained: tuple[Trained, ...] = ()
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return the error in inches, shape (n,)."""
+        turned = np.fmod(position_in, self.pitch_in)
+        slow = self.full.evaluate(np.column_stack([direction, position_in]))
+        return slow + self.cyclic.evaluate(np.column_stack([direction, turned]))
+
+
+@dataclass(frozen=True)
+class SingleNet:
+    """One network of direction, position and position within the turn."""
+
+    net: SmallNet
+    pitch_in: float
+    trained: Trained
+
+    def error_in(self, direction: Floats, position_in: Floats) -> Floats:
+        """Return the error in inches, shape (n,)."""
+        turned = np.fmod(position_in, self.pitch_in)
+        return self.net.evaluate(np.column_stack([direction, position_in, turned]))
+
+
+def whole_turns(averages: Averages, pitch_in: float) -> tuple[Floats, Floats]:
+    """Return inputs (n, 2) and errors (n,) at whole turns of the screw, where the cyclic error is zero.
+
+    Parameters
+    ----------
+    averages : Averages
+        Its first target must lie at a whole turn.
+    """
+    direction, position, error = averages.every(pitch_in).stacked()
+    return np.column_stack([direction, position]), error
+
+
+def _one_turn(averages: Averages, full: SmallNet, pitch_in: float) -> tuple[Floats, Floats]:
+    """Return inputs (n, 2) and what a slow network leaves over a turn (n,), averaged over all turns.
+
+    ``averages``: several targets in each turn.
+    """
+    direction, position, error = averages.stacked()
+    rest = error - full.evaluate(np.column_stack([direction, position]))
+    phase = np.mod(np.round(np.mod(position, pitch_in), 6), pitch_in)
+    cells, place = np.unique(np.column_stack([direction, phase]), axis=0, return_inverse=True)
+    place = place.ravel()
+    return cells, np.bincount(place, weights=rest) / np.bincount(place)
+
+
+def fit_dual(
+    averages: Averages,
+    pitch_in: float,
+    seed: int,
+    *,
+    epochs: int = 1000,
+    goals: Sequence[float] = (4e-8, 9e-9),
+    hidden: Sequence[int] = (30, 8),
+) -> DualNet:
+    """Train the published pair: the slow network on whole turns, the cyclic one on what is left.
+
+    Parameters
+    ----------
+    averages : Averages
+        Mean errors.
+    goals : sequence of float
+        Sums of squared errors at which the trainings stop.
+    hidden : sequence of int
+        Neurons of both.
+    """
+    rng = np.random.default_rng(seed)
+    inputs, target = whole_turns(averages, pitch_in)
+    reach = (float(averages.position_in[0]), float(averages.position_in[-1]))
+    slow = train_net(new_net(hidden[0], ((0.0, 1.0), reach), rng), inputs, target, epochs=epochs, goal=goals[0])
+    cells, rest = _one_turn(averages, slow.net, pitch_in)
+    fast = train_net(new_net(hidden[1], ((0.0, 1.0), (0.0, pitch_in)), rng), cells, rest, epochs=epochs, goal=goals[1])
+    return DualNet(slow.net, fast.net, pitch_in, (slow, fast))
+
+
+def fit_single(
+    averages: Averages, pitch_in: float, seed: int, *, epochs: int = 1500, goal: float = 0.0, hidden: int = 40
+) -> SingleNet:
+    """Train the published single network on all targets of both directions.
+
+    Parameters
+    ----------
+    averages : Averages
+        Mean errors.
+    epochs, goal, hidden
+        As for :func:`fit_dual`.
+    """
+    direction, position, error = averages.stacked()
+    turned = np.fmod(position, pitch_in)
+    reach = (float(position.min()), float(position.max()))
+    net = new_net(hidden, ((0.0, 1.0), reach, (0.0, pitch_in)), np.random.default_rng(seed))
+    inputs = np.column_stack([direction, position, turned])
+    trained = train_net(net, inputs, error, epochs=epochs, goal=goal)
+    return SingleNet(trained.net, pitch_in, trained)

@@ -1,0 +1,114 @@
+"""A positioning test before anything moves: advice, program, what it could detect."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.kind import Planned
+from dtwin.kinds.linear._program import laser_program
+from dtwin.kinds.linear.plan import LinearPlan, better_step, duration_s, linear_advice, linear_plan, targets_mm
+from dtwin.physics.observations import Observations, observe
+from dtwin.plan_file import plan_settings
+from dtwin.schema import Campaign, Run, RunMeta
+
+# Intervals and sweeps of a short test and of one after ISO 230-2; turns beyond the ends; the travel of an axis of
+# which nothing is stated; the time to mount and align a laser.
+_SIZES = ((10, 3), (20, 5))
+_OVERSHOOT_MM = 5.0
+_TRAVEL_MM = 400.0
+_MOUNTING_S = 2700.0
+
+
+def planned(document: Mapping[str, Any], where: str) -> Planned:
+    """Return a positioning test as its plan file states it."""
+    plan = linear_plan(plan_settings(document, where), where)
+    total_s = duration_s(plan)
+    return Planned(
+        kind="linear",
+        plan=plan,
+        summary={
+            "name": plan.name,
+            "machine": plan.machine,
+            "kind": "linear",
+            "axis": plan.axis,
+            "targets": plan.count,
+            "runs": plan.runs,
+            "readings": plan.readings,
+        },
+        duration_s=total_s,
+        findings=linear_advice(plan),
+        lines=(
+            f"{plan.name} on {plan.machine}: axis {plan.axis}, {plan.count} targets from {plan.start:g} "
+            f"to {plan.end:g} {plan.unit}, {plan.runs} runs, {plan.readings} readings, about "
+            f"{total_s / 3600:z.1f} h",
+        ),
+        mounting_s=_MOUNTING_S,
+    )
+
+
+def programs(plan: LinearPlan, control: str) -> dict[str, str]:
+    """Return the program of the test, by file name."""
+    return {f"{plan.name}.nc": laser_program(plan, control)}
+
+
+def foreseen(plan: LinearPlan) -> Observations:
+    """Return the sweeps of a plan with nothing in them."""
+    return observe(_campaign_of(plan), _empty_runs(plan))
+
+
+def proposals(machine: str, axes: Mapping[str, Mapping[str, float]]) -> list[dict[str, Any]]:
+    """Return a short and a full plan of each axis; targets meet the screw at many angles where its pitch is known."""
+    return [_proposal(machine, axis, axes[axis], *size) for axis in "XYZ" if axis in axes for size in _SIZES]
+
+
+def _proposal(machine: str, axis: str, known: Mapping[str, float], intervals: int, runs: int) -> dict[str, Any]:
+    travel_mm = known.get("travel_mm", _TRAVEL_MM)
+    step = max(1.0, math.floor((travel_mm - 2.0 * _OVERSHOOT_MM) / intervals))
+    stated: dict[str, Any] = {
+        "name": f"{axis.lower()}-{intervals + 1}-targets",
+        "machine": machine,
+        "axis": axis,
+        "axes": "XYZ",
+        "unit": "mm",
+        "start": _OVERSHOOT_MM,
+        "end": _OVERSHOOT_MM + intervals * step,
+        "step": step,
+        "runs": runs,
+        "dwell_s": 5.0,
+        "feed_min": 1000.0,
+        "overshoot": _OVERSHOOT_MM,
+        "axis_low": 0.0,
+        "axis_high": travel_mm,
+        "pitch": known.get("pitch_mm", 0.0),
+    }
+    plan = linear_plan(stated, "the proposal")
+    better = better_step(plan, 2.0 * step) if plan.pitch > 0.0 else None
+    return {"plan": {"kind": "linear", **stated, **({"step": better} if better else {})}}
+
+
+def _campaign_of(plan: LinearPlan) -> Campaign:
+    """Return the campaign that a plan becomes."""
+    pitch = {"screw_pitch_mm": plan.mm(plan.pitch)} if plan.pitch > 0.0 else {}
+    return Campaign(plan.name, plan.machine, kind="linear", machine_geometry=pitch)
+
+
+def _empty_runs(plan: LinearPlan) -> list[Run]:
+    """Return the runs of a plan as if they had been measured, each up and down, with no error."""
+    up = targets_mm(plan)
+    position, ways = np.concatenate([up, up[::-1]]), np.repeat(["forward", "reverse"], len(up))
+    condition: dict[str, float | str] = {"axis": plan.axis, "feed_mm_min": plan.mm(plan.feed_min)}
+    each_s = duration_s(plan) / plan.runs
+    samples = {
+        "t_s": np.linspace(0.0, each_s, len(position)),
+        "position_mm": position,
+        "direction": ways.astype(object),
+        "error_um": np.zeros(len(position)),
+    }
+    return [
+        Run(RunMeta(str(n), kind="linear", repeat=n, setup="s1", condition=condition), samples)
+        for n in range(1, plan.runs + 1)
+    ]

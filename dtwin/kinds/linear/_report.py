@@ -1,0 +1,144 @@
+"""Figures of a positioning test: ISO 230-2, and the four figures of a before/after table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.linear._check import phases_of
+from dtwin.kinds.linear._matrix import LinearTest, linear_test
+from dtwin.physics.linear import linear_figures
+from dtwin.report.text import table
+from dtwin.schema import Floats, Run
+
+_MAX_HARMONIC = 5
+_TREND_DEGREE = 3
+
+
+def before_after_figures(test: LinearTest) -> dict[str, float | None]:
+    """Return the four figures by which compensations are compared, in um.
+
+    Returns
+    -------
+    dict
+        ``max_average_error_um``: range of the averages of both directions (E of ISO 230-2);
+        ``max_reversal_error_um``: largest difference of the two averages at a target (B);
+        ``max_repeat_um``: largest range of all readings at a target, both directions;
+        ``cyclic_error_um``: peak to peak of the harmonics of one screw turn, the larger direction,
+        None without pitch or with too few phases.
+    """
+    up, down = test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)
+    both = np.hstack([test.forward_um, test.reverse_um])
+    return {
+        "max_average_error_um": float(max(up.max(), down.max()) - min(up.min(), down.min())),
+        "max_reversal_error_um": float(np.abs(up - down).max()),
+        "max_repeat_um": float(np.ptp(both, axis=1).max()),
+        "cyclic_error_um": _cyclic_um(test),
+    }
+
+
+def _cyclic_um(test: LinearTest) -> float | None:
+    """Return the peak-to-peak cyclic error of the screw in um; None when it cannot be seen.
+
+    Harmonics of the screw's turn and a cubic trend are fitted to the averages of each direction.
+    """
+    if test.pitch_mm is None:
+        return None
+    phases = phases_of(test.position_mm, test.pitch_mm)
+    harmonics = min(_MAX_HARMONIC, (phases - 1) // 2)
+    if harmonics < 1 or len(test.position_mm) < 3 * (_TREND_DEGREE + 1 + 2 * harmonics):
+        return None
+    x = test.position_mm
+    trend = np.vander((x - x.mean()) / max(float(np.ptp(x)), 1e-9), _TREND_DEGREE + 1)
+    turn = np.linspace(0.0, 2 * np.pi, 720, endpoint=False)
+    found = []
+    for errors in (test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)):
+        design = np.hstack([_waves(2 * np.pi * x / test.pitch_mm, harmonics), trend])
+        fitted = np.linalg.lstsq(design, errors, rcond=None)[0][: 2 * harmonics]
+        found.append(float(np.ptp(_waves(turn, harmonics) @ fitted)))
+    return max(found)
+
+
+def positioning_result(runs: Sequence[Run]) -> dict[str, Any]:
+    """Return all figures of the positioning runs of a campaign as a JSON-ready mapping.
+
+    ``runs``: with their samples; those with errors in one direction only are left out.
+    """
+    usable = [run for run in runs if set(run.samples["direction"]) == {"forward", "reverse"}]
+    if not usable:
+        return {}
+    test = linear_test(usable)
+    if not len(test.position_mm):
+        return {"targets": 0, "left_out_targets": test.left_out}
+    result: dict[str, Any] = {
+        "runs": len(usable),
+        "targets": len(test.position_mm),
+        "left_out_targets": test.left_out,
+        "from_mm": float(test.position_mm[0]),
+        "to_mm": float(test.position_mm[-1]),
+        "screw_pitch_mm": test.pitch_mm,
+        "screw_phases": None if test.pitch_mm is None else phases_of(test.position_mm, test.pitch_mm),
+        "before_after": before_after_figures(test),
+    }
+    if len(usable) > 1:
+        result["iso_230_2"] = asdict(linear_figures(test.forward_um, test.reverse_um))
+    return result
+
+
+_BEFORE_AFTER = (
+    ("max_average_error_um", "Max average error"),
+    ("max_reversal_error_um", "Max reversal error"),
+    ("max_repeat_um", "Max repeat"),
+    ("cyclic_error_um", "Cyclic error"),
+)
+
+
+def positioning_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return the lines that a terminal shows of :func:`positioning_result`."""
+    if not result:
+        return ["no run approached its targets from both sides: no figures"]
+    if not result["targets"]:
+        return ["no target was read in every run from both sides: no figures"]
+    lines = [
+        f"{result['runs']} runs, {result['targets']} targets from {result['from_mm']:z.3f} to "
+        f"{result['to_mm']:z.3f} mm"
+        + ("" if not result["left_out_targets"] else f", {result['left_out_targets']} left out")
+        + _phases(result)
+    ]
+    if "iso_230_2" in result and result["runs"] < 5:
+        lines.append(f"  the standard asks for 5 runs, these are {result['runs']}")
+    return [*lines, "", *before_after_lines({"measured": result["before_after"]})]
+
+
+def before_after_lines(figures: Mapping[str, Mapping[str, float | None]]) -> list[str]:
+    """Return the four figures of one or more states beside each other, in um and percent.
+
+    ``figures``: by state, the uncompensated first; as :func:`before_after_figures` gives them.
+    """
+    names = list(figures)
+    rows = []
+    for key, title in _BEFORE_AFTER:
+        first = figures[names[0]][key]
+        row = [title]
+        for number, name in enumerate(names):
+            value = figures[name][key]
+            share = f" ({100 * value / first:z.1f} %)" if number and value and first else ""
+            row.append("not visible" if value is None else f"{value:z.2f}{share}")
+        rows.append(row)
+    return table(("error, µm", *names), rows).splitlines()
+
+
+def _phases(result: Mapping[str, Any]) -> str:
+    if result["screw_phases"] is None:
+        return "; the pitch of the screw is not stated (screw_pitch_mm)"
+    count = result["screw_phases"]
+    return f"; pitch {result['screw_pitch_mm']:g} mm, {count} phase{'s' if count > 1 else ''} of it"
+
+
+def _waves(angle: Floats, harmonics: int) -> Floats:
+    orders = np.arange(1, harmonics + 1)
+    waves: Floats = np.hstack([np.sin(np.outer(angle, orders)), np.cos(np.outer(angle, orders))])
+    return waves

@@ -1,0 +1,115 @@
+"""Test sheet of positioning tests after ISO 230-2, with the scatter that its figures would have again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.kinds.linear._cycles import spoilt_finding
+from dtwin.kinds.linear._matrix import LinearTest, linear_test
+from dtwin.physics.linear import linear_figures
+from dtwin.report.plots import error_figure
+from dtwin.report.sheet import Characteristic, Part, Sheet, sound_runs
+from dtwin.schema import Floats, Run
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
+
+_AGAIN = 400
+_FIGURES = (
+    ("A", "bi-directional accuracy", "accuracy_um"),
+    ("A↑", "accuracy, forward", "accuracy_forward_um"),
+    ("A↓", "accuracy, reverse", "accuracy_backward_um"),
+    ("R", "bi-directional repeatability", "repeatability_um"),
+    ("R↑", "repeatability, forward", "repeatability_forward_um"),
+    ("R↓", "repeatability, reverse", "repeatability_backward_um"),
+    ("E", "bi-directional systematic deviation", "systematic_um"),
+    ("E↑", "systematic deviation, forward", "systematic_forward_um"),
+    ("E↓", "systematic deviation, reverse", "systematic_backward_um"),
+    ("B", "reversal error", "reversal_um"),
+    ("B̄", "mean reversal error", "mean_reversal_um"),
+    ("M", "mean bi-directional deviation", "mean_deviation_um"),
+)
+
+
+def positioning_sheet(runs: Sequence[Run]) -> Sheet:
+    """Evaluate every axis of a campaign.
+
+    ``runs``: with all columns; runs with an error of quality are left out where there are others, and named.
+    """
+    axes: dict[str, list[Run]] = {}
+    notes = []
+    for run in runs:
+        if set(run.samples["direction"]) != {"forward", "reverse"}:
+            notes.append(f"{run.meta.run_id} is not evaluated: it has one direction only.")
+        else:
+            axes.setdefault(str(run.meta.condition.get("axis", "Z")), []).append(run)
+    parts = []
+    for axis, every in sorted(axes.items()):
+        members, said = sound_runs(every)
+        notes += said
+        sound = not any(f.severity == "error" for run in members for f in run.findings)
+        test = linear_test(members)
+        title = f"axis {axis}"
+        if len(members) < 2 or not test.position_mm.size:
+            notes.append(f"{title} is not evaluated: it takes two runs that share their targets.")
+            continue
+        span = f"{test.position_mm[0]:g} to {test.position_mm[-1]:g} mm"
+        ids = tuple(run.meta.run_id for run in members)
+        spoilt = spoilt_finding(test)
+        if spoilt is not None:
+            sound = False
+            notes.append(f"{title}: {spoilt.message}.")
+        notes += _other_formulas(test, title)
+        parts.append(Part(f"{title}, {span}, {len(test.position_mm)} targets", ids, _figures(test), sound))
+    basis = "the figures of tests made again from each target's mean and deviation (unit of replication: the run)"
+    return Sheet("ISO 230-2, positioning", "A", tuple(parts), basis, tuple(notes))
+
+
+def _figures(test: LinearTest) -> tuple[Characteristic, ...]:
+    told = asdict(linear_figures(test.forward_um, test.reverse_um))
+    rng = np.random.default_rng(0)
+    drawn = [asdict(linear_figures(_again(test.forward_um, rng), _again(test.reverse_um, rng))) for _ in range(_AGAIN)]
+    n = test.forward_um.shape[1]
+    # A figure hangs on the few targets where it is largest: the deviations of two, one of each direction.
+    dof = 2.0 * (n - 1)
+    return tuple(
+        Characteristic(symbol, name, told[key], 1, float(np.std([d[key] for d in drawn], ddof=1)), dof)
+        for symbol, name, key in _FIGURES
+    )
+
+
+def _other_formulas(test: LinearTest, title: str) -> list[str]:
+    """Return what R and E would be by formulas that some reports use instead of the standard's, where they differ."""
+    told = linear_figures(test.forward_um, test.reverse_um)
+    up, down = test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)
+    larger = max(told.repeatability_forward_um, told.repeatability_backward_um)
+    narrow = float(max(up.max(), down.max()) - max(up.min(), down.min()))
+    said = []
+    if larger < 0.995 * told.repeatability_um:
+        said.append(f"R as the larger of R↑ and R↓ would be {larger:z.4g} µm; the standard's has the reversal in it")
+    if narrow < 0.995 * told.systematic_um:
+        said.append(
+            f"E from the higher of both minima would be {narrow:z.4g} µm; the standard takes the lowest of all means"
+        )
+    return [f"{title}: {'; '.join(said)}."] if said else []
+
+
+def _again(errors_um: Floats, rng: np.random.Generator) -> Floats:
+    """Return errors (targets, runs) of a test like this one, drawn from its means and deviations."""
+    mean, deviation = errors_um.mean(axis=1, keepdims=True), errors_um.std(axis=1, ddof=1, keepdims=True)
+    return np.asarray(mean + deviation * rng.standard_normal(errors_um.shape))
+
+
+def positioning_figure(runs: Sequence[Run]) -> go.Figure:
+    """Draw the mean of each direction over the position."""
+    test = linear_test(runs)
+    if not test.position_mm.size:
+        raise InputError("no target was read in every run from both sides", code="sheet.targets")
+    curves = {"forward": test.forward_um.mean(axis=1), "reverse": test.reverse_um.mean(axis=1)}
+    named = {f"{way}, mean of {len(runs)} runs": (test.position_mm, mean) for way, mean in curves.items()}
+    return error_figure(named, title=f"Deviation of axis {test.axis}", x_title="position, mm")

@@ -1,0 +1,96 @@
+"""What is wrong with a table of poses, said before anyone fits to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from dtwin.kinds.poses._data import chain_in
+from dtwin.kinds.poses._iso9283 import axes, joints_of, measured_of
+from dtwin.kinds.poses._series import Series, series_of
+from dtwin.schema import Finding, Floats, Run
+
+_FEWEST = 20
+_FAR_MM = 50.0
+_WILD = 8.0
+_ALIKE = 0.05
+
+
+def problem_of(run: Run) -> Series:
+    """Return a run as a problem to fit."""
+    return series_of(joints_of(run), measured_of(run), chain_in(run), run.samples.get("ambient_c"))
+
+
+def judge_poses(run: Run) -> list[Finding]:
+    """Return what is wrong with one table."""
+    n = run.n_samples
+    if n < _FEWEST:
+        said = f"{n} poses: frame and tool alone take nine numbers, at least {_FEWEST} are needed"
+        return [Finding("poses.few", "error", said, {"poses_1": float(n)})]
+    series = problem_of(run)
+    size = np.linalg.norm(series.error_mm, axis=1)
+    typical = float(np.median(size))
+    if typical > _FAR_MM:
+        said = (
+            f"commanded joints and measured points do not belong together: {typical:z.0f} mm apart after frame and tool"
+        )
+        return [Finding("poses.chain", "error", f"{said}{_why(run)}", {"median_mm": typical})]
+    return [*_spoilt(size, typical), *_commanded(run, series), *_repeats(series)]
+
+
+def _why(run: Run) -> str:
+    """Return what would bring them together: a unit, or another chain."""
+    joints, measured = joints_of(run), measured_of(run)
+    if np.ptp(measured, axis=0).max() < 10.0:
+        return "; the points span less than 10 mm: are they in metres?"
+    tried: tuple[tuple[str, Callable[[Floats], Floats]], ...] = (
+        ("joints are radians under a name of degrees", np.degrees),
+        ("joints are degrees under a name of radians", np.radians),
+    )
+    for said, turned in tried:
+        left = series_of(turned(joints), measured, chain_in(run), None).error_mm
+        if np.median(np.linalg.norm(left, axis=1)) < _FAR_MM:
+            return f"; {said}"
+    return "; is the chain that of this robot?"
+
+
+def _spoilt(size: Floats, typical: float) -> list[Finding]:
+    limit = typical + _WILD * 1.4826 * float(np.median(np.abs(size - typical)))
+    rows = np.flatnonzero(size > limit)
+    if not rows.size:
+        return []
+    listed = ", ".join(str(r + 1) for r in rows[:8])
+    said = f"{len(rows)} rows lie beyond {limit:z.2f} mm where half lie within {typical:z.2f}: {listed}"
+    return [Finding("poses.spoilt", "warning", said, {"rows_1": float(len(rows)), "largest_mm": float(size.max())})]
+
+
+def _commanded(run: Run, series: Series) -> list[Finding]:
+    """Compare the target with what joints and chain give, up to a frame and the tool that it was planned for."""
+    if "target_x_mm" not in run.samples:
+        return []
+    planned = series_of(joints_of(run), axes(run, "target"), chain_in(run), None)
+    size = np.linalg.norm(planned.error_mm, axis=1)
+    rows = np.flatnonzero(size > max(1.0, 20.0 * float(np.median(size))))
+    findings = []
+    if rows.size:
+        listed = ", ".join(str(r + 1) for r in rows[:8])
+        said = f"the target of {len(rows)} rows does not follow from joints and chain, by up to {size.max():z.1f} mm: {listed}"
+        findings.append(Finding("poses.commanded", "warning", said, {"rows_1": float(len(rows))}))
+    if "measured_x_mm" in run.samples:
+        ratio = float(
+            np.ptp(axes(run, "target"), axis=0).max()
+            / np.ptp(series.setup.in_base(axes(run, "measured")), axis=0).max()
+        )
+        if not _ALIKE < ratio < 1.0 / _ALIKE:
+            said = f"targets span {ratio:.3g} times what the points do: metres under a name of millimetres?"
+            findings.append(Finding("poses.units", "warning", said, {"ratio_1": ratio}))
+    return findings
+
+
+def _repeats(series: Series) -> list[Finding]:
+    if not series.repeats:
+        said = "no pose was measured twice: the noise floor cannot be known, nor what is significant"
+        return [Finding("poses.no_repeats", "warning", said)]
+    said = f"{series.repeats} poses were measured again: a reading scatters by {1000.0 * series.floor_mm:z.0f} µm"
+    return [Finding("poses.repeats", "info", said, {"floor_mm": series.floor_mm})]

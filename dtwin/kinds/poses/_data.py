@@ -1,0 +1,87 @@
+"""Runs of poses with their chain, and as a problem to fit."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dtwin.acquire.campaign_name import in_lake
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.kinds.poses._chain import KNOWN, chain_of
+from dtwin.kinds.poses._fit import Grams
+from dtwin.kinds.poses._iso9283 import joints_of, measured_of
+from dtwin.kinds.poses._series import series_of
+from dtwin.kinds.poses._setup import Setup
+from dtwin.lake.store import Lake
+from dtwin.schema import Campaign, Floats, Run
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """A campaign, ready to fit; ``data``: table versions and a hash of what was used."""
+
+    campaign: str
+    machine: str
+    grams: Grams
+    data: Mapping[str, Any]
+
+
+def with_chain(run: Run, campaign: Campaign) -> Run:
+    """Return a run that knows the chain of its robot; its condition carries it."""
+    dh = chain_of(campaign.machine_geometry, campaign.name)
+    if dh.shape[0] != joints_of(run).shape[1]:
+        raise InputError(
+            "chain and table differ in their joints",
+            code="poses.joints",
+            where=run.source,
+            got=f"{joints_of(run).shape[1]} columns joint_N_deg",
+            allowed=f"{dh.shape[0]}, as the chain has",
+        )
+    name = str(campaign.machine_geometry.get("chain", "")).lower()
+    told = name if name in KNOWN and "dh" not in campaign.machine_geometry else json.dumps(dh.round(9).tolist())
+    return replace(run, meta=replace(run.meta, condition={**run.meta.condition, "chain": told}))
+
+
+def chain_in(run: Run) -> Floats:
+    """Return the chain that the condition of a run carries."""
+    told = str(run.meta.condition["chain"])
+    return KNOWN[told] if told in KNOWN else np.array(json.loads(told))
+
+
+def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
+    """Return a campaign of the lake or of a folder, which is ingested first.
+
+    ``setup``: frame and tool of another campaign of the same mounting; fitted without.
+
+    Raises
+    ------
+    InputError
+        When it has no sound run, or several: each has a frame and a tool of its own.
+    """
+    lake, name = Lake(home.lake), in_lake(home, campaign)
+    known = lake.campaign(name)
+    if known.kind != "poses":
+        raise InputError("not a campaign of poses", code="poses.kind", where=name, got=known.kind, allowed="poses")
+    runs = [run for run in lake.iterate(name) if not any(f.severity == "error" for f in run.findings)]
+    if len(runs) != 1:
+        raise InputError(
+            "a twin of poses is fitted to one run",
+            code="poses.runs",
+            where=name,
+            got=f"{len(runs)} sound runs",
+            hint="a campaign for each table; dtwin twin compare NAME CAMPAIGN tries the twin on another",
+        )
+    run = runs[0]
+    ambient = run.samples.get("ambient_c")
+    series = series_of(joints_of(run), measured_of(run), chain_in(run), ambient, setup)
+    digest = hashlib.sha256()
+    for row in lake.runs(name):
+        digest.update(str(row["content_sha256"]).encode())
+    data = {**lake.versions(), "runs_sha256": digest.hexdigest(), "n_runs": len(series.error_mm)}
+    return Loaded(name, known.machine, Grams(series), data)

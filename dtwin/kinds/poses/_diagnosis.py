@@ -1,0 +1,318 @@
+"""What a twin of an arm lacks: families of effects that pay on poses left out, the plainest first.
+
+A family is one effect at all joints, less the joints at which it does not pay. Unit of replication is the block:
+neighbouring poses err alike, whatever is missing, so they are held out together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from dtwin.kinds.poses._effects import EFFECTS, Term, family_label
+from dtwin.kinds.poses._fit import Grams, held_out_mm, left_mm
+from dtwin.schema import Floats
+from dtwin.statistics import f_tail, holm, rms, t_tail
+
+KIND = "poses"
+Verdict = Literal["missing_effect", "ambiguous", "unknown_effect", "nothing_missing", "need_repeats"]
+_LEVELS = (
+    ("joint_zero",),
+    ("link_geometry",),
+    ("gravity_sag",),
+    ("joint_cyclic_1", "joint_cyclic_2", "joint_cyclic_3", "joint_reversal"),
+    ("ambient_growth",),
+)
+"""Families from plain to fancy: of two that tell the same, the plainer is named."""
+_ALPHA = 0.01
+# A family counts when it takes this share of the squares that are left on poses left out.
+_MATERIAL = 0.005
+# A joint stays in it when the squares grow by more than this share without it.
+_PAYS = 0.002
+# Another family tells the same when it gains nearly as much alone, and little beside the best.
+_AS_GOOD, _LITTLE = 0.8, 0.2
+# A fancier family takes the place of a plainer one when it gains more, has no more parameters than these besides, and
+# leaves nothing to the plainer one.
+_BETTER, _MORE = 1.1, 2
+# Repeats tell that something is left when it is this many times their scatter.
+_BEYOND = 1.5
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A family that could be added.
+
+    Attributes
+    ----------
+    gain : float
+        Share of the squares left on blocks held out that it takes.
+    p_value : float
+        Of the hypothesis that it takes nothing, over blocks, after Holm over the families of its level.
+    """
+
+    effect: str
+    terms: tuple[Term, ...]
+    gain: float
+    p_value: float
+    rms_after_um: float
+    left_mm2: Floats
+    confounded: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """As a user writes it."""
+        return family_label(self.terms)
+
+    @property
+    def pays(self) -> bool:
+        """Whether it takes enough, and surely."""
+        return self.gain > _MATERIAL and self.p_value < _ALPHA
+
+
+@dataclass(frozen=True)
+class PoseDiagnosis:
+    """What is missing.
+
+    ``group``: what the verdict is about; ``invisible``: terms that the poses cannot tell; ``idle``: terms of the twin
+    that pay nothing beside the others.
+    """
+
+    verdict: Verdict
+    headline: str
+    figures: dict[str, float]
+    candidates: tuple[Candidate, ...]
+    group: tuple[Candidate, ...]
+    invisible: tuple[str, ...]
+    idle: tuple[Term, ...]
+    lack_of_fit_p: float
+
+    @property
+    def additions(self) -> tuple[str, ...]:
+        """What to add, best first."""
+        return tuple(c.label for c in self.group)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        floor, p = self.figures["noise_floor_um"], self.lack_of_fit_p
+        return {
+            "kind": KIND,
+            "verdict": self.verdict,
+            "headline": self.headline,
+            "residual_rms_um": self.figures["rms_after_um"],
+            "held_out_rms_um": self.figures["held_out_rms_um"],
+            "nested_mean_mm": self.figures.get("nested_mean_mm"),
+            "noise_floor_um": floor if np.isfinite(floor) else None,
+            "replication": "block of neighbouring poses",
+            "lack_of_fit_p": p if np.isfinite(p) else None,
+            "candidates": [
+                {
+                    "effect": c.effect,
+                    "axis": c.label.partition("@")[2],
+                    "label": c.label,
+                    "rms_after_um": c.rms_after_um,
+                    "cv_gain": c.gain,
+                    "p_value": c.p_value,
+                    "in_group": c in self.group,
+                    "grade": "shape-consistent" if c in self.group else None,
+                    "confounded_with": list(c.confounded),
+                    "remedy": EFFECTS[c.effect].remedy,
+                }
+                for c in self.candidates
+            ],
+            "invisible": list(self.invisible),
+            "idle": [term.label for term in self.idle],
+            "where": [],
+            "next_experiment": self._experiment(),
+        }
+
+    def _experiment(self) -> dict[str, Any] | None:
+        if self.verdict == "need_repeats":
+            return {"text": "measure thirty of these poses again, later and in another order"}
+        if self.verdict == "ambiguous":
+            return {"text": f"poses that move the joints of {' and '.join(c.label for c in self.group)} apart"}
+        return None
+
+
+def pose_figures(grams: Grams, terms: Sequence[Term]) -> dict[str, float]:
+    """Return errors before and after, RMS of the distance in um, and means in mm."""
+    series = grams.series
+    before, after, held = left_mm(grams, ()), left_mm(grams, terms), held_out_mm(grams, terms)
+    size = [np.linalg.norm(values, axis=1) for values in (before, after, held)]
+    return {
+        "rms_before_um": 1000.0 * rms(size[0]),
+        "rms_after_um": 1000.0 * rms(size[1]),
+        "held_out_rms_um": 1000.0 * rms(size[2]),
+        "mean_before_mm": float(size[0].mean()),
+        "mean_after_mm": float(size[1].mean()),
+        "held_out_mean_mm": float(size[2].mean()),
+        "noise_floor_um": 1000.0 * series.floor_mm,
+    }
+
+
+def diagnose(grams: Grams, terms: Sequence[Term]) -> PoseDiagnosis:
+    """Return what a twin with some terms lacks, and which of them are idle."""
+    found = _candidates(grams, terms)
+    group = _group(grams, terms, found)
+    labels = {c.effect for c in group}
+    shown = (*group, *sorted((c for c in found if c.effect not in labels), key=lambda c: -c.gain))
+    figures = pose_figures(grams, terms)
+    verdict, headline, p = _verdict(grams, group, figures)
+    idle: tuple[Term, ...] = ()
+    if terms and not group:
+        idle = tuple(idle_terms(grams, terms))
+        figures["nested_mean_mm"] = nested_mean_mm(grams)
+    return PoseDiagnosis(verdict, headline, figures, shown, tuple(group), _invisible(grams, terms), idle, p)
+
+
+def selected(grams: Grams, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """Return the terms with all that a diagnosis after the other would add, less those that are idle at the end."""
+    chosen = list(terms)
+    while found := _group(grams, chosen, _candidates(grams, chosen)):
+        chosen += found[0].terms
+    idle = idle_terms(grams, chosen)
+    return tuple(term for term in chosen if term not in idle)
+
+
+def nested_mean_mm(grams: Grams, folds: int = 4) -> float:
+    """Return the mean error on blocks that were held out of the choice of terms as well as of the fit.
+
+    Blocks are dealt to the folds in turn; for each fold the terms are chosen again without it.
+    """
+    blocks = np.arange(len(grams.count))
+    total = 0.0
+    for fold in range(folds):
+        out = blocks % folds == fold
+        rest = grams.without(blocks[out])
+        left = rest.left_elsewhere_mm(grams.series.chosen(selected(rest, ())), np.isin(grams.series.block, blocks[out]))
+        total += float(np.linalg.norm(left, axis=1).sum())
+    return total / len(grams.series.error_mm)
+
+
+def idle_terms(grams: Grams, terms: Sequence[Term]) -> list[Term]:
+    """Return the terms that pay nothing on poses left out beside the others, the most idle first."""
+    kept, idle = list(terms), []
+    now = _left(grams, kept)
+    while kept:
+        without = [_left(grams, [t for t in kept if t != term]) for term in kept]
+        least = int(np.argmin([w.sum() for w in without]))
+        if without[least].sum() > now.sum() * (1.0 + _PAYS):
+            break
+        idle.append(kept.pop(least))
+        now = without[least]
+    return idle
+
+
+def _left(grams: Grams, terms: Sequence[Term]) -> Floats:
+    return grams.left_out(grams.told(grams.series.chosen(terms)))
+
+
+def _invisible(grams: Grams, terms: Sequence[Term]) -> tuple[str, ...]:
+    """Return the terms that the poses cannot tell beside those of the twin."""
+    base = grams.told(grams.series.chosen(terms))
+    others = [term for term in grams.series.slots if term not in terms]
+    chosen = {term: grams.told([*base, *grams.series.chosen([term])[9:]]) for term in others}
+    return tuple(term.label for term in others if len(chosen[term]) == len(base))
+
+
+def _candidates(grams: Grams, terms: Sequence[Term]) -> list[Candidate]:
+    """Return every family that is not whole in the twin, less the joints at which it does not pay, level by level."""
+    before, counted = _left(grams, terms), grams.count
+    candidates: list[Candidate] = []
+    for level in _LEVELS:
+        tried = []
+        for effect in level:
+            more = [term for term in grams.series.slots if term.effect == effect and term not in terms]
+            if more:
+                tried.append((effect, *_pruned(grams, terms, more)))
+        p_values: Sequence[float] = (
+            holm([_paid(before - after, counted) for _, _, after in tried]).tolist() if tried else []
+        )
+        for (effect, more, after), p in zip(tried, p_values, strict=True):
+            left = float(after.sum())
+            gain = 1.0 - left / float(before.sum())
+            size = 1000.0 * float(np.sqrt(max(left, 0.0) / counted.sum()))
+            candidates.append(Candidate(effect, tuple(more), gain, float(p), size, after))
+    return candidates
+
+
+def _pruned(grams: Grams, terms: Sequence[Term], more: Sequence[Term]) -> tuple[list[Term], Floats]:
+    """Return a family without the joints at which it does not pay, and what is left in each block with it."""
+    kept, after = list(more), _left(grams, [*terms, *more])
+    while len(kept) > 1:
+        without = [_left(grams, [*terms, *(t for t in kept if t != term)]) for term in kept]
+        least = int(np.argmin([w.sum() for w in without]))
+        if without[least].sum() > after.sum() * (1.0 + _PAYS):
+            break
+        after = without[least]
+        kept.pop(least)
+    return kept, after
+
+
+def _paid(gain: Floats, count: Floats) -> float:
+    """Return the one-sided p-value of a gain per pose over blocks."""
+    each = gain / count
+    spread = float(each.std(ddof=1)) / np.sqrt(len(each))
+    return t_tail(float(each.mean()) / spread, len(each) - 1.0) if spread > 0.0 else 1.0
+
+
+def _group(grams: Grams, terms: Sequence[Term], candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the plainest family that pays, or a fancier one that explains it away, and those that tell the same."""
+    pays = [c for c in candidates if c.pays]
+    if not pays:
+        return []
+    level = next(level for level in _LEVELS if pays[0].effect in level)
+    best = max((c for c in pays if c.effect in level), key=lambda c: c.gain)
+
+    def beside(first: Candidate, second: Candidate) -> float:
+        """Return what the second gains beside the first, as a share of all squares."""
+        both = _left(grams, [*terms, *first.terms, *second.terms])
+        return float((first.left_mm2 - both).sum()) * (1.0 - first.gain) / float(first.left_mm2.sum())
+
+    for other in sorted(pays, key=lambda c: -c.gain):
+        larger = other.gain > _BETTER * best.gain and _size(grams, other) <= _size(grams, best) + _MORE
+        if larger and beside(other, best) < _LITTLE * best.gain:
+            best = other
+            break
+    alike = [
+        c
+        for c in pays
+        if c is not best and c.gain >= _AS_GOOD * best.gain and beside(best, c) < _LITTLE * min(c.gain, best.gain)
+    ]
+    # What tells far more than the best one does not tell the same.
+    alike = [c for c in alike if c.gain <= best.gain / _AS_GOOD]
+    names = [c.label for c in (best, *alike)]
+    return [replace(c, confounded=tuple(n for n in names if n != c.label)) for c in (best, *alike)]
+
+
+def _size(grams: Grams, candidate: Candidate) -> int:
+    """Return the number of parameters of a family."""
+    return sum(grams.series.slots[t].stop - grams.series.slots[t].start for t in candidate.terms)
+
+
+def _verdict(grams: Grams, group: Sequence[Candidate], figures: dict[str, float]) -> tuple[Verdict, str, float]:
+    floor, left = figures["noise_floor_um"], figures["held_out_rms_um"]
+    what = ""
+    if group:
+        best = group[0]
+        also = f", as well as {', '.join(best.confounded)}" if best.confounded else ""
+        what = f"{best.label} ({EFFECTS[best.effect].title}) takes {100 * best.gain:z.1f} % of the squares on poses held out{also}"
+    if not grams.series.repeats:
+        said = f"{what}; " if what else ""
+        return "need_repeats", f"{said}no pose was measured twice, so no floor is known", float("nan")
+    p = _beyond(grams, left)
+    if group:
+        return ("ambiguous" if group[0].confounded else "missing_effect"), what, p
+    if left > _BEYOND * floor and p < _ALPHA:
+        said = f"{left:z.0f} µm are left, {left / floor:z.0f} times the scatter of repeats: repeatable, and no effect here surely explains it"
+        return "unknown_effect", said, p
+    return "nothing_missing", f"{left:z.0f} µm are left, repeats scatter by {floor:z.0f} µm", p
+
+
+def _beyond(grams: Grams, left_um: float) -> float:
+    """Return the p-value of what is left being scatter of repeats."""
+    series = grams.series
+    ratio = (left_um / 1000.0 / series.floor_mm) ** 2
+    return f_tail(ratio, (3.0 * len(series.error_mm), 3.0 * series.repeats))

@@ -1,0 +1,104 @@
+"""Figures of ISO 9283 from measured poses: accuracy, repeatability and distance accuracy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dtwin.kinds.poses._chain import frames
+from dtwin.kinds.poses._series import mean_mm
+from dtwin.kinds.poses._setup import fitted, rigid
+from dtwin.schema import Floats, Run
+
+_FEWEST_REPEATS = 3
+_PAIRS = 2000
+
+
+def axes(run: Run, what: str) -> Floats:
+    """Return columns ``what_x_mm`` ... as (n, 3)."""
+    return np.stack([run.samples[f"{what}_{a}_mm"] for a in "xyz"], axis=1)
+
+
+def measured_of(run: Run) -> Floats:
+    """Return measured points (n, 3); target plus error when that is what was written."""
+    if "measured_x_mm" in run.samples:
+        return axes(run, "measured")
+    return axes(run, "target") + axes(run, "error")
+
+
+def joints_of(run: Run) -> Floats:
+    """Return commanded joints (n, joints) in degrees."""
+    names = [f"joint_{j}_deg" for j in range(1, 1 + sum(n.startswith("joint_") for n in run.samples))]
+    return np.stack([run.samples[name] for name in names], axis=1)
+
+
+def figures(run: Run, dh: Floats, place: Floats) -> dict[str, Any]:
+    """Return figures of one run, in mm; None for what its rows do not allow.
+
+    Parameters
+    ----------
+    dh : ndarray, shape (joints, 4)
+        The nominal chain.
+    place : ndarray of int, shape (n,)
+        Number of the commanded pose of every row.
+    """
+    measured = measured_of(run)
+    at = frames(np.radians(joints_of(run)), dh)
+    setup = fitted(at, measured)
+    base, point = setup.in_base(measured), at.tool_mm(setup.tool_mm)
+    error = base - point
+    count = np.bincount(place)
+    means = np.stack([np.bincount(place, error[:, i]) / count for i in range(3)], axis=1)
+    accuracy = np.linalg.norm(means, axis=1)
+    scatter = np.linalg.norm(error - means[place], axis=1)
+    often = np.flatnonzero(count >= _FEWEST_REPEATS)
+    repeatability = [scatter[place == p].mean() + 3.0 * scatter[place == p].std(ddof=1) for p in often]
+    rng = np.random.default_rng(0)
+    one, other = rng.integers(0, len(base), (2, _PAIRS))
+    apart = np.linalg.norm(base[one] - base[other], axis=1) - np.linalg.norm(point[one] - point[other], axis=1)
+    as_is = None
+    if "error_x_mm" in run.samples:
+        as_is = mean_mm(axes(run, "error"))
+        rotation, shift = rigid(axes(run, "target"), measured)
+        frame_alone = mean_mm((measured - shift) @ rotation - axes(run, "target"))
+    return {
+        "poses": len(count),
+        "readings": len(base),
+        "repeated_poses": int((count > 1).sum()),
+        "mean_error_mm": mean_mm(error),
+        "largest_error_mm": float(np.linalg.norm(error, axis=1).max()),
+        "pose_accuracy_mm": {"mean": float(accuracy.mean()), "max": float(accuracy.max())},
+        "pose_repeatability_mm": None
+        if not repeatability
+        else {"median": float(np.median(repeatability)), "max": float(np.max(repeatability)), "poses": len(often)},
+        "distance_accuracy_mm": {"rms": float(np.sqrt((apart**2).mean())), "max": float(np.abs(apart).max())},
+        "as_written_mm": as_is,
+        "frame_alone_mm": frame_alone if as_is is not None else None,
+        "tool_mm": setup.tool_mm.tolist(),
+    }
+
+
+def lines(run_id: str, found: dict[str, Any]) -> list[str]:
+    """Return the text of the figures of one run."""
+    out = [
+        f"{run_id}: {found['readings']} readings of {found['poses']} poses, {found['repeated_poses']} measured again"
+    ]
+    if found["as_written_mm"] is not None:
+        out.append(
+            f"  error as written {found['as_written_mm']:z.4f} mm; the best frame alone leaves "
+            f"{found['frame_alone_mm']:z.4f} mm"
+        )
+    accuracy, distance = found["pose_accuracy_mm"], found["distance_accuracy_mm"]
+    out += [
+        f"  frame and tool leave {found['mean_error_mm']:z.3f} mm in the mean, {found['largest_error_mm']:z.3f} at most",
+        f"  pose accuracy AP {accuracy['mean']:z.3f} mm in the mean, {accuracy['max']:z.3f} at most",
+        f"  distance accuracy AD {distance['rms']:z.3f} mm RMS, {distance['max']:z.3f} at most",
+    ]
+    said = found["pose_repeatability_mm"]
+    if said is None:
+        return [*out, "  pose repeatability RP: no pose was measured three times; ISO 9283 asks for thirty"]
+    return [
+        *out,
+        f"  pose repeatability RP {said['median']:z.3f} mm (median of {said['poses']} poses), {said['max']:z.3f} at most",
+    ]

@@ -1,0 +1,135 @@
+"""Poses of a campaign as a linear problem: errors, columns of every term, and blocks that are held out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from dtwin.kinds.poses._chain import frames
+from dtwin.kinds.poses._effects import EFFECTS, Poses, Term, library
+from dtwin.kinds.poses._setup import Setup, columns, fitted
+from dtwin.schema import Floats
+
+_BLOCKS = 64
+_FEWEST = 30
+_SAME_DEG = 0.03
+
+
+@dataclass(frozen=True)
+class Series:
+    """One mounting of one robot, ready to fit.
+
+    Attributes
+    ----------
+    error_mm : ndarray, shape (n, 3)
+        Measured less commanded, base frame, frame and tool taken away.
+    design : ndarray, shape (n, 3, m)
+        What a unit of every parameter does: the set-up's nine first.
+    slots : dict of Term to slice
+        Parameters of every term in ``design``.
+    block : ndarray of int, shape (n,)
+        Neighbouring poses share a block; they are held out together.
+    floor_mm : float
+        Root of the mean square distance of a reading from the mean of its pose, by the median of the repeats:
+        a spoilt one does not lift it. NaN without repeats.
+    repeats : int
+        Poses that were measured more than once.
+    """
+
+    poses: Poses
+    setup: Setup
+    error_mm: Floats
+    design: Floats
+    slots: Mapping[Term, slice]
+    block: Floats
+    floor_mm: float
+    repeats: int
+
+    def chosen(self, terms: Sequence[Term]) -> list[int]:
+        """Return the numbers of the parameters of some terms, the set-up's first."""
+        return [*range(9), *(i for term in terms for i in range(self.slots[term].start, self.slots[term].stop))]
+
+
+def series_of(
+    joints_deg: Floats, measured_mm: Floats, dh: Floats, ambient_c: Floats | None, setup: Setup | None = None
+) -> Series:
+    """Return measured poses as a problem.
+
+    Parameters
+    ----------
+    joints_deg : ndarray, shape (n, joints)
+        Commanded.
+    measured_mm : ndarray, shape (n, 3)
+        In any frame.
+    dh : ndarray, shape (joints, 4)
+        The nominal chain, as :func:`dtwin.kinds.poses._chain.chain_of` gives it.
+    ambient_c : ndarray, shape (n,), or None
+        Temperature.
+    setup : Setup, optional
+        Frame and tool of another campaign of the same mounting; fitted without.
+    """
+    joints = np.radians(joints_deg)
+    at = frames(joints, dh)
+    place = _places(joints_deg)
+    poses = Poses(joints, measured_mm, at, ambient_c, place)
+    setup = setup or fitted(at, measured_mm)
+    point = at.tool_mm(setup.tool_mm)
+    error = setup.in_base(measured_mm) - point
+    parts, slots, begin = [columns(at, setup.tool_mm)], {}, 9
+    for term in library(joints.shape[1], ambient=ambient_c is not None and float(np.ptp(ambient_c)) > 0.5):
+        made = EFFECTS[term.effect].columns(poses, point, term.joint)
+        slots[term] = slice(begin, begin + made.shape[2])
+        parts.append(made)
+        begin += made.shape[2]
+    floor, repeats = _floor(error, place)
+    return Series(poses, setup, error, np.concatenate(parts, axis=2), slots, _blocks(joints, place), floor, repeats)
+
+
+def mean_mm(error_mm: Floats) -> float:
+    """Return the mean distance of errors of shape (n, 3)."""
+    return float(np.linalg.norm(error_mm, axis=1).mean())
+
+
+def _places(joints_deg: Floats) -> Floats:
+    """Return the number of the commanded pose of every row; poses within ``_SAME_DEG`` are one."""
+    n = len(joints_deg)
+    pairs = cKDTree(joints_deg).query_pairs(_SAME_DEG, output_type="ndarray")
+    linked = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    return np.asarray(connected_components(linked, directed=False)[1])
+
+
+def _floor(error: Floats, place: Floats) -> tuple[float, int]:
+    count = np.bincount(place)
+    again = count > 1
+    if not again.any():
+        return float("nan"), 0
+    mean = np.stack([np.bincount(place, error[:, i]) / count for i in range(3)], axis=1)
+    squares = np.bincount(place, ((error - mean[place]) ** 2).sum(axis=1))[again] / (count[again] - 1.0)
+    # Of three directions: the mean square is 3, and the median of chi-squared 2.366.
+    return float(np.sqrt(np.median(squares) * 3.0 / 2.366)), int(again.sum())
+
+
+def _blocks(joints: Floats, place: Floats) -> Floats:
+    """Return blocks of poses whose joints stand alike, of the same size; all repeats of a pose are in one.
+
+    The largest block is halved where its joints differ most, until there are enough.
+    """
+    first = np.unique(place, return_index=True)[1]
+    around = np.concatenate([np.cos(joints[first]), np.sin(joints[first])], axis=1)
+    many = max(min(_BLOCKS, len(first) // _FEWEST), 4)
+    parts = [np.arange(len(first))]
+    while len(parts) < many:
+        largest = parts.pop(max(range(len(parts)), key=lambda n: len(parts[n])))
+        centred = around[largest] - around[largest].mean(axis=0)
+        along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+        order = np.argsort(along, kind="stable")
+        parts += [largest[half] for half in np.array_split(order, 2)]
+    label = np.empty(len(first), dtype=int)
+    for number, part in enumerate(parts):
+        label[part] = number
+    return np.asarray(label[place])

@@ -1,0 +1,119 @@
+"""Twins of an arm as text, and as sections of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from dtwin.report.html import Section, Table
+from dtwin.report.text import micrometres, table
+from dtwin.report.twin_plots import ranked_figure, waterfall_figure
+from dtwin.report.twins import history_text
+
+if TYPE_CHECKING:
+    from dtwin.kinds.poses._twins import PoseTwin
+
+_UNIT = "unit of replication: the block of neighbouring poses"
+
+
+def parameter_table(twin: PoseTwin) -> Table:
+    """Return the parameters; what the poses cannot tell is said so, without a number."""
+    rows = [
+        (
+            p["effect"],
+            p["axis"],
+            p["name"],
+            "not identifiable" if p["value"] is None else f"{p['value']:z.3f}",
+            "" if p["value"] is None else f"± {p['uncertainty']:z.3f}",
+            p["unit"],
+        )
+        for p in twin.as_dict()["parameters"]
+    ]
+    return Table(("effect", "joint", "parameter", "value", "k = 2", "unit"), rows)
+
+
+def twin_text(twin: PoseTwin) -> str:
+    """Return a twin for the terminal."""
+    shown = parameter_table(twin)
+    head = (
+        f"twin {twin.name} version {twin.version} ({twin.action}) of machine {twin.machine}, campaign {twin.campaign}\n"
+        f"{_fell(twin.figures)}"
+    )
+    return "\n".join([head, table(shown.head, shown.rows) if shown.rows else "no effects yet: frame and tool alone"])
+
+
+def comparison_text(result: Mapping[str, Any]) -> str:
+    """Return a comparison for the terminal."""
+    floor = result["noise_floor_um"]
+    return "\n".join(
+        [
+            f"twin {result['twin']} version {result['version']} against campaign {result['campaign']} "
+            f"({result['runs']} readings)",
+            f"mean error {result['mean_before_mm']:z.4f} (frame and tool alone) -> {result['mean_after_mm']:z.4f} mm; "
+            + ("no repeats, no floor" if floor is None else f"scatter of repeats {floor:z.0f} µm"),
+            f"with frame and tool as they were fitted to the twin's own campaign: {result['mean_same_mounting_mm']:z.4f} mm",
+            "largest:",
+            *(f"  row {w['row']}, joints {w['joints_deg']} deg: {w['left_mm']:z.3f} mm" for w in result["where"]),
+        ]
+    )
+
+
+def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
+    """Return a diagnosis for the terminal."""
+    lines = [
+        f"{result['verdict']}: {result['headline']}",
+        f"{micrometres(result['held_out_rms_um'])} µm RMS on poses held out ({_UNIT})",
+    ]
+    rows = [
+        (c["label"], f"{100 * c['cv_gain']:z.1f} %", f"{c['p_value']:.1g}", "yes" if c["in_group"] else "")
+        for c in result["candidates"]
+    ]
+    if rows:
+        lines.append(table(("effect", "gain held out", "p", "in group"), rows))
+    if result.get("nested_mean_mm") is not None:
+        lines.append(
+            "with the effects chosen anew without them, from nothing, quarters of the blocks are left with a mean of "
+            f"{result['nested_mean_mm']:z.4f} mm"
+        )
+    if result.get("idle"):
+        lines.append(f"pays nothing beside the others: {', '.join(result['idle'])}")
+    if result["invisible"]:
+        lines.append(f"not identifiable beside frame, tool and what the twin has: {', '.join(result['invisible'])}")
+    if result["next_experiment"]:
+        lines.append(f"next: {result['next_experiment']['text']}")
+    best = next((c for c in result["candidates"] if c["in_group"]), None)
+    return "\n".join([*lines, f"try: dtwin twin add {name} {best['label']}" if best else "nothing to add"])
+
+
+def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
+    """Return a diagnosis for a report."""
+    figures = [ranked_figure(result)] if result["candidates"] else []
+    return Section(
+        "What is missing", [], [("warning", result["headline"])], [], figures, [diagnosis_text(name, result)]
+    )
+
+
+def twin_section(twin: PoseTwin) -> Section:
+    """Return a twin for a report."""
+    return Section("The twin", [_fell(twin.figures)], tables=[parameter_table(twin)])
+
+
+def history_section(rungs: Sequence[Mapping[str, Any]]) -> Section:
+    """Return the versions of a twin for a report."""
+    return Section(
+        "From version to version", figures=[waterfall_figure(rungs, begun="no effects")], code=[history_text(rungs)]
+    )
+
+
+def comparison_sections(found: object, result: Mapping[str, Any]) -> list[Section]:
+    """Return a comparison for a report."""
+    return [Section("Measured against predicted", code=[comparison_text(result)])]
+
+
+def _fell(figures: Mapping[str, float | None]) -> str:
+    floor = figures["noise_floor_um"]
+    return (
+        f"mean error {figures['mean_before_mm']:z.4f} (frame and tool alone) -> {figures['mean_after_mm']:z.4f} mm, "
+        f"{figures['held_out_mean_mm']:z.4f} mm on poses held out ({_UNIT}); "
+        + ("no repeats: the floor is not known" if floor is None else f"scatter of repeats {floor:z.0f} µm")
+    )

@@ -1,0 +1,249 @@
+"""Candidates for the error of a tone, judged by frequencies and amplitudes that were left out."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.exceptions import ConvergenceWarning
+
+from dtwin.kinds.sinusoidal._gates import correction_radius, dead_terms
+from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups
+from dtwin.kinds.sinusoidal._laws import Law, power_law, printed_form, searched, two_modes
+from dtwin.kinds.sinusoidal._narx import Narx
+from dtwin.kinds.sinusoidal.bundle import Action, tone_bundle
+from dtwin.schema import Floats
+from dtwin.serve.export import to_text
+from dtwin.statistics import rms
+from dtwin.train.candidates import RECIPES, Recipe, fitted
+from dtwin.train.latency import bundle_latency
+from dtwin.train.results import Candidate, Scores
+from dtwin.train.symbolic import Engine
+
+# Amplitude error in um and lag in degrees of groups, from a fit to others.
+Predicted = tuple[Floats, Floats]
+Predict = Callable[[ToneGroups, ToneGroups], Predicted]
+FORMS: dict[str, Callable[[ToneGroups], tuple[Law, Law]]] = {
+    "two-modes": two_modes,
+    "power-law": power_law,
+    "printed-form": printed_form,
+}
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How well a way to predict does on what it did not see.
+
+    ``scores``: of the amplitude error, by what was left out.
+    ``numbers``: of the phase error: ``leave_..._out.phase_r2`` and ``phase_mae_deg``.
+    """
+
+    scores: dict[str, Scores]
+    numbers: dict[str, float]
+
+
+# A net keeps a tenth apart to know when to stop.
+_FEWEST_FOR_NET = 24
+
+
+def judged(groups: ToneGroups, predict: Predict) -> Judged:
+    """Leave out every frequency, then every amplitude, in turn.
+
+    ``predict``: given groups to fit to and groups to predict, returns amplitude and phase errors.
+    """
+    scores, numbers = {}, {}
+    for name in HELD_OUT:
+        label = groups.label(name)
+        amplitude, phase = np.zeros(groups.n), np.zeros(groups.n)
+        for value in np.unique(label):
+            out = label == value
+            amplitude[out], phase[out] = predict(groups.only(~out), groups.only(out))
+        scores[name] = _scores(groups, amplitude, name)
+        rest = groups.phase_error_deg - phase
+        numbers[f"leave_{name}_out.phase_r2"] = _r2(groups.phase_error_deg, phase)
+        numbers[f"leave_{name}_out.phase_mae_deg"] = float(np.mean(np.abs(rest)))
+    return Judged(scores, numbers)
+
+
+def _scores(groups: ToneGroups, amplitude: Floats, name: str) -> Scores:
+    rest = groups.amplitude_error_um - amplitude
+    ratio = np.abs(rest) / np.maximum(np.abs(groups.amplitude_error_um), 1e-9)
+    worst = int(np.argmax(ratio))
+    where = f"{groups.frequency_hz[worst]:g} Hz {groups.amplitude_um[worst]:g} µm"
+    return Scores(
+        name,
+        _r2(groups.amplitude_error_um, amplitude),
+        rms(rest),
+        float(np.mean(np.abs(rest))),
+        float(ratio[worst]),
+        where,
+        len(np.unique(groups.label(name))),
+        groups.n,
+    )
+
+
+def _r2(true: Floats, predicted: Floats) -> float:
+    return 1.0 - float(np.sum((true - predicted) ** 2) / np.sum((true - true.mean()) ** 2))
+
+
+def law_candidates(
+    groups: ToneGroups, machine: str, engine: Engine | None, seed: int, table_versions: dict[str, int]
+) -> list[Candidate]:
+    """Return the candidates that are equations, each with its bundle.
+
+    ``groups``: groups that the accelerometer hears.
+    ``engine``: free search; Operon without.
+    """
+    given = [form_candidate(groups, machine, name, table_versions) for name in FORMS]
+    return [*given, searched_candidate(groups, machine, engine, seed, table_versions)]
+
+
+def form_candidate(
+    groups: ToneGroups, machine: str, name: str, table_versions: dict[str, int], action: Action = "inverse"
+) -> Candidate:
+    """Return the candidate of one of ``FORMS``; parameters as for :func:`law_candidates`."""
+    fit = FORMS[name]
+
+    def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
+        return _values(fit(train), test)
+
+    scored = judged(groups, predict)
+    return _law_candidate(groups, fit(groups), name, scored, machine, table_versions, action)
+
+
+def searched_candidate(
+    groups: ToneGroups,
+    machine: str,
+    engine: Engine | None,
+    seed: int,
+    table_versions: dict[str, int],
+    action: Action = "inverse",
+) -> Candidate:
+    """Return the candidate of the free search; parameters as for :func:`law_candidates`.
+
+    Its scores are those of searches without what is predicted: form, features and constants.
+    """
+    amplitude, phase, front = searched(groups, engine, seed)
+
+    def again(train: ToneGroups, test: ToneGroups) -> Predicted:
+        return _values(searched(train, engine, seed)[:2], test)
+
+    name = f"symbolic-{engine.name if engine else 'operon'}"
+    made = _law_candidate(groups, (amplitude, phase), name, judged(groups, again), machine, table_versions, action)
+    return replace(made, front=tuple({"nodes": p["nodes"], "rms_um": p["rms"]} for p in front))
+
+
+def _values(laws: tuple[Law, Law], groups: ToneGroups) -> Predicted:
+    return laws[0].values(groups.columns), laws[1].values(groups.columns)
+
+
+def _law_candidate(
+    groups: ToneGroups,
+    laws: tuple[Law, Law],
+    name: str,
+    judged: Judged,
+    machine: str,
+    table_versions: dict[str, int],
+    action: Action,
+) -> Candidate:
+    bundle = tone_bundle(*laws, groups, name, machine, action, table_versions)
+    radius, where = correction_radius(bundle, groups)
+    dead = dead_terms(bundle, groups)
+    assert bundle.window_graph is not None
+    rest = groups.amplitude_error_um - laws[0].values(groups.columns)
+    numbers = judged.numbers | {"spectral_radius": radius, "dead_terms": float(len(dead))}
+    equation = f"amplitude error, µm = {laws[0].readable()}\nlag, deg = {laws[1].readable()}"
+    findings = [f"{name_} is a dead constant on clean sines" for name_ in dead]
+    if where:
+        findings.append(f"spectral radius of the corrected loop {radius:z.3f}, worst at {where}")
+    return Candidate(
+        name=name,
+        family="symbolic",
+        promotable=True,
+        complexity=len(bundle.window_graph.nodes),
+        scores=judged.scores,
+        train_rms_um=rms(rest),
+        latency=bundle_latency(bundle),
+        equation=equation,
+        exports={"equation.txt": equation, "tick.txt": to_text(bundle.tick_graph)},
+        bundle=bundle.to_dict(),
+        findings=tuple(findings),
+        numbers=numbers,
+    )
+
+
+def compared_candidates(groups: ToneGroups, seed: int) -> list[Candidate]:
+    """Return what equations are compared with: trivial ones, regressors on the features, NARX.
+
+    ``groups``: groups that the accelerometer hears.
+    """
+
+    def mean(train: ToneGroups, test: ToneGroups) -> Predicted:
+        one = np.ones(test.n)
+        return one * train.amplitude_error_um.mean(), one * train.phase_error_deg.mean()
+
+    ways: list[tuple[str, Any, int, Predict]] = [
+        ("zero", "baseline", 0, lambda train, test: (np.zeros(test.n), np.zeros(test.n))),
+        ("constant", "baseline", 2, mean),
+    ]
+    enough = groups.n >= _FEWEST_FOR_NET
+    usable = [r for r in RECIPES if r.columns == "all" and (enough or r.family != "neural")]
+    ways += [(r.name, r.family, 0, _regressor(r, seed)) for r in usable]
+    with warnings.catch_warnings():
+        # A comparison model that has not converged is judged as it is.
+        warnings.simplefilter("ignore", ConvergenceWarning)
+        return [narx_candidate(groups), *(_compared(groups, *way) for way in ways)]
+
+
+def narx_candidate(groups: ToneGroups) -> Candidate:
+    """Return the baseline that predicts the tool's error from lagged commands."""
+    return _compared(groups, "narx", "baseline", 2 * Narx.LAGS + 1, _narx)
+
+
+def _compared(groups: ToneGroups, name: str, family: Any, size: int, predict: Predict) -> Candidate:
+    scored = judged(groups, predict)
+    rest = groups.amplitude_error_um - predict(groups, groups)[0]
+    return Candidate(
+        name,
+        family,
+        False,
+        size,
+        scored.scores,
+        rms(rest),
+        findings=("not an expression: cannot be promoted",) if family != "baseline" else (),
+        numbers=scored.numbers,
+    )
+
+
+def _regressor(recipe: Recipe, seed: int) -> Predict:
+    def predict(train: ToneGroups, test: ToneGroups) -> Predicted:
+        size = np.abs(train.features).max(axis=0)
+        tone = np.unique(train.frequency_hz, return_inverse=True)[1]
+        amplitude, phase = (
+            fitted(recipe, seed, train.features, target, size, tone).predict(test.features)
+            for target in (train.amplitude_error_um, train.phase_error_deg)
+        )
+        return amplitude, phase
+
+    return predict
+
+
+def _narx(train: ToneGroups, test: ToneGroups) -> Predicted:
+    model = Narx.fitted(train)
+    found = [model.errors(trace, f) for trace, f in zip(test.traces, test.frequency_hz, strict=True)]
+    values: NDArray[np.float64] = np.array(found)
+    return values[:, 0], values[:, 1]
+
+
+def proposed(candidates: Sequence[Candidate], most_radius: float) -> str:
+    """Return the equation with the smallest held-out error among those without dead terms.
+
+    ``most_radius``: spectral radius beyond which an equation is proposed only when there is no other.
+    """
+    laws = [c for c in candidates if c.promotable]
+    sound = [c for c in laws if c.numbers["dead_terms"] == 0.0 and c.numbers["spectral_radius"] <= most_radius]
+    return min(sound or laws, key=lambda c: c.held_out.rms_um).name

@@ -1,0 +1,237 @@
+"""What is wrong with a test that commands a tone, said before anyone models it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.features.sine import Tone, ToneErrors, fit_tone, tone_errors
+from dtwin.kinds.sinusoidal._plan import FEWEST_PER_PERIOD, FORETOLD_S, LEARNED_S, SAFE_SHARE
+from dtwin.schema import Campaign, Finding, Floats, Run, SignalGroup
+from dtwin.units import UM_PER_MM
+
+# A quantised sine spends about 1 % of its samples at its highest value, a clipped one far more.
+_CLIPPED_SHARE = 0.05
+# Below this share of the tone in the accelerometer's power its features are noise.
+HEARD = 0.5
+_SAME_TONE = 0.9
+
+
+@dataclass(frozen=True)
+class Commanded:
+    """What a run was told to do."""
+
+    frequency_hz: float
+    amplitude_um: float
+
+
+def commanded(run: Run) -> Commanded:
+    """Return frequency and amplitude that a run states."""
+    values = [run.meta.condition.get(name) for name in ("frequency_hz", "amplitude_um")]
+    numbers = [float(v) for v in values if isinstance(v, int | float) and v > 0.0]
+    if len(numbers) < 2:
+        raise InputError(
+            "a sinusoidal run must state frequency and amplitude",
+            code="sinusoidal.condition",
+            where=f"run {run.meta.run_id}",
+            got=f"frequency_hz, amplitude_um = {values}",
+            allowed="positive numbers under [run.condition]",
+        )
+    return Commanded(*numbers)
+
+
+def with_bandwidth(run: Run, campaign: Campaign) -> Run:
+    """Return a sinusoidal run with the axis's control bandwidth among its conditions, checked.
+
+    ``run``: a run of kind ``sinusoidal``.
+    ``campaign``: ``machine_geometry.z_bandwidth_hz`` is the bandwidth, where it is known.
+    """
+    commanded(run)
+    bandwidth = campaign.machine_geometry.get("z_bandwidth_hz")
+    if bandwidth is None:
+        return run
+    if not isinstance(bandwidth, int | float) or not 0.0 < bandwidth < 1e6:
+        raise InputError(
+            "the bandwidth is no frequency",
+            code="sinusoidal.bandwidth",
+            where="campaign.machine_geometry z_bandwidth_hz",
+            got=repr(bandwidth)[:40],
+            allowed="a positive number",
+        )
+    condition = dict(run.meta.condition) | {"z_bandwidth_hz": float(bandwidth)}
+    return replace(run, meta=replace(run.meta, condition=condition))
+
+
+def followed(run: Run, last_s: float | None = None) -> ToneErrors | None:
+    """Return how encoder and tool follow the command, None without a probe at the tool.
+
+    ``run``: with samples.
+    ``last_s``: only this much of the end.
+    """
+    samples = run.samples
+    if "tool_z_mm" not in samples:
+        return None
+    t = samples["t_s"]
+    part = t > t[-1] - last_s if last_s is not None else np.ones(len(t), dtype=bool)
+    command, encoder, tool = (samples[name][part] * UM_PER_MM for name in ("cmd_z_mm", "act_z_mm", "tool_z_mm"))
+    return tone_errors(t[part], command, encoder, tool, commanded(run).frequency_hz)
+
+
+def heard(run: Run) -> Tone | None:
+    """Return the commanded tone as the first accelerometer channel hears it, None without one."""
+    group = next((g for g in run.signals if g.name == "accelerometers" and g.columns), None)
+    if group is None:
+        return None
+    values = next(iter(group.columns.values()))
+    return fit_tone(group.t_s, values, commanded(run).frequency_hz)
+
+
+def judge_sinusoidal_run(run: Run) -> list[Finding]:
+    """Return the findings of one run of a tone.
+
+    ``run``: with samples, and with signals where there are any.
+    """
+    told = commanded(run)
+    findings = _sampling(run, told) + _tone(run, told)
+    bandwidth = run.meta.condition.get("z_bandwidth_hz")
+    if isinstance(bandwidth, float) and told.frequency_hz > SAFE_SHARE * bandwidth + 1e-9:
+        findings.append(
+            Finding(
+                "sinusoidal.beyond_safe",
+                "error",
+                f"{told.frequency_hz:g} Hz is beyond the safe limit of {SAFE_SHARE * bandwidth:g} Hz "
+                f"({SAFE_SHARE:g} of the axis's bandwidth of {bandwidth:g} Hz)",
+                {"frequency_hz": told.frequency_hz, "limit_hz": SAFE_SHARE * bandwidth},
+            )
+        )
+    for name in ("act_z_mm", "tool_z_mm"):
+        if name in run.samples:
+            findings += _clipped(run.samples[name], name, "reading.clipped")
+    for group in run.signals:
+        findings += _sensor(run, group, told)
+    return findings
+
+
+def judge_sinusoidal_campaign(runs: Sequence[Run]) -> list[Finding]:
+    """Return what the groups of a campaign lack together.
+
+    ``runs``: samples are not needed.
+    """
+    told = [commanded(run) for run in runs]
+    count = Counter(told)
+    single = sum(n == 1 for n in count.values())
+    findings = []
+    if single:
+        findings.append(
+            Finding(
+                "campaign.no_repeat",
+                "warning",
+                f"{single} of {len(count)} groups have no repeat: their noise floor is unknown",
+                {"conditions_1": float(single)},
+            )
+        )
+    grid = len({c.frequency_hz for c in told}) * len({c.amplitude_um for c in told})
+    if grid > len(count):
+        findings.append(
+            Finding(
+                "sinusoidal.grid",
+                "warning",
+                f"{grid - len(count)} of {grid} combinations of frequency and amplitude are missing",
+                {"missing_1": float(grid - len(count))},
+            )
+        )
+    return findings
+
+
+def _sampling(run: Run, told: Commanded) -> list[Finding]:
+    t = run.samples["t_s"]
+    findings = _rate_finding(run.meta.sample_rate_hz, told.frequency_hz, "the samples")
+    if len(t) and t[-1] - t[0] < LEARNED_S - 0.01:
+        findings.append(
+            Finding(
+                "sinusoidal.short",
+                "warning",
+                f"{t[-1] - t[0]:z.2f} s are recorded; {LEARNED_S - FORETOLD_S:g} s for the features and "
+                f"{FORETOLD_S:g} s for what they foretell are needed",
+                {"duration_s": float(t[-1] - t[0])},
+            )
+        )
+    return findings
+
+
+def _rate_finding(rate_hz: float, frequency_hz: float, what: str) -> list[Finding]:
+    if not np.isfinite(rate_hz) or rate_hz >= FEWEST_PER_PERIOD * frequency_hz:
+        return []
+    folded = rate_hz <= 2.0 * frequency_hz
+    alias = abs(frequency_hz - rate_hz * round(frequency_hz / rate_hz))
+    why = (
+        f"the tone of {frequency_hz:g} Hz appears at {alias:g} Hz"
+        if folded
+        else f"{rate_hz / frequency_hz:z.1f} samples to a period: peaks are missed"
+    )
+    return [
+        Finding(
+            "sinusoidal.aliasing",
+            "error" if folded else "warning",
+            f"{what} come at {rate_hz:g} Hz: {why}",
+            {"rate_hz": rate_hz, "frequency_hz": frequency_hz},
+        )
+    ]
+
+
+def _tone(run: Run, told: Commanded) -> list[Finding]:
+    findings = []
+    tone = fit_tone(run.samples["t_s"], run.samples["cmd_z_mm"] * UM_PER_MM, told.frequency_hz)
+    if tone.share < _SAME_TONE or abs(tone.amplitude - told.amplitude_um) > 0.1 * told.amplitude_um:
+        findings.append(
+            Finding(
+                "sinusoidal.not_the_tone",
+                "error",
+                f"the command is not the stated tone of {told.amplitude_um:g} µm at "
+                f"{told.frequency_hz:g} Hz: that explains {100 * tone.share:z.0f} % of its power with "
+                f"{tone.amplitude:z.2f} µm",
+                {"share_1": tone.share, "amplitude_um": tone.amplitude},
+            )
+        )
+    if "tool_z_mm" not in run.samples:
+        findings.append(
+            Finding(
+                "sinusoidal.no_reference",
+                "warning",
+                "no column tool_z_mm: what the tool does beyond the encoder is not known",
+            )
+        )
+    return findings
+
+
+def _sensor(run: Run, group: SignalGroup, told: Commanded) -> list[Finding]:
+    findings = _rate_finding(group.rate_hz, told.frequency_hz, f"the signals of {group.name}")
+    for name, values in group.columns.items():
+        findings += _clipped(values, name, "sensor.saturated")
+    if group.name != "accelerometers" or not group.columns:
+        return findings
+    tone = heard(run)
+    if tone is not None and tone.share < HEARD:
+        findings.append(
+            Finding(
+                "sensor.below_noise",
+                "warning",
+                f"the accelerometer does not hear {told.amplitude_um:g} µm at {told.frequency_hz:g} Hz: "
+                f"{100 * tone.share:z.0f} % of its power is the tone, its features are noise",
+                {"share_1": tone.share},
+            )
+        )
+    return findings
+
+
+def _clipped(values: Floats, name: str, code: str) -> list[Finding]:
+    spread = float(np.ptp(values))
+    ends = [float(np.mean(values == end)) for end in (values.max(), values.min())]
+    if spread > 0.0 and max(ends) < _CLIPPED_SHARE:
+        return []
+    what = f"{100 * max(ends):z.0f} % of {name} lie at its limit" if spread else f"{name} is stuck"
+    return [Finding(code, "error", f"{what}: amplitudes are wrong", {"share_1": max(ends)})]

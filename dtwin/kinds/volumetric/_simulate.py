@@ -1,0 +1,193 @@
+"""Ball-array campaigns of the virtual mill that heat deforms, written as campaign folders."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.acquire.campaign_file import write_campaign_file
+from dtwin.acquire.signal_files import write_signals
+from dtwin.errors import InputError
+from dtwin.kinds.volumetric._plan import BallPlan
+from dtwin.lake.parquet import table_of, write_parquet
+from dtwin.machines.thermal_network import SCHEDULES
+from dtwin.machines.volumetric import (
+    AZIMUTHS_DEG,
+    BALL_S,
+    FIXED_BALLS_MM,
+    HELD_OUT_POSES,
+    READING_S,
+    STROKES_MM,
+    BallReadings,
+    VolumetricMill,
+    VolumetricParameters,
+    array_balls,
+)
+from dtwin.progress import Progress
+from dtwin.schema import SignalGroup
+
+MACHINE = "virtual-volumetric-mill"
+QUICK_EVERY = 3
+# Where the thermocouples sit: stuck on the castings, or every second one sunk into them.
+TRUTHS = {"surface": VolumetricParameters(), "pockets": VolumetricParameters(pocket_1=0.85)}
+
+
+def simulate_volumetric(
+    folder: Path,
+    progress: Progress,
+    *,
+    schedule: str = "training",
+    seed: int = 0,
+    quick: bool = False,
+    parameters: VolumetricParameters | None = None,
+    plan: BallPlan | None = None,
+) -> int:
+    """Measure the virtual mill for days and write a campaign folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets two files for each cycle, and, last, ``campaign.toml``.
+    schedule : {"training", "validation"}
+        What heats the machine: 234 h in spring, or 169 h in another order in a warmer season.
+    seed : int
+        Of the machine; both campaigns of one machine need the same.
+    quick : bool
+        Every third cycle only.
+    plan : BallPlan, optional
+        Hours, and how often; the array and its poses are the machine's own.
+
+    Returns
+    -------
+    int
+        Cycles that were measured.
+
+    Raises
+    ------
+    InputError
+        When the folder holds a finished campaign, or there is no such schedule.
+    """
+    if (folder / "campaign.toml").exists():
+        raise InputError(
+            "the folder holds a campaign already", code="simulate.exists", where=str(folder), hint="give another --out"
+        )
+    if schedule not in SCHEDULES:
+        raise InputError("no such schedule", code="simulate.schedule", got=schedule[:40], allowed=", ".join(SCHEDULES))
+    mill = VolumetricMill(SCHEDULES[schedule], parameters or VolumetricParameters(), seed)
+    cycles = planned_cycles(plan, mill) if plan else range(0, mill.cycles, QUICK_EVERY if quick else 1)
+    folder.mkdir(parents=True, exist_ok=True)
+    name, machine = (plan.name, plan.machine) if plan else (f"volumetric-{schedule}", MACHINE)
+    for done, cycle in enumerate(cycles):
+        _write_cycle(folder, cycle, mill.measure(cycle), mill)
+        progress(done + 1, len(cycles), f"hour {cycle}")
+    _write_campaign_file(folder, name, machine, list(cycles), mill, corrected=False)
+    return len(cycles)
+
+
+def write_ball_campaign(
+    folder: Path,
+    name: str,
+    machine: str,
+    cycles: Sequence[int],
+    readings: Sequence[BallReadings],
+    mill: VolumetricMill,
+    *,
+    corrected: bool,
+) -> None:
+    """Write cycles that were measured as a campaign folder; the campaign file comes last.
+
+    ``cycles``: hours at which they began.
+    ``corrected``: whether a correction was in force.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for cycle, found in zip(cycles, readings, strict=True):
+        _write_cycle(folder, cycle, found, mill)
+    _write_campaign_file(folder, name, machine, list(cycles), mill, corrected=corrected)
+
+
+def parameters_of(truth: str) -> VolumetricParameters:
+    """Return what the virtual mill is like by name, ``surface`` or ``pockets``.
+
+    Raises
+    ------
+    InputError
+        When there is no such mill.
+    """
+    if truth not in TRUTHS:
+        raise InputError("no such virtual mill", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))
+    return TRUTHS[truth]
+
+
+def planned_cycles(plan: BallPlan, mill: VolumetricMill) -> range:
+    """Return the hours at which cycles begin."""
+    own = {
+        "balls": len(array_balls(1)),
+        "poses": len(AZIMUTHS_DEG),
+        "table_balls": len(FIXED_BALLS_MM),
+        "ball_s": BALL_S,
+    }
+    asked = {name: getattr(plan, name) for name in own}
+    if asked != own or plan.every_h != int(plan.every_h) or plan.hours > mill.cycles:
+        raise InputError(
+            "the virtual mill cannot do this",
+            code="simulate.plan",
+            got=", ".join(f"{k} {v:g}" for k, v in asked.items()) + f", every_h {plan.every_h:g}, hours {plan.hours:g}",
+            allowed=", ".join(f"{k} {v:g}" for k, v in own.items())
+            + f", every_h in whole hours, hours up to {mill.cycles}",
+        )
+    return range(0, plan.cycles * int(plan.every_h), int(plan.every_h))
+
+
+def _write_cycle(folder: Path, cycle: int, readings: BallReadings, mill: VolumetricMill) -> None:
+    stem = f"c{cycle:03d}"
+    write_parquet(folder / f"{stem}.parquet", table_of(_columns(readings)))
+    for name, columns in (("thermocouples", mill.thermocouples_c(cycle)), ("control", mill.control_c(cycle))):
+        write_signals(folder / f"{stem}.{name}.parquet", SignalGroup(name, 1.0 / READING_S, columns))
+
+
+def _columns(readings: BallReadings) -> dict[str, NDArray[Any]]:
+    columns: dict[str, NDArray[Any]] = {"t_s": readings.t_s - readings.t_s[0]}
+    for i, axis in enumerate("xyz"):
+        columns[f"{axis}_mm"] = readings.nominal_mm[:, i]
+        columns[f"error_{axis}_um"] = np.round(readings.error_um[:, i], 3)
+    columns["pose_1"] = readings.pose.astype(float)
+    columns["ball_1"] = readings.ball.astype(float)
+    return columns
+
+
+def _write_campaign_file(
+    folder: Path, name: str, machine: str, cycles: list[int], mill: VolumetricMill, *, corrected: bool
+) -> None:
+    geometry = {
+        "type": "volumetric",
+        "virtual": True,
+        "corrected": corrected,
+        "chain": "XZY",
+        **{f"stroke_{axis}_mm": list(reach) for axis, reach in STROKES_MM.items()},
+        "poses": len(AZIMUTHS_DEG),
+        "held_out_poses": list(HELD_OUT_POSES),
+        "pose_repeat_um": float(f"{1.5 * mill.parameters.repeat_um:g}"),
+    }
+    instrument = {"model": "virtual ball array, probe and thermocouples"}
+    runs = [
+        {
+            "id": stem,
+            "file": f"{stem}.parquet",
+            "signals": [f"{stem}.thermocouples.parquet", f"{stem}.control.parquet"],
+            "repeat": 1,
+            "condition": {"time_h": float(cycle)},
+        }
+        for cycle, stem in ((cycle, f"c{cycle:03d}") for cycle in cycles)
+    ]
+    head = {
+        "name": name,
+        "machine": machine,
+        "kind": "volumetric",
+        "machine_geometry": geometry,
+        "instrument": instrument,
+    }
+    write_campaign_file(folder, head, runs)
