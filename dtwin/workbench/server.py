@@ -18,23 +18,21 @@ from starlette.responses import RedirectResponse, Response
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError, MissingPart
-from dtwin.workbench import (
-    campaign_routes,
-    effect_routes,
-    heat_pages,
-    job_routes,
-    live_routes,
-    machine_routes,
-    measuring_routes,
-    model_routes,
-    models,
-    reading,
-    twin_actions,
-    twin_routes,
-)
-from dtwin.workbench.access import Access, Guarded
-from dtwin.workbench.bench import Bench
-from dtwin.workbench.pages import refused
+from dtwin.workbench import _campaign_routes as campaign_routes
+from dtwin.workbench import _effect_routes as effect_routes
+from dtwin.workbench import _heat_pages as heat_pages
+from dtwin.workbench import _job_routes as job_routes
+from dtwin.workbench import _live_routes as live_routes
+from dtwin.workbench import _machine_routes as machine_routes
+from dtwin.workbench import _measuring_routes as measuring_routes
+from dtwin.workbench import _model_routes as model_routes
+from dtwin.workbench import _models as models
+from dtwin.workbench import _reading as reading
+from dtwin.workbench import _twin_actions as twin_actions
+from dtwin.workbench import _twin_routes as twin_routes
+from dtwin.workbench._access import Access, Guarded
+from dtwin.workbench._bench import Bench
+from dtwin.workbench._pages import refused
 
 _WARMED_TWINS = 3
 _KINDS = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}

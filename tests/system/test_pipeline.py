@@ -34,7 +34,7 @@ from dtwin.train.promotion import history, promote, rollback
 from dtwin.train.registry import Registry
 from dtwin.train.rows import gather
 from dtwin.train.symbolic import OperonEngine
-from dtwin.workbench.models import judged
+from dtwin.workbench._models import judged
 from flows._artifacts import slug
 from flows.page import shown_steps
 

@@ -20,8 +20,8 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
 from dtwin.kinds.kind import NotOffered
 from dtwin.lake.store import Lake
-from dtwin.workbench.access import Access
-from dtwin.workbench.bench import Bench
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
 
 

@@ -24,8 +24,8 @@ from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.train.symbolic import Found
-from dtwin.workbench.access import Access
-from dtwin.workbench.bench import Bench
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
 
 ROOT = Path(__file__).parents[3]

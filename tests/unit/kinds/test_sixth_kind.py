@@ -21,8 +21,8 @@ from dtwin.physics import library
 from dtwin.serve.bundle_file import load_bundle
 from dtwin.serve.pointer import resolve
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.workbench.access import Access
-from dtwin.workbench.bench import Bench
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
 from dtwin.workbench.server import application
 
 POINTS = {

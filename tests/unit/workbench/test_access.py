@@ -7,7 +7,7 @@ from starlette.routing import Route
 from starlette.testclient import TestClient
 
 from dtwin.own_address import is_foreign, names_this_computer
-from dtwin.workbench.access import Access, Guarded
+from dtwin.workbench._access import Access, Guarded
 
 
 async def said(_request: object) -> PlainTextResponse:

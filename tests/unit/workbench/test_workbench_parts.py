@@ -15,11 +15,11 @@ from dtwin.physics.experiment import planned_observations
 from dtwin.physics.gridding import Condition
 from dtwin.plan import expand, training_plan
 from dtwin.twins.measured import pure_rms_um
-from dtwin.workbench.access import Access
-from dtwin.workbench.cache import Cache
-from dtwin.workbench.experiment_files import experiment_documents, grids_of, plans_zip
-from dtwin.workbench.jobs import Jobs, Tell
-from dtwin.workbench.numbers import decimal
+from dtwin.workbench._access import Access
+from dtwin.workbench._cache import Cache
+from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
+from dtwin.workbench._jobs import Jobs, Tell
+from dtwin.workbench._numbers import decimal
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.workbench import uploads
+from dtwin.workbench import _uploads as uploads
 
 
 def archive(path: Path, members: dict[str, bytes], mode: int = 0) -> Path:

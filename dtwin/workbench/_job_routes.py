@@ -8,7 +8,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 
 from dtwin.errors import InputError
-from dtwin.workbench.bench import bench_of
+from dtwin.workbench._bench import bench_of
 
 router = APIRouter()
 

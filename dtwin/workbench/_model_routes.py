@@ -12,10 +12,10 @@ from starlette.responses import JSONResponse, Response
 from dtwin.errors import InputError
 from dtwin.report.html import Table
 from dtwin.report.model_plots import comparison_figure, evidence_figure, front_figure, r2_figure
-from dtwin.workbench import models
-from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.jobs import Tell
-from dtwin.workbench.pages import accepted, drawn, rendered
+from dtwin.workbench import _models as models
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._jobs import Tell
+from dtwin.workbench._pages import accepted, drawn, rendered
 
 router = APIRouter()
 

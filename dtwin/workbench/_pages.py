@@ -17,8 +17,8 @@ from dtwin.errors import DtwinError, GateRefusal
 from dtwin.report.text import micrometres
 from dtwin.report.twins import condition_words, number, place_words
 from dtwin.units import shown_unit
-from dtwin.workbench.bench import bench_of
-from dtwin.workbench.jobs import Job
+from dtwin.workbench._bench import bench_of
+from dtwin.workbench._jobs import Job
 
 _UNKNOWN = ("campaign.unknown", "twin.unknown", "twin.version", "page.unknown", "model.unknown")
 _WORDS = {

@@ -31,14 +31,14 @@ from dtwin.report.twins import (
     twin_section,
 )
 from dtwin.twins.registration import waiting, waiting_text
-from dtwin.workbench import reading
-from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.campaigns import possible_effects
-from dtwin.workbench.experiment_files import experiment_documents, grids_of, plans_zip
-from dtwin.workbench.heat_pages import heat_page, heat_sections
-from dtwin.workbench.models import mlflow_page
-from dtwin.workbench.numbers import decimal
-from dtwin.workbench.pages import download, drawn, rendered
+from dtwin.workbench import _reading as reading
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._campaigns import possible_effects
+from dtwin.workbench._experiment_files import experiment_documents, grids_of, plans_zip
+from dtwin.workbench._heat_pages import heat_page, heat_sections
+from dtwin.workbench._models import mlflow_page
+from dtwin.workbench._numbers import decimal
+from dtwin.workbench._pages import download, drawn, rendered
 
 _HARMONICS = 60
 router = APIRouter()

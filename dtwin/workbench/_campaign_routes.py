@@ -18,12 +18,12 @@ from dtwin.kinds.volumetric.motions import FAMILIES
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
 from dtwin.pipeline.measuring import ingest
-from dtwin.workbench import campaigns
-from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.jobs import Tell
-from dtwin.workbench.pages import accepted, drawn, rendered
-from dtwin.workbench.reading import campaign_floor, campaign_sheet_of
-from dtwin.workbench.uploads import MAX_TRAY_BYTES, sources
+from dtwin.workbench import _campaigns as campaigns
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._jobs import Tell
+from dtwin.workbench._pages import accepted, drawn, rendered
+from dtwin.workbench._reading import campaign_floor, campaign_sheet_of
+from dtwin.workbench._uploads import MAX_TRAY_BYTES, sources
 
 router = APIRouter()
 _SHUT_OFF = (

@@ -21,8 +21,8 @@ from dtwin.physics.template import template
 from dtwin.report.signature import signature_svg
 from dtwin.report.twins import effect_text
 from dtwin.schema import RunMeta, require_name
-from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.pages import download, rendered
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._pages import download, rendered
 
 router = APIRouter()
 _MAX_SOURCE = 200_000

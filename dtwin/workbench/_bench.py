@@ -18,10 +18,10 @@ from dtwin.physics.library import Library
 from dtwin.pipeline.kept import stamp_of
 from dtwin.twins.of_kind import every_shelf, twins_with
 from dtwin.twins.verbs import Twins
-from dtwin.workbench.access import Access
-from dtwin.workbench.cache import Cache
-from dtwin.workbench.jobs import Jobs
-from dtwin.workbench.uploads import Trays
+from dtwin.workbench._access import Access
+from dtwin.workbench._cache import Cache
+from dtwin.workbench._jobs import Jobs
+from dtwin.workbench._uploads import Trays
 
 
 @dataclass

@@ -22,7 +22,7 @@ from dtwin.pipeline.kept import kept, sheet_of_campaign
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
 from dtwin.twins.measured import Comparison, Loaded, load, pure_rms_um
-from dtwin.workbench.bench import Bench
+from dtwin.workbench._bench import Bench
 
 FLOOR_WORDS = {
     "repeats": "from repeats of the same condition; unit of replication: the run",

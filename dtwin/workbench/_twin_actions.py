@@ -12,10 +12,10 @@ from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.physics.twin import Twin
 from dtwin.schema import require_name
 from dtwin.twins.of_kind import twins_for
-from dtwin.workbench import reading
-from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.jobs import Tell
-from dtwin.workbench.pages import accepted
+from dtwin.workbench import _reading as reading
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._jobs import Tell
+from dtwin.workbench._pages import accepted
 
 router = APIRouter()
 

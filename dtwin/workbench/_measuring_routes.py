@@ -11,8 +11,8 @@ from starlette.responses import JSONResponse, Response
 
 from dtwin.errors import InputError
 from dtwin.pipeline.desk import desks, give_answer
-from dtwin.workbench.bench import bench_of
-from dtwin.workbench.pages import rendered
+from dtwin.workbench._bench import bench_of
+from dtwin.workbench._pages import rendered
 
 router = APIRouter()
 

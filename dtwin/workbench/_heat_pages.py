@@ -12,9 +12,9 @@ from dtwin.kinds.volumetric.twin_report import day_figure, motion_figure, term_t
 from dtwin.kinds.volumetric.twins import HeatTwins
 from dtwin.report.html import Section
 from dtwin.report.twin_of_kind import comparison_sections, diagnosis_section, history_section, twin_section
-from dtwin.workbench import reading
-from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.pages import drawn, rendered
+from dtwin.workbench import _reading as reading
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._pages import drawn, rendered
 
 router = APIRouter()
 

@@ -23,8 +23,8 @@ from dtwin.report.model_plots import jitter_figure
 from dtwin.serve.live_board import COLUMNS, Seen, read_board
 from dtwin.serve.live_state import RECENT_S, live_state
 from dtwin.serve.served_time import events_path
-from dtwin.workbench.bench import bench_of
-from dtwin.workbench.pages import drawn, rendered
+from dtwin.workbench._bench import bench_of
+from dtwin.workbench._pages import drawn, rendered
 
 router = APIRouter()
 _NEWEST = 20

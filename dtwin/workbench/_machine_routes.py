@@ -19,10 +19,10 @@ from dtwin.pipeline.machine_next import machine_next
 from dtwin.pipeline.machine_series import TESTS_PER_FALSE_ALARM, calendar_of
 from dtwin.report.history_plots import chart_figure, series_figure
 from dtwin.report.joint import title_of
-from dtwin.workbench.bench import Bench, bench_of
-from dtwin.workbench.experiment_files import plans_zip
-from dtwin.workbench.pages import accepted, download, drawn, rendered
-from dtwin.workbench.uploads import MAX_TRAY_BYTES
+from dtwin.workbench._bench import Bench, bench_of
+from dtwin.workbench._experiment_files import plans_zip
+from dtwin.workbench._pages import accepted, download, drawn, rendered
+from dtwin.workbench._uploads import MAX_TRAY_BYTES
 
 router = APIRouter()
 
