@@ -15,9 +15,9 @@ from dtwin.errors import GateRefusal, InputError
 from dtwin.lake.store import Lake
 from dtwin.lifecycle.evidence import compute
 from dtwin.lifecycle.train import geometry_of
-from dtwin.pipeline.campaign_steps import Step, by_turns, circle_steps
+from dtwin.pipeline._campaign_steps import Step, by_turns, circle_steps
+from dtwin.pipeline._machine_campaign import Job, measure_campaign
 from dtwin.pipeline.desk import Desk, enter_desk
-from dtwin.pipeline.machine_campaign import Job, measure_campaign
 from dtwin.plan import Plan
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.controller_kind import is_virtual

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 from dtwin.atomic import write_text
 from dtwin.config import Home, sample_recording
 from dtwin.lifecycle.train import Registered
+from dtwin.pipeline._integration_check import sample_check
 from dtwin.pipeline.demo_steps import PlainSteps, Result, Steps, Work
-from dtwin.pipeline.integration_check import sample_check
 from dtwin.pipeline.wall_clock import serving_numbers
 from dtwin.plan import DEFAULT_EVIDENCE, EvidencePlan, Plan, training_plan
 from dtwin.progress import Progress

@@ -11,7 +11,7 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.errors import DeviceError
-from dtwin.pipeline.virtual_robot import virtual_controller
+from dtwin.pipeline._virtual_robot import virtual_controller
 
 Circle = tuple[str, float, float]
 """Plane, radius in mm, feed in mm/min."""

@@ -24,7 +24,7 @@ from dtwin.acquire.quality import judge_run
 from dtwin.acquire.run_recording import InForce, RunRequest, record_run, recover_runs, withdraw_run
 from dtwin.atomic import whole_file, write_text
 from dtwin.errors import DeviceError, InputError, Interrupted, StoreError
-from dtwin.pipeline.campaign_steps import Step
+from dtwin.pipeline._campaign_steps import Step
 from dtwin.pipeline.desk import DONE, KEEP, REPEAT, Desk, Question
 from dtwin.schema import Finding, Run
 
