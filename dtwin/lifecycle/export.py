@@ -11,6 +11,8 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.lifecycle._export_heads import c_header, commented, said_of, whose
+from dtwin.lifecycle._skew_settings import EFFECT, klipper_settings, skews
 from dtwin.lifecycle.axis_tables import (
     MOST_TRIPLETS,
     SIEMENS_POINTS,
@@ -22,10 +24,8 @@ from dtwin.lifecycle.axis_tables import (
     lost_motion_um,
     siemens_file,
 )
-from dtwin.lifecycle.export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.lifecycle.gcode_program import program_of
-from dtwin.lifecycle.skew_settings import EFFECT, klipper_settings, skews
 from dtwin.physics.effect import Effect
 from dtwin.physics.twin import Twin
 from dtwin.serve.bundle import Bundle

@@ -16,7 +16,7 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named
 from dtwin.lake.store import Lake
-from dtwin.lifecycle.against_champion import Comparison, compare_with_champion
+from dtwin.lifecycle._against_champion import Comparison, compare_with_champion
 from dtwin.lifecycle.drift import DriftCheck, campaign_of, check_drift, trained_rows, usable
 from dtwin.lifecycle.train import Registered, train
 from dtwin.locks import locked
