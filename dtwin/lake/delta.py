@@ -17,7 +17,7 @@ from deltalake.transaction import AddAction, CommitProperties, PostCommitHookPro
 
 from dtwin.atomic import make_folder, sync
 from dtwin.errors import StoreError
-from dtwin.lake.delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
+from dtwin.lake._delta_columns import LIVE, added, content_hash, declared, live_hash, sort_of
 from dtwin.lake.parquet import encoded, read_encoded, write_bytes
 
 _COMMIT_TRIES = 20

@@ -13,10 +13,10 @@ import pyarrow as pa
 
 from dtwin.atomic import make_folder
 from dtwin.errors import InputError, StoreError
-from dtwin.lake.admission import accepted, fresh
+from dtwin.lake._admission import accepted, fresh
+from dtwin.lake._delta_columns import content_hash
+from dtwin.lake._file_batch import Batch, Part
 from dtwin.lake.delta import DeltaFiles, file_of, part_of, stem_of
-from dtwin.lake.delta_columns import content_hash
-from dtwin.lake.file_batch import Batch, Part
 from dtwin.lake.parquet import columns_of, table_of
 from dtwin.lake.rows import AMENDMENT_SCHEMA, RUN_SCHEMA, amended, campaign_of, meta_of, sealed, unsealed
 from dtwin.locks import take
