@@ -29,13 +29,13 @@ from dtwin.features.motion import PATH_INPUT_UNITS, PATH_INPUTS
 from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
 from dtwin.links.ur import UrLink
+from dtwin.serve._timing import LoopTiming
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle
 from dtwin.serve.decision import Decision
 from dtwin.serve.interface import Input, Output, SafetyLimits
 from dtwin.serve.loop import ServingLoop
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.serve.timing import LoopTiming
 
 PERIOD_S = 0.002
 CLIENTS = ("naive", "loop", "loop with priority")

@@ -7,10 +7,10 @@ from collections.abc import Collection
 from dtwin.features.tone_window import COMMAND_PHASE, COMMANDED, SENT
 from dtwin.links.live_values import LiveValues
 from dtwin.schema import Floats
+from dtwin.serve._channel_windows import ChannelWindows
+from dtwin.serve._tone_watch import ToneWatch
 from dtwin.serve.bundle import Bundle
-from dtwin.serve.channel_windows import ChannelWindows
 from dtwin.serve.decision import STANDARD_INPUTS
-from dtwin.serve.tone_watch import ToneWatch
 
 
 class AxisInputs:

@@ -6,7 +6,7 @@ import time
 
 from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
-from dtwin.serve.machine_file import machine_folder
+from dtwin.serve._machine_file import machine_folder
 from dtwin.serve.sealed import BARRED, locked, read_sealed, write_sealed
 
 _LOOK_EVERY_S = 1.0

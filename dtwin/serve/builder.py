@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from dtwin.errors import InputError
+from dtwin.serve._operators import OPERATORS
 from dtwin.serve.graph import Graph, Node, Table
-from dtwin.serve.operators import OPERATORS
 
 Term: TypeAlias = "Expression | float | int"
 

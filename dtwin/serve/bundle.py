@@ -11,7 +11,7 @@ from typing import Any
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name
-from dtwin.serve.fields import only_fields, record, text, whole
+from dtwin.serve._fields import only_fields, record, text, whole
 from dtwin.serve.graph import Graph
 from dtwin.serve.interface import (
     Input,

@@ -17,11 +17,11 @@ from dtwin.features.windows import WindowContract
 from dtwin.links import state as layout
 from dtwin.links.live_values import LiveValues
 from dtwin.schema import Floats
+from dtwin.serve._sensor_trouble import SATURATED, saturated_kernel
+from dtwin.serve._state_limits import any_machine, impossible, possible
 from dtwin.serve.direction import Direction
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import IMPOSSIBLE, OK, Guard
-from dtwin.serve.sensor_trouble import SATURATED, saturated_kernel
-from dtwin.serve.state_limits import any_machine, impossible, possible
 
 STANDARD_INPUTS: tuple[str, ...] = (*PATH_INPUTS, *layout.NAMES)
 """Inputs that follow from every controller's state."""
@@ -62,7 +62,7 @@ class Decision:
     live : LiveValues, optional
         Inputs that the control sends beside its state.
     largest : ndarray, shape (N,), optional
-        Largest magnitudes in a state of this machine; see :mod:`dtwin.serve.state_limits`.
+        Largest magnitudes in a state of this machine; see :mod:`dtwin.serve._state_limits`.
 
     Attributes
     ----------

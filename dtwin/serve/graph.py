@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dtwin.errors import InputError
-from dtwin.serve.fields import number, only_fields, text, whole
-from dtwin.serve.operators import LEAVES, MAX_POWER, OPERATORS, lookup, power
+from dtwin.serve._fields import number, only_fields, text, whole
+from dtwin.serve._operators import LEAVES, MAX_POWER, OPERATORS, lookup, power
 
 _MAX_NODES = 4096
 _MAX_DEPTH = 256

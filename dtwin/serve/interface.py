@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from dtwin.errors import InputError
-from dtwin.serve.fields import number, one_of, only_fields, record, text, whole
+from dtwin.serve._fields import number, one_of, only_fields, record, text, whole
 
 _SOURCES = ("path", "controller", "covariate", "feature")
 _INPUT_FRAMES = ("none", "path", "joint", "base", "sensor")

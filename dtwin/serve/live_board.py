@@ -21,7 +21,7 @@ import numpy as np
 from dtwin.config import Home
 from dtwin.links import state as layout
 from dtwin.schema import Floats
-from dtwin.serve.machine_file import machine_folder
+from dtwin.serve._machine_file import machine_folder
 from dtwin.serve.safety import REASONS
 
 COLUMNS = (

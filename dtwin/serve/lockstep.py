@@ -11,9 +11,9 @@ import numpy as np
 from dtwin.errors import DeviceError
 from dtwin.links import state as layout
 from dtwin.schema import Floats
+from dtwin.serve._timing import LoopTiming
 from dtwin.serve.decision import Decision
 from dtwin.serve.loop import Mode, ServeStatus
-from dtwin.serve.timing import LoopTiming
 
 
 class Controller(Protocol):

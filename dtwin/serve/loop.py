@@ -13,15 +13,15 @@ import numpy as np
 from dtwin.errors import DeviceError
 from dtwin.links import state as layout
 from dtwin.schema import Floats
+from dtwin.serve._in_force import InForce
+from dtwin.serve._journal import Note, Sparing, no_journal
+from dtwin.serve._program_watch import ProgramWatch
+from dtwin.serve._stamps import StampWatch
+from dtwin.serve._timing import LoopTiming
 from dtwin.serve.decision import Decision
-from dtwin.serve.in_force import InForce
-from dtwin.serve.journal import Note, Sparing, no_journal
 from dtwin.serve.live_board import LiveBoard
-from dtwin.serve.program_watch import ProgramWatch
 from dtwin.serve.realtime import realtime
 from dtwin.serve.safety import ENGAGING, IMPOSSIBLE, JUMPED, NOT_FINITE, OK, STALLED
-from dtwin.serve.stamps import StampWatch
-from dtwin.serve.timing import LoopTiming
 
 Mode = Literal["live", "shadow", "dry-run"]
 # A busy host takes longer for its steps; what silence holds up, the machine's watchdog releases.

@@ -16,12 +16,12 @@ from typing import Literal
 from dtwin.config import Home
 from dtwin.errors import GateRefusal, InputError
 from dtwin.schema import require_name
+from dtwin.serve._fields import one_of, only_fields, text, whole
+from dtwin.serve._machine_file import MachineGeometry, machine_folder, read_machine, write_machine
 from dtwin.serve.barred import barred_why
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import MAX_BYTES, parse_json, read_bytes
-from dtwin.serve.fields import one_of, only_fields, text, whole
 from dtwin.serve.interface import mapping
-from dtwin.serve.machine_file import MachineGeometry, machine_folder, read_machine, write_machine
 from dtwin.serve.sealed import CHAMPION, TRIAL, locked, read_sealed, write_sealed
 
 __all__ = [

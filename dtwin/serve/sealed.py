@@ -17,8 +17,8 @@ from typing import Any
 
 from dtwin.errors import GateRefusal, InputError, StoreError
 from dtwin.locks import take
+from dtwin.serve._fields import only_fields
 from dtwin.serve.bundle_file import json_text, parse_json, read_bytes, write_json
-from dtwin.serve.fields import only_fields
 
 CHAMPION, TRIAL, MACHINE, BARRED = "champion.json", "trial.json", "machine.json", "barred.json"
 SEAL = "seal.json"

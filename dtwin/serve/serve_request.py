@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from dtwin.errors import EXIT_DEVICE, EXIT_DONE, EXIT_GATE, EXIT_INTERRUPTED, InputError
+from dtwin.serve._machine_serving import RATE_HZ, ServingRequest
 from dtwin.serve.analogue_link import AnalogueWiring
 from dtwin.serve.loop import Mode, ServeStatus
-from dtwin.serve.machine_serving import RATE_HZ, ServingRequest
 from dtwin.serve.pointer import Resolved
 from dtwin.serve.proved import WhenExpired
 

@@ -12,7 +12,7 @@ from typing import Any
 from dtwin.config import Home
 from dtwin.errors import InputError, StoreError
 from dtwin.schema import MIXED_CORRECTION, require_name
-from dtwin.serve.journal import ENDED, KILLED, LINK_LOST, NOT_RELEASED, RECONNECTED, RELEASED, SERVING
+from dtwin.serve._journal import ENDED, KILLED, LINK_LOST, NOT_RELEASED, RECONNECTED, RELEASED, SERVING
 
 _ENDS = (RELEASED, NOT_RELEASED, ENDED, KILLED)
 _FOREVER = datetime.max.replace(tzinfo=UTC)

@@ -17,18 +17,18 @@ from dtwin.config import Home
 from dtwin.errors import DtwinError, InputError
 from dtwin.features.windows import WindowContract
 from dtwin.serve._axis_inputs import AxisInputs
+from dtwin.serve._axis_lockstep import serve_machine_clock
+from dtwin.serve._connection import AxisConnection, Connection, with_trial_clamp
+from dtwin.serve._journal import NOT_RELEASED, RELEASED, SERVING, journal
+from dtwin.serve._lease import lease
+from dtwin.serve._machine_serving import MachineServing, Stop
 from dtwin.serve.analogue_link import NO_TOOL_MM, within_travel
-from dtwin.serve.axis_lockstep import serve_machine_clock
 from dtwin.serve.barred import BarredWatch
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import load_bundle
-from dtwin.serve.connection import AxisConnection, Connection, with_trial_clamp
 from dtwin.serve.decision import STANDARD_INPUTS, Decision, SensorSource
-from dtwin.serve.journal import NOT_RELEASED, RELEASED, SERVING, journal
-from dtwin.serve.lease import lease
 from dtwin.serve.live_board import live_board
 from dtwin.serve.loop import ServeStatus
-from dtwin.serve.machine_serving import MachineServing, Stop
 from dtwin.serve.pointer import Resolved, read_machine, resolve
 from dtwin.serve.proved import require_proof
 from dtwin.serve.serve_request import Served, ServeRequest

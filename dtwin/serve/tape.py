@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from dtwin.errors import InputError
 from dtwin.features.compiled import compiled
 from dtwin.schema import Floats
+from dtwin.serve._operators import FARTHEST
+from dtwin.serve._sine import sine_and_cosine
+from dtwin.serve._tape_program import MULTIPLY_ADD, POWER_SHIFT, SINE_AND_COSINE, Instruction, tape_runs
 from dtwin.serve.graph import Graph
-from dtwin.serve.operators import FARTHEST
-from dtwin.serve.sine import sine_and_cosine
-from dtwin.serve.tape_program import MULTIPLY_ADD, POWER_SHIFT, SINE_AND_COSINE, Instruction, tape_runs
 
 _Program = NDArray[np.uint64]
 _WORDS = 4

@@ -23,10 +23,10 @@ from dtwin.config import home as dtwin_home
 from dtwin.features.windows import WindowContract
 from dtwin.lake.store import Lake
 from dtwin.machines.daq_sensors import Sensors
+from dtwin.serve._machine_file import write_machine
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle
 from dtwin.serve.interface import Input, Output, SafetyLimits
-from dtwin.serve.machine_file import write_machine
 from dtwin.serve.pointer import machine_folder, write_pointer
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(240)]

@@ -20,7 +20,7 @@ from dtwin.kinds.sinusoidal import _simulate as virtual_turning
 from dtwin.kinds.volumetric import _simulate as virtual_volumetric
 from dtwin.lifecycle import evidence
 from dtwin.machines.thermal_network import SCHEDULES
-from dtwin.serve.machine_file import machine_folder
+from dtwin.serve._machine_file import machine_folder
 from dtwin.train import promotion
 
 ROOT = Path(__file__).parents[3]

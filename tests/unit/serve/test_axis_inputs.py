@@ -11,8 +11,8 @@ from dtwin.features.sine import fit_tone
 from dtwin.features.tone_window import tone_contract
 from dtwin.features.windows import StreamingWindow
 from dtwin.links.live_values import LiveValues
-from dtwin.serve.channel_windows import ChannelWindows
-from dtwin.serve.tone_watch import ToneWatch
+from dtwin.serve._channel_windows import ChannelWindows
+from dtwin.serve._tone_watch import ToneWatch
 
 RATE_HZ = 200.0
 

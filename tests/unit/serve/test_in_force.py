@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from dtwin.errors import DeviceError
 from dtwin.links.state import SEQUENCE_LIMIT
-from dtwin.serve.in_force import InForce
+from dtwin.serve._in_force import InForce
 
 STEP_UM = 4.0
 

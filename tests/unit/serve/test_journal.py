@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from dtwin.errors import DeviceError
-from dtwin.serve.journal import Journal, journal
+from dtwin.serve._journal import Journal, journal
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
@@ -54,7 +54,7 @@ def test_a_killed_session_is_noted_by_the_writer(tmp_path: Path) -> None:
     code = f"""
 import time
 from pathlib import Path
-from dtwin.serve.journal import Journal
+from dtwin.serve._journal import Journal
 Journal(Path({str(path)!r})).note("serving", at="here")
 time.sleep(60)
 """

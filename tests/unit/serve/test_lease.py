@@ -12,7 +12,7 @@ import pytest
 
 from dtwin.config import Home
 from dtwin.errors import EXIT_DEVICE, DeviceError, InputError, StoreError
-from dtwin.serve.lease import lease
+from dtwin.serve._lease import lease
 
 ROBOT = "127.0.0.1"
 
@@ -28,7 +28,7 @@ def held_elsewhere(home: Home, host: str, machine: str) -> Iterator[subprocess.P
     code = f"""
 import pathlib, sys
 from dtwin.config import Home
-from dtwin.serve.lease import lease
+from dtwin.serve._lease import lease
 with lease({host!r}, {machine!r}, Home(pathlib.Path({str(home.root)!r}))):
     print("held", flush=True)
     sys.stdin.read()

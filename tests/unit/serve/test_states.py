@@ -9,12 +9,12 @@ from dtwin.kinematics import UR10E
 from dtwin.links import state as layout
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.motion import CircleCondition
-from dtwin.serve import state_limits
+from dtwin.serve import _state_limits as state_limits
+from dtwin.serve._journal import Sparing
+from dtwin.serve._stamps import SETTLE_S, StampWatch
 from dtwin.serve.decision import Decision
-from dtwin.serve.journal import Sparing
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.safety import IMPOSSIBLE
-from dtwin.serve.stamps import SETTLE_S, StampWatch
 
 TCP_MM = np.array([0.0, 0.0, 158.3])
 LARGEST = state_limits.robot(UR10E, TCP_MM)

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dtwin.serve._sine import sine_and_cosine
+from dtwin.serve._tape_program import MULTIPLY_ADD, SINE_AND_COSINE, tape_runs
 from dtwin.serve.builder import GraphBuilder
-from dtwin.serve.sine import sine_and_cosine
 from dtwin.serve.tape import Tape
-from dtwin.serve.tape_program import MULTIPLY_ADD, SINE_AND_COSINE, tape_runs
 
 
 @settings(deadline=None)

@@ -12,10 +12,10 @@ import pytest
 from bundles import path_bundle, sensor_bundle
 
 from dtwin.features.windows import WindowContract
+from dtwin.serve._timing import LoopTiming
 from dtwin.serve.decision import Decision
 from dtwin.serve.realtime import realtime
 from dtwin.serve.runtime import CompiledBundle
-from dtwin.serve.timing import LoopTiming
 
 
 def test_late_and_missed_ticks_are_counted() -> None:

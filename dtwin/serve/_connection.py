@@ -11,11 +11,11 @@ from dtwin.links.axis_link import AxisLink, Clock, Greeting
 from dtwin.links.ur import UrLink
 from dtwin.links.virtual_key import proves
 from dtwin.serve._axis_inputs import AxisInputs
+from dtwin.serve._machine_serving import RATE_HZ, OpenLink
 from dtwin.serve.analogue_link import AnalogueLink
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.controller_kind import is_loopback, is_virtual
 from dtwin.serve.loop import Mode
-from dtwin.serve.machine_serving import RATE_HZ, OpenLink
 from dtwin.serve.runtime import CompiledBundle
 from dtwin.serve.serve_request import ServeRequest
 

@@ -13,8 +13,8 @@ from dtwin.config import Home
 from dtwin.errors import InputError
 from dtwin.kinematics import UR10E
 from dtwin.schema import Floats, require_name
-from dtwin.serve import state_limits
-from dtwin.serve.fields import number, one_of, only_fields
+from dtwin.serve import _state_limits as state_limits
+from dtwin.serve._fields import number, one_of, only_fields
 from dtwin.serve.sealed import MACHINE, read_sealed, write_sealed
 
 _CHAINS = {"ur10e": UR10E}

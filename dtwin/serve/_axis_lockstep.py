@@ -12,13 +12,13 @@ from dtwin.links.axis_link import AxisLink
 from dtwin.schema import Floats
 from dtwin.serve._axis_inputs import AxisInputs
 from dtwin.serve._end_of_serving import fault_of
+from dtwin.serve._journal import LINK_LOST, Note, Sparing
+from dtwin.serve._machine_serving import Stop, Withdrawn
+from dtwin.serve._program_watch import ProgramWatch
 from dtwin.serve.decision import Decision
-from dtwin.serve.journal import LINK_LOST, Note, Sparing
 from dtwin.serve.live_board import LiveBoard
 from dtwin.serve.lockstep import serve_lockstep
 from dtwin.serve.loop import ServeStatus
-from dtwin.serve.machine_serving import Stop, Withdrawn
-from dtwin.serve.program_watch import ProgramWatch
 from dtwin.serve.safety import NOT_FINITE, OUTSIDE
 from dtwin.serve.serve_request import ServeRequest
 

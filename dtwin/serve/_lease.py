@@ -14,7 +14,7 @@ from pathlib import Path
 from dtwin.config import Home
 from dtwin.errors import DeviceError, StoreError
 from dtwin.locks import take
-from dtwin.serve.machine_file import machine_folder
+from dtwin.serve._machine_file import machine_folder
 
 _MAX_NOTE_BYTES = 2000
 

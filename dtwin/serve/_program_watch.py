@@ -6,7 +6,7 @@ import math
 
 from dtwin.links import state as layout
 from dtwin.schema import Floats
-from dtwin.serve.journal import Bucket, Note, no_journal
+from dtwin.serve._journal import Bucket, Note, no_journal
 from dtwin.serve.safety import REASONS
 
 SETTLE_S = 1.0
