@@ -23,7 +23,7 @@ import numpy as np
 
 from dtwin.errors import DeviceError, InputError
 from dtwin.links import state as layout
-from dtwin.links.ur_memory import SharedMemory
+from dtwin.links._ur_memory import SharedMemory
 
 _CLOSE_S = 2.0
 # Beyond the driver's own limit of silence: it should have spoken.

@@ -24,7 +24,7 @@ import numpy as np
 
 from dtwin.links import state as layout
 from dtwin.links import ur_registers as registers
-from dtwin.links.ur_memory import SharedMemory
+from dtwin.links._ur_memory import SharedMemory
 
 RTDE_PORT = 30004
 _POLL_S = 0.00008
