@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.links.analogue import BAUD, AnalogueOutput, Output
-from dtwin.machines.analogue_board import AnalogueBoard
+from dtwin.machines._analogue_board import AnalogueBoard
 
 CLOCK_HZ, ANSWER_BYTES = 16e6, 19
 WARM_UP = 50

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.machines._recording import RunTicks
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import MotionPlan
-from dtwin.machines.recording import RunTicks
 from dtwin.progress import Progress
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle

@@ -23,7 +23,7 @@ from dtwin.links.analogue_calibration import AxisFit, save
 from dtwin.links.linuxcnc import Bridge, LinuxcncLink
 from dtwin.links.state_feed import REQUIRED
 from dtwin.links.virtual_key import proof
-from dtwin.machines.analogue_board import AnalogueBoard
+from dtwin.machines._analogue_board import AnalogueBoard
 from dtwin.machines.axis_server import AxisServer
 from dtwin.machines.linuxcnc.session import LinuxcncSession
 from dtwin.schema import Floats

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dtwin.machines.daq_sensors import Sensors, Wiring
+from dtwin.machines._daq_sensors import Sensors, Wiring
 from dtwin.schema import Floats
 
 _FASTEST_HZ = 13_107_200.0 / 256.0

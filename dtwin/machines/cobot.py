@@ -10,13 +10,13 @@ import numpy as np
 from dtwin.kinematics import UR10E, normal_unit, plane_axes
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
+from dtwin.machines._joints import gravity_torque_kernel, transmission_table, wind_up_kernel
+from dtwin.machines._recording import CobotRecording, RunTicks, Setup, path_geometry, record
+from dtwin.machines._sensors import sensor_matrix
 from dtwin.machines.controller import CircleController
-from dtwin.machines.joints import gravity_torque_kernel, transmission_table, wind_up_kernel
 from dtwin.machines.mechanism import Mechanism, build_mechanism, run_kernel, start_memory
 from dtwin.machines.motion import ANGLE0, KIND, LINE, LINE_FROM, RADIUS0, CircleCondition, MotionPlan, plan_motion
 from dtwin.machines.parameters import CobotParameters, load_parameters
-from dtwin.machines.recording import CobotRecording, RunTicks, Setup, path_geometry, record
-from dtwin.machines.sensors import sensor_matrix
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
+from dtwin.machines._recording import CobotRecording, RunTicks
 from dtwin.machines.mechanism import Mechanism, set_speed_factor, tick_kernel
 from dtwin.machines.motion import CircleCondition, MotionPlan
-from dtwin.machines.recording import CobotRecording, RunTicks
 from dtwin.schema import Floats
 
 _GROWTH = 4096

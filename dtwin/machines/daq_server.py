@@ -48,7 +48,7 @@ from nidaqmx.constants import (
 from dtwin.errors import DtwinError, InputError
 from dtwin.lake.parquet import columns_of, read_parquet
 from dtwin.machines import _daq_device as device
-from dtwin.machines.daq_sensors import Sensors
+from dtwin.machines._daq_sensors import Sensors
 
 _DRIVER_VERSION = {0x1272: 24, 0x1923: 0, 0x2F22: 0}
 _READ_POSITION, _TOTAL_ACQUIRED, _AVAILABLE, _N_CHANNELS = 0x1221, 0x192A, 0x1223, 0x217B

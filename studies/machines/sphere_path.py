@@ -13,7 +13,8 @@ import numpy as np
 
 from dtwin.links import state as layout
 from dtwin.machines import mechanism as m_
-from dtwin.machines.ballbar import drift_kernel, read_ballbar
+from dtwin.machines._ballbar import drift_kernel, read_ballbar
+from dtwin.machines._recording import RunTicks
 from dtwin.machines.cobot import VirtualCobot
 from dtwin.machines.controller import CobotController
 from dtwin.machines.motion import (
@@ -35,7 +36,6 @@ from dtwin.machines.motion import (
     MotionPlan,
     line_segment,
 )
-from dtwin.machines.recording import RunTicks
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 

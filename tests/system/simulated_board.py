@@ -9,7 +9,7 @@ import pytest
 
 from dtwin.errors import MissingPart
 from dtwin.links.analogue_firmware import build_firmware
-from dtwin.machines.analogue_board import build_board
+from dtwin.machines._analogue_board import build_board
 
 
 @pytest.fixture(scope="module")

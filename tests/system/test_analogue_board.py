@@ -12,7 +12,7 @@ import pytest
 
 from dtwin.errors import DeviceError
 from dtwin.links.analogue import AnalogueOutput, AxisCalibration
-from dtwin.machines.analogue_board import AnalogueBoard
+from dtwin.machines._analogue_board import AnalogueBoard
 
 pytest_plugins = ["simulated_board"]
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]

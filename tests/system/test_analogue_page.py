@@ -12,7 +12,7 @@ from shown_commands import blocks, follow, page, run
 
 from dtwin.errors import MissingPart
 from dtwin.links.analogue import AxisCalibration, step_um
-from dtwin.machines.analogue_board import AnalogueBoard
+from dtwin.machines._analogue_board import AnalogueBoard
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 PAGE = page("docs/how-to/mill-by-analogue-input.md")

@@ -18,7 +18,7 @@ from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.links.analogue import AnalogueOutput
 from dtwin.links.analogue_calibration import AxisFit, save
-from dtwin.machines.analogue_board import AnalogueBoard
+from dtwin.machines._analogue_board import AnalogueBoard
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.interface import Input, Output, Provenance, SafetyLimits
 

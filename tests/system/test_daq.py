@@ -16,7 +16,7 @@ from dtwin.acquire.recording import Recorder
 from dtwin.acquire.recovery import seal
 from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import EXIT_DEVICE, DeviceError
-from dtwin.machines.daq_sensors import Sensors
+from dtwin.machines._daq_sensors import Sensors
 from dtwin.schema import SignalGroup
 
 pytestmark = pytest.mark.system

@@ -15,7 +15,7 @@ from dtwin.acquire.daq import AccelerometerChannel
 from dtwin.acquire.daq_windows import DaqWindows
 from dtwin.errors import DeviceError, InputError
 from dtwin.features.windows import WindowContract
-from dtwin.machines.daq_sensors import Sensors
+from dtwin.machines._daq_sensors import Sensors
 
 pytestmark = pytest.mark.system
 

@@ -22,7 +22,7 @@ from dtwin.acquire.signal_files import read_signals
 from dtwin.config import home as dtwin_home
 from dtwin.features.windows import WindowContract
 from dtwin.lake.store import Lake
-from dtwin.machines.daq_sensors import Sensors
+from dtwin.machines._daq_sensors import Sensors
 from dtwin.serve._machine_file import write_machine
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle, save_bundle

@@ -10,8 +10,8 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.kinematics import UR10E
-from dtwin.machines.ballbar import drift_kernel, read_ballbar
-from dtwin.machines.joints import (
+from dtwin.machines._ballbar import drift_kernel, read_ballbar
+from dtwin.machines._joints import (
     COMPLIANCE,
     gravity_torque_kernel,
     joint_table,
@@ -20,9 +20,9 @@ from dtwin.machines.joints import (
     transmission_table,
     wind_up_kernel,
 )
+from dtwin.machines._sensors import accelerometer_group, couple_kernel, resample_kernel
+from dtwin.machines._structure import SHAPE, mode_table, modes_kernel
 from dtwin.machines.parameters import load_parameters
-from dtwin.machines.sensors import accelerometer_group, couple_kernel, resample_kernel
-from dtwin.machines.structure import SHAPE, mode_table, modes_kernel
 
 PARAMETERS = load_parameters()
 TICK_S, REACH_MM = 0.002, 550.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from dtwin.kinematics import kernel
+from dtwin.machines._sensors import resample_kernel
 from dtwin.machines.parameters import BallbarParameters
-from dtwin.machines.sensors import resample_kernel
 from dtwin.schema import Floats
 from dtwin.units import UM_PER_MM
 
