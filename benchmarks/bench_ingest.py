@@ -25,8 +25,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dtwin.acquire.recording import Recorder
-from dtwin.acquire.recovery import seal
+from dtwin.acquire._recording import Recorder
+from dtwin.acquire._recovery import seal
 from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import StoreError
 from dtwin.lake.parquet import read_parquet

@@ -17,8 +17,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from dtwin.acquire._daq import AccelerometerChannel, AccelerometerTask
 from dtwin.acquire._sample_ring import SampleRing
-from dtwin.acquire.daq import AccelerometerChannel, AccelerometerTask
 from dtwin.errors import DeviceError, DtwinError
 
 _BACK_OFF_S = 0.2

@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from dtwin.acquire.readings import parse_readings
+from dtwin.acquire._readings import parse_readings
 from dtwin.acquire.xmlsafe import parse_vendor_xml, read_bounded
 from dtwin.atomic import write_text
 from dtwin.errors import InputError

@@ -11,10 +11,10 @@ from typing import Any, cast
 import numpy as np
 
 from dtwin.acquire import _stated as stated
+from dtwin.acquire._recovery import signal_findings
 from dtwin.acquire._tabular import read_columns
 from dtwin.acquire._trace_json import read_trace_json
 from dtwin.acquire.b5r import read_b5r
-from dtwin.acquire.recovery import signal_findings
 from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.xmlsafe import read_bounded
 from dtwin.errors import InputError

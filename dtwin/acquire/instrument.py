@@ -14,7 +14,7 @@ from dtwin.schema import Finding
 
 if TYPE_CHECKING:
     # Brings pyarrow, which a host that only serves does not have.
-    from dtwin.acquire.recording import Recorder
+    from dtwin.acquire._recording import Recorder
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ def _make(name: str, role: str, settings: Mapping[str, Any]) -> Any:
 
 def _accelerometers(**settings: Any) -> Instrument:
     """Return an ``AccelerometerTask``; channels may be mappings, as from a file."""
-    from dtwin.acquire.daq import AccelerometerChannel, AccelerometerTask
+    from dtwin.acquire._daq import AccelerometerChannel, AccelerometerTask
 
     channels = [
         channel if isinstance(channel, AccelerometerChannel) else AccelerometerChannel(**channel)
@@ -75,14 +75,14 @@ def _accelerometers(**settings: Any) -> Instrument:
 
 def _serial(**settings: Any) -> Instrument:
     """Return a ``SerialInstrument``."""
-    from dtwin.acquire.serial_port import SerialInstrument
+    from dtwin.acquire._serial_port import SerialInstrument
 
     return SerialInstrument(**settings)
 
 
 def _robot(**settings: Any) -> Instrument:
     """Return a ``RobotRecorder``."""
-    from dtwin.acquire.robot import RobotRecorder
+    from dtwin.acquire._robot import RobotRecorder
 
     return RobotRecorder(**settings)
 
@@ -131,7 +131,7 @@ def recorders(sensors: Path | None, robot: str | None) -> list[Instrument]:
 
         instruments.append(read_sensors(sensors).task())
     if robot is not None:
-        from dtwin.acquire.robot import RobotRecorder
+        from dtwin.acquire._robot import RobotRecorder
 
         instruments.append(RobotRecorder(robot))
     return instruments

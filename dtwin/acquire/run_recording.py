@@ -20,10 +20,10 @@ from typing import Any
 
 import tomli_w
 
+from dtwin.acquire._recording import SUFFIX, Recorder
+from dtwin.acquire._recovery import Sealed, recover_folder, seal
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.acquire.instrument import Instrument, record
-from dtwin.acquire.recording import SUFFIX, Recorder
-from dtwin.acquire.recovery import Sealed, recover_folder, seal
 from dtwin.atomic import write_text
 from dtwin.errors import DtwinError, InputError, StoreError
 from dtwin.locks import locked

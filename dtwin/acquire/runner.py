@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+from dtwin.acquire._recovery import recover_folder
 from dtwin.acquire.b5r import write_b5r
 from dtwin.acquire.campaign_file import write_campaign_file
-from dtwin.acquire.recovery import recover_folder
 from dtwin.acquire.signal_files import write_signals
 from dtwin.errors import Interrupted, StoreError
 from dtwin.plan import Plan, PlannedTest

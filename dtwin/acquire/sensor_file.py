@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dtwin.acquire.daq import FULL_SCALE_MV, AccelerometerChannel, AccelerometerTask
-from dtwin.acquire.daq_windows import DaqWindows
+from dtwin.acquire._daq import FULL_SCALE_MV, AccelerometerChannel, AccelerometerTask
+from dtwin.acquire._daq_windows import DaqWindows
 from dtwin.errors import InputError
 from dtwin.features.windows import WindowContract
 from dtwin.schema import require_name

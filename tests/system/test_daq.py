@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from virtual_daq import VirtualDaq, virtual_daq
 
-from dtwin.acquire.daq import AccelerometerChannel, AccelerometerTask
+from dtwin.acquire._daq import AccelerometerChannel, AccelerometerTask
+from dtwin.acquire._recording import Recorder
+from dtwin.acquire._recovery import seal
 from dtwin.acquire.instrument import record
-from dtwin.acquire.recording import Recorder
-from dtwin.acquire.recovery import seal
 from dtwin.acquire.signal_files import read_signals, write_signals
 from dtwin.errors import EXIT_DEVICE, DeviceError
 from dtwin.machines._daq_sensors import Sensors

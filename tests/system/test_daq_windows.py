@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from virtual_daq import VirtualDaq, virtual_daq
 
-from dtwin.acquire.daq import AccelerometerChannel
-from dtwin.acquire.daq_windows import DaqWindows
+from dtwin.acquire._daq import AccelerometerChannel
+from dtwin.acquire._daq_windows import DaqWindows
 from dtwin.errors import DeviceError, InputError
 from dtwin.features.windows import WindowContract
 from dtwin.machines._daq_sensors import Sensors

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from virtual_robot import VirtualRobot, free_address, virtual_robot
 
+from dtwin.acquire._recording import Recorder
+from dtwin.acquire._recovery import recover, seal
+from dtwin.acquire._robot import RobotRecorder
 from dtwin.acquire.instrument import record
-from dtwin.acquire.recording import Recorder
-from dtwin.acquire.recovery import recover, seal
-from dtwin.acquire.robot import RobotRecorder
 from dtwin.acquire.signal_files import read_signals
 from dtwin.errors import DeviceError
 

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from dtwin.acquire.daq import AccelerometerChannel, AccelerometerTask
+from dtwin.acquire._daq import AccelerometerChannel, AccelerometerTask
 from dtwin.errors import DeviceError, InputError, MissingPart
 
 X = AccelerometerChannel("wrist_x_g", "cDAQ1Mod1/ai0")
@@ -63,7 +63,7 @@ def test_without_the_driver_one_line_says_where_to_get_it() -> None:
 def test_without_the_package_one_line_says_how_to_install_it() -> None:
     code = (
         "import sys; sys.modules['nidaqmx'] = None\n"
-        "from dtwin.acquire.daq import AccelerometerChannel as C, AccelerometerTask as T\n"
+        "from dtwin.acquire._daq import AccelerometerChannel as C, AccelerometerTask as T\n"
         "from dtwin.errors import MissingPart\n"
         "try: T((C('x_g', 'Dev1/ai0'),), 25600.0).open()\n"
         "except MissingPart as error: print(error.code, error.hint)\n"

@@ -13,10 +13,10 @@ from serial_peer import serial_peer
 from system.virtual_daq import virtual_daq
 from system.virtual_robot import free_address, virtual_robot
 
+from dtwin.acquire._recording import Recorder
+from dtwin.acquire._recovery import seal
 from dtwin.acquire.instrument import Instrument, record
 from dtwin.acquire.instruments import ENTRIES, bench, instrument
-from dtwin.acquire.recording import Recorder
-from dtwin.acquire.recovery import seal
 from dtwin.acquire.runner import Bench
 from dtwin.acquire.signal_files import read_signals
 from dtwin.errors import DeviceError, InputError, MissingPart

@@ -15,8 +15,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from dtwin.acquire.recording import Recorder
-from dtwin.acquire.recovery import recover, recover_folder, seal, signal_findings
+from dtwin.acquire._recording import Recorder
+from dtwin.acquire._recovery import recover, recover_folder, seal, signal_findings
 from dtwin.acquire.signal_files import read_signals
 from dtwin.errors import InputError, StoreError
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dtwin.acquire._recording import Recorder
 from dtwin.acquire.campaign_folder import open_campaign
-from dtwin.acquire.recording import Recorder
 from dtwin.acquire.runner import MANIFEST, Bench, run_campaign
 from dtwin.acquire.signal_files import read_signals
 from dtwin.acquire.virtual import VirtualCobotBench

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from serial_peer import SerialPeer, serial_peer
 
-from dtwin.acquire.serial_port import SerialInstrument
+from dtwin.acquire._serial_port import SerialInstrument
 from dtwin.errors import DeviceError, InputError
 from dtwin.links.frames import FrameReader
 from dtwin.links.serial_line import SerialLink

@@ -1,7 +1,7 @@
 """A recording in progress: what it has acknowledged outlives a killed process.
 
 One Arrow IPC stream per device group. Every block carries its place on the device's clock and
-a checksum, and is on disk when ``append`` returns. ``dtwin.acquire.recovery`` reads streams
+a checksum, and is on disk when ``append`` returns. ``dtwin.acquire._recovery`` reads streams
 back and seals them into Parquet.
 """
 

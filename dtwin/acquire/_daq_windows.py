@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.acquire._daq import AccelerometerChannel
 from dtwin.acquire._sample_ring import SampleRing
-from dtwin.acquire.daq import AccelerometerChannel
 from dtwin.errors import DeviceError, InputError, MissingPart
 from dtwin.features.windows import WindowContract
 from dtwin.schema import Floats

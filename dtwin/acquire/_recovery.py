@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from dtwin.acquire.recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
+from dtwin.acquire._recording import BLOCK_KEY, STREAM_KEY, SUFFIX, checksum, header_checksum
 from dtwin.errors import StoreError
 from dtwin.lake.parquet import columns_of, write_parquet
 from dtwin.locks import take
