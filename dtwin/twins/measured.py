@@ -21,8 +21,8 @@ from dtwin.physics.observations import Observations, observe
 from dtwin.physics.twin import Twin, by_condition
 from dtwin.physics.whitening import PureError, pure_error, to_harmonics
 from dtwin.schema import Campaign, Floats
+from dtwin.twins._reduced_runs import keep_reduced, read_reduced, stamp_of
 from dtwin.twins.encoder_comparison import DEFAULT_CUTOFF, controller_rows_um, encoder_split
-from dtwin.twins.reduced_runs import keep_reduced, read_reduced, stamp_of
 
 
 @dataclass(frozen=True)

@@ -19,11 +19,11 @@ from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_u
 from dtwin.schema import require_name
 from dtwin.train.residual_formula import ResidualFormula
 from dtwin.train.symbolic import Engine
-from dtwin.twins.formulas import WithFormulas
-from dtwin.twins.learn import learn_formula, learn_law
+from dtwin.twins._formulas import WithFormulas
+from dtwin.twins._learn import learn_formula, learn_law
+from dtwin.twins._stored import twin_from
 from dtwin.twins.measured import Comparison, Loaded, load
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
-from dtwin.twins.stored import twin_from
 
 _MOST_RUNGS = 40
 
@@ -168,7 +168,7 @@ class Twins(TwinShelf):
         return learn_law(self, name, seed)
 
     def learn_formula(self, name: str, engine: Engine, *, seed: int = 0) -> tuple[Twin, ResidualFormula]:
-        """Add a formula for unknown structure; see :func:`dtwin.twins.learn`."""
+        """Add a formula for unknown structure; see :func:`dtwin.twins._learn`."""
         return learn_formula(self, name, engine, seed)
 
     def discover(self, name: str, *, seed: int = 0) -> tuple[list[Twin], list[tuple[str, ...]], Diagnosis]:

@@ -12,8 +12,8 @@ from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
 from dtwin.lake.store import Lake
 from dtwin.pipeline.measuring import ingest
+from dtwin.twins._reduced_runs import read_reduced, stamp_of
 from dtwin.twins.measured import Loaded, load
-from dtwin.twins.reduced_runs import read_reduced, stamp_of
 
 pytestmark = pytest.mark.system
 
