@@ -12,31 +12,7 @@ from typing import Annotated
 import typer
 
 from dtwin import __version__
-from dtwin.commands import amending as amending_commands
-from dtwin.commands import analogue as analogue_commands
-from dtwin.commands import campaign as campaign_command
-from dtwin.commands import cell as cell_commands
-from dtwin.commands import certificate as certificate_command
-from dtwin.commands import data as data_commands
-from dtwin.commands import demo as demo_command
-from dtwin.commands import dynamics as dynamics_commands
-from dtwin.commands import evidence as evidence_command
-from dtwin.commands import exporting as exporting_command
-from dtwin.commands import lathe as lathe_commands
-from dtwin.commands import linuxcnc as linuxcnc_commands
-from dtwin.commands import machine as machine_commands
-from dtwin.commands import models as modelling_commands
-from dtwin.commands import papers as papers_command
-from dtwin.commands import rechecking as rechecking_command
-from dtwin.commands import record as record_command
-from dtwin.commands import servers as server_commands
-from dtwin.commands import serving as serving_commands
-from dtwin.commands import simulating as simulating_command
-from dtwin.commands import turning as turning_commands
-from dtwin.commands import twins as twin_commands
-from dtwin.commands import ui as ui_command
-from dtwin.commands import volumetric as volumetric_commands
-from dtwin.commands import watch as watch_command
+from dtwin.commands import register
 from dtwin.commands.tasks import MainCommands
 from dtwin.config import home, quiet_environment
 from dtwin.errors import EXIT_INTERRUPTED, EXIT_USER, DtwinError, MissingPart, StoreError
@@ -58,31 +34,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-demo_command.register(app)
-data_commands.register(app)
-amending_commands.register(app)
-record_command.register(app)
-campaign_command.register(app)
-watch_command.register(app)
-simulating_command.register(app)
-modelling_commands.register(app)
-evidence_command.register(app)
-rechecking_command.register(app)
-serving_commands.register(app)
-twin_commands.register(app)
-machine_commands.register(app)
-certificate_command.register(app)
-analogue_commands.register(app)
-linuxcnc_commands.register(app)
-cell_commands.register(app)
-lathe_commands.register(app)
-turning_commands.register(app)
-volumetric_commands.register(app)
-papers_command.register(app)
-dynamics_commands.register(app)
-exporting_command.register(app)
-server_commands.register(app)
-ui_command.register(app)
+register(app)
 
 
 # Of a disk or folder; any other error of the system is a mistake of ours.

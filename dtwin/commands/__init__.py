@@ -1,3 +1,70 @@
-"""Bodies of the command line; heavy imports happen inside them."""
+"""The commands of ``dtwin``; heavy imports happen inside their bodies."""
 
-__all__: list[str] = []
+from __future__ import annotations
+
+import typer
+
+from dtwin.commands import (
+    _amending,
+    _analogue,
+    _campaign,
+    _cell,
+    _certificate,
+    _data,
+    _demo,
+    _dynamics,
+    _evidence,
+    _exporting,
+    _lathe,
+    _linuxcnc,
+    _machine,
+    _models,
+    _papers,
+    _rechecking,
+    _record,
+    _servers,
+    _serving,
+    _simulating,
+    _turning,
+    _twins,
+    _ui,
+    _volumetric,
+    _watch,
+)
+
+__all__ = ["register"]
+
+# Help lists what no task names in this order.
+_MODULES = (
+    _demo,
+    _data,
+    _amending,
+    _record,
+    _campaign,
+    _watch,
+    _simulating,
+    _models,
+    _evidence,
+    _rechecking,
+    _serving,
+    _twins,
+    _machine,
+    _certificate,
+    _analogue,
+    _linuxcnc,
+    _cell,
+    _lathe,
+    _turning,
+    _volumetric,
+    _papers,
+    _dynamics,
+    _exporting,
+    _servers,
+    _ui,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add every command to the application."""
+    for module in _MODULES:
+        module.register(app)

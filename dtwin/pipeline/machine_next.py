@@ -69,7 +69,7 @@ def machine_next(
             code="machine.minutes",
             where=machine,
             got=f"{minutes:g} min",
-            allowed=f"{min(_minutes(p) for p, _ in plans):.0f} min or more, mounting included",
+            allowed=f"{min(_minutes(p) for p, _ in plans):z.0f} min or more, mounting included",
         )
     planned = [kind_named(p.kind).foreseen(p) for p, _ in within]
     knowledge = Knowledge(measured, planned, known, {p.kind: p.noise_um for p, _ in within})

@@ -12,7 +12,7 @@ from point_program import visit
 from served_robot import MACHINE, bundle, promote
 from typer.testing import CliRunner
 
-from dtwin.commands import exporting
+from dtwin.commands import _exporting as exporting
 from dtwin.config import home
 from dtwin.errors import DtwinError
 from dtwin.kinematics import UR10E

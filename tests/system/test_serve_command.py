@@ -27,7 +27,7 @@ from served_robot import (
 from typer.testing import CliRunner
 from virtual_robot import RTDE_PORT, VirtualRobot, free_address, virtual_robot
 
-from dtwin.commands import serving
+from dtwin.commands import _serving as serving
 from dtwin.config import Home
 from dtwin.config import home as dtwin_home
 from dtwin.errors import DtwinError, GateRefusal

@@ -54,7 +54,8 @@ def test_a_host_without_pandas_is_told_what_is_missing(monkeypatch: pytest.Monke
 def test_a_package_names_its_documented_modules_and_no_others(package: str) -> None:
     module = import_module(package)
     assert (module.__doc__ or "").strip()
-    named = {f"{package}.{name}" for name in module.__all__}
+    # A package may offer functions of its own beside its modules.
+    named = {f"{package}.{name}" for name in module.__all__ if not callable(vars(module).get(name))}
     assert named == {name for name in DOCUMENTED if name.rpartition(".")[0] == package}
 
 

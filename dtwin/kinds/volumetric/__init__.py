@@ -1,3 +1,3 @@
 """Ball arrays: the record of the kind."""
 
-__all__ = ["heat_diagnosis", "heat_twin", "motions", "twins"]
+__all__ = ["heat_twin", "motions", "twins"]

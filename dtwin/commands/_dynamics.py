@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, ProgressLine, emit
 
 app_dynamics = typer.Typer(
     help="Dynamic part of ball-bar tests: vibration and what changes with the feed.", no_args_is_help=True

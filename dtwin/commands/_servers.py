@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json
+from dtwin.commands._output import Json
 
 if TYPE_CHECKING:
     from dtwin.config import Home

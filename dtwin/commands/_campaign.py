@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, emit
+from dtwin.commands._output import Json, emit
 
 if TYPE_CHECKING:
     from dtwin.pipeline.desk import Desk

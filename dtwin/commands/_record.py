@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, emit
+from dtwin.commands._output import Json, emit
 from dtwin.errors import EXIT_INTERRUPTED, InputError
 
 if TYPE_CHECKING:

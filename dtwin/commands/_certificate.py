@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import Json, emit
+from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError, MissingPart
 
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome", "msedge")

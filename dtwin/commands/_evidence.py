@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.models import Machine, machine_named
-from dtwin.commands.output import Json, emit
+from dtwin.commands._models import Machine, machine_named
+from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError
 from dtwin.report.text import table
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.listening import require_served, simulate_served
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._listening import require_served, simulate_served
+from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 from dtwin.kinds.machine import PLAN, Request, VirtualMachine
 from dtwin.kinds.registry import machine_named, machines, own_kinds

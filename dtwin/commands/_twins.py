@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands import effects, single
-from dtwin.commands.effects import Paths, library_with
-from dtwin.commands.exporting import numbers
-from dtwin.commands.output import Json, Report, emit
+from dtwin.commands import _effects as effects
+from dtwin.commands import _single as single
+from dtwin.commands._effects import Paths, library_with
+from dtwin.commands._exporting import numbers
+from dtwin.commands._output import Json, Report, emit
 from dtwin.commands.tasks import TwinCommands
 from dtwin.errors import InputError
 

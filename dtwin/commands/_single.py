@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import Json, Report, emit
+from dtwin.commands._output import Json, Report, emit
 
 if TYPE_CHECKING:
     from dtwin.kinds.circular.recording import Study

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import Json
+from dtwin.commands._output import Json
 from dtwin.errors import InputError
 
 LOOPBACK = "127.0.0.1"

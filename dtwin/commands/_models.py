@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 from dtwin.progress import Progress
 from dtwin.report.text import table

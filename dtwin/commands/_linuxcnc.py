@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:

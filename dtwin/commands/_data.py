@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
-from dtwin.commands.record import run_text
+from dtwin.commands._output import Json, ProgressLine, emit
+from dtwin.commands._record import run_text
 from dtwin.errors import InputError
 from dtwin.kinds.registry import own_kinds
 from dtwin.report.text import table

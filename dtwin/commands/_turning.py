@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
 Truth = Annotated[str, typer.Option(help="Mechanism of the virtual slide: linear, hardening, friction.")]
@@ -96,7 +96,7 @@ def compensate(
 ) -> None:
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
     from dtwin.atomic import write_text
-    from dtwin.commands.models import bundle_on_virtual
+    from dtwin.commands._models import bundle_on_virtual
     from dtwin.kinds.sinusoidal.report import trial_section, trial_text
     from dtwin.kinds.sinusoidal.trial import TRIAL_HZ, trial
     from dtwin.report.html import page

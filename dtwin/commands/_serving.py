@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, emit
+from dtwin.commands._output import Json, emit
 from dtwin.errors import EXIT_DONE, EXIT_INTERRUPTED, DtwinError, InputError
 from dtwin.report.text import table
 

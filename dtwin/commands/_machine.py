@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dtwin.commands.effects import Paths
-from dtwin.commands.output import Json, emit
+from dtwin.commands._effects import Paths
+from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ def show(
     from datetime import UTC, datetime
 
     from dtwin.atomic import write_text
-    from dtwin.commands.output import ProgressLine
+    from dtwin.commands._output import ProgressLine
     from dtwin.config import home
     from dtwin.pipeline.machine_history import machine_history
     from dtwin.pipeline.machine_series import calendar_of
@@ -124,8 +124,8 @@ def diagnose(
     as_json: Json = False,
 ) -> None:
     """Compare tests of a machine by several instruments: what they agree on, and which of two names is right."""
-    from dtwin.commands.effects import library_with
-    from dtwin.commands.output import ProgressLine
+    from dtwin.commands._effects import library_with
+    from dtwin.commands._output import ProgressLine
     from dtwin.config import home
     from dtwin.pipeline.machine_joint import machine_joint
 
@@ -145,8 +145,8 @@ def next_test(
 ) -> None:
     """Say which test tells most about a machine for its time, after what was measured."""
     from dtwin.atomic import write_toml
-    from dtwin.commands.effects import library_with
-    from dtwin.commands.output import ProgressLine
+    from dtwin.commands._effects import library_with
+    from dtwin.commands._output import ProgressLine
     from dtwin.config import home
     from dtwin.pipeline.machine_next import machine_next
 

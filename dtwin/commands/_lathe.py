@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def compensate(
     as_json: Json = False,
 ) -> None:
     """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
-    from dtwin.commands.models import bundle_on_virtual
+    from dtwin.commands._models import bundle_on_virtual
     from dtwin.kinds.linear.loop import before_and_after
     from dtwin.kinds.linear.plan import read_linear_plan
     from dtwin.kinds.linear.text import compensation_text

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import Json, emit
+from dtwin.commands._output import Json, emit
 from dtwin.errors import InputError
 
 Port = Annotated[str, typer.Argument(help="Serial port of the board, like /dev/ttyACM0.")]

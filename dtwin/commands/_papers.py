@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, ProgressLine, emit
 
 
 def register(app: typer.Typer) -> None:

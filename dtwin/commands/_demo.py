@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 from dtwin.progress import Progress
 

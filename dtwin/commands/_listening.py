@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from dtwin.commands.output import ProgressLine, emit
+from dtwin.commands._output import ProgressLine, emit
 from dtwin.errors import InputError
 from dtwin.kinds.machine import Request, VirtualMachine
 from dtwin.kinds.registry import machines

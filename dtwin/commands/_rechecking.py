@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from dtwin.commands.models import Machine, machine_named
-from dtwin.commands.output import Json, ProgressLine, emit
+from dtwin.commands._models import Machine, machine_named
+from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE
 from dtwin.report.text import table
 

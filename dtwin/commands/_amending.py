@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, emit
+from dtwin.commands._output import Json, emit
 
 CampaignName = Annotated[str, typer.Argument(help="Campaign in the lake.")]
 Runs = Annotated[list[str], typer.Argument(help="Run ids.")]

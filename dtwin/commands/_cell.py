@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dtwin.commands.output import Json, emit
+from dtwin.commands._output import Json, emit
 from dtwin.errors import EXIT_INTERRUPTED
 
 app_cell = typer.Typer(help="The cell: robot and mill as one job, on virtual machines.", no_args_is_help=True)
