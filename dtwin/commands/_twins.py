@@ -42,21 +42,23 @@ def register(app: typer.Typer) -> None:
 
 @twin_app.command("fit")
 def fit_twin(
-    campaign: Annotated[str, typer.Argument(help="Campaign in the lake, or a file or folder.")],
+    campaigns: Annotated[
+        list[str],
+        typer.Argument(metavar="CAMPAIGN...", help="Campaigns of one machine, in the lake or as file or folder."),
+    ],
     wanted: Annotated[str, typer.Option("--effects", help="Names with commas; backlash:X takes one axis.")],
     name: Annotated[str, typer.Option(help="Name of the twin.")],
     robust: Annotated[bool, typer.Option("--robust", help="Less weight for odd runs.")] = False,
     effects_path: Paths = None,
     as_json: Json = False,
 ) -> None:
-    """Fit effects to a campaign."""
+    """Fit effects to a campaign, or to several of one machine: each has its set-ups and noise, effects are the same."""
     from dtwin.config import home
     from dtwin.report.twin_of_kind import twin_text
-    from dtwin.twins.of_kind import twins_for
+    from dtwin.twins.of_kind import fit_twin
 
     names = [part.strip() for part in wanted.split(",") if part.strip()]
-    twins, known = twins_for(home(), library_with(effects_path), campaign)
-    twin = twins.fit(known, names, name, robust=robust)
+    twins, twin = fit_twin(home(), library_with(effects_path), campaigns, names, name, robust=robust)
     emit(twin.as_dict(), lambda: twin_text(twin) + _before(name, twins.history(name)), as_json=as_json)
     _tell_failed(name)
 
@@ -218,9 +220,11 @@ def error_budget(
 ) -> None:
     """How much of the error each cause makes, and what would be left after its remedy."""
     from dtwin.report.budget import budget_text
+    from dtwin.twins.several import require_alone
 
     if program is not None:
-        _budget_of_program(_twins(effects_path).newest(name), program, origin, campaign, as_json=as_json)
+        twin = require_alone(_twins(effects_path).newest(name), "a budget of a program")
+        _budget_of_program(twin, program, origin, campaign, as_json=as_json)
         return
     if origin is not None:
         raise InputError("--origin is of a program only", code="budget.origin", got=origin, hint="--program FILE")
@@ -305,6 +309,8 @@ def show_twin(
     as_json: Json = False,
 ) -> None:
     """Show a twin with its parameters; --html writes the whole story as one page."""
+    from dtwin.physics.twin import Twin
+    from dtwin.report.faults import effect_sizes
     from dtwin.report.twin_of_kind import (
         comparison_sections,
         diagnosis_section,
@@ -335,7 +341,12 @@ def show_twin(
         f"{m['grade'] or 'did not certainly go away'}"
         for m in mended
     ]
-    emit({**twin.as_dict(), "interventions": mended}, lambda: "\n".join([twin_text(twin), *lines]), as_json=as_json)
+    document = {**twin.as_dict(), "interventions": mended}
+    if isinstance(twin, Twin):
+        document["effects"] = [
+            {**entry, **sized} for entry, sized in zip(document["effects"], effect_sizes(twin), strict=True)
+        ]
+    emit(document, lambda: "\n".join([twin_text(twin), *lines]), as_json=as_json)
 
 
 def _show_rung(before: Mapping[str, float], twin: Any, *, as_json: bool) -> None:

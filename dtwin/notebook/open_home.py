@@ -32,7 +32,7 @@ from dtwin.physics import localise
 from dtwin.physics.library import Library
 from dtwin.schema import Run
 from dtwin.twins.measured import load, pure_rms_um
-from dtwin.twins.of_kind import twins_for, twins_with
+from dtwin.twins.of_kind import fit_twin, twins_with
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go
@@ -206,12 +206,14 @@ class OpenHome:
         columns = dict(groups[group].columns)
         return pd.DataFrame({"t_s": groups[group].t_s} | columns)
 
-    def fit(self, campaign: str, effects: str | Sequence[str], name: str, *, robust: bool = False) -> TwinResult:
-        """Fit effects to a campaign; an existing twin of that name gets a new version.
+    def fit(
+        self, campaign: str | Sequence[str], effects: str | Sequence[str], name: str, *, robust: bool = False
+    ) -> TwinResult:
+        """Fit effects to a campaign, or to several of one machine; an existing twin of that name gets a new version.
 
         Parameters
         ----------
-        campaign : str
+        campaign : str or sequence of str
             Name in the lake, or a path, which is ingested first.
         effects : str or sequence of str
             Names; ``backlash:X`` takes one axis.
@@ -224,9 +226,9 @@ class OpenHome:
             When the campaign, an effect or the name cannot be used.
         """
         names = effects.split(",") if isinstance(effects, str) else effects
-        twins, known = twins_for(self.home, self._library, campaign)
-        made = twins.fit(known, [part.strip() for part in names if part.strip()], name, robust=robust)
-        return of_twin(twins, made)
+        wanted = [part.strip() for part in names if part.strip()]
+        campaigns = [campaign] if isinstance(campaign, str) else campaign
+        return of_twin(*fit_twin(self.home, self._library, campaigns, wanted, name, robust=robust))
 
     def show(self, name: str, version: int | None = None) -> TwinResult:
         """Return a version of a twin, the newest one without a number."""

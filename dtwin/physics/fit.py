@@ -160,17 +160,17 @@ def fit(obs: Observations, terms: Sequence[Term], *, robust: bool = False, refin
     weight = np.ones(obs.n_rows)
     solution = solve_blocks(_weighted(columns, problem.y, weight))
     for _ in range(_ROBUST_ROUNDS if robust else 0):
-        weight = _run_weights(problem, columns, solution.x)
+        weight = run_weights(problem, columns, solution.x)
         solution = solve_blocks(_weighted(columns, problem.y, weight))
     uncertain = expanded(problem, terms, columns, solution.x)
     n_setup = obs.n_setup
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
-    residual = _residual_um(obs, columns, solution.x)
+    residual = residual_um(obs, columns, solution.x)
     before = localise.residual_um(obs, [])
     return Fit(
         terms=tuple(terms),
-        estimates=_estimates(terms, solution.x[n_setup:], uncertain[n_setup:], hidden[n_setup:]),
-        setups=_setups(obs, solution.x[:n_setup], uncertain[:n_setup]),
+        estimates=estimates(terms, solution.x[n_setup:], uncertain[n_setup:], hidden[n_setup:]),
+        setups=setups(obs, solution.x[:n_setup], uncertain[:n_setup]),
         residual_um=residual,
         rms_before_um=obs.rms(before),
         rms_after_um=obs.rms(residual),
@@ -222,16 +222,18 @@ def _weighted(columns: Floats, y: Floats, weight: Floats) -> Iterable[tuple[Floa
     return in_blocks(columns * root[:, None], y * root)
 
 
-def _run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
+def run_weights(problem: Problem, columns: Floats, x: Floats) -> Floats:
+    """Return the weight of each row, less for runs that are far off, shape (rows,)."""
     left = (problem.y - columns @ x).reshape(problem.obs.n_rows, problem.obs.n_bins)
     size = np.sqrt((left**2).mean(axis=1))
     limit = _HUBER * float(np.median(size))
     return np.minimum(1.0, limit / np.maximum(size, 1e-300))
 
 
-def _estimates(
+def estimates(
     terms: Sequence[Term], values: Floats, expanded: Floats, hidden: NDArray[np.bool_]
 ) -> tuple[Estimate, ...]:
+    """Return the parameters of terms; ``hidden``: those that the runs do not determine."""
     out = []
     number = 0
     doubted = implausible(terms, values)
@@ -254,7 +256,8 @@ def _estimates(
     return tuple(out)
 
 
-def _setups(obs: Observations, values: Floats, expanded: Floats) -> tuple[Mapping[str, Any], ...]:
+def setups(obs: Observations, values: Floats, expanded: Floats) -> tuple[Mapping[str, Any], ...]:
+    """Return what was fitted of every set-up; ``expanded``: uncertainties, k = 2, in the order of the values."""
     names = obs.grid.setup_names
     k = len(names)
     return tuple(
@@ -267,7 +270,8 @@ def _setups(obs: Observations, values: Floats, expanded: Floats) -> tuple[Mappin
     )
 
 
-def _residual_um(obs: Observations, columns: Floats, x: Floats) -> Floats:
+def residual_um(obs: Observations, columns: Floats, x: Floats) -> Floats:
+    """Return what is left, shape (rows, n); ``columns``: whitened without weights, ``x``: what was fitted."""
     fitted = from_harmonics((columns @ x).reshape(obs.n_rows, obs.n_bins))
     return np.where(obs.mask, obs.y_um - fitted, 0.0)
 

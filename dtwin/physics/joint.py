@@ -33,12 +33,13 @@ Cause = tuple[str, str]
 
 @dataclass(frozen=True)
 class MachineTest:
-    """A campaign with what its diagnosis found from nothing."""
+    """A campaign with what its diagnosis found beside effects that are known; from nothing without any."""
 
     campaign: str
     started: str
     obs: Observations
     found: Diagnosis
+    known: tuple[Term, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,7 @@ class _Measured:
                 terms: list[Term] = chosen_terms([":".join(n.split()) for n in labels], self._library, obs)
             except InputError:  # It cannot act in this test.
                 terms = []
-            for e in fit(obs, terms).estimates if terms else ():
+            for e in fit(obs, [*self.test.known, *terms]).estimates if terms else ():
                 out.setdefault(f"{e.effect} {e.axis}".rstrip(), []).append(e)
             self._fitted[labels] = out
         return self._fitted[labels]

@@ -106,6 +106,15 @@ class Twin:
     effect_sources: Mapping[str, str]
 
     @property
+    def campaigns(self) -> tuple[str, ...]:
+        """Campaigns that it was fitted to."""
+        return (self.campaign,)
+
+    def on(self, campaign: str) -> Twin:
+        """Return the twin as one of its campaigns sees it."""
+        return self
+
+    @property
     def labels(self) -> tuple[str, ...]:
         """Labels of its effects."""
         return tuple(term.label for term in self.terms)
@@ -271,7 +280,7 @@ def chosen_terms(names: Sequence[str], library: Mapping[str, Effect], obs: Obser
             continue
         where = own or axis
         here = [i for i in possible if i.effect.name == name and (not where or i.axis == where)]
-        here = [i for i in here if _acts(obs, i)]
+        here = [i for i in here if acts(obs, i)]
         if where == "" and effect.per == "machine_and_axis":
             here = here[:1]
         if not here:
@@ -288,7 +297,8 @@ def chosen_terms(names: Sequence[str], library: Mapping[str, Effect], obs: Obser
     return list(seen.values())
 
 
-def _acts(obs: Observations, instance: Instance) -> bool:
+def acts(obs: Observations, instance: Instance) -> bool:
+    """Tell whether an effect does anything in the runs of a campaign, with what they log."""
     if any(name not in obs.logged for name in instance.effect.needs):
         return False
     return bool(obs.regressors(instance, instance.effect.start_shape).any())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from dtwin.physics.fit import Estimate
 from dtwin.physics.twin import Twin
@@ -81,6 +82,17 @@ def sizes_of(estimates: Sequence[Estimate]) -> list[tuple[str, float, float, str
         spread = math.hypot(*(e.value * e.uncertainty for e in waves)) / amplitude if amplitude else math.nan
         sizes.append(("amplitude", amplitude, spread, waves[0].unit))
     return sizes
+
+
+def effect_sizes(twin: Twin) -> list[dict[str, Any]]:
+    """Return value, k2 and unit of every effect of a twin, of several sizes the first; None where the runs do not tell it."""
+    out: list[dict[str, Any]] = []
+    for term in twin.terms:
+        where = term.instance.effect.name, term.instance.axis
+        sizes = sizes_of([e for e in twin.estimates if (e.effect, e.axis) == where])
+        _, value, spread, unit = sizes[0] if sizes else ("", None, None, term.instance.effect.parameters[0].unit)
+        out.append({"value": value, "k2": spread, "unit": unit})
+    return out
 
 
 def with_k2(value: float, uncertainty: float, unit: str) -> str:

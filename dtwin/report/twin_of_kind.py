@@ -51,5 +51,9 @@ def comparison_sections(found: Any, result: Mapping[str, Any]) -> list[Section]:
 
 
 def _of(document: Mapping[str, Any]) -> TwinReport:
+    if "campaigns" in document:
+        from dtwin.report import several
+
+        return several
     # A twin of tests of a path names no kind.
     return kind_named(document.get("kind", DEFAULT_KIND)).twin_report

@@ -16,6 +16,7 @@ from dtwin.physics.twin import Twin
 from dtwin.train.residual_formula import ResidualFormula, search_residual
 from dtwin.train.symbolic import Engine
 from dtwin.twins.measured import load
+from dtwin.twins.several import require_alone
 
 if TYPE_CHECKING:
     from dtwin.twins.verbs import Twins
@@ -68,6 +69,7 @@ def learn_formula(twins: Twins, name: str, engine: Engine, seed: int) -> tuple[T
 
 
 def _unknown(twins: Twins, name: str, seed: int) -> tuple[Twin, Diagnosis]:
+    require_alone(twins.newest(name), "learning a law")
     twin, found = twins.diagnose(name, seed=seed)
     if found.verdict != "unknown_effect":
         raise GateRefusal(

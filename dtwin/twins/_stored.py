@@ -6,17 +6,36 @@ from collections.abc import Mapping
 from typing import Any
 
 from dtwin.errors import InputError, StoreError
+from dtwin.physics.contradictions import Contradiction
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.fit import Estimate
 from dtwin.physics.problem import Term
+from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import FORMAT, Twin, ValidityBox
+
+_ABOUT = ("kind", "started", "weight")
 
 
 def twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
     """Return a twin from its stored form.
 
-    ``document``: what ``Twin.as_dict`` returned.
+    ``document``: what ``as_dict`` of a twin returned.
     """
+    twin = _twin_from(document, library, where)
+    if "campaigns" not in document:
+        return twin
+    return SeveralTwin(
+        **vars(twin),
+        parts=tuple(_twin_from(entry["part"], library, where) for entry in document["campaigns"]),
+        about=tuple({name: entry[name] for name in _ABOUT} for entry in document["campaigns"]),
+        contradictions=tuple(
+            Contradiction(**{**entry, "campaigns": tuple(entry["campaigns"]), "others": tuple(entry["others"])})
+            for entry in document["contradictions"]
+        ),
+    )
+
+
+def _twin_from(document: Mapping[str, Any], library: Mapping[str, Effect], where: str) -> Twin:
     if document.get("format") != FORMAT:
         raise StoreError(
             "this is not a twin", code="twin.format", where=where, allowed=FORMAT, got=str(document.get("format"))[:40]

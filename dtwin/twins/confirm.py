@@ -10,6 +10,7 @@ from dtwin.documents import finite, read_document, write_document
 from dtwin.errors import InputError
 from dtwin.physics.fit import Estimate, fit
 from dtwin.twins.measured import load
+from dtwin.twins.several import require_alone
 from dtwin.twins.shelf import TwinShelf
 from dtwin.twins.verbs import Twins
 
@@ -93,7 +94,7 @@ def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Inte
         When the twin does not have the effect, or the campaign is of another machine, is the one
         of the fit, or has no repeats.
     """
-    twin = twins.newest(name)
+    twin = require_alone(twins.newest(name), "confirming an effect")
     label = effect.replace(":", " ")
     chosen = [term.label for term in twin.terms if term.label == label]
     if not chosen:

@@ -25,6 +25,7 @@ from dtwin.train.results import CONDITIONS_FILE, TrainingReport
 from dtwin.train.twin_terms import TwinBundle
 from dtwin.twins.judged import Judged
 from dtwin.twins.measured import load
+from dtwin.twins.several import require_alone
 from dtwin.twins.verbs import Twins
 
 BY_LAW = ("law-confirmed", "intervention-confirmed")
@@ -140,7 +141,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
         When no effect can be corrected by offsets of position, or the runs were measured under a
         correction.
     """
-    obs = load(twins.home, twins.newest(name).campaign).obs
+    obs = load(twins.home, require_alone(twins.newest(name), "a correction").campaign).obs
     require_uncorrected(obs.campaign)
     twin, found = twins.diagnose(name, seed=seed)
     way = kind_named(obs.grid.kind).twin_correction()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from dtwin.acquire.campaign_name import in_lake
@@ -10,10 +10,13 @@ from dtwin.config import Home
 from dtwin.kinds.registry import kind_named, kinds
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
+from dtwin.twins.several import require_together
 from dtwin.twins.shelf import kind_of
 
 if TYPE_CHECKING:
+    from dtwin.kinds.volumetric.heat_twin import HeatTwin
     from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.physics.twin import Twin
     from dtwin.twins.verbs import Twins
 
 
@@ -22,21 +25,52 @@ def twins_with(home: Home, library: Mapping[str, Effect], name: str) -> Twins | 
     return kind_named(kind_of(home, name)).twins(home, library)
 
 
-def twins_for(home: Home, library: Mapping[str, Effect], campaign: str) -> tuple[Twins | HeatTwins, str]:
-    """Return the twins that suit a campaign, and the name of the campaign in the lake.
+def twins_for(
+    home: Home, library: Mapping[str, Effect], campaigns: Sequence[str]
+) -> tuple[Twins | HeatTwins, list[str]]:
+    """Return the twins that suit campaigns, and the names of the campaigns in the lake.
 
     Parameters
     ----------
-    campaign : str
-        Name in the lake, or a file or folder, which is ingested first.
+    campaigns : sequence of str
+        Names in the lake, or files or folders, which are ingested first.
 
     Raises
     ------
     InputError
-        When there is no such campaign.
+        When there is no such campaign, or several cannot have one twin.
     """
-    name = in_lake(home, campaign)
-    return kind_named(Lake(home.lake).campaign(name).kind).twins(home, library), name
+    names = [in_lake(home, campaign) for campaign in campaigns]
+    known = [Lake(home.lake).campaign(name) for name in names]
+    if len(known) > 1:
+        require_together([(c.name, c.machine, c.kind) for c in known])
+    return kind_named(known[0].kind).twins(home, library), names
+
+
+def fit_twin(
+    home: Home,
+    library: Mapping[str, Effect],
+    campaigns: Sequence[str],
+    effects: Sequence[str],
+    name: str,
+    *,
+    robust: bool = False,
+) -> tuple[Twins | HeatTwins, Twin | HeatTwin]:
+    """Fit a twin to campaigns of a machine, one or several, and return it with the twins among which it is.
+
+    Parameters
+    ----------
+    campaigns : sequence of str
+        As :func:`twins_for` takes them.
+    """
+    twins, names = twins_for(home, library, campaigns)
+    if len(names) == 1:
+        return twins, twins.fit(names[0], effects, name, robust=robust)
+    # Those that can be fitted together are tests of a path.
+    from dtwin.twins.verbs import Twins
+
+    paths = Twins(home, library)
+    return paths, paths.fit(names, effects, name, robust=robust)
 
 
 def every_shelf(home: Home) -> list[Twins | HeatTwins]:

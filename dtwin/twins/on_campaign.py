@@ -7,6 +7,7 @@ from typing import Any
 
 from dtwin.config import Home
 from dtwin.lake.store import Lake
+from dtwin.physics.twin import Twin
 from dtwin.report.twin_of_kind import comparison_text, diagnosis_text
 from dtwin.twins.of_kind import every_shelf
 
@@ -54,14 +55,15 @@ def look_at(home: Home, machine: str, campaign: str) -> list[TwinView]:
     for twins in every_shelf(home):
         for name in twins.names():
             twin = twins.newest(name)
-            if twin.machine != machine or lake.campaign(twin.campaign).kind != kind:
+            of_twin = twin.campaigns if isinstance(twin, Twin) else (twin.campaign,)
+            if twin.machine != machine or all(lake.campaign(own).kind != kind for own in of_twin):
                 continue
-            if twin.campaign == campaign:
+            if campaign in of_twin:
                 _, found = twins.diagnose(name)
                 result = found.as_dict()
                 text = diagnosis_text(name, result)
             else:
                 result = twins.compare(name, campaign).as_dict()
                 text = comparison_text(result)
-            views.append(TwinView(name, twin.version, twin.campaign == campaign, result, text))
+            views.append(TwinView(name, twin.version, campaign in of_twin, result, text))
     return views

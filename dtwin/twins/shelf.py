@@ -166,6 +166,9 @@ class TwinShelf:
                     "version": document["version"],
                     "action": document["action"],
                     "campaign": document["campaign"],
+                    **(
+                        {"campaigns": [c["campaign"] for c in document["campaigns"]]} if "campaigns" in document else {}
+                    ),
                     **document["figures"],
                     "verdict": verdict.get("verdict"),
                     "group": [

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from dtwin.acquire.campaign_name import in_lake
 from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.lake.store import Lake
 from dtwin.physics import localise
 from dtwin.physics.budget import Budget, budget
 from dtwin.physics.diagnose import diagnose
@@ -14,7 +17,10 @@ from dtwin.physics.effect import Effect
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
+from dtwin.physics.machine_terms import key_of, machine_terms
 from dtwin.physics.problem import Term
+from dtwin.physics.several_diagnosis import diagnose_several
+from dtwin.physics.several_twin import SeveralTwin, seen_in
 from dtwin.physics.twin import Twin, chosen_terms, data_lines, frozen_residual_um, twin_of
 from dtwin.schema import require_name
 from dtwin.train.residual_formula import ResidualFormula
@@ -23,6 +29,7 @@ from dtwin.twins._formulas import WithFormulas
 from dtwin.twins._learn import learn_formula, learn_law
 from dtwin.twins._stored import twin_from
 from dtwin.twins.measured import Comparison, Loaded, load
+from dtwin.twins.several import SeveralComparison, fitted_together, require_together
 from dtwin.twins.shelf import PATHS, TwinShelf, effect_absent, effect_there, require_same_machine
 
 _MOST_RUNGS = 40
@@ -42,30 +49,35 @@ class Twins(TwinShelf):
         others = Library() if library is None else library
         self.library = WithFormulas(others, home.root / "formulas")
 
-    def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> Twin:
-        """Fit a twin to a campaign; an existing twin of that name gets a new version.
+    def fit(self, campaign: str | Sequence[str], effects: Sequence[str], name: str, *, robust: bool = False) -> Twin:
+        """Fit a twin to campaigns of a machine; an existing twin of that name gets a new version.
 
         Parameters
         ----------
-        campaign : str
-            Name in the lake, or a file or folder.
+        campaign : str or sequence of str
+            Name in the lake, or a file or folder; several are fitted together.
         effects : sequence of str
             Names; ``name:axis`` takes one axis.
         robust : bool
             Give runs that are far off less weight.
+
+        Raises
+        ------
+        InputError
+            When campaigns are of several machines, or cannot have a twin together.
         """
         require_name(name, "the twin")
-        loaded = load(self.home, campaign)
-        terms = chosen_terms(effects, self.library, loaded.obs)
-        return self._store(name, loaded, terms, "fit", robust=robust)
+        names = [campaign] if isinstance(campaign, str) else list(campaign)
+        loaded = self._load(names)
+        return self._store(name, loaded, self._terms(effects, loaded), "fit", robust=robust)
 
-    def compare(self, name: str, campaign: str | None = None) -> Comparison:
+    def compare(self, name: str, campaign: str | None = None) -> Comparison | SeveralComparison:
         """Compare a twin with measurements.
 
         Parameters
         ----------
         campaign : str, optional
-            Other measurements than those of the fit.
+            Other measurements than those of the fit, or one of several campaigns.
 
         Raises
         ------
@@ -73,11 +85,20 @@ class Twins(TwinShelf):
             When the campaign is of another machine.
         """
         twin = self.newest(name)
-        loaded = load(self.home, campaign or twin.campaign)
+        if isinstance(twin, SeveralTwin) and campaign is None:
+            loaded = self._load(twin.campaigns)
+            return SeveralComparison(twin, tuple(self.compared(twin, one) for one in loaded))
+        return self.compared(twin, load(self.home, campaign or twin.campaign))
+
+    def compared(self, twin: Twin, loaded: Loaded) -> Comparison:
+        """Compare a twin with one campaign."""
         obs = loaded.obs
-        require_same_machine(name, twin.machine, obs.campaign.name, obs.campaign.machine)
-        outside = twin.box.outside(obs)
+        require_same_machine(twin.name, twin.machine, obs.campaign.name, obs.campaign.machine)
         warnings = data_lines(loaded.data)
+        if isinstance(twin, SeveralTwin):
+            twin, absent = seen_in(twin, obs, self.library)
+            warnings += [f"not compared, for its phase or size there is not known: {label}" for label in absent]
+        outside = twin.box.outside(obs)
         if outside:
             shown = ", ".join(outside[:4]) + (" ..." if len(outside) > 4 else "")
             warnings.append(f"outside the conditions of the fit: {shown}")
@@ -91,25 +112,38 @@ class Twins(TwinShelf):
         Parameters
         ----------
         campaign : str, optional
-            Other measurements than those of the fit.
+            Other measurements than those of the fit; of several campaigns it says which.
         """
         twin = self.newest(name)
+        if campaign is None and isinstance(twin, SeveralTwin):
+            raise InputError(
+                "the error of which campaign?",
+                code="budget.campaign",
+                where=f"twin {name}",
+                allowed=twin.campaign,
+                hint=f"--on {twin.campaigns[0]}",
+            )
         obs = load(self.home, campaign or twin.campaign).obs
         require_same_machine(name, twin.machine, obs.campaign.name, obs.campaign.machine)
+        if isinstance(twin, SeveralTwin):
+            twin, _ = seen_in(twin, obs, self.library)
         return twin, budget(twin, obs)
 
     def diagnose(self, name: str, *, seed: int = 0) -> tuple[Twin, Diagnosis]:
         """Find out what a twin lacks."""
         twin = self.newest(name)
-        loaded = load(self.home, twin.campaign)
-        obs = loaded.obs
-        diagnosis = diagnose(obs, twin.terms, self.library, seed=seed)
-        proposed = next_experiment(obs, twin.terms, diagnosis, self.library)
-        diagnosis = replace(diagnosis, next_experiment=proposed, told=tuple(data_lines(loaded.data)))
+        loaded = self._load(twin.campaigns)
+        if isinstance(twin, SeveralTwin):
+            found: Diagnosis = diagnose_several(twin, [one.obs for one in loaded], self.library, seed=seed)
+        else:
+            obs = loaded[0].obs
+            found = diagnose(obs, twin.terms, self.library, seed=seed)
+            found = replace(found, next_experiment=next_experiment(obs, twin.terms, found, self.library))
+        found = replace(found, told=tuple(line for one in loaded for line in data_lines(one.data)))
         document = {"twin": name, "version": twin.version, "campaign": twin.campaign}
-        document |= diagnosis.as_dict()
+        document |= found.as_dict()
         self.store_diagnosis(document)
-        return twin, diagnosis
+        return twin, found
 
     def add(self, name: str, effect: str, axis: str = "") -> Twin:
         """Add an effect, refit, and store the new version.
@@ -127,9 +161,10 @@ class Twins(TwinShelf):
             When the twin has it already.
         """
         twin = self.newest(name)
-        loaded = load(self.home, twin.campaign)
-        new = chosen_terms([effect], self.library, loaded.obs, axis)
-        fresh = [term for term in new if term.label not in twin.labels]
+        loaded = self._load(twin.campaigns)
+        new = self._terms([effect], loaded, axis)
+        there = {key_of(term) for term in twin.terms}
+        fresh = [term for term in new if key_of(term) not in there]
         if not fresh:
             raise effect_there(twin, effect)
         added = ", ".join(term.label for term in fresh)
@@ -149,8 +184,7 @@ class Twins(TwinShelf):
         kept = [t for t in twin.terms if t.instance.effect.name != wanted or (where and t.instance.axis != where)]
         if len(kept) == len(twin.terms):
             raise effect_absent(twin, effect)
-        loaded = load(self.home, twin.campaign)
-        return self._store(name, loaded, kept, f"remove {effect}")
+        return self._store(name, self._load(twin.campaigns), kept, f"remove {effect}")
 
     def restore(self, name: str, version: int) -> Twin:
         """Refit with the effects of an older version, and store that as a new one.
@@ -161,7 +195,7 @@ class Twins(TwinShelf):
             The version to go back to.
         """
         old = self.newest(name, version)
-        return self._store(name, load(self.home, old.campaign), old.terms, f"restore v{version}")
+        return self._store(name, self._load(old.campaigns), old.terms, f"restore v{version}")
 
     def learn(self, name: str, *, seed: int = 0) -> tuple[Twin, float]:
         """Add the scaling law that describes unknown structure best; see :func:`learn_law`."""
@@ -206,9 +240,31 @@ class Twins(TwinShelf):
         document, path = self.newest_document(name, version)
         return twin_from(document, self.library, str(path))
 
-    def _store(self, name: str, loaded: Loaded, terms: Sequence[Term], action: str, *, robust: bool = False) -> Twin:
+    def _load(self, campaigns: Sequence[str]) -> list[Loaded]:
+        if len(campaigns) > 1:
+            names = [in_lake(self.home, campaign) for campaign in campaigns]
+            known = [Lake(self.home.lake).campaign(name) for name in names]
+            require_together([(c.name, c.machine, c.kind) for c in known])
+            campaigns = names
+        return [load(self.home, campaign) for campaign in campaigns]
+
+    def _terms(self, effects: Sequence[str], loaded: Sequence[Loaded], axis: str = "") -> list[Term]:
+        campaigns = [one.obs for one in loaded]
+        if len(campaigns) > 1:
+            return machine_terms(effects, self.library, campaigns, axis)
+        return chosen_terms(effects, self.library, campaigns[0], axis)
+
+    def _store(
+        self, name: str, loaded: Sequence[Loaded], terms: Sequence[Term], action: str, *, robust: bool = False
+    ) -> Twin:
         version = self.next_version(name)
-        found = fit(loaded.obs, terms, robust=robust)
-        twin = twin_of(found, loaded.obs, name=name, version=version, action=action, data=loaded.data)
+        if len(loaded) > 1:
+            twin: Twin = fitted_together(
+                loaded, terms, self.library, name=name, version=version, action=action, robust=robust
+            )
+        else:
+            (one,) = loaded
+            found = fit(one.obs, terms, robust=robust)
+            twin = twin_of(found, one.obs, name=name, version=version, action=action, data=one.data)
         self.store(twin.as_dict())
         return twin

@@ -17,7 +17,7 @@ from dtwin.physics.effect import Instance
 from dtwin.physics.fit import fit
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
-from dtwin.physics.twin import Twin, data_lines, frozen_residual_um
+from dtwin.physics.twin import Twin
 from dtwin.pipeline.kept import kept, sheet_of_campaign
 from dtwin.report.twin_plots import harmonic_amplitudes_um
 from dtwin.schema import Floats, require_name
@@ -132,17 +132,15 @@ def view(bench: Bench, name: str, version: int | None = None, on: str = "") -> V
     """Return a twin against runs.
 
     ``version``: the newest without.
-    ``on``: campaign of other runs of the machine, for the newest version; empty for those of the fit.
+    ``on``: campaign of other runs of the machine, for the newest version, or one of several of the fit; empty for the first.
     """
     twin = bench.twins.newest(name, version)
-    campaign = on or twin.campaign
+    campaign = on or twin.campaigns[0]
     made = version_file(bench, name, twin.version).stat().st_mtime_ns
     key = ("view", name, twin.version, made, campaign, bench.stamp(campaign))
 
     def compared() -> View:
-        if campaign == twin.campaign:
-            return _viewed(key, _compared(twin, _loaded(bench, campaign)))
-        return _viewed(key, bench.twins.compare(name, campaign))
+        return _viewed(key, bench.twins.compared(twin, _loaded(bench, campaign)))
 
     return bench.cache.get(key, compared)
 
@@ -160,6 +158,8 @@ def floor_of(bench: Bench, view: View) -> Floor:
     same = view.obs.campaign.name == view.twin.campaign
     diagnosis = diagnosis_of(bench, view.twin.name, view.twin.version) if same else None
     diagnosis = diagnosis or {}
+    own = [one for one in diagnosis.get("campaigns", ()) if one["campaign"] == view.twin.campaign]
+    diagnosis = own[0] if own else diagnosis
     lower = diagnosis.get("noise_floor_um")
     if diagnosis.get("floor_kind") == "within_run" and lower is not None:
         return Floor(float(lower), "within_run")
@@ -242,14 +242,6 @@ def taken_away_um(bench: Bench, view: View, label: str) -> Floats:
 def _loaded(bench: Bench, campaign: str) -> Loaded:
     key = ("observed", campaign, bench.stamp(campaign))
     return bench.cache.get(key, lambda: load(bench.home, campaign))
-
-
-def _compared(twin: Twin, loaded: Loaded) -> Comparison:
-    obs = loaded.obs
-    residual = frozen_residual_um(twin, obs)
-    before = localise.residual_um(obs, [])
-    warnings = tuple(data_lines(loaded.data))
-    return Comparison(twin, obs, residual, before, warnings, loaded.controller_um)
 
 
 def _viewed(key: tuple[str | int, ...], comparison: Comparison) -> View:

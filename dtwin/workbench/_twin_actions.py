@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
@@ -10,8 +10,9 @@ from starlette.responses import JSONResponse
 
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.physics.twin import Twin
+from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.schema import require_name
-from dtwin.twins.of_kind import twins_for
+from dtwin.twins.of_kind import fit_twin, twins_for
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
 from dtwin.workbench._jobs import Tell
@@ -21,9 +22,10 @@ router = APIRouter()
 
 
 class _FitRequest(BaseModel):
-    """What to fit."""
+    """What to fit: one campaign, or several of one machine."""
 
-    campaign: str
+    campaign: str = ""
+    campaigns: list[str] = Field(default_factory=list, max_length=20)
     name: str
     effects: list[str] = Field(default_factory=list, max_length=60)
     robust: bool = False
@@ -59,13 +61,15 @@ def fit(request: Request, wanted: _FitRequest) -> JSONResponse:
     """Fit effects to a campaign of the lake."""
     bench = bench_of(request)
     require_name(wanted.name, "the twin")
-    bench.lake.campaign(wanted.campaign)
-    twins, campaign = twins_for(bench.home, bench.library, wanted.campaign)
+    campaigns = wanted.campaigns or [wanted.campaign]
+    for campaign in campaigns:
+        bench.lake.campaign(campaign)
+    twins_for(bench.home, bench.library, campaigns)
     return _start(
         bench,
         f"Fit {wanted.name}",
         wanted.name,
-        lambda: twins.fit(campaign, wanted.effects, wanted.name, robust=wanted.robust),
+        lambda: fit_twin(bench.home, bench.library, campaigns, wanted.effects, wanted.name, robust=wanted.robust)[1],
         "/twins/{name}",
     )
 
@@ -136,20 +140,31 @@ def diagnose(request: Request, name: str) -> JSONResponse:
 @router.post("/api/campaigns/{campaign}/find")
 def find(request: Request, campaign: str, wanted: _NameRequest) -> JSONResponse:
     """Fit a twin of nothing but the set-ups, and add every effect that the runs can tell."""
+    return _find(bench_of(request), [campaign], wanted.name)
+
+
+@router.post("/api/machines/{machine}/find")
+def find_together(request: Request, machine: str, wanted: _NameRequest) -> JSONResponse:
+    """The same of the newest tests of a machine, all in one twin."""
     bench = bench_of(request)
-    require_name(wanted.name, "the twin")
-    bench.lake.campaign(campaign)
-    twins, known = twins_for(bench.home, bench.library, campaign)
+    return _find(bench, list(newest_tests(bench.run_rows(), machine)), wanted.name)
+
+
+def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:
+    require_name(name, "the twin")
+    for campaign in campaigns:
+        bench.lake.campaign(campaign)
+    twins_for(bench.home, bench.library, campaigns)
 
     def work(tell: Tell) -> str:
         tell("fit the set-ups")
-        twins.fit(known, [], wanted.name)
+        twins, _ = fit_twin(bench.home, bench.library, campaigns, [], name)
         tell("search for the effects, add each, and diagnose what is left")
-        made = twins.discover(wanted.name)[0]
+        made = twins.discover(name)[0]
         tell(f"{len(made)} effects were added")
-        return f"/twins/{wanted.name}/diagnose"
+        return f"/twins/{name}/diagnose"
 
-    return accepted(bench.jobs.start(f"Find what {campaign} can tell", work))
+    return accepted(bench.jobs.start(f"Find what {', '.join(campaigns)} can tell", work))
 
 
 @router.post("/api/twins/{name}/discover")

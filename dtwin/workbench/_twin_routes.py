@@ -14,6 +14,8 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.report.encoder_split import encoder_section
 from dtwin.report.faults import faults
 from dtwin.report.html import Section, page
+from dtwin.report.several import contradiction_lines
+from dtwin.report.twin_of_kind import comparison_sections, diagnosis_section, history_section, twin_section
 from dtwin.report.twin_plots import (
     along_figure,
     harmonics_figure,
@@ -22,14 +24,7 @@ from dtwin.report.twin_plots import (
     residual_map,
     waterfall_figure,
 )
-from dtwin.report.twins import (
-    comparison_sections,
-    diagnosis_section,
-    found_table,
-    history_section,
-    parameter_table,
-    twin_section,
-)
+from dtwin.report.twins import found_table, parameter_table
 from dtwin.twins.registration import waiting, waiting_text
 from dtwin.workbench import _reading as reading
 from dtwin.workbench._bench import Bench, bench_of
@@ -68,6 +63,7 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
     if bench.is_of_heat(name):
         return heat_page(request, name, on)
     view = reading.view(bench, name, on=on)
+    whole = bench.twins.newest(name)
     machine = view.twin.machine
     campaigns = sorted({r["campaign"] for r in bench.run_rows() if r["machine"] == machine})
     worst = reading.chosen_conditions(view, ())
@@ -78,6 +74,8 @@ def compare_page(request: Request, name: str, on: str = "") -> Response:
         name=name,
         tab="compare",
         twin=view.twin,
+        whole=whole,
+        told=contradiction_lines(whole.as_dict()),
         result=view.result,
         labels=view.labels,
         worst=worst,
@@ -113,6 +111,7 @@ def diagnose_page(request: Request, name: str) -> Response:
         library=bench.library,
         found=found_table(diagnosis or {}),
         faults=faults(twin),
+        together=diagnosis_section(name, _with_nan(diagnosis)) if diagnosis and "campaigns" in diagnosis else None,
         floor=reading.FLOOR_WORDS[diagnosis["floor_kind"]] if diagnosis else "",
     )
 
@@ -128,8 +127,8 @@ def versions_page(request: Request, name: str, first: int | None = None, second:
     newest = twins.newest(name)
     right = newest if second is None else twins.newest(name, second)
     left = twins.newest(name, max(1, right.version - 1) if first is None else first)
-    rows = [row for row in bench.run_rows() if row["campaign"] == newest.campaign]
-    possible = possible_effects(rows, bench.library) if rows else []
+    rows = [[row for row in bench.run_rows() if row["campaign"] == campaign] for campaign in newest.campaigns]
+    possible = {e.name: e for mine in rows if mine for e in possible_effects(mine, bench.library)}
     return rendered(
         request,
         "versions.html",
@@ -139,7 +138,7 @@ def versions_page(request: Request, name: str, first: int | None = None, second:
         twin=newest,
         rungs=rungs,
         pair=(left, right),
-        effects=possible,
+        effects=list(possible.values()),
         tables=[parameter_table(v) for v in (left, right)],
         mlflow=[
             mlflow_page(bench.home, r["mlflow"]["model"], r["mlflow"]["model_version"]) if r["mlflow"] else None
@@ -263,7 +262,9 @@ def ranked(request: Request, name: str) -> Response:
 def signature(request: Request, name: str, effect: str, condition: _Numbers = []) -> Response:  # noqa: B006
     """Return what adding an effect would take away, over the residual."""
     bench = bench_of(request)
-    view = reading.view(bench, name)
+    diagnosis = reading.diagnosis_of(bench, name, bench.twins.newest(name).version) or {"candidates": []}
+    labelled = {f"{c['effect']} {c['axis']}".strip(): c.get("campaign", "") for c in diagnosis["candidates"]}
+    view = reading.view(bench, name, on=labelled.get(effect, ""))
     taken = reading.taken_away_um(bench, view, effect)
     chosen = reading.chosen_conditions(view, condition)[0]
     curves = {"residual": view.residual_um[chosen], f"predicted: {effect}": taken[chosen]}
@@ -274,13 +275,13 @@ def signature(request: Request, name: str, effect: str, condition: _Numbers = []
 
 def _sections(bench: Bench, name: str) -> list[Section]:
     """Return the whole story of a twin of tests of a path."""
-    view = reading.view(bench, name)
-    sections = [twin_section(view.twin)]
-    sections += comparison_sections(view.comparison, view.result)
-    diagnosis = reading.diagnosis_of(bench, name, view.twin.version)
+    twin = bench.twins.newest(name)
+    comparison = bench.twins.compare(name)
+    sections = [twin_section(twin), *comparison_sections(comparison, comparison.as_dict())]
+    diagnosis = reading.diagnosis_of(bench, name, twin.version)
     if diagnosis is not None:
         sections.append(diagnosis_section(name, _with_nan(diagnosis)))
-    sections.append(history_section(bench.twins.history(name)))
+    sections.append(history_section(twin, bench.twins.history(name)))
     return sections
 
 

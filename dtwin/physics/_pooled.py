@@ -1,0 +1,213 @@
+"""Least squares over several campaigns at once: each with its columns, weight and noise, some parameters common."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dtwin.physics.candidates import probes
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Problem, Term, setup_columns, weighted_like
+from dtwin.physics.score import misfit, noise_level
+from dtwin.physics.solve import Solution, in_blocks, solve_blocks
+from dtwin.physics.whitening import condition_sums, within_condition
+from dtwin.schema import Floats
+from dtwin.statistics import t_quantile
+
+COVERAGE = 0.9545
+# Conditions of a jackknife.
+_FEWEST = 5
+_RANK = 1e-10
+# A combination of parameters of which a smaller share is left beside the others is not determined.
+_DETERMINED = 1e-6
+
+
+@dataclass(frozen=True)
+class Part:
+    """A campaign in a common fit.
+
+    Attributes
+    ----------
+    problem : Problem
+        Not whitened, with what its repeats disagree by.
+    terms : tuple of Term
+        Effects as this campaign sees them.
+    number_of : tuple of int
+        Which term of the machine each of them is.
+    columns : ndarray, shape (rows * n, k)
+        Set-up terms, then effects.
+    row_weight : ndarray, shape (rows,)
+        Of each row within the campaign; 1 in a fit that is not robust.
+    weight : float
+        Of the campaign: one by what its runs scatter and miss, 1/um.
+    """
+
+    problem: Problem
+    terms: tuple[Term, ...]
+    number_of: tuple[int, ...]
+    columns: Floats
+    row_weight: Floats
+    weight: float
+
+    @property
+    def obs(self) -> Observations:
+        """Its runs."""
+        return self.problem.obs
+
+    @cached_property
+    def root(self) -> Floats:
+        """Factor of every whitened coefficient, shape (rows * n, 1)."""
+        return (self.weight * np.repeat(np.sqrt(self.row_weight), self.obs.n_bins))[:, None]
+
+    @cached_property
+    def gram(self) -> Floats:
+        """Normal matrix in its own columns, shape (k, k)."""
+        weighted = self.columns * self.root
+        return np.asarray(weighted.T @ weighted)
+
+    @cached_property
+    def side(self) -> Floats:
+        """Right side of its normal equations, shape (k,)."""
+        return np.asarray((self.columns * self.root**2).T @ self.problem.y)
+
+    def spans(self) -> Iterator[tuple[int, slice]]:
+        """Yield number within ``terms`` and columns of every effect."""
+        first = self.obs.n_setup
+        for i, term in enumerate(self.terms):
+            k = len(term.instance.effect.parameters)
+            yield i, slice(first, first + k)
+            first += k
+
+
+def own_columns(problem: Problem, terms: Sequence[Term]) -> Floats:
+    """Return set-up columns and effects of a campaign, in their units, shape (rows * n, k)."""
+    parts = [setup_columns(problem.obs), *(problem.obs.regressors(t.instance, t.shape) for t in terms)]
+    return problem.whitened(np.concatenate(parts, axis=2))
+
+
+def solve_pooled(parts: Sequence[Part], maps: Sequence[Floats]) -> Solution:
+    """Solve all campaigns together.
+
+    ``maps``, (k_i, total): which common parameters make each own one.
+    """
+
+    def blocks() -> Iterator[tuple[Floats, Floats]]:
+        for part, to_own in zip(parts, maps, strict=True):
+            weighted, y = part.columns * part.root, part.problem.y * part.root[:, 0]
+            for columns, right in in_blocks(weighted, y):
+                yield columns @ to_own, right
+
+    return solve_blocks(blocks())
+
+
+def normal_inverse(parts: Sequence[Part], maps: Sequence[Floats]) -> Floats:
+    """Return the pseudo-inverse of the common normal matrix, shape (total, total)."""
+    normal = sum(m.T @ p.gram @ m for p, m in zip(parts, maps, strict=True))
+    return _inverse(np.asarray(normal))
+
+
+def determined(parts: Sequence[Part], maps: Sequence[Floats]) -> NDArray[np.bool_]:
+    """Tell which columns, taken in their order, say something that those before do not, shape (total,)."""
+    normal = np.asarray(sum(m.T @ p.gram @ m for p, m in zip(parts, maps, strict=True)))
+    size = np.sqrt(np.diag(normal))
+    scaled = normal / np.outer(np.where(size > 0.0, size, 1.0), np.where(size > 0.0, size, 1.0))
+    kept: list[int] = []
+    for i in range(len(scaled)):
+        before = scaled[np.ix_(kept, kept)]
+        across = scaled[kept, i]
+        left = scaled[i, i] - across @ np.linalg.pinv(before, rcond=_RANK, hermitian=True) @ across if kept else 1.0
+        if size[i] > 0.0 and left > _DETERMINED:
+            kept.append(i)
+    out = np.zeros(len(scaled), dtype=bool)
+    out[kept] = True
+    return out
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard uncertainty of what was fitted, with its degrees of freedom; shape (total,) each."""
+
+    standard: Floats
+    dof: Floats
+
+    @property
+    def expanded(self) -> Floats:
+        """Expanded uncertainties, k = 2, widened by few degrees of freedom; NaN where nothing was repeated."""
+        factors = [t_quantile(0.5 + COVERAGE / 2.0, d) if np.isfinite(d) else np.nan for d in self.dof]
+        return np.asarray(self.standard * np.array(factors))
+
+
+def spread(parts: Sequence[Part], maps: Sequence[Floats], x: Floats, inverse: Floats) -> Spread:
+    """Return how uncertain a common fit is: every campaign adds what its own runs scatter by.
+
+    The unit of replication is the run; where the laws miss more than the noise, it is the condition. Degrees of freedom of
+    the sum after Welch and Satterthwaite.
+    """
+    each = [_of_part(part, to_own, x, inverse) for part, to_own in zip(parts, maps, strict=True)]
+    variance = np.sum([v for v, _ in each], axis=0)
+    least = np.sum([v**2 / d for v, d in each], axis=0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        dof = np.where(least > 0.0, variance**2 / least, np.nan)
+    return Spread(np.sqrt(variance), np.asarray(dof))
+
+
+def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Floats, float]:
+    """Return what a campaign adds to the variance of the common parameters, shape (total,), and its degrees of freedom."""
+    obs, noise = part.obs, part.problem.noise
+    taken = to_own @ inverse
+    influence = ((part.columns * part.root**2) @ taken).reshape(obs.n_rows, obs.n_bins, -1)
+    left = (part.problem.y - part.columns @ (to_own @ x)).reshape(obs.n_rows, obs.n_bins)
+    if noise is None:
+        # Nothing was repeated: what is left counts as noise of whole runs.
+        runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, left))
+        return np.asarray((runs**2).sum(axis=0)), float(max(len(runs) - 1, 1))
+    deviation, count = within_condition(left, obs.condition_of)
+    runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
+    clustered = (runs**2).sum(axis=0) * obs.n_rows / (count > 1).sum()
+    white = weighted_like(obs, part.terms, noise)
+    level = noise_level(white, probes(white))
+    of_condition = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
+    coloured = influence / noise.weights[:, None]
+    foretold = level.ratio * np.einsum("n,nqk,nqk->k", of_condition[obs.condition_of], coloured, coloured)
+    dof = float(noise.dof) + level.prior_dof
+    variance = np.asarray((noise.dof * clustered + level.prior_dof * foretold) / dof)
+    if misfit(white) is not None:
+        wider, fewer = _by_condition(part, taken, influence, left), float(max(len(obs.conditions) - 1, 1))
+        # The degrees of freedom of conditions are taken where they make the interval wider.
+        factor = (t_quantile(0.5 + COVERAGE / 2.0, fewer) if len(obs.conditions) >= _FEWEST else 2.0) / t_quantile(
+            0.5 + COVERAGE / 2.0, dof
+        )
+        variance = np.maximum(variance, wider * factor**2)
+    return variance, dof
+
+
+def _by_run(obs: Observations, scores: Floats) -> Floats:
+    runs = np.zeros((int(obs.run_of.max()) + 1, scores.shape[1]))
+    np.add.at(runs, obs.run_of, scores)
+    return runs
+
+
+def _by_condition(part: Part, taken: Floats, influence: Floats, left: Floats) -> Floats:
+    """Return the variance with the condition as the unit: what the mean of each misses, alike along the path."""
+    obs = part.obs
+    means = condition_sums(left, obs.condition_of) / np.bincount(obs.condition_of)[:, None]
+    together = means @ means.T / means.shape[1]
+    summed = condition_sums(influence, obs.condition_of)
+    coherent = np.einsum("iqk,ij,jqk->k", summed, together, summed, optimize=True)
+    number = len(obs.conditions)
+    if number < _FEWEST:
+        return np.asarray(coherent)
+    scores = np.einsum("nqk,nq->nk", influence, left)
+    by_condition = condition_sums(scores, obs.condition_of)
+    return np.asarray(coherent + number / (number - 1) * (by_condition**2).sum(axis=0))
+
+
+def _inverse(normal: Floats) -> Floats:
+    size = np.sqrt(np.diag(normal))
+    scale = np.where(size > 0.0, size, 1.0)
+    scaled = normal / np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(scaled, rcond=_RANK, hermitian=True) / np.outer(scale, scale))

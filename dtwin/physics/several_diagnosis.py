@@ -1,0 +1,312 @@
+"""What a machine lacks, by several of its campaigns: each diagnosed by itself, and settled by the others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from dtwin.physics.contradictions import Contradiction, without_contradictions
+from dtwin.physics.diagnose import diagnose
+from dtwin.physics.diagnosis import Diagnosis, Suspect, Verdict
+from dtwin.physics.effect import Effect, Instance
+from dtwin.physics.experiment import next_experiment
+from dtwin.physics.joint import Joint, MachineTest, Shared, joint
+from dtwin.physics.machine_terms import cause_of, key_of
+from dtwin.physics.observations import Observations
+from dtwin.physics.problem import Term
+from dtwin.physics.several import fit_several
+from dtwin.physics.several_twin import SeveralTwin, pooled_figures, started_of
+from dtwin.physics.state import AXES_OF
+from dtwin.physics.twin import predict_um
+
+_PLACES = 5
+_QUIET: tuple[Verdict, ...] = ("unknown_effect", "need_repeats", "variance_effect", "nothing_missing")
+
+
+@dataclass(frozen=True)
+class SeveralDiagnosis(Diagnosis):
+    """What several campaigns say together; what a :class:`Diagnosis` has is of all of them.
+
+    Attributes
+    ----------
+    tests : tuple of MachineTest
+        What each campaign says by itself.
+    settled : Joint
+        What they say of each other.
+    contradictions : tuple of Contradiction
+        Of the twin: sizes that campaigns do not agree on.
+    explained : mapping of str to str
+        Effects that would explain a contradiction, and which.
+    of_campaign : mapping of str to str
+        Where each effect was found or considered.
+    """
+
+    tests: tuple[MachineTest, ...] = ()
+    settled: Joint = field(default_factory=lambda: Joint((), ()))
+    contradictions: tuple[Contradiction, ...] = ()
+    explained: Mapping[str, str] = field(default_factory=dict)
+    of_campaign: Mapping[str, str] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready mapping."""
+        document = super().as_dict()
+        for suspect, stored in zip(self.suspects, document["candidates"], strict=True):
+            stored["campaign"] = self.of_campaign.get(suspect.label, "")
+        document["campaigns"] = [
+            {
+                "campaign": test.campaign,
+                "kind": test.obs.grid.kind,
+                "started": test.started,
+                "verdict": test.found.verdict,
+                "headline": test.found.headline,
+                "residual_rms_um": test.found.residual_rms_um,
+                "systematic_rms_um": test.found.systematic_rms_um,
+                "noise_floor_um": test.found.noise_floor_um,
+                "floor_kind": test.found.floor_kind,
+                "lack_of_fit_p": test.found.lack_of_fit_p,
+                "found": [[suspect.label for suspect in group] for group in test.found.found],
+            }
+            for test in self.tests
+        ]
+        document |= self.settled.as_dict()
+        document["contradictions"] = [c.as_dict() for c in self.contradictions]
+        document["explained"] = dict(self.explained)
+        return document
+
+
+def diagnose_several(
+    twin: SeveralTwin, campaigns: Sequence[Observations], library: Mapping[str, Effect], *, seed: int = 0
+) -> SeveralDiagnosis:
+    """Find out what a twin of several campaigns lacks.
+
+    Each campaign is diagnosed beside what the twin has, the sizes free in it, so that what campaigns disagree on is a
+    contradiction and no new name. Groups that one cannot tell apart are judged by the others.
+
+    Parameters
+    ----------
+    campaigns : sequence of Observations
+        Those of the twin, in its order.
+    """
+    tests = []
+    for obs in campaigns:
+        known = twin.on(obs.campaign.name).terms
+        found = diagnose(obs, known, library, seed=seed)
+        tests.append(MachineTest(obs.campaign.name, started_of(obs), obs, found, known))
+    settled = joint(tests, library)
+    groups = _merged(tests, settled, library)
+    explained: dict[str, str] = {}
+    for contradiction in twin.contradictions:
+        for group, where in _explaining(twin, contradiction, campaigns, library, seed):
+            if not any({s.label for s in group} & {s.label for s in known} for known, _ in groups):
+                groups.append((group, where))
+                explained[group[0].label] = f"{contradiction.effect} {contradiction.axis}".rstrip()
+    return _concluded(twin, tests, settled, groups, explained, library)
+
+
+_Group = tuple[tuple[Suspect, ...], str]
+
+
+def _merged(tests: Sequence[MachineTest], settled: Joint, library: Mapping[str, Effect]) -> list[_Group]:
+    """Return what is missing, each cause once, the largest first, with the campaign that shows it."""
+    left = {(s.campaign, s.group): s.left for s in settled.settled}
+    refuted = {key for shared in settled.shared if (key := _refuted(shared)) is not None}
+    every: list[_Group] = []
+    for test in tests:
+        if test.found.verdict == "need_repeats":
+            continue
+        for group in test.found.found:
+            names = left.get((test.campaign, tuple(s.label for s in group)))
+            kept = group if names is None else tuple(s for s in group if s.label in names)
+            # What only the difference of other tests rules out is a contradiction, and no name.
+            kept = tuple(s for s in kept if (test.campaign, *_key(s, library)) not in refuted)
+            if kept:
+                every.append((_graded(kept), test.campaign))
+    every.sort(key=lambda found: -(found[0][0].size_um or 0.0))
+    alone = {_key(group[0], library) for group, _ in every if len(group) == 1}
+    out: list[_Group] = []
+    told: set[tuple[str, str]] = set()
+    for group, where in every:
+        cause, axis = _key(group[0], library)
+        if len(group) == 1 and axis in AXES_OF and any((cause, a) in alone for a in AXES_OF[axis]):
+            continue
+        if (cause, axis) not in told:
+            out.append((group, where))
+            told.add((cause, axis))
+    return out
+
+
+def _key(suspect: Suspect, library: Mapping[str, Effect]) -> tuple[str, str]:
+    return cause_of(library[suspect.effect]), suspect.axis
+
+
+def _refuted(shared: Shared) -> tuple[str, str, str] | None:
+    """Return campaign and cause where one test finds what the others say is not there."""
+    if not shared.apart:
+        return None
+    there = [s for s in shared.sizes if abs(s.value) > 1.5 * s.uncertainty]
+    return (there[0].campaign, shared.cause, shared.axis) if len(there) == 1 else None
+
+
+def _graded(group: tuple[Suspect, ...]) -> tuple[Suspect, ...]:
+    labels = {s.label for s in group}
+    return tuple(
+        replace(s, confounded_with=tuple(label for label in s.confounded_with if label in labels)) for s in group
+    )
+
+
+def _explaining(
+    twin: SeveralTwin, apart: Contradiction, campaigns: Sequence[Observations], library: Mapping[str, Effect], seed: int
+) -> list[_Group]:
+    """Return effects that make a contradiction vanish: found in a campaign where the size is what the others say."""
+    term = next(
+        (t for t in twin.terms if t.instance.effect.name == apart.effect and t.instance.axis == apart.axis), None
+    )
+    if term is None:
+        return []
+    sides = set(apart.campaigns), set(apart.others)
+    for obs in campaigns:
+        own, theirs = sides if obs.campaign.name in sides[0] else sides[::-1]
+        if obs.campaign.name not in own or not theirs:
+            continue
+        mine = twin.on(obs.campaign.name)
+        seen = next((t for t in mine.terms if key_of(t) == key_of(term)), None)
+        source = next(
+            (p for p in twin.parts if p.campaign in theirs and any(key_of(t) == key_of(term) for t in p.terms)), None
+        )
+        if seen is None or source is None or not set(seen.instance.effect.confusables):
+            continue
+        there = next(t for t in source.terms if key_of(t) == key_of(term))
+        alone = replace(
+            mine,
+            terms=(seen,),
+            estimates=tuple(
+                replace(e, effect=seen.instance.effect.name, axis=seen.instance.axis)
+                for e in source.estimates
+                if (e.effect, e.axis) == (there.instance.effect.name, there.instance.axis)
+            ),
+        )
+        rest = [t for t in mine.terms if t is not seen]
+        found = diagnose(obs.with_y(obs.y_um - predict_um(alone, obs)), rest, library, seed=seed)
+        groups = [
+            kept
+            for group in found.found
+            if found.verdict != "need_repeats"
+            and (kept := tuple(s for s in group if _key(s, library) != key_of(term)))
+            and _reconciles(twin, kept[0], term, campaigns, library)
+        ]
+        if groups:
+            return [(_graded(group), obs.campaign.name) for group in groups]
+    return []
+
+
+def _reconciles(
+    twin: SeveralTwin, suspect: Suspect, term: Term, campaigns: Sequence[Observations], library: Mapping[str, Effect]
+) -> bool:
+    """Tell whether campaigns agree on a term once another effect stands beside it."""
+    more = Term(Instance(library[suspect.effect], suspect.axis), library[suspect.effect].start_shape)
+    fitted = fit_several(campaigns, [*twin.terms, more], library)
+    _, apart = without_contradictions(fitted, [started_of(obs) for obs in campaigns], library)
+    return not any(c.effect == term.instance.effect.name for c in apart)
+
+
+def _concluded(
+    twin: SeveralTwin,
+    tests: Sequence[MachineTest],
+    settled: Joint,
+    groups: Sequence[_Group],
+    explained: Mapping[str, str],
+    library: Mapping[str, Effect],
+) -> SeveralDiagnosis:
+    found = [test.found for test in tests]
+    p_values = [f.lack_of_fit_p for f in found if f.lack_of_fit_p == f.lack_of_fit_p]
+    figures = pooled_figures(
+        [
+            {
+                "rms_before_um": f.residual_rms_um,
+                "rms_after_um": f.residual_rms_um,
+                "systematic_rms_um": f.systematic_rms_um,
+                "noise_floor_um": f.noise_floor_um,
+            }
+            for f in found
+        ],
+        [float(test.obs.mask.sum()) for test in tests],
+    )
+    named = [replace(s, in_group=i == 0) for i, (group, _) in enumerate(groups) for s in group]
+    where = {s.label: campaign for group, campaign in groups for s in group}
+    labels = set(where)
+    for test in tests:
+        for s in test.found.suspects:
+            if s.label not in labels:
+                labels.add(s.label)
+                where[s.label] = test.campaign
+                named.append(replace(s, in_group=False))
+    unclear = next((test for test in tests if any(c == test.campaign and len(g) > 1 for g, c in groups)), None)
+    known_of = {test.campaign: test.known for test in tests}
+    worst = max(
+        (f for f in found if f.unresolved),
+        key=lambda f: f.unresolved.systematic_rms_um if f.unresolved else 0.0,
+        default=None,
+    )
+    invisible = set.intersection(*(set(f.invisible) | set(f.untestable) for f in found))
+    return SeveralDiagnosis(
+        verdict=_verdict(found, groups),
+        headline=_headline(tests, groups, twin.contradictions),
+        residual_rms_um=figures["rms_after_um"],
+        systematic_rms_um=figures["systematic_rms_um"],
+        noise_floor_um=figures["noise_floor_um"],
+        floor_kind=max((f.floor_kind for f in found), key=("none", "within_run", "repeats").index),
+        lack_of_fit_p=min(1.0, len(p_values) * min(p_values)) if p_values else float("nan"),
+        suspects=tuple(named),
+        found=tuple(group for group, _ in groups),
+        unresolved=worst.unresolved if worst else None,
+        where=tuple(
+            sorted(
+                ({**place, "campaign": test.campaign} for test in tests for place in test.found.where),
+                key=lambda place: -float(place["residual_rms_um"]),
+            )[:_PLACES]
+        ),
+        channels=tuple(channel for f in found for channel in f.channels),
+        laws=worst.laws if worst else (),
+        closest=next((f.closest for f in found if f.closest), None),
+        invisible=tuple(sorted(invisible - {t.label for t in twin.terms})),
+        untestable={label: why for f in found for label, why in f.untestable.items() if label in invisible},
+        outlier_runs=tuple(f"{test.campaign} {run}" for test in tests for run in test.found.outlier_runs),
+        told=(),
+        spread=next((f.spread for f in found if f.spread), None),
+        next_experiment=next_experiment(
+            unclear.obs,
+            known_of[unclear.campaign],
+            replace(unclear.found, found=tuple(g for g, c in groups if c == unclear.campaign)),
+            library,
+        )
+        if unclear
+        else None,
+        tests=tuple(tests),
+        settled=settled,
+        contradictions=twin.contradictions,
+        explained=explained,
+        of_campaign=where,
+    )
+
+
+def _verdict(found: Sequence[Diagnosis], groups: Sequence[_Group]) -> Verdict:
+    if groups:
+        return "missing_effect" if len(groups[0][0]) == 1 else "ambiguous"
+    said = {f.verdict for f in found}
+    if said & {"missing_effect", "ambiguous"}:
+        # One test finds what the others say is not there.
+        return "unknown_effect"
+    return next((verdict for verdict in _QUIET if verdict in said), "nothing_missing")
+
+
+def _headline(tests: Sequence[MachineTest], groups: Sequence[_Group], apart: Sequence[Contradiction]) -> str:
+    if groups:
+        names = "; ".join(" or ".join(s.label for s in group) for group, _ in groups)
+        single = all(len(group) == 1 for group, _ in groups)
+        said = f"{names} {'is' if len(groups) == 1 else 'are'} missing" if single else names
+    else:
+        said = "; ".join(f"{test.campaign}: {test.found.headline}" for test in tests)
+    for one in apart:
+        said += f"; {', '.join(one.campaigns)} contradicts {', '.join(one.others)} on {one.effect} {one.axis}".rstrip()
+    return said

@@ -1,0 +1,128 @@
+"""Twins of several campaigns of a machine, as text and as sections of a report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from dtwin.physics.several_twin import SeveralTwin
+from dtwin.report import twins
+from dtwin.report.faults import with_k2
+from dtwin.report.html import Section, Table
+from dtwin.report.text import micrometres, table
+from dtwin.report.twins import history_section as history_section
+from dtwin.report.twins import number
+
+if TYPE_CHECKING:
+    from dtwin.twins.several import SeveralComparison
+
+_HEAD = ("campaign", "kind", "begun", "left, µm RMS", "of it repeats agree on, µm", "noise floor, µm")
+_WHAT = {
+    "change": "the machine changed then",
+    "mistake": "tests before and after agree with each other, so that this one is mistaken",
+    "change or mistake": "the machine changed, or one of them is mistaken",
+}
+
+
+def twin_text(twin: SeveralTwin) -> str:
+    """Return a twin for the terminal."""
+    shown = campaign_table(twin.as_dict())
+    return "\n".join([twins.twin_text(twin), table(shown.head, shown.rows), *contradiction_lines(twin.as_dict())])
+
+
+def comparison_text(result: Mapping[str, Any]) -> str:
+    """Return a comparison for the terminal, campaign by campaign."""
+    return "\n\n".join([*(twins.comparison_text(one) for one in result["campaigns"]), *contradiction_lines(result)])
+
+
+def diagnosis_text(name: str, result: Mapping[str, Any]) -> str:
+    """Return a diagnosis for the terminal: of all together, and what each campaign says by itself."""
+    shown = _said_table(result)
+    lines = [*contradiction_lines(result), *explanation_lines(result), *settled_lines(result)]
+    return "\n".join([twins.diagnosis_text(name, result), table(shown.head, shown.rows), *lines])
+
+
+def diagnosis_section(name: str, result: Mapping[str, Any]) -> Section:
+    """Return what is missing."""
+    made = twins.diagnosis_section(name, result)
+    told = [("warning", line) for line in contradiction_lines(result)]
+    told += [("info", line) for line in (*explanation_lines(result), *settled_lines(result))]
+    return Section(made.title, made.paragraphs, [*made.findings, *told], [_said_table(result)], made.figures, made.code)
+
+
+def twin_section(twin: SeveralTwin) -> Section:
+    """Return the twin and its parameters."""
+    made = twins.twin_section(twin)
+    told = [("warning", line) for line in contradiction_lines(twin.as_dict())]
+    return Section(made.title, made.paragraphs, [*made.findings, *told], [*made.tables, campaign_table(twin.as_dict())])
+
+
+def comparison_sections(comparison: SeveralComparison, result: Mapping[str, Any]) -> list[Section]:
+    """Return measured against predicted, campaign by campaign."""
+    out = []
+    for part, one in zip(comparison.parts, result["campaigns"], strict=True):
+        for made in twins.comparison_sections(part, one):
+            title = f"{made.title}: {one['campaign']}"
+            out.append(Section(title, made.paragraphs, made.findings, made.tables, made.figures, made.code))
+    return out
+
+
+def campaign_table(document: Mapping[str, Any]) -> Table:
+    """Return what the twin leaves of each campaign."""
+    rows = [
+        (
+            one["campaign"],
+            one["kind"],
+            one["started"][:10] or "-",
+            micrometres(one["residual_rms_um"]),
+            number(one["systematic_rms_um"]),
+            number(one["noise_floor_um"]),
+        )
+        for one in document["campaigns"]
+    ]
+    return Table(_HEAD, rows)
+
+
+def _said_table(result: Mapping[str, Any]) -> Table:
+    rows = [
+        (
+            one["campaign"],
+            one["kind"],
+            one["started"][:10] or "-",
+            one["verdict"],
+            "; ".join(" or ".join(group) for group in one["found"]) or "-",
+            number(one["noise_floor_um"]),
+        )
+        for one in result["campaigns"]
+    ]
+    return Table(("campaign", "kind", "begun", "by itself", "found by itself", "noise floor, µm"), rows)
+
+
+def contradiction_lines(document: Mapping[str, Any]) -> list[str]:
+    """Return what campaigns do not agree on: by how much, since when, and what that may be."""
+    out = []
+    for one in document.get("contradictions", ()):
+        size = with_k2(one["difference"], one["k2"], one["unit"])
+        since = f" since {one['since'][:10]}" if one["since"] else ""
+        where = f"{one['effect']} {one['axis']}".rstrip()
+        out.append(
+            f"contradiction{since}: {where} ({one['parameter'].replace('_', ' ')}) of {', '.join(one['campaigns'])} is "
+            f"{size} beside that of {', '.join(one['others'])} (p = {one['p_value']:.1g}): {_WHAT[one['what']]}"
+        )
+    return out
+
+
+def explanation_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return which effects would make a contradiction vanish."""
+    return [f"{name} would explain what campaigns say of {what}" for name, what in result["explained"].items()]
+
+
+def settled_lines(result: Mapping[str, Any]) -> list[str]:
+    """Return which groups one campaign leaves open and another settles."""
+    words = {"agrees": "agrees with", "is a part": "is a part of it by", "refuted": "is ruled out by"}
+    out = []
+    for one in result["settled"]:
+        judged = "; ".join(f"{j['label']} {words[j['said']]} {j['there']['campaign']}" for j in one["judged"])
+        left = " or ".join(one["left"]) or "none of them"
+        out.append(f"settled: {one['campaign']} could not tell {', '.join(one['group'])}; it is {left} ({judged})")
+    return out
