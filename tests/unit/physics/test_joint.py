@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+import mill_and_laser
 import numpy as np
 import pytest
-from laser_axis import readings
 
-from dtwin.machines.mill import VirtualMill
-from dtwin.machines.mill_noise import NoiseParameters
-from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.joint import Joint, MachineTest, Settled, joint
 from dtwin.physics.library import Library
-from dtwin.physics.observations import Observations, observe
-from dtwin.schema import Campaign, Run, RunMeta
+from dtwin.physics.observations import Observations
 
 LIBRARY = Library()
 
@@ -23,25 +20,11 @@ def judged(name: str, obs: Observations) -> MachineTest:
 
 
 def circles(mill: MillParameters, seed: int = 1) -> MachineTest:
-    made = VirtualMill(mill, seed=seed, noise=NoiseParameters(rms_um=0.1))
-    tests = [CircularTest("XY", way, 100.0, 2000.0, k, "xy") for k in (1, 2, 3) for way in ("CCW", "CW")]
-    return judged("bar", observe(made.campaign(), made.measure(tests)))
+    return judged("bar", mill_and_laser.circles(mill, seed))
 
 
 def laser(axis: str, lead_ppm: float, lost_um: float, seed: int = 1) -> MachineTest:
-    runs = [
-        Run(
-            RunMeta(f"r{n}", kind="linear", condition={"axis": axis}, repeat=n),
-            {
-                "t_s": 10.0 * np.arange(at.size),
-                "position_mm": at,
-                "direction": np.array(ways, dtype=object),
-                "error_um": error,
-            },
-        )
-        for n, (at, ways, error) in enumerate(readings(lead_ppm, lost_um, seed), start=1)
-    ]
-    return judged(f"laser-{axis}", observe(Campaign(f"laser-{axis}", "mill", kind="linear"), runs))
+    return judged(f"laser-{axis}", mill_and_laser.laser(axis, lead_ppm, lost_um, seed))
 
 
 def settled_with(found: Joint, label: str) -> Settled:

@@ -1,0 +1,59 @@
+"""Tests of one machine by a ball bar and a laser: circles of the virtual mill, positions by formulas of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from laser_axis import readings
+
+from dtwin.machines.mill import VirtualMill
+from dtwin.machines.mill_noise import NoiseParameters
+from dtwin.machines.mill_parameters import CircularTest, MillParameters
+from dtwin.physics.observations import Observations, observe
+from dtwin.schema import Campaign, Run, RunMeta
+
+
+def measured(mill: MillParameters, seed: int) -> tuple[Campaign, list[Run]]:
+    """Return circles at one radius and feed, both ways, three repeats."""
+    made = VirtualMill(mill, seed=seed, noise=NoiseParameters(rms_um=0.1))
+    tests = [CircularTest("XY", way, 100.0, 2000.0, k, "xy") for k in (1, 2, 3) for way in ("CCW", "CW")]
+    return made.campaign(), made.measure(tests)
+
+
+def circles(mill: MillParameters, seed: int = 1, name: str = "bar", day: str = "") -> Observations:
+    """Return the same on a grid, begun on a day where one is given."""
+    campaign, runs = measured(mill, seed)
+    if day:
+        runs = [replace(run, meta=replace(run.meta, started=f"{day}T09:{n:02d}:00")) for n, run in enumerate(runs)]
+    return observe(replace(campaign, name=name), runs)
+
+
+def laser(axis: str, lead_ppm: float, lost_um: float, seed: int = 1, name: str = "", day: str = "") -> Observations:
+    """Return a positioning test of an axis on its targets: five runs, there and back."""
+    runs = []
+    for n, (at, ways, error) in enumerate(readings(lead_ppm, lost_um, seed), start=1):
+        started = f"{day}T10:0{n}:00" if day else ""
+        meta = RunMeta(f"r{n}", kind="linear", condition={"axis": axis}, repeat=n, started=started)
+        samples = {"position_mm": at, "direction": np.array(ways, dtype=object), "error_um": error}
+        runs.append(Run(meta, {"t_s": 10.0 * np.arange(at.size), **samples}))
+    return observe(Campaign(name or f"laser-{axis}", "mill", kind="linear"), runs)
+
+
+def write_circles(folder: Path, machine: str, mill: MillParameters, seed: int = 1) -> Path:
+    """Write the folder of a campaign of circles."""
+    folder.mkdir(parents=True)
+    lines = ["[campaign]", f'name = "{folder.name}"', f'machine = "{machine}"', 'kind = "circular"']
+    _, runs = measured(mill, seed)
+    for run in runs:
+        meta = run.meta
+        columns = (run.samples[name] for name in ("t_s", "angle_deg", "deviation_um"))
+        rows = [f"{t:.5f},{angle:.5f},{um:.5f}" for t, angle, um in zip(*columns, strict=True)]
+        text = "\n".join(["t_s,angle_deg,deviation_um", *rows])
+        (folder / f"{meta.run_id}.csv").write_text(text + "\n", encoding="utf-8")
+        lines += ["[[run]]", f'id = "{meta.run_id}"', f'file = "{meta.run_id}.csv"', f'plane = "{meta.plane}"']
+        lines += [f"radius_mm = {meta.radius_mm}", f"feed_mm_min = {meta.feed_mm_min}", f"repeat = {meta.repeat}"]
+        lines += [f'direction = "{meta.direction}"', f'setup = "{meta.setup}"', f"started = {meta.started}"]
+    (folder / "campaign.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder

@@ -1,0 +1,143 @@
+"""One fit of several campaigns: sizes, what is shared and what is not, contradictions, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mill_and_laser import circles, laser
+
+from dtwin.errors import InputError
+from dtwin.machines.mill_parameters import MillParameters
+from dtwin.physics.contradictions import Contradiction, without_contradictions
+from dtwin.physics.fit import fit
+from dtwin.physics.library import Library
+from dtwin.physics.machine_terms import machine_terms, seen_by
+from dtwin.physics.observations import Observations
+from dtwin.physics.several import SeveralFit, fit_several
+from dtwin.physics.several_twin import started_of
+
+LIBRARY = Library()
+SCALED = MillParameters().with_axis("X", scale_ppm=30.0, play_um=3.0)
+
+
+def together(campaigns: list[Observations], *names: str) -> SeveralFit:
+    return fit_several(campaigns, machine_terms(names, LIBRARY, campaigns), LIBRARY)
+
+
+def apart(campaigns: list[Observations], *names: str) -> tuple[SeveralFit, tuple[Contradiction, ...]]:
+    days = [started_of(obs) for obs in campaigns]
+    return without_contradictions(together(campaigns, *names), days, LIBRARY)
+
+
+def test_sizes_are_those_of_the_machine_and_better_known_than_by_one_campaign() -> None:
+    campaigns = [circles(SCALED), laser("X", 30.0, 3.0), laser("Y", 0.0, 0.0, seed=2)]
+    found = together(campaigns, "scale_mismatch", "backlash:X")
+    sizes = {f"{e.effect} {e.axis}": e for e in found.estimates}
+    for label, truth in (("scale_mismatch X", 30.0), ("scale_mismatch Y", 0.0), ("backlash X", 3.0)):
+        assert sizes[label].value == pytest.approx(truth, abs=1.5 * sizes[label].uncertainty)
+    alone = fit(campaigns[1], found.fits[1].terms).estimates
+    assert sizes["backlash X"].uncertainty < min(e.uncertainty for e in alone if e.effect == "backlash")
+
+
+def test_a_difference_of_axes_is_one_parameter_where_nobody_sees_an_axis_alone() -> None:
+    bars = [circles(SCALED), circles(SCALED, seed=2, name="again")]
+    assert [t.label for t in machine_terms(["scale_mismatch"], LIBRARY, bars)] == ["scale_mismatch XY"]
+    lasers = [*bars, laser("X", 30.0, 3.0)]
+    assert [t.label for t in machine_terms(["scale_mismatch"], LIBRARY, lasers)] == [
+        "scale_mismatch X",
+        "scale_mismatch Y",
+    ]
+    assert [t.label for t in machine_terms(["lead_error", "scale_mismatch:XY"], LIBRARY, lasers)] == [
+        "lead_error X",
+        "lead_error Y",
+    ]
+
+
+def test_campaigns_see_a_cause_by_the_name_that_it_has_there() -> None:
+    campaigns = [circles(SCALED), laser("X", 30.0, 3.0)]
+    (first, _) = machine_terms(["lead_error"], LIBRARY, campaigns)
+    seen = [seen_by(first, obs, LIBRARY) for obs in campaigns]
+    assert [None if t is None else t.label for t in seen] == ["scale_mismatch X", "lead_error X"]
+
+
+def test_one_campaign_alone_is_fitted_as_by_itself() -> None:
+    bar = circles(SCALED)
+    found = together([bar], "backlash:X", "squareness")
+    alone = fit(bar, found.terms)
+    for one, other in zip(found.estimates, alone.estimates, strict=True):
+        assert one.value == pytest.approx(other.value, rel=1e-3, abs=1e-4)
+        assert one.uncertainty == pytest.approx(other.uncertainty, rel=0.25)
+    assert found.fits[0].noise_floor_um == alone.noise_floor_um
+
+
+def test_set_ups_and_floors_are_those_of_each_campaign() -> None:
+    found = together([circles(SCALED), laser("X", 30.0, 3.0)], "backlash:X", "lead_error:X")
+    assert [len(one.setups) for one in found.fits] == [1, 1]
+    assert found.fits[0].noise_floor_um < found.fits[1].noise_floor_um
+    assert found.weights[0] > found.weights[1]
+
+
+def test_campaigns_that_agree_contradict_nobody() -> None:
+    for seed in range(4):
+        campaigns = [circles(SCALED, seed), laser("X", 30.0, 3.0, seed), laser("Y", 0.0, 0.0, seed + 50)]
+        assert apart(campaigns, "scale_mismatch", "backlash:X")[1] == ()
+
+
+def bars_with(play: dict[str, float]) -> list[Observations]:
+    return [
+        circles(MillParameters().with_axis("X", play_um=um), seed=n, name=f"bar-{day}", day=day)
+        for n, (day, um) in enumerate(play.items())
+    ]
+
+
+def test_a_change_of_the_machine_is_told_with_its_day_and_the_newer_size_is_kept() -> None:
+    bars = bars_with({"2026-01-05": 2.0, "2026-02-05": 2.0, "2026-03-05": 5.0, "2026-04-05": 5.0, "2026-05-05": 5.0})
+    found, (told,) = apart(bars, "backlash:X")
+    assert (told.what, told.since[:10]) == ("change", "2026-03-05")
+    assert abs(told.difference) == pytest.approx(3.0, abs=0.2)
+    assert told.p_value < 1e-6
+    assert found.estimates[0].value == pytest.approx(5.0, abs=0.2)
+
+
+def test_a_test_that_those_before_and_after_it_contradict_is_mistaken() -> None:
+    bars = bars_with({"2026-01-05": 2.0, "2026-02-05": 5.0, "2026-03-05": 2.0})
+    found, (told,) = apart(bars, "backlash:X")
+    assert (told.what, told.campaigns) == ("mistake", ("bar-2026-02-05",))
+    assert told.difference == pytest.approx(3.0, abs=0.2)
+    assert found.estimates[0].value == pytest.approx(2.0, abs=0.2)
+
+
+def test_a_lead_that_circles_deny_names_all_that_say_so() -> None:
+    bar = circles(SCALED, day="2026-01-05")
+    campaigns = [bar, laser("X", 55.0, 3.0, day="2026-02-05"), laser("Y", 0.0, 0.0, day="2026-02-06")]
+    _, (told,) = apart(campaigns, "scale_mismatch", "backlash:X")
+    assert told.parameter == "scale"
+    assert abs(told.difference) == pytest.approx(25.0, abs=2.0)
+    assert {*told.campaigns, *told.others} == {"bar", "laser-X", "laser-Y"}
+
+
+def test_phases_of_a_wave_are_of_each_campaign_and_its_amplitude_is_of_the_machine() -> None:
+    bars = [
+        circles(
+            MillParameters().with_axis("X", pitch_error_um=2.0, pitch_mm=10.0, pitch_phase_rad=phase), seed, f"b{seed}"
+        )
+        for seed, phase in ((1, 0.0), (2, 2.0))
+    ]
+    (size,) = together(bars, "cyclic_error:X").estimates
+    assert size.name == "amplitude"
+    assert size.value == pytest.approx(2.0, abs=0.2)
+
+
+def test_an_effect_that_no_campaign_sees_is_refused_with_what_there_is() -> None:
+    with pytest.raises(InputError) as refused:
+        machine_terms(["tracking_delay"], LIBRARY, [circles(SCALED), laser("X", 30.0, 3.0)])
+    assert refused.value.code == "effect.where"
+    assert "sinusoidal" in str(refused.value.allowed)
+
+
+def test_without_repeats_an_uncertainty_is_still_told_by_the_other_campaign() -> None:
+    bar = circles(SCALED)
+    once = bar.take(np.arange(2))
+    found = together([once, laser("X", 30.0, 3.0)], "backlash:X", "lead_error:X")
+    assert all(np.isfinite(e.uncertainty) for e in found.estimates)
+    assert np.isnan(found.fits[0].noise_floor_um)
