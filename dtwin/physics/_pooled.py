@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dtwin.physics.candidates import probes
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Problem, Term, setup_columns, weighted_like
-from dtwin.physics.score import misfit, noise_level
+from dtwin.physics.score import NoiseLevel, misfit, noise_level
 from dtwin.physics.solve import Solution, in_blocks, solve_blocks
 from dtwin.physics.whitening import condition_sums, within_condition
 from dtwin.schema import Floats
@@ -73,6 +73,13 @@ class Part:
     def side(self) -> Floats:
         """Right side of its normal equations, shape (k,)."""
         return np.asarray((self.columns * self.root**2).T @ self.problem.y)
+
+    @cached_property
+    def noise_level(self) -> tuple[NoiseLevel, bool]:
+        """How far its noise is alike along the path, and whether the laws of its effects miss more than that."""
+        assert self.problem.noise is not None
+        white = weighted_like(self.obs, self.terms, self.problem.noise)
+        return noise_level(white, probes(white)), misfit(white) is not None
 
     def spans(self) -> Iterator[tuple[int, slice]]:
         """Yield number within ``terms`` and columns of every effect."""
@@ -168,14 +175,13 @@ def _of_part(part: Part, to_own: Floats, x: Floats, inverse: Floats) -> tuple[Fl
     deviation, count = within_condition(left, obs.condition_of)
     runs = _by_run(obs, np.einsum("nqk,nq->nk", influence, deviation))
     clustered = (runs**2).sum(axis=0) * obs.n_rows / (count > 1).sum()
-    white = weighted_like(obs, part.terms, noise)
-    level = noise_level(white, probes(white))
+    level, misses = part.noise_level
     of_condition = np.nan_to_num(noise.variance, nan=float(np.nanmean(noise.variance)))
     coloured = influence / noise.weights[:, None]
     foretold = level.ratio * np.einsum("n,nqk,nqk->k", of_condition[obs.condition_of], coloured, coloured)
     dof = float(noise.dof) + level.prior_dof
     variance = np.asarray((noise.dof * clustered + level.prior_dof * foretold) / dof)
-    if misfit(white) is not None:
+    if misses:
         wider, fewer = _by_condition(part, taken, influence, left), float(max(len(obs.conditions) - 1, 1))
         # The degrees of freedom of conditions are taken where they make the interval wider.
         factor = (t_quantile(0.5 + COVERAGE / 2.0, fewer) if len(obs.conditions) >= _FEWEST else 2.0) / t_quantile(

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from dtwin.physics._pooled import determined, normal_inverse, spread
-from dtwin.physics.effect import Effect
-from dtwin.physics.machine_terms import is_shared
-from dtwin.physics.several import Pool, SeveralFit, fit_several
+from dtwin.physics.machine_terms import is_shared, is_wave
+from dtwin.physics.several import Pool, SeveralFit, amplitude, regrouped, seen_estimates
 from dtwin.physics.state import AXES_OF
 from dtwin.schema import Floats
-from dtwin.statistics import holm, t_tail
+from dtwin.statistics import chi2_tail, holm, t_tail
 
 _ALPHA = 0.01
 _MOST = 6
@@ -74,9 +73,7 @@ class _Tested:
     beside: tuple[int, ...]
 
 
-def without_contradictions(
-    fitted: SeveralFit, started: Sequence[str], library: Mapping[str, Effect]
-) -> tuple[SeveralFit, tuple[Contradiction, ...]]:
+def without_contradictions(fitted: SeveralFit, started: Sequence[str]) -> tuple[SeveralFit, tuple[Contradiction, ...]]:
     """Give campaigns that contradict the others a value of their own, the most certain first, and name them.
 
     Parameters
@@ -95,9 +92,34 @@ def without_contradictions(
         moved = worst.side if _stays(mine - worst.side, worst.side, started) else mine - worst.side
         groups |= {(c, worst.term): new for c in moved}
         found.append(_told(worst, fitted.pool, mine, started))
-        campaigns = [part.obs for part in fitted.pool.parts]
-        fitted = fit_several(campaigns, fitted.terms, library, refine=False, groups=groups)
-    return fitted, tuple(found)
+        fitted = regrouped(fitted, groups)
+    return fitted, (*found, *_of_waves(fitted, started))
+
+
+def _of_waves(fitted: SeveralFit, started: Sequence[str]) -> list[Contradiction]:
+    """Return the waves of which one campaign has another amplitude than the others, each campaign tested against the rest."""
+    tests: list[tuple[int, int, float, float]] = []
+    for number in (n for n, term in enumerate(fitted.terms) if is_wave(term)):
+        seen = seen_estimates(fitted.pool, fitted.fits, number)
+        for c in seen if len(seen) > 1 else ():
+            own, rest = amplitude([seen[c]]), amplitude([mine for other, mine in seen.items() if other != c])
+            k2 = float(np.hypot(own.uncertainty, rest.uncertainty))
+            if own.identifiable and rest.identifiable and np.isfinite(k2):
+                tests.append((number, c, own.value - rest.value, k2))
+    p_values = holm([chi2_tail((2.0 * difference / k2) ** 2, 1.0) for *_, difference, k2 in tests])
+    worst: dict[int, int] = {}
+    for i, (number, *_) in enumerate(tests):
+        if p_values[i] <= min(_ALPHA, p_values[worst[number]] if number in worst else 1.0):
+            worst[number] = i
+    out = []
+    for number, i in worst.items():
+        _, c, difference, k2 = tests[i]
+        mine = frozenset(seen_estimates(fitted.pool, fitted.fits, number))
+        told = _told(
+            _Tested(frozenset([c]), number, 0, difference, k2, float(p_values[i]), ()), fitted.pool, mine, started
+        )
+        out.append(replace(told, parameter="amplitude"))
+    return out
 
 
 def _with_term(pool: Pool, term: int) -> _Side:
@@ -138,14 +160,15 @@ def _sides(number: int, started: Sequence[str]) -> list[_Side]:
 def _tested(pool: Pool, side: _Side) -> list[_Tested]:
     """Test all shared parameters of one side against the rest: Wald tests of one common fit in which they may differ."""
     maps, meaning = pool.maps()
-    wanted = [
-        n
-        for n, (term, _, where) in enumerate(meaning)
-        if term >= 0
-        and where == -1
-        and is_shared(pool.terms[term])
-        and 0 < len(side & _with_term(pool, term)) < len(_with_term(pool, term))
-    ]
+    # Without repeats nobody knows whether a campaign differs.
+    repeated = frozenset(c for c, part in enumerate(pool.parts) if part.problem.noise is not None)
+
+    def testable(term: int) -> bool:
+        mine = _with_term(pool, term)
+        own = side & mine
+        return is_shared(pool.terms[term]) and bool(own) and own <= repeated and bool((mine - side) & repeated)
+
+    wanted = [n for n, (term, _, where) in enumerate(meaning) if term >= 0 and where == -1 and testable(term)]
     if not wanted:
         return []
     wider = [np.concatenate([m, np.where(c in side, 1.0, 0.0) * m[:, wanted]], axis=1) for c, m in enumerate(maps)]
@@ -163,6 +186,8 @@ def _tested(pool: Pool, side: _Side) -> list[_Tested]:
         if column < base or not np.isfinite(k2[at]) or k2[at] <= 0.0:
             continue
         term, parameter, _ = meaning[wanted[column - base]]
+        if abs(float(x[at])) > pool.terms[term].instance.effect.parameters[parameter].largest:
+            continue  # No machine changes by so much: the campaign errs in something else.
         p_value = 2.0 * t_tail(abs(float(x[at])) / float(wide.standard[at]), float(wide.dof[at]))
         beside = tuple(
             t for t in dropped if pool.terms[t].instance.effect.name == pool.terms[term].instance.effect.name

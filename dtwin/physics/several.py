@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dtwin.errors import InputError
 from dtwin.physics import localise
@@ -44,7 +44,7 @@ class Pool:
 
     parts: tuple[Part, ...]
     terms: tuple[Term, ...]
-    groups: Groups
+    groups: Groups = field(default_factory=dict)
 
     def maps(self) -> tuple[list[Floats], list[tuple[int, int, int]]]:
         """Return which common parameters make those of each campaign, and what they are.
@@ -99,13 +99,7 @@ class SeveralFit:
 
 
 def fit_several(
-    campaigns: Sequence[Observations],
-    terms: Sequence[Term],
-    library: Mapping[str, Effect],
-    *,
-    robust: bool = False,
-    refine: bool = True,
-    groups: Groups | None = None,
+    campaigns: Sequence[Observations], terms: Sequence[Term], library: Mapping[str, Effect], *, robust: bool = False
 ) -> SeveralFit:
     """Fit effects of a machine to several of its campaigns: one least squares over all of them.
 
@@ -118,27 +112,21 @@ def fit_several(
         Effects of the machine; shape parameters are refined from where they are.
     robust : bool
         Give runs that are far off less weight (Huber, by run).
-    refine : bool
-        Search the shapes of effects from where they are; otherwise they stay.
-    groups : mapping, optional
-        Campaigns that have a value of their own of a shared term.
 
     Raises
     ------
     InputError
         When no campaign sees an effect.
     """
-    pool = pooled(campaigns, terms, library, groups or {})
-    if refine and any(t.instance.effect.refined_shapes for t in terms):
-        pool = _refined(pool, campaigns, library)
+    pool = _pooled(campaigns, terms, library)
+    if any(t.instance.effect.refined_shapes for t in terms):
+        pool = _pooled(campaigns, _refined(pool, library).terms, library)
     for _ in range(_ROBUST_ROUNDS if robust else 0):
         pool = replace(pool, parts=tuple(_by_runs(pool)))
     return _solved(pool)
 
 
-def pooled(
-    campaigns: Sequence[Observations], terms: Sequence[Term], library: Mapping[str, Effect], groups: Groups
-) -> Pool:
+def _pooled(campaigns: Sequence[Observations], terms: Sequence[Term], library: Mapping[str, Effect]) -> Pool:
     """Return campaigns with their columns and the weights that their floors give."""
     seen = [[seen_by(term, obs, library) for term in terms] for obs in campaigns]
     for number, term in enumerate(terms):
@@ -155,12 +143,14 @@ def pooled(
         numbers = tuple(i for i, t in enumerate(mine) if t is not None)
         problem = replace(unweighted(obs, here), noise=set_up(obs, here, []).noise)
         parts.append(Part(problem, here, numbers, own_columns(problem, here), np.ones(obs.n_rows), 1.0))
-    pool = Pool(tuple(parts), tuple(terms), groups)
+    return _reweighted(Pool(tuple(parts), tuple(terms)))
+
+
+def _reweighted(pool: Pool) -> Pool:
     for _ in range(_WEIGHT_ROUNDS):
-        scatter = _within_runs_um(pool)
-        pool = replace(
-            pool, parts=tuple(replace(p, weight=1.0 / max(um, 1e-9)) for p, um in zip(pool.parts, scatter, strict=True))
-        )
+        weights = [1.0 / max(um, 1e-9) for um in _within_runs_um(pool)]
+        parts = tuple(replace(p, weight=weight) for p, weight in zip(pool.parts, weights, strict=True))
+        pool = replace(pool, parts=parts)
     return pool
 
 
@@ -188,7 +178,7 @@ def _by_runs(pool: Pool) -> list[Part]:
     ]
 
 
-def _refined(pool: Pool, campaigns: Sequence[Observations], library: Mapping[str, Effect]) -> Pool:
+def _refined(pool: Pool, library: Mapping[str, Effect]) -> Pool:
     """Refine shapes: each campaign proposes what suits it beside all the others, and the best for all is taken."""
     best, cost = pool, _cost(pool)
     for _ in range(_SHAPE_ROUNDS):
@@ -203,7 +193,7 @@ def _refined(pool: Pool, campaigns: Sequence[Observations], library: Mapping[str
                     best, cost = tried, tried_cost
         if before - cost <= _SETTLED * before:
             break
-    return pooled(campaigns, best.terms, library, pool.groups)
+    return best
 
 
 def _proposed(pool: Pool, number: int) -> list[Mapping[str, float]]:
@@ -244,6 +234,11 @@ def _cost(pool: Pool) -> float:
     return out
 
 
+def regrouped(fitted: SeveralFit, groups: Groups) -> SeveralFit:
+    """Return the fit, its shapes as they are, in which campaigns have values of their own of shared terms."""
+    return _solved(_reweighted(replace(fitted.pool, groups=groups)))
+
+
 def _solved(pool: Pool) -> SeveralFit:
     maps, meaning = pool.maps()
     solution = solve_pooled(pool.parts, maps)
@@ -251,8 +246,8 @@ def _solved(pool: Pool) -> SeveralFit:
     wide = spread(pool.parts, maps, solution.x, inverse).expanded
     hidden = (solution.null_space**2).sum(axis=1) > _HIDDEN
     fits = tuple(
-        _as_seen(part, to_own @ solution.x, to_own @ wide, (to_own @ hidden) > 0.0)
-        for part, to_own in zip(pool.parts, maps, strict=True)
+        _as_seen(part, solution.x[own], wide[own], hidden[own])
+        for part, own in zip(pool.parts, (to_own.argmax(axis=1) for to_own in maps), strict=True)
     )
     return SeveralFit(
         pool=pool,
@@ -267,7 +262,7 @@ def _solved(pool: Pool) -> SeveralFit:
     )
 
 
-def _as_seen(part: Part, x: Floats, wide: Floats, hidden: Any) -> Fit:
+def _as_seen(part: Part, x: Floats, wide: Floats, hidden: NDArray[np.bool_]) -> Fit:
     obs, noise, n = part.obs, part.problem.noise, part.obs.n_setup
     left = residual_um(obs, part.columns, x)
     return Fit(
@@ -298,11 +293,7 @@ def _of_machine(pool: Pool, fits: Sequence[Fit]) -> list[Estimate]:
     out: list[Estimate] = []
     for number, term in enumerate(pool.terms):
         name, axis = term.instance.effect.name, term.instance.axis
-        seen = [
-            (c, estimates_in(fitted, part.terms[part.number_of.index(number)]))
-            for c, (part, fitted) in enumerate(zip(pool.parts, fits, strict=True))
-            if number in part.number_of
-        ]
+        seen = list(seen_estimates(pool, fits, number).items())
         if is_shared(term):
             agreed = [mine for c, mine in seen if not pool.groups.get((c, number), 0)] or [mine for _, mine in seen]
             out += [replace(e, effect=name, axis=axis) for e in agreed[0]]
@@ -313,6 +304,15 @@ def _of_machine(pool: Pool, fits: Sequence[Fit]) -> list[Estimate]:
         else:
             out += [replace(e, name=f"{e.name}, {pool.parts[c].obs.campaign.name}") for c, mine in seen for e in mine]
     return out
+
+
+def seen_estimates(pool: Pool, fits: Sequence[Fit], number: int) -> dict[int, list[Estimate]]:
+    """Return the parameters of a term of the machine in each campaign that sees it, by number of campaign."""
+    return {
+        c: estimates_in(fitted, part.terms[part.number_of.index(number)])
+        for c, (part, fitted) in enumerate(zip(pool.parts, fits, strict=True))
+        if number in part.number_of
+    }
 
 
 def amplitude(seen: Sequence[Sequence[Estimate]]) -> Estimate:

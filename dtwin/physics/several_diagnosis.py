@@ -206,7 +206,7 @@ def _reconciles(
     """Tell whether campaigns agree on a term once another effect stands beside it."""
     more = Term(Instance(library[suspect.effect], suspect.axis), library[suspect.effect].start_shape)
     fitted = fit_several(campaigns, [*twin.terms, more], library)
-    _, apart = without_contradictions(fitted, [started_of(obs) for obs in campaigns], library)
+    _, apart = without_contradictions(fitted, [started_of(obs) for obs in campaigns])
     return not any(c.effect == term.instance.effect.name for c in apart)
 
 
@@ -248,7 +248,7 @@ def _concluded(
         key=lambda f: f.unresolved.systematic_rms_um if f.unresolved else 0.0,
         default=None,
     )
-    invisible = set.intersection(*(set(f.invisible) | set(f.untestable) for f in found))
+    hidden = _hidden(twin, tests, library)
     return SeveralDiagnosis(
         verdict=_verdict(found, groups),
         headline=_headline(tests, groups, twin.contradictions),
@@ -269,8 +269,8 @@ def _concluded(
         channels=tuple(channel for f in found for channel in f.channels),
         laws=worst.laws if worst else (),
         closest=next((f.closest for f in found if f.closest), None),
-        invisible=tuple(sorted(invisible - {t.label for t in twin.terms})),
-        untestable={label: why for f in found for label, why in f.untestable.items() if label in invisible},
+        invisible=tuple(sorted(label for label, why in hidden.items() if not why)),
+        untestable={label: why for label, why in hidden.items() if why},
         outlier_runs=tuple(f"{test.campaign} {run}" for test in tests for run in test.found.outlier_runs),
         told=(),
         spread=next((f.spread for f in found if f.spread), None),
@@ -288,6 +288,24 @@ def _concluded(
         explained=explained,
         of_campaign=where,
     )
+
+
+def _hidden(twin: SeveralTwin, tests: Sequence[MachineTest], library: Mapping[str, Effect]) -> dict[str, str]:
+    """Return the effects that no campaign of a kind that could show them shows, and why where something was not logged."""
+    has = {cause_of(t.instance.effect) for t in twin.terms}
+    labels = dict.fromkeys(label for test in tests for label in (*test.found.invisible, *test.found.untestable))
+    out = {}
+    for label in labels:
+        name, _, axis = label.partition(" ")
+        effect = library[name]
+        able = [
+            t.found
+            for t in tests
+            if t.obs.grid.kind in effect.kinds and (not axis or axis in (*t.obs.axes, *t.obs.planes))
+        ]
+        if cause_of(effect) not in has and all(label in f.invisible or label in f.untestable for f in able):
+            out[label] = next((f.untestable[label] for f in able if label in f.untestable), "")
+    return out
 
 
 def _verdict(found: Sequence[Diagnosis], groups: Sequence[_Group]) -> Verdict:

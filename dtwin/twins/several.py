@@ -69,7 +69,7 @@ def fitted_together(
     """Return a twin of several campaigns; one that contradicts the others has values of its own and is named."""
     campaigns = [one.obs for one in loaded]
     found = fit_several(campaigns, terms, library, robust=robust)
-    found, apart = without_contradictions(found, [started_of(obs) for obs in campaigns], library)
+    found, apart = without_contradictions(found, [started_of(obs) for obs in campaigns])
     data = [one.data for one in loaded]
     return several_twin_of(found, apart, campaigns, name=name, version=version, action=action, data=data)
 

@@ -26,7 +26,7 @@ def together(campaigns: list[Observations], *names: str) -> SeveralFit:
 
 def apart(campaigns: list[Observations], *names: str) -> tuple[SeveralFit, tuple[Contradiction, ...]]:
     days = [started_of(obs) for obs in campaigns]
-    return without_contradictions(together(campaigns, *names), days, LIBRARY)
+    return without_contradictions(together(campaigns, *names), days)
 
 
 def test_sizes_are_those_of_the_machine_and_better_known_than_by_one_campaign() -> None:
@@ -116,16 +116,28 @@ def test_a_lead_that_circles_deny_names_all_that_say_so() -> None:
     assert {*told.campaigns, *told.others} == {"bar", "laser-X", "laser-Y"}
 
 
-def test_phases_of_a_wave_are_of_each_campaign_and_its_amplitude_is_of_the_machine() -> None:
-    bars = [
+def bars_with_screws(*screws: tuple[float, float]) -> list[Observations]:
+    return [
         circles(
-            MillParameters().with_axis("X", pitch_error_um=2.0, pitch_mm=10.0, pitch_phase_rad=phase), seed, f"b{seed}"
+            MillParameters().with_axis("X", pitch_error_um=um, pitch_mm=10.0, pitch_phase_rad=phase),
+            seed,
+            f"b{seed}",
+            f"2026-0{seed}-05",
         )
-        for seed, phase in ((1, 0.0), (2, 2.0))
+        for seed, (um, phase) in enumerate(screws, start=1)
     ]
-    (size,) = together(bars, "cyclic_error:X").estimates
-    assert size.name == "amplitude"
-    assert size.value == pytest.approx(2.0, abs=0.2)
+
+
+def test_phases_of_a_wave_are_of_each_campaign_and_its_amplitude_is_of_the_machine() -> None:
+    found, told = apart(bars_with_screws((2.0, 0.0), (2.0, 2.0)), "cyclic_error:X")
+    assert (found.estimates[0].name, told) == ("amplitude", ())
+    assert found.estimates[0].value == pytest.approx(2.0, abs=0.2)
+
+
+def test_a_screw_that_got_worse_is_a_contradiction_of_amplitudes() -> None:
+    _, (told,) = apart(bars_with_screws((2.0, 0.0), (2.0, 1.0), (4.0, 2.0)), "cyclic_error:X")
+    assert (told.parameter, told.campaigns, told.since[:10]) == ("amplitude", ("b3",), "2026-03-05")
+    assert told.difference == pytest.approx(2.0, abs=0.3)
 
 
 def test_an_effect_that_no_campaign_sees_is_refused_with_what_there_is() -> None:

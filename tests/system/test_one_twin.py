@@ -1,0 +1,158 @@
+"""One machine, one twin: as a new user would, from folders of a ball bar and two lasers to a name that none has alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from laser_axis import write_laser
+from mill_and_laser import write_circles
+from starlette.testclient import TestClient
+from typer.testing import CliRunner
+
+from dtwin.acquire.ingest import ingest
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.errors import InputError
+from dtwin.lake.store import Lake
+from dtwin.machines.mill_parameters import MillParameters
+from dtwin.twins.several import require_together
+from dtwin.twins.verbs import Twins
+from dtwin.workbench._access import Access
+from dtwin.workbench._bench import Bench
+from dtwin.workbench.server import application
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(300)]
+
+
+def run(*words: str) -> str:
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == 0, done.output + str(done.exception)
+    return done.output
+
+
+def said(*words: str) -> Any:
+    return json.loads(run(*words, "--json"))
+
+
+def refused(*words: str) -> Any:
+    done = CliRunner().invoke(app, list(words))
+    assert done.exit_code == 1
+    return done.exception
+
+
+ALL = ("bar", "laser-x", "laser-y")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with campaigns of two machines, and a home that took them in."""
+    root = tmp_path_factory.mktemp("one-twin")
+    write_circles(root / "bar", "mill-7", MillParameters().with_axis("X", scale_ppm=30.0, play_um=3.0))
+    write_laser(root / "laser-x", "mill-7", "X", 30.0, 3.0, 2)
+    write_laser(root / "laser-y", "mill-7", "Y", 0.0, 0.0, 3)
+    write_laser(root / "later", "mill-7", "X", 30.0, 7.0, 4)
+    write_laser(root / "elsewhere", "mill-8", "X", 0.0, 0.0)
+    for name in (*ALL, "later", "elsewhere"):
+        ingest(root / name, Lake(root / "home" / "lake"))
+    return root
+
+
+@pytest.fixture
+def home(made: Path, monkeypatch: pytest.MonkeyPatch) -> Home:
+    monkeypatch.setenv("DTWIN_HOME", str(made / "home"))
+    return Home(made / "home")
+
+
+def test_what_one_test_leaves_open_is_named_by_one_twin(home: Home) -> None:
+    alone = said("twin", "fit", "bar", "--effects", "", "--name", "alone")
+    assert "campaigns" not in alone
+    assert said("twin", "diagnose", "alone")["verdict"] == "ambiguous"
+    made = said("twin", "fit", *ALL, "--effects", "", "--name", "all")
+    assert [c["campaign"] for c in made["campaigns"]] == list(ALL)
+    told = said("twin", "diagnose", "all")
+    assert told["verdict"] == "missing_effect"
+    assert [[s["effect"] for s in group] for group in told["found"]] == [["lead_error"], ["backlash"]]
+    assert {s["campaign"] for s in told["settled"]} == {"bar"}
+    assert {c["campaign"]: c["verdict"] for c in told["campaigns"]}["bar"] == "ambiguous"
+    assert "settled: bar could not tell" in run("twin", "diagnose", "all")
+
+
+def test_discover_adds_it_and_nothing_is_missing_then(home: Home) -> None:
+    run("twin", "fit", *ALL, "--effects", "", "--name", "found")
+    found = said("twin", "discover", "found")
+    assert found["added"] == ["lead_error X", "backlash X"]
+    assert found["final"]["verdict"] == "nothing_missing"
+    shown = said("twin", "show", "found")
+    sizes = {f"{e['effect']} {e['axis']}": e for e in shown["effects"]}
+    for label, truth, unit in (("lead_error X", 30.0, "ppm"), ("backlash X", 3.0, "um")):
+        assert sizes[label]["value"] == pytest.approx(truth, abs=1.5 * sizes[label]["k2"])
+        assert sizes[label]["unit"] == unit
+    assert shown["contradictions"] == []
+    # The file is the twin: what was stored opens as what was made.
+    again = Twins(home).newest("found")
+    assert again.as_dict()["parameters"] == shown["parameters"]
+
+
+def test_the_loop_goes_on(home: Home) -> None:
+    run("twin", "fit", *ALL, "--effects", "lead_error:X,backlash:X", "--name", "loop")
+    added = said("twin", "add", "loop", "squareness")
+    assert added["figures"]["rms_after_um"] <= added["before"]["rms_after_um"] + 1e-3
+    assert refused("twin", "add", "loop", "scale_mismatch", "--axis", "X").code == "twin.has_effect"
+    removed = said("twin", "remove", "loop", "squareness")
+    assert [e["effect"] for e in removed["effects"]] == ["lead_error", "backlash"]
+    back = said("twin", "restore", "loop", "--version", "2")
+    assert [e["effect"] for e in back["effects"]] == ["lead_error", "backlash", "squareness"]
+    compared = said("twin", "compare", "loop")
+    assert [c["campaign"] for c in compared["campaigns"]] == list(ALL)
+    assert all(c["residual_rms_um"] < 1.2 * c["noise_floor_um"] for c in compared["campaigns"])
+    assert said("twin", "compare", "loop", "--on", "laser-x")["campaign"] == "laser-x"
+    # A campaign that it was not fitted to: sizes are those of the machine, by the name that they have there.
+    later = said("twin", "compare", "loop", "--on", "later")
+    assert later["residual_rms_um"] == pytest.approx(2.0, abs=0.3)
+    rungs = said("twin", "history", "loop")["rungs"]
+    assert [r["campaigns"] for r in rungs] == [list(ALL)] * 4
+    page = home.root / "loop.html"
+    run("twin", "show", "loop", "--html", str(page))
+    assert "laser-y" in page.read_text(encoding="utf-8")
+
+
+def test_mistakes_are_refused_with_the_reason(home: Home) -> None:
+    run("twin", "fit", *ALL, "--effects", "backlash:X", "--name", "wrong")
+    assert refused("twin", "fit", "bar", "elsewhere", "--effects", "", "--name", "no").code == "twin.machines"
+    assert refused("twin", "fit", "bar", "bar", "--effects", "", "--name", "no").code == "twin.campaign_twice"
+    with pytest.raises(InputError, match="on no grid"):
+        require_together([("bar", "mill-7", "circular"), ("day", "mill-7", "drift")])
+    assert refused("twin", "budget", "wrong").code == "budget.campaign"
+    assert said("twin", "budget", "wrong", "--on", "bar")["shares"]
+    assert refused("twin", "correct", "wrong").code == "twin.several"
+    assert refused("twin", "confirm", "wrong", "backlash:X", "--after", "later").code == "twin.several"
+
+
+def test_a_laser_that_contradicts_the_ball_bar_is_named_on_command_and_page(home: Home) -> None:
+    made = said("twin", "fit", "bar", "later", "--effects", "backlash:X,lead_error", "--name", "apart")
+    (told,) = made["contradictions"]
+    assert (told["effect"], told["axis"]) == ("backlash", "X")
+    assert abs(told["difference"]) == pytest.approx(4.0, abs=1.0)
+    assert "contradiction since 2026-03-02" in run("twin", "show", "apart")
+    assert "contradiction since 2026-03-02" in client(home).get("/twins/apart").text
+
+
+def client(home: Home) -> TestClient:
+    return TestClient(application(Bench(home, Access("127.0.0.1", 8765))), base_url="http://127.0.0.1:8765")
+
+
+def test_pages_of_the_twin_show_all_its_campaigns(home: Home) -> None:
+    run("twin", "fit", *ALL, "--effects", "lead_error:X", "--name", "seen")
+    run("twin", "diagnose", "seen")
+    open_page = client(home).get
+    compare = open_page("/twins/seen")
+    assert all(f"/campaigns/{name}" in compare.text for name in ALL)
+    assert "of each other" in open_page("/twins/seen/diagnose").text
+    for address in ("", "?on=laser-x", "/versions", "/report.html"):
+        assert open_page(f"/twins/seen{address}").status_code == 200, address
+    for figure in ("overlay/angle?on=laser-x", "map?on=laser-y", "waterfall", "ranked", "signature?effect=backlash X"):
+        assert open_page(f"/api/twins/seen/{figure}").status_code == 200, figure
+    assert "/campaigns/laser-y" in open_page("/twins").text
