@@ -29,6 +29,7 @@ from mill_and_laser import circles, laser
 from dtwin.machines.mill_parameters import MillParameters
 from dtwin.physics.contradictions import without_contradictions
 from dtwin.physics.diagnose import diagnose
+from dtwin.physics.fit import fit
 from dtwin.physics.library import Library
 from dtwin.physics.machine_terms import key_of, machine_terms
 from dtwin.physics.observations import Observations
@@ -36,6 +37,7 @@ from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
 from dtwin.physics.several_diagnosis import diagnose_several
 from dtwin.physics.several_twin import SeveralTwin, several_twin_of
+from dtwin.physics.twin import chosen_terms
 from dtwin.report.text import table
 
 LIBRARY = Library()
@@ -120,6 +122,19 @@ def discovered(campaigns: Sequence[Observations]) -> tuple[SeveralTwin, Groups]:
     return twin, groups
 
 
+def _alone(obs: Observations) -> Groups:
+    """Return the same of one campaign by itself."""
+    terms, groups = list[Term](), Groups()
+    for _ in range(MOST_ROUNDS):
+        found = diagnose(obs, terms, LIBRARY).found
+        if not found:
+            break
+        names = [f"{group[0].effect}:{group[0].axis}" for group in found]
+        groups += [{s.label for s in group} for group in found]
+        terms = list(fit(obs, [*terms, *chosen_terms(names, LIBRARY, obs)]).terms)
+    return groups
+
+
 def _named(groups: Groups, right: list[set[str]]) -> bool:
     """Tell whether every cause has a group of nothing but right names."""
     return all(any(group <= names for group in groups) for names in right)
@@ -136,7 +151,7 @@ def told(story: str, case: int) -> dict[str, Any]:
     of_x, of_y, lead_x, lead_y, lost_um, right = STORIES[story](rng)
     mill = MillParameters().with_axis("X", **of_x).with_axis("Y", **of_y)
     campaigns = [circles(mill, case), laser("X", lead_x, lost_um, 2 * case), laser("Y", lead_y, 0.0, 2 * case + 1)]
-    alone = [[{s.label for s in group} for group in diagnose(obs, [], LIBRARY).found] for obs in campaigns]
+    alone = [_alone(obs) for obs in campaigns]
     twin, groups = discovered(campaigns)
     truth = {("scale", "X"): lead_x, ("scale", "Y"): lead_y, ("backlash", "X"): lost_um}
     contradicted = {c.effect for c in twin.contradictions}

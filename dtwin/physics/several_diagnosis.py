@@ -12,7 +12,7 @@ from dtwin.physics.diagnosis import Diagnosis, Suspect, Verdict
 from dtwin.physics.effect import Effect, Instance
 from dtwin.physics.experiment import next_experiment
 from dtwin.physics.joint import Joint, MachineTest, Shared, joint
-from dtwin.physics.machine_terms import cause_of, key_of
+from dtwin.physics.machine_terms import cause_of, key_of, machine_terms, seen_by
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.several import fit_several
@@ -21,6 +21,8 @@ from dtwin.physics.state import AXES_OF
 from dtwin.physics.twin import predict_um
 
 _PLACES = 5
+# A size is there from three of its standard uncertainties on; sizes have k = 2.
+_THERE = 1.5
 _QUIET: tuple[Verdict, ...] = ("unknown_effect", "need_repeats", "variance_effect", "nothing_missing")
 
 
@@ -94,14 +96,18 @@ def diagnose_several(
         found = diagnose(obs, known, library, seed=seed)
         tests.append(MachineTest(obs.campaign.name, started_of(obs), obs, found, known))
     settled = joint(tests, library)
-    groups = _merged(tests, settled, library)
+    groups, denied = _shown_together(twin, _merged(tests, settled, library), campaigns, library)
     explained: dict[str, str] = {}
+    better: list[_Group] = []
     for contradiction in twin.contradictions:
         for group, where in _explaining(twin, contradiction, campaigns, library, seed):
-            if not any({s.label for s in group} & {s.label for s in known} for known, _ in groups):
-                groups.append((group, where))
+            if group[0].label not in explained:
+                better.append((group, where))
                 explained[group[0].label] = f"{contradiction.effect} {contradiction.axis}".rstrip()
-    return _concluded(twin, tests, settled, groups, explained, library)
+    # What a campaign shows beside a size that it gets wrong is asked again when that is right.
+    wrong = {where for _, where in better}
+    groups = [*better, *(found for found in groups if found[1] not in wrong)]
+    return _concluded(twin, tests, settled, groups, denied, explained, library)
 
 
 _Group = tuple[tuple[Suspect, ...], str]
@@ -134,6 +140,40 @@ def _merged(tests: Sequence[MachineTest], settled: Joint, library: Mapping[str, 
             out.append((group, where))
             told.add((cause, axis))
     return out
+
+
+def _shown_together(
+    twin: SeveralTwin, groups: list[_Group], campaigns: Sequence[Observations], library: Mapping[str, Effect]
+) -> tuple[list[_Group], list[str]]:
+    """Leave out the names that one campaign finds and all that can see them do not; return what is left, and those names.
+
+    Each is sized in one fit of all campaigns beside everything else that was found.
+    """
+    alone = {_key(group[0], library) for group, _ in groups if len(group) == 1}
+    known = {key_of(term) for term in twin.terms}
+    more = [
+        term
+        for group, _ in groups
+        for term in machine_terms([group[0].effect], library, campaigns, group[0].axis)
+        if key_of(term) not in known
+    ]
+    terms = {key_of(term): term for term in (*twin.terms, *more)}
+    many = {k for k, t in terms.items() if sum(seen_by(t, obs, library) is not None for obs in campaigns) > 1}
+    if not many & alone:
+        return groups, []
+    sizes = fit_several(campaigns, list(terms.values()), library).estimates
+    absent = {
+        key
+        for key in many
+        for term in [terms[key]]
+        if all(
+            abs(e.value) <= _THERE * e.uncertainty
+            for e in sizes
+            if (e.effect, e.axis) == (term.instance.effect.name, term.instance.axis)
+        )
+    }
+    denied = [group[0].label for group, _ in groups if len(group) == 1 and _key(group[0], library) in absent]
+    return [(group, where) for group, where in groups if len(group) > 1 or group[0].label not in denied], denied
 
 
 def _key(suspect: Suspect, library: Mapping[str, Effect]) -> tuple[str, str]:
@@ -215,6 +255,7 @@ def _concluded(
     tests: Sequence[MachineTest],
     settled: Joint,
     groups: Sequence[_Group],
+    denied: Sequence[str],
     explained: Mapping[str, str],
     library: Mapping[str, Effect],
 ) -> SeveralDiagnosis:
@@ -250,8 +291,8 @@ def _concluded(
     )
     hidden = _hidden(twin, tests, library)
     return SeveralDiagnosis(
-        verdict=_verdict(found, groups),
-        headline=_headline(tests, groups, twin.contradictions),
+        verdict=_verdict(found, groups, settled),
+        headline=_headline(tests, groups, denied, twin.contradictions),
         residual_rms_um=figures["rms_after_um"],
         systematic_rms_um=figures["systematic_rms_um"],
         noise_floor_um=figures["noise_floor_um"],
@@ -308,23 +349,27 @@ def _hidden(twin: SeveralTwin, tests: Sequence[MachineTest], library: Mapping[st
     return out
 
 
-def _verdict(found: Sequence[Diagnosis], groups: Sequence[_Group]) -> Verdict:
+def _verdict(found: Sequence[Diagnosis], groups: Sequence[_Group], settled: Joint) -> Verdict:
     if groups:
         return "missing_effect" if len(groups[0][0]) == 1 else "ambiguous"
-    said = {f.verdict for f in found}
-    if said & {"missing_effect", "ambiguous"}:
-        # One test finds what the others say is not there.
+    if any(shared.apart for shared in settled.shared):
         return "unknown_effect"
+    said = {f.verdict for f in found}
     return next((verdict for verdict in _QUIET if verdict in said), "nothing_missing")
 
 
-def _headline(tests: Sequence[MachineTest], groups: Sequence[_Group], apart: Sequence[Contradiction]) -> str:
+def _headline(
+    tests: Sequence[MachineTest], groups: Sequence[_Group], denied: Sequence[str], apart: Sequence[Contradiction]
+) -> str:
     if groups:
         names = "; ".join(" or ".join(s.label for s in group) for group, _ in groups)
         single = all(len(group) == 1 for group, _ in groups)
         said = f"{names} {'is' if len(groups) == 1 else 'are'} missing" if single else names
     else:
-        said = "; ".join(f"{test.campaign}: {test.found.headline}" for test in tests)
+        quiet = [test for test in tests if not test.found.found]
+        said = "; ".join(f"{test.campaign}: {test.found.headline}" for test in quiet) or "nothing that all agree on"
+    if denied:
+        said += f"; one campaign alone would name {', '.join(denied)}, all that see it together do not"
     for one in apart:
         said += f"; {', '.join(one.campaigns)} contradicts {', '.join(one.others)} on {one.effect} {one.axis}".rstrip()
     return said

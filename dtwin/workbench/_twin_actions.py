@@ -8,6 +8,7 @@ from fastapi import APIRouter, Request
 from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse
 
+from dtwin.errors import InputError
 from dtwin.kinds.volumetric.heat_twin import HeatTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.machine_joint import newest_tests
@@ -147,7 +148,10 @@ def find(request: Request, campaign: str, wanted: _NameRequest) -> JSONResponse:
 def find_together(request: Request, machine: str, wanted: _NameRequest) -> JSONResponse:
     """The same of the newest tests of a machine, all in one twin."""
     bench = bench_of(request)
-    return _find(bench, list(newest_tests(bench.run_rows(), machine)), wanted.name)
+    campaigns = list(newest_tests(bench.run_rows(), machine))
+    if not campaigns:
+        raise InputError("no test of the machine can have a twin of paths", code="machine.tests", where=machine)
+    return _find(bench, campaigns, wanted.name)
 
 
 def _find(bench: Bench, campaigns: Sequence[str], name: str) -> JSONResponse:

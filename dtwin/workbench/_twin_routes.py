@@ -11,6 +11,7 @@ from starlette.responses import Response
 
 from dtwin.errors import InputError
 from dtwin.physics.gridding import CIRCLE
+from dtwin.physics.several_twin import SeveralTwin
 from dtwin.report.encoder_split import encoder_section
 from dtwin.report.faults import faults
 from dtwin.report.html import Section, page
@@ -276,7 +277,8 @@ def signature(request: Request, name: str, effect: str, condition: _Numbers = []
 def _sections(bench: Bench, name: str) -> list[Section]:
     """Return the whole story of a twin of tests of a path."""
     twin = bench.twins.newest(name)
-    comparison = bench.twins.compare(name)
+    several = isinstance(twin, SeveralTwin)
+    comparison = bench.twins.compare(name) if several else reading.view(bench, name).comparison
     sections = [twin_section(twin), *comparison_sections(comparison, comparison.as_dict())]
     diagnosis = reading.diagnosis_of(bench, name, twin.version)
     if diagnosis is not None:
