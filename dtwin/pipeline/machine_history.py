@@ -15,6 +15,7 @@ from dtwin.lake.store import Lake
 from dtwin.machine_record import MachineRecord, read_record, recorded
 from dtwin.physics.effect import Effect
 from dtwin.physics.fit import fit
+from dtwin.physics.several_twin import SeveralTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.kept import kept, sheet_of_campaign, stamp_of
 from dtwin.pipeline.machine_series import Point, Series, judged_series, next_test
@@ -181,7 +182,15 @@ def _sizes(home: Home, campaign: str, stamp: str, twins: Sequence[Twin]) -> list
 
 def _fitted(home: Home, campaign: str, twin: Twin) -> list[list[Any]]:
     try:
-        estimates = fit(load(home, campaign).obs, twin.terms).estimates
+        obs = load(home, campaign).obs
+        if isinstance(twin, SeveralTwin):
+            kinds = [about["kind"] for about in twin.about]
+            pairs = zip(twin.parts, kinds, strict=True)
+            alike = [p for p, kind in pairs if kind == obs.grid.kind and set(p.box.planes) == set(obs.planes)]
+            if not alike:
+                return []
+            twin = alike[-1]
+        estimates = fit(obs, twin.terms).estimates
     except InputError:  # Of another kind, or of planes and axes that the twin does not have.
         return []
     rows: list[list[Any]] = []

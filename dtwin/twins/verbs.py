@@ -163,8 +163,9 @@ class Twins(TwinShelf):
         twin = self.newest(name)
         loaded = self._load(twin.campaigns)
         new = self._terms([effect], loaded, axis)
-        there = {key_of(term) for term in twin.terms}
-        fresh = [term for term in new if key_of(term) not in there]
+        # To several campaigns names of one cause are one effect.
+        there = {key_of(term) for term in twin.terms} if len(loaded) > 1 else set()
+        fresh = [term for term in new if term.label not in twin.labels and key_of(term) not in there]
         if not fresh:
             raise effect_there(twin, effect)
         added = ", ".join(term.label for term in fresh)

@@ -82,7 +82,9 @@ def campaign_page(request: Request, name: str, part: int = 0) -> Response:
     overview = bench.cache.get(("overview", name, version), lambda: campaigns.overview(name, rows))
     findings = bench.cache.get(("findings", name, version), lambda: grouped_findings(rows))
     rungs = {twin: bench.twins.history(twin) for twin in bench.twin_names()}
-    fitted = [twin for twin, found in rungs.items() if found and found[-1]["campaign"] == name]
+    fitted = [
+        twin for twin, found in rungs.items() if found and name in found[-1].get("campaigns", [found[-1]["campaign"]])
+    ]
     kind = kind_named(overview.kind)
     paths = kind.offers("rows")
     sheet = campaign_sheet_of(bench, name, overview.machine) if kind.offers("sheet") else None
