@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.physics._condensed import condensed
 from dtwin.physics.candidates import Candidates, likely_pitches
 from dtwin.physics.problem import Problem, Term, least_visible
 from dtwin.schema import Floats
@@ -38,7 +39,8 @@ class Dictionary:
 
     def __init__(self, problem: Problem, candidates: Candidates) -> None:
         self._problem, self._candidates = problem, candidates
-        self._residual = problem.residual.ravel()
+        self.campaign = condensed(problem, candidates)
+        self._residual = self.campaign.residual
         self.total = float(self._residual @ self._residual)
         self.entries: list[Entry] = []
         # A column is a row here. Room is left for more of them.
@@ -50,13 +52,13 @@ class Dictionary:
 
     def add(self, terms: Iterable[Term]) -> list[Entry]:
         """Take more effects in; those that nothing can be seen of are left out."""
-        every = [(term, self._candidates.whitened(self._problem, term)) for term in terms]
+        every = [(term, self.campaign.columns(term)) for term in terms]
         if not every:
             return []
         rows = np.concatenate([whitened.T for _, whitened in every])
         size = np.sqrt(_squares(rows))
         rows /= np.where(size > 0.0, size, 1.0)[:, None]
-        basis = self._problem.basis
+        basis = self.campaign.basis
         rows -= (rows @ basis) @ basis.T
         number = np.repeat(np.arange(len(every)), [whitened.shape[1] for _, whitened in every])
         seen = (size > 0.0) & (_squares(rows) > np.array([least_visible(term) for term, _ in every])[number])
@@ -91,8 +93,7 @@ class Dictionary:
 
     def add_pitches(self, chosen: Sequence[Entry]) -> None:
         """Take in the pitches at which what a set leaves repeats most, and those of the axis's screw in it."""
-        left = self._residual - self.fitted(chosen)
-        rows = left.reshape(self._problem.obs.n_rows, -1)
+        rows = self._problem.residual - self.fitted(chosen).reshape(self._problem.obs.n_rows, -1)
         have = {e.label: e.term for e in chosen}
         periodic = [
             instance
@@ -114,9 +115,10 @@ class Dictionary:
         """Return what a set explains, whitened, shape (rows * n,)."""
         index = _indices(chosen)
         if not len(index):
-            return np.zeros_like(self._residual)
+            return np.zeros_like(self._problem.y)
         root = _root(self._gram[np.ix_(index, index)])
-        return np.asarray((root @ (root.T @ self._right[index])) @ self._room[index])
+        along = (root @ (root.T @ self._right[index])) @ self._room[index]
+        return self.campaign.expanded(along[:, None])[:, 0]
 
     def explained(self, chosen: Sequence[Entry]) -> float:
         """Return the sum of squares that a set explains."""

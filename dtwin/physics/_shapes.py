@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from dtwin.physics._condensed import Condensed
 from dtwin.physics.candidates import Candidates
 from dtwin.physics.effect import ShapeParameter
 from dtwin.physics.problem import Problem, Term
@@ -56,25 +57,20 @@ def refined(problem: Problem, term: Term, *, bounded: bool = False) -> Term:
     return _at(term, found.x)
 
 
-def refined_together(
-    problem: Problem, candidates: Candidates, terms: Sequence[Term], enough: float
-) -> tuple[Term, ...]:
+def refined_together(campaign: Condensed, terms: Sequence[Term], enough: float) -> tuple[Term, ...]:
     """Return terms with the shapes, within their grids, that leave least when all are fitted.
 
-    ``problem``: campaign with what is known besides.
+    ``campaign``: with what is known besides.
     ``terms``: effects with the shapes to start from.
     ``enough``: a step that lowers the sum of squares by less is the last one.
     """
     shaped = [term for term in terms if _names(term)]
     if not shaped:
         return tuple(terms)
-    for term in terms:
-        if not _names(term):
-            visible = candidates.visible(problem, term)
-            problem = problem.extended(visible, candidates.whitened(problem, term))
+    campaign = campaign.given(term for term in terms if not _names(term))
     sizes = [len(_names(term)) for term in shaped]
     parts = [slice(end - n, end) for end, n in zip(np.cumsum(sizes), sizes, strict=True)]
-    projected = _Projected(problem, shaped, parts)
+    projected = _Projected(campaign, shaped, parts)
     begun = np.concatenate([_logs(term) for term in shaped])
     ranges = [_bounds(t, begun[part], True) for t, part in zip(shaped, parts, strict=True)]
     low, high = (np.concatenate(ends) for ends in zip(*ranges, strict=True))
@@ -95,23 +91,37 @@ def refined_together(
 
 
 class _Projected:
-    """What effects leave as their shapes change, all amplitudes fitted, and its slopes after Kaufman (1975)."""
+    """What effects leave as their shapes change, all amplitudes fitted, and its slopes after Kaufman (1975).
 
-    def __init__(self, problem: Problem, terms: Sequence[Term], parts: Sequence[slice]) -> None:
-        self._problem, self._terms, self._parts = problem, terms, parts
-        self._residual = problem.residual.ravel()
+    Residual and slopes are turned together into as few rows as there are slopes, and one more: no product changes, and
+    the solver's decompositions become small.
+    """
+
+    def __init__(self, campaign: Condensed, terms: Sequence[Term], parts: Sequence[slice]) -> None:
+        self._campaign, self._terms, self._parts = campaign, terms, parts
+        self._residual = campaign.residual
         self._kept: dict[tuple[int, bytes], Floats] = {}
+        self._turned: dict[bytes, Floats] = {}
 
     def left(self, logs: Floats) -> Floats:
-        """Return the residual, shape (rows * n,)."""
-        columns, inverse = self._solved(logs)
-        return np.asarray(self._residual - columns @ (inverse @ (columns.T @ self._residual)))
+        """Return the residual, shape (shapes + 1,)."""
+        return self._both(logs)[:, -1]
 
     def slopes(self, logs: Floats) -> Floats:
-        """Return how the residual changes with every logarithm of a shape, shape (rows * n, shapes)."""
+        """Return how the residual changes with every logarithm of a shape, shape (shapes + 1, shapes)."""
+        return self._both(logs)[:, :-1]
+
+    def _both(self, logs: Floats) -> Floats:
+        key = logs.tobytes()
+        if key not in self._turned:
+            self._turned[key] = np.asarray(np.linalg.qr(self._evaluated(logs), mode="r"), float)
+        return self._turned[key]
+
+    def _evaluated(self, logs: Floats) -> Floats:
+        """Return slopes and, at last, the residual, shape (m, shapes + 1)."""
         columns, inverse = self._solved(logs)
         amplitude = inverse @ (columns.T @ self._residual)
-        out, at = np.empty((len(self._residual), len(logs))), 0
+        out, at = np.empty((len(self._residual), len(logs) + 1)), 0
         for number, part in enumerate(self._parts):
             now = self._columns(number, logs[part])
             own, at = amplitude[at : at + now.shape[1]], at + now.shape[1]
@@ -119,7 +129,9 @@ class _Projected:
                 moved = logs.copy()
                 moved[i] += _STEP
                 out[:, i] = (self._columns(number, moved[part]) - now) @ own / -_STEP
-        return np.asarray(out - columns @ (inverse @ (columns.T @ out)))
+        out[:, :-1] -= columns @ (inverse @ (columns.T @ out[:, :-1]))
+        out[:, -1] = self._residual - columns @ amplitude
+        return out
 
     def _solved(self, logs: Floats) -> tuple[Floats, Floats]:
         every = [self._columns(n, logs[part]) for n, part in enumerate(self._parts)]
@@ -131,10 +143,9 @@ class _Projected:
         # The solver changes one shape at a time and comes back.
         key = number, logs.tobytes()
         if key not in self._kept:
-            problem, term = self._problem, _at(self._terms[number], logs)
-            columns = problem.obs.harmonics(term.instance, term.shape) * problem.weights[:, None]
-            whitened = columns.reshape(-1, columns.shape[2])
-            self._kept[key] = whitened - problem.basis @ (problem.basis.T @ whitened)
+            basis = self._campaign.basis
+            columns = self._campaign.columns(_at(self._terms[number], logs), keep=False)
+            self._kept[key] = columns - basis @ (basis.T @ columns)
         return self._kept[key]
 
 

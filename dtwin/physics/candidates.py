@@ -10,11 +10,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from dtwin.physics._condensed import Condensed, condensed
 from dtwin.physics.effect import Effect, Instance
-from dtwin.physics.gridding import bin_angle_rad
+from dtwin.physics.gridding import Indices, bin_angle_rad
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.observations import Observations
-from dtwin.physics.problem import Problem, Term, least_visible
+from dtwin.physics.problem import INVISIBLE, Problem, Term, least_visible, squares
 from dtwin.physics.score import NoiseLevel, Score, score_test
 from dtwin.physics.state import AXES_OF
 from dtwin.physics.whitening import from_harmonics
@@ -50,7 +51,7 @@ class Candidates:
 
     obs: Observations
     instances: Sequence[Instance]
-    _columns: dict[tuple[str, tuple[tuple[str, float], ...]], Floats] = field(default_factory=dict)
+    _columns: dict[tuple[str, tuple[tuple[str, float], ...]], tuple[Floats, Indices]] = field(default_factory=dict)
 
     def tested(
         self, problem: Problem, level: NoiseLevel, but: Collection[str] = ()
@@ -62,24 +63,29 @@ class Candidates:
         Returns ``invisible``: labels of the effects that the set-up or the known effects absorb.
         """
         found, invisible = [], []
+        few = condensed(problem, self)
         for instance in (i for i in self.instances if i.label not in but):
-            candidate = self.tested_instance(problem, instance, level)
+            candidate = self.tested_instance(few, instance, level)
             if candidate is None:
                 invisible.append(instance.label)
             else:
                 found.append(candidate)
         return found, invisible
 
-    def tested_instance(self, problem: Problem, instance: Instance, level: NoiseLevel) -> Candidate | None:
-        """Test an effect in the shape that suits best; None when it cannot be seen."""
+    def tested_instance(self, few: Condensed, instance: Instance, level: NoiseLevel) -> Candidate | None:
+        """Test an effect in the shape that suits best; None when it cannot be seen.
+
+        ``few``: whitened campaign with its known effects, condensed.
+        """
+        problem, left = few.problem, few.residual
         residual = problem.residual
         shapes = list(self._shapes(instance, residual))
-        tried = [self._visible(problem, Term(instance, shape)) for shape in shapes]
-        gains = [float(((visible.T @ residual.ravel()) ** 2).sum()) if visible.size else -1.0 for visible, _ in tried]
+        tried = [few.visible(Term(instance, shape)) for shape in shapes]
+        gains = [float(((visible.T @ left) ** 2).sum()) if visible.size else -1.0 for visible, _ in tried]
         best = int(np.argmax(gains))
         if gains[best] < 0.0:
             return None
-        visible, share = tried[best]
+        visible, share = few.expanded(tried[best][0]), float(tried[best][1].max())
         within = instance.effect.within_condition
         score = score_test(problem, visible, residual, level, within=within)
         n_tried = independent([v for v, _ in tried if v.size])
@@ -123,11 +129,15 @@ class Candidates:
 
     def whitened(self, problem: Problem, term: Term) -> Floats:
         """Return the whitened columns of a term, shape (rows * n, k)."""
+        rows, of = self.harmonics(term)
+        return np.asarray((rows * problem.weights[:, None])[of].reshape(-1, rows.shape[2]))
+
+    def harmonics(self, term: Term) -> tuple[Floats, Indices]:
+        """Return the different rows of a term's columns, and which of them each row is."""
         key = (term.label, tuple(sorted(term.shape.items())))
         if key not in self._columns:
-            self._columns[key] = self.obs.harmonics(term.instance, term.shape)
-        weighted = self._columns[key] * problem.weights[:, None]
-        return weighted.reshape(-1, weighted.shape[2])
+            self._columns[key] = self.obs.distinct_harmonics(term.instance, term.shape)
+        return self._columns[key]
 
     def _visible(self, problem: Problem, term: Term) -> tuple[Floats, float]:
         whitened = self.whitened(problem, term)
@@ -275,11 +285,8 @@ def probes(problem: Problem) -> Floats:
     windows = [
         np.exp(-(((np.degrees(theta) - centre + 180.0) % 360.0 - 180.0) ** 2) / 200.0) for centre in range(0, 360, 30)
     ]
-    out = []
-    for profile in (*waves, *windows):
-        for parity in (np.ones_like(sign), sign):
-            column = np.where(obs.mask, parity[:, None] * profile[None, :], 0.0)
-            visible, _ = problem.visible(problem.whitened(column[:, :, None]))
-            if visible.shape[1]:
-                out.append(visible)
-    return np.concatenate(out, axis=1) if out else np.empty((problem.y.size, 0))
+    columns = [parity[:, None] * profile for profile in (*waves, *windows) for parity in (np.ones_like(sign), sign)]
+    whitened = problem.whitened(np.where(obs.mask[:, :, None], np.stack(columns, axis=2), 0.0))
+    left = whitened - problem.basis @ (problem.basis.T @ whitened)
+    seen = squares(left) > INVISIBLE * squares(whitened)
+    return np.asarray(left[:, seen] / np.sqrt(squares(left[:, seen])))

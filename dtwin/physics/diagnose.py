@@ -101,7 +101,7 @@ def diagnose(obs: Observations, known: Sequence[Term], library: Mapping[str, Eff
     tests = _tests(found)
     if found.best is not None and found.best.exact and _doubted(found, False, tests):
         # Laws are not exact then: what is small may be how far others are off.
-        found = search_again(best=replace(found.best, exact=False))
+        found = search_again(before=found)
         tests = _tests(found)
     moving = tuple(c.name for c in screen_channels(found.last, seed)) if channels else ()
     return _concluded(blank, found, tests, candidates, known, channels, moving, residual, library)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -242,7 +243,7 @@ class Instance:
     effect: Effect
     axis: str = ""
 
-    @property
+    @cached_property
     def label(self) -> str:
         """Name with axis, for example ``backlash X``."""
         return f"{self.effect.name} {self.axis}".rstrip()

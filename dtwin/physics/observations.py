@@ -202,7 +202,7 @@ class Observations:
         """
         effect = instance.effect
         out = np.zeros((self.n_rows, self.n_bins, len(effect.parameters)))
-        if effect.within_condition or effect.needs:
+        if not self.is_alike_in_repeats(instance):
             for row in range(self.n_rows):
                 out[row] = _averaged(self.grid, instance, shape, self._row_state(row))
         else:
@@ -214,19 +214,28 @@ class Observations:
 
     def harmonics(self, instance: Instance, shape: Shape) -> Floats:
         """Return the columns of an effect as coefficients of harmonics, shape (rows, n, parameters)."""
-        effect, masks = instance.effect, self._condition_masks
-        if effect.within_condition or effect.needs or masks is None:
-            return to_harmonics(self.regressors(instance, shape))
+        rows, of = self.distinct_harmonics(instance, shape)
+        return np.asarray(rows[of])
+
+    def distinct_harmonics(self, instance: Instance, shape: Shape) -> tuple[Floats, Indices]:
+        """Return the different rows of ``harmonics``, and which of them each row is: ``condition_of`` where repeats agree."""
+        masks = self.condition_masks
+        if masks is None or not self.is_alike_in_repeats(instance):
+            return to_harmonics(self.regressors(instance, shape)), np.arange(self.n_rows)
         columns = [
             kept_columns(instance, shape, key, partial(_averaged, self.grid, instance, shape, state))
             for key, state in zip(self._condition_keys, self._condition_states, strict=True)
         ]
-        once = to_harmonics(np.stack(columns) * masks[:, :, None])
-        return np.asarray(once[self.condition_of])
+        return to_harmonics(np.stack(columns) * masks[:, :, None]), self.condition_of
+
+    @staticmethod
+    def is_alike_in_repeats(instance: Instance) -> bool:
+        """Tell whether an effect does the same in all runs of a condition."""
+        return not (instance.effect.within_condition or instance.effect.needs)
 
     @cached_property
-    def _condition_masks(self) -> NDArray[np.bool_] | None:
-        """Where runs of each condition were measured; None when repeats differ in that."""
+    def condition_masks(self) -> NDArray[np.bool_] | None:
+        """Where runs of each condition were measured, shape (conditions, n); None when repeats differ in that."""
         first = np.array([np.flatnonzero(self.condition_of == i)[0] for i in range(len(self.conditions))])
         masks = self.mask[first]
         return masks if np.array_equal(masks[self.condition_of], self.mask) else None

@@ -86,13 +86,7 @@ class Problem:
         share : ndarray, shape (k,)
             Share of each column's sum of squares that is visible.
         """
-        left = whitened - self.basis @ (self.basis.T @ whitened)
-        if given is not None:
-            left = left - given @ (given.T @ left)
-        total = (whitened**2).sum(axis=0)
-        share = np.divide((left**2).sum(axis=0), total, out=np.zeros_like(total), where=total > 0)
-        seen = share > least
-        return orthonormal(left[:, seen] / np.sqrt(total[seen])), share
+        return beside(self.basis, whitened, least, given)
 
     def extended(self, visible: Floats, whitened: Floats) -> Problem:
         """Return the problem with one more known effect.
@@ -109,6 +103,22 @@ class Problem:
             basis=np.concatenate([self.basis, visible], axis=1),
             raw=np.concatenate([self.raw, _scaled(whitened)], axis=1),
         )
+
+
+def beside(basis: Floats, whitened: Floats, least: float, given: Floats | None = None) -> tuple[Floats, Floats]:
+    """Return the part of columns that a basis cannot imitate, as :meth:`Problem.visible` does."""
+    left = whitened - basis @ (basis.T @ whitened)
+    if given is not None:
+        left = left - given @ (given.T @ left)
+    total = squares(whitened)
+    share = np.divide(squares(left), total, out=np.zeros_like(total), where=total > 0)
+    seen = share > least
+    return orthonormal(left[:, seen] / np.sqrt(total[seen])), share
+
+
+def squares(columns: Floats) -> Floats:
+    """Return the sum of squares of each column, shape (k,)."""
+    return np.asarray(np.einsum("ij,ij->j", columns, columns))
 
 
 def least_visible(term: Term) -> float:
@@ -190,7 +200,7 @@ def orthonormal(columns: Floats) -> Floats:
 
 
 def _scaled(columns: Floats) -> Floats:
-    size = np.sqrt((columns**2).sum(axis=0))
+    size = np.sqrt(squares(columns))
     return columns[:, size > 0] / size[size > 0]
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dtwin.physics._condensed import condensed
 from dtwin.physics._hunt import Best, best_set
 from dtwin.physics._material import IMMATERIAL, floor_um, hidden_by_mask, material
 from dtwin.physics._rivals import Found, described, refined_candidate
@@ -75,7 +76,7 @@ def search(
     beside: Callable[[Problem], Problem],
     seed: int,
     shown_by_channel: bool = False,
-    best: Best | None = None,
+    before: Search | None = None,
 ) -> Search:
     """Find the set of effects that explains a campaign, and test each beside all the others.
 
@@ -84,18 +85,23 @@ def search(
     ``beside``: takes out of a problem what is neither the twin's nor the library's.
     ``shown_by_channel``: a logged channel was shown to move with the error: effects that act inside conditions are then
     compared among themselves only.
-    ``best``: the best set where it was searched for before.
+    ``before``: the search that took laws to be exact which are not.
     """
-    first = _tested(problem, candidates, shown_by_channel)
-    fit = lack_of_fit(problem, problem.residual, seed)
+    first = before.first if before else _tested(problem, candidates, shown_by_channel)
+    fit = before.lack_of_fit[0] if before else lack_of_fit(problem, problem.residual, seed)
     before_um = systematic_rms_um(problem.obs, in_angle(plain))
     top = _leading(first, plain, candidates)
     terms: list[Term] = []
     sharp: list[Term] = []
     stand_ins: dict[str, list[Term]] = {}
     told, library = problem, candidates
+    best = None
     if top is not None or fit <= _FIT_IS_FINE:
-        best = best or best_set(problem, candidates, known, beside)
+        best = (
+            replace(before.best, exact=False)
+            if before and before.best
+            else best_set(problem, candidates, known, beside)
+        )
         obs = best.obs
         terms, stand_ins = material(best.terms, obs, known, candidates, problem, exact=best.exact)
         if obs is not problem.obs and problem.noise is not None:
@@ -212,7 +218,7 @@ def _significant(terms: Sequence[Term], problem: Problem, candidates: Candidates
             candidate = candidates.tested_term(given, term, level)
             p_value = 1.0 if candidate is None else candidate.score.p_value
             if _BEYOND_DOUBT < p_value < _ALPHA:
-                shapes = candidates.tested_instance(given, term.instance, level)
+                shapes = candidates.tested_instance(condensed(given, candidates), term.instance, level)
                 p_value = min(1.0, many * (1.0 if shapes is None else shapes.score.p_value))
             p_values.append(p_value)
         worst = int(np.argmax(p_values))

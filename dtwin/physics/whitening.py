@@ -83,9 +83,8 @@ class PureError:
 
 def condition_sums(rows: Floats, condition_of: Indices) -> Floats:
     """Return the sums over the rows of each condition, shape (conditions, ...)."""
-    out = np.zeros((int(condition_of.max()) + 1, *rows.shape[1:]))
-    np.add.at(out, condition_of, rows)
-    return out
+    member = np.equal.outer(np.arange(int(condition_of.max()) + 1), condition_of)
+    return np.asarray((member @ rows.reshape(len(rows), -1)).reshape(len(member), *rows.shape[1:]))
 
 
 def within_condition(rows: Floats, condition_of: Indices) -> tuple[Floats, Indices]:

@@ -14,6 +14,8 @@ _APART = 0.97
 _AT_ONCE_S = 1e-5
 # Durations are stated at this speed of the path.
 _STATED_AT_MM_S = 50.0
+# After so many time constants nothing is left to within rounding.
+_OVER = 40.0
 
 
 def _columns(state: State, axis: str, shape: Shape) -> Floats:
@@ -27,7 +29,9 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     duration_s = (_STATED_AT_MM_S / state.feed_mm_s) ** exponent * shape["duration_ms"] / 1e3
     rise_s = min(max(at_once * shape["rise_ms"] / 1e3, _AT_ONCE_S), _APART * duration_s)
     t_s = state.since_reversal_s[axis]
-    spike = _fought(t_s, build_up_s, duration_s) - _fought(t_s, build_up_s, rise_s)
+    there = t_s < _OVER * max(build_up_s, duration_s)
+    spike = np.zeros(len(t_s))
+    spike[there] = _fought(t_s[there], build_up_s, duration_s) - _fought(t_s[there], build_up_s, rise_s)
     end = state.last_end[axis]
     out = spike / _peak(duration_s, rise_s) * end * state.sensitivity[axis]
     return stacked(np.where(end > 0, out, 0.0), np.where(end < 0, out, 0.0))

@@ -1,0 +1,113 @@
+"""A campaign with one row for each condition: a third of the numbers when every run has two repeats, the same products."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dtwin.physics.gridding import Indices
+from dtwin.physics.problem import Problem, Term, beside, least_visible, orthonormal
+from dtwin.physics.whitening import condition_sums
+from dtwin.schema import Floats
+
+if TYPE_CHECKING:
+    from dtwin.physics.candidates import Candidates
+
+# As share of a column's sum of squares; less differs between repeats by rounding only.
+_ROUNDING = 1e-18
+
+
+@dataclass(frozen=True)
+class Condensed:
+    """Whitened vectors of a campaign, in a space of fewer dimensions in which their products are the same.
+
+    Hardly any effect differs between repeats. What does, and what the basis does between them, spans a few directions.
+    A vector is the sum over the rows of each condition, divided by the root of their number; then its coordinates along
+    those directions; at last, for the measurements only, the size of the rest. m numbers in all.
+
+    ``y``, (m,), ``basis``, (m, p): measurements, and the orthonormal basis of what is known.
+    ``between``, (rows * n, q): orthonormal directions in which repeats differ.
+    """
+
+    problem: Problem
+    candidates: Candidates
+    y: Floats
+    basis: Floats
+    between: Floats
+    condition_of: Indices
+    root: Floats
+
+    @property
+    def residual(self) -> Floats:
+        """What the known effects leave, shape (m,)."""
+        return np.asarray(self.y - self.basis @ (self.basis.T @ self.y))
+
+    def columns(self, term: Term, *, keep: bool = True) -> Floats:
+        """Return the whitened columns of a term, shape (m, k); ``keep``: it will be asked for again."""
+        rows, of = (
+            self.candidates.harmonics(term) if keep else self.problem.obs.distinct_harmonics(term.instance, term.shape)
+        )
+        weighted = rows * self.problem.weights[:, None]
+        if of is self.problem.obs.condition_of:
+            cells = (weighted * self.root[:, None, None]).reshape(-1, rows.shape[2])
+            return np.concatenate([cells, np.zeros((len(self.y) - len(cells), cells.shape[1]))])
+        return self._condensed(weighted[of])
+
+    def given(self, terms: Iterable[Term]) -> Condensed:
+        """Return the same with further effects known."""
+        made = self
+        for term in terms:
+            made = replace(made, basis=np.concatenate([made.basis, made.visible(term)[0]], axis=1))
+        return made
+
+    def visible(self, term: Term) -> tuple[Floats, Floats]:
+        """Return the columns of a term that nothing known can imitate, shape (m, j), and the share of each."""
+        return beside(self.basis, self.columns(term), least_visible(term))
+
+    def expanded(self, vectors: Floats) -> Floats:
+        """Return vectors of shape (m, k) with all rows, shape (rows * n, k)."""
+        n, k = self.problem.obs.n_bins, vectors.shape[1]
+        cells = vectors[: len(self.root) * n].reshape(-1, n, k) / self.root[:, None, None]
+        return np.asarray(cells[self.condition_of].reshape(-1, k) + self.between @ vectors[len(self.root) * n : -1])
+
+    def _condensed(self, rows: Floats) -> Floats:
+        """Return vectors of shape (rows, n, k) as shape (m, k)."""
+        k = rows.shape[2]
+        cells, left = _parted(rows, self.condition_of, self.root)
+        return np.concatenate([cells.reshape(-1, k), self.between.T @ left.reshape(-1, k), np.zeros((1, k))])
+
+
+def condensed(problem: Problem, candidates: Candidates) -> Condensed:
+    """Return a problem condensed; with all its rows where repeats were not measured in the same places."""
+    obs = problem.obs
+    own = [i for i in candidates.instances if not obs.is_alike_in_repeats(i)]
+    rows_differ = obs.condition_masks is None or any(i.effect.shapes for i in own)
+    of = np.arange(obs.n_rows) if rows_differ else obs.condition_of
+    root = np.sqrt(np.bincount(of))
+    basis = problem.basis.reshape(obs.n_rows, obs.n_bins, -1)
+    terms = [] if rows_differ else [candidates.whitened(problem, Term(i, {})) for i in own]
+    whole = np.concatenate([problem.basis, *terms], axis=1).reshape(obs.n_rows, obs.n_bins, -1)
+    between = _directions(whole, of, root)
+    empty = np.empty(0)
+    blank = Condensed(problem, candidates, empty, empty, between, of, root)
+    y = problem.y.reshape(obs.n_rows, obs.n_bins, 1)
+    of_y = blank._condensed(y)[:, 0]
+    of_y[-1] = np.sqrt(max(0.0, float(problem.y @ problem.y - of_y @ of_y)))
+    return replace(blank, y=of_y, basis=blank._condensed(basis))
+
+
+def _directions(rows: Floats, condition_of: Indices, root: Floats) -> Floats:
+    """Return what columns of shape (rows, n, k) span between the rows of a condition, orthonormal, shape (rows * n, q)."""
+    left = _parted(rows, condition_of, root)[1].reshape(-1, rows.shape[2])
+    size, whole = (left**2).sum(axis=0), (rows**2).sum(axis=(0, 1))
+    differ = size > _ROUNDING * whole
+    return orthonormal(left[:, differ] / np.sqrt(size[differ]))
+
+
+def _parted(rows: Floats, condition_of: Indices, root: Floats) -> tuple[Floats, Floats]:
+    """Return the sums over each condition divided by the root of their number, and what is left of every row."""
+    cells = condition_sums(rows, condition_of) / root[:, None, None]
+    return cells, rows - (cells / root[:, None, None])[condition_of]
