@@ -160,14 +160,14 @@ def next_test(
 def _next_text(found: Mapping[str, Any]) -> str:
     from dtwin.report.text import table
 
-    head = ("test", "kind", "minutes", "bits", "bits per minute", "tells (k = 2)")
+    head = ("test", "kind", "minutes", "bits", "bits per hour", "tells (k = 2)")
     rows = [
         [
             t["name"],
             t["kind"],
             round(t["minutes"]),
-            round(t["bits"], 1),
-            round(t["bits_per_minute"], 2),
+            f"{t['bits']:.2g}",
+            f"{60 * t['bits_per_minute']:.2g}",
             _told_text(t["told"]),
         ]
         for t in found["tests"]

@@ -107,7 +107,7 @@ def _by_cause(unknowns: Sequence[Unknown]) -> list[str]:
     axes: dict[str, dict[str, None]] = {}
     for unknown in unknowns:
         axes.setdefault(unknown.name, {})[unknown.axis] = None
-    return [f"{name} {', '.join(of)}".rstrip() for name, of in axes.items()]
+    return [f"{name} {', '.join(filter(None, of))}".rstrip() for name, of in axes.items()]
 
 
 def _minutes(plan: Planned) -> float:

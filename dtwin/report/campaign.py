@@ -123,7 +123,7 @@ def comparison_table(candidates: Sequence[Candidate]) -> tuple[list[str], list[l
     groups = [_LEFT_OUT[group] for group in candidates[0].scores]
     head = [
         "candidate",
-        *(f"{what}, {group} out" for group in groups for what in ("R2", "um")),
+        *(f"{what}, {group} out" for group in groups for what in ("R²", "µm")),
         "p50 us",
         "p99 us",
         "complexity",

@@ -45,7 +45,7 @@ def correction_figure(t_s: Floats, correction_um: Floats, clamp_um: float) -> go
     for limit in (-clamp_um, clamp_um):
         figure.add_hline(y=limit, line={"color": COLOURS["floor"], "dash": "dash"})
     figure.update_layout(
-        title="Correction of each axis; dashed: its limit", xaxis_title="s before now", yaxis_title="um"
+        title="Correction of each axis; dashed: its limit", xaxis_title="s before now", yaxis_title="µm"
     )
     return styled(figure)
 

@@ -59,7 +59,7 @@ def evidence_figure(evidence: Mapping[str, Any], title: str = _ERRORS) -> go.Fig
             line={"color": COLOURS["floor"], "dash": "dash"},
         )
     )
-    figure.update_layout(title=title, yaxis_title="um", barmode="group")
+    figure.update_layout(title=title, yaxis_title="µm", barmode="group")
     return styled(figure)
 
 

@@ -218,7 +218,7 @@ def residual_map(
             zmin=-limit,
             zmax=limit,
             colorscale=[[0.0, "#D55E00"], [0.5, "#FFFFFF"], [1.0, "#0072B2"]],
-            colorbar={"title": "um"},
+            colorbar={"title": "µm"},
             hovertemplate="%{y}<br>%{x:.4g} " + _unit(grid) + ": %{z:.3g} µm<extra></extra>",
         )
     )

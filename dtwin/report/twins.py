@@ -15,7 +15,7 @@ from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.observations import Observations
 from dtwin.physics.twin import Twin, data_lines
 from dtwin.report.encoder_split import encoder_section, encoder_text
-from dtwin.report.faults import faults
+from dtwin.report.faults import faults, with_k2
 from dtwin.report.html import Section, Table
 from dtwin.report.text import micrometres, table
 from dtwin.report.twin_plots import along_figure, overlay_figure, ranked_figure, residual_map, waterfall_figure
@@ -182,10 +182,8 @@ def _size_words(estimate: Mapping[str, Any]) -> str:
     """Return a parameter with its uncertainty and unit."""
     if not estimate["identifiable"]:
         return "not told"
-    value = number(estimate["value"], 4)
-    if estimate["uncertainty"] is not None and not math.isnan(estimate["uncertainty"]):
-        value += f" ± {number(estimate['uncertainty'], 2)}"
-    return f"{estimate['name'].replace('_', ' ')} {value} {estimate['unit']}"
+    uncertainty = math.nan if estimate["uncertainty"] is None else estimate["uncertainty"]
+    return f"{estimate['name'].replace('_', ' ')} {with_k2(estimate['value'], uncertainty, estimate['unit'])}"
 
 
 def found_table(result: Mapping[str, Any]) -> Table:
