@@ -21,7 +21,12 @@ def register(app: typer.Typer) -> None:
 def export(
     source: Annotated[str, typer.Argument(help="latest, trial, a bundle's .json, a version number, or a twin's name.")],
     form: Annotated[
-        str, typer.Option("--as", help="c, st, python, latex, urscript, comp, siemens, csv, gcode or klipper.")
+        str,
+        typer.Option(
+            "--as",
+            help="c, st, python, latex, urscript, comp, siemens, heidenhain, fanuc, haas, beckhoff, csv, gcode, klipper "
+            "or reprap.",
+        ),
     ],
     out: Annotated[Path, typer.Option(help="File to write.")],
     machine: Annotated[str | None, typer.Option(help="Machine, when there are several.")] = None,

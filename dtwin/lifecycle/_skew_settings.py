@@ -1,4 +1,4 @@
-"""Squareness as Klipper's skew correction."""
+"""Squareness as Klipper's skew correction, and with the scales of the axes as settings of RepRapFirmware (Duet)."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.physics.twin import Twin
+from dtwin.schema import Floats
 from dtwin.train.twin_axes import AXES, Motion, axis_errors_um
 from dtwin.units import UM_PER_MM
 
-EFFECT = "squareness"
+EFFECT, _SCALE = "squareness", "scale_mismatch"
+HELD = {"klipper": (EFFECT,), "reprap": (EFFECT, _SCALE)}
+"""Effects that a form holds."""
 _SIDE_MM = 100.0
 
 
@@ -35,8 +38,7 @@ def skews(twin: Twin) -> dict[str, float]:
             allowed=EFFECT,
             hint="dtwin twin discover NAME",
         )
-    motion = Motion.steady(_SIDE_MM * np.eye(3), np.ones(3))
-    slope = axis_errors_um(replace(twin, terms=terms), motion) / UM_PER_MM / _SIDE_MM
+    slope = _slope(replace(twin, terms=terms))
     # Which of two axes leans, nobody can see: the sum is the angle.
     measured = {"".join(sorted(t.instance.axis)) for t in terms}
     return {
@@ -46,6 +48,36 @@ def skews(twin: Twin) -> dict[str, float]:
         for plane in ("XY", "XZ", "YZ")
         if plane in measured
     }
+
+
+def _slope(twin: Twin) -> Floats:
+    """Return the error of an axis (second index) for a motion along another (first), shape (3, 3)."""
+    motion = Motion.steady(_SIDE_MM * np.eye(3), np.ones(3))
+    slope: Floats = axis_errors_um(twin, motion) / UM_PER_MM / _SIDE_MM
+    return slope
+
+
+def reprap_settings(twin: Twin, said: Sequence[str]) -> tuple[str, dict[str, float]]:
+    """Return the commands M556 (skew) and M579 (scale of the axes) for RepRapFirmware, and their values.
+
+    Raises
+    ------
+    InputError
+        When the twin has neither squareness nor scale.
+    """
+    terms = tuple(t for t in twin.terms if t.instance.effect.name == _SCALE)
+    square = any(t.instance.effect.name == EFFECT for t in twin.terms)
+    by_plane = skews(twin) if square or not terms else {}
+    scale = np.diag(_slope(replace(twin, terms=terms))) if terms else np.zeros(3)
+    lines = [*(f"; {line}" for line in said), "; RepRapFirmware (Duet), config.g. Signs and order are from memory:"]
+    lines.append("; measure the squareness again after M556; an angle of more than 90 degrees is positive")
+    if by_plane:
+        letters = {"XY": "X", "YZ": "Y", "XZ": "Z"}
+        sides = [f"{letter}{-_SIDE_MM * by_plane.get(plane, 0.0):z.6f}" for plane, letter in letters.items()]
+        lines.append(f"M556 S{_SIDE_MM:g} " + " ".join(sides))
+    if terms:
+        lines.append("M579 " + " ".join(f"{axis}{1.0 / (1.0 + s):.8f}" for axis, s in zip(AXES, scale, strict=True)))
+    return "\n".join(lines) + "\n", by_plane | {f"scale {a}": float(s) for a, s in zip(AXES, scale, strict=True) if s}
 
 
 def klipper_settings(by_plane: dict[str, float], said: Sequence[str]) -> str:

@@ -1,8 +1,8 @@
-"""Tables of one axis over its position: LinuxCNC's and Siemens' compensation files, and CSV."""
+"""Tables of one axis over its position, what a control wants of one, LinuxCNC's compensation file and CSV."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +14,10 @@ from dtwin.train.twin_axes import axis_table_um
 from dtwin.units import UM_PER_MM
 
 MOST_TRIPLETS = 256
-# SINUMERIK 808D; the larger series hold more when MD38000 says so.
-SIEMENS_POINTS = 200
+NOT_LOADED = "Read back by dtwin's own interpreter of this form; never loaded into a control."
+BY_MEMORY = (
+    "The form is written from memory and public manuals: try a few rows with an indicator before the whole table."
+)
 TOLERANCE_UM = 0.05
 _CHECKED = 4001
 
@@ -38,6 +40,26 @@ class AxisTable:
     interpolation_um: float
 
 
+Grid = Callable[[float, float, int], Floats]
+"""Positions between two ends, mm, ascending; no more than so many."""
+
+
+@dataclass(frozen=True)
+class AxisForm:
+    """How a control takes the table of one axis.
+
+    ``write``: from the table and the comments of its head.
+    ``notes``: what the user must know besides.
+    ``most``: rows that the control holds.
+    ``grid``: where its rows may lie; evenly without.
+    """
+
+    write: Callable[[AxisTable, Sequence[str]], str]
+    notes: Callable[[AxisTable], list[str]]
+    most: int = MOST_TRIPLETS
+    grid: Grid = np.linspace
+
+
 def axis_table(
     twin: Twin,
     axis: str,
@@ -47,6 +69,7 @@ def axis_table(
     points: int | None,
     speed_mm_s: float,
     most: int = MOST_TRIPLETS,
+    grid: Grid = np.linspace,
 ) -> AxisTable:
     """Tabulate one axis with as few rows as the tolerance allows.
 
@@ -56,7 +79,8 @@ def axis_table(
     ``origin_mm``: position of the centre of the measured circles in those coordinates.
     ``points``: rows; without, as many as straight lines within 0.05 um need.
     ``speed_mm_s``: usual speed; only its sign counts.
-    ``most``: rows that the control holds, above 129.
+    ``most``: rows that the control holds.
+    ``grid``: where its rows may lie; beyond the travel the error of its end is kept.
     """
     low, high = travel_mm
     if not (np.isfinite([low, high]).all() and low < high):
@@ -72,10 +96,11 @@ def axis_table(
         )
     dense = np.linspace(low, high, _CHECKED)
     truth = axis_table_um(twin, axis, dense - origin_mm, speed_mm_s)
-    counts = [points] if points is not None else [2, 3, 5, 9, 17, 33, 65, 129, most]
+    doubled = (2, 3, 5, 9, 17, 33, 65, 129, 257, 513)
+    counts = [points] if points is not None else [*(n for n in doubled if n < most), most]
     for count in counts:
-        at = np.linspace(low, high, count)
-        forward, reverse = axis_table_um(twin, axis, at - origin_mm, speed_mm_s)
+        at = grid(low, high, count)
+        forward, reverse = axis_table_um(twin, axis, np.clip(at, low, high) - origin_mm, speed_mm_s)
         off = max(
             float(np.abs(np.interp(dense, at, rows) - exact).max())
             for rows, exact in zip((forward, reverse), truth, strict=True)
@@ -85,15 +110,25 @@ def axis_table(
     return AxisTable(axis, at, forward, reverse, off)
 
 
-def compensation_file(table: AxisTable) -> str:
+def compensation_file(table: AxisTable, said: Sequence[str] = ()) -> str:
     """Return LinuxCNC's COMP_FILE of type 1: nominal, forward trim, reverse trim in mm.
 
     A trim is added to the command of the joint; backlash is in the difference of the two, so that
-    ``BACKLASH`` of the joint must be 0.
+    ``BACKLASH`` of the joint must be 0. The form has no comments, so that ``said`` is not in it.
     """
     rows = zip(table.position_mm, table.forward_um, table.reverse_um, strict=True)
     lines = [f"{p:z.6f} {0.0 - f / UM_PER_MM:z.6f} {0.0 - r / UM_PER_MM:z.6f}" for p, f, r in rows]
     return "\n".join(lines) + "\n"
+
+
+def _comp_notes(table: AxisTable) -> list[str]:
+    return [
+        "COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table",
+        "LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure",
+    ]
+
+
+LINUXCNC = AxisForm(compensation_file, _comp_notes)
 
 
 def lost_motion_um(table: AxisTable) -> tuple[float, float]:
@@ -103,45 +138,15 @@ def lost_motion_um(table: AxisTable) -> tuple[float, float]:
     return mean, float(np.abs(difference - mean).max())
 
 
-def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
-    """Return the leadscrew error compensation of a SINUMERIK, ``$AA_ENC_COMP``, in mm.
-
-    A value is added to what the encoder reads, so that a positive one moves the axis backwards: it is
-    the error itself, the mean of both directions. Lost motion is a machine datum, which is told in a comment.
-    ``said``: comments for the head.
-
-    Raises
-    ------
-    InputError
-        When rows would be less than 1 um apart.
-    """
-    name, last = f"{table.axis}1", len(table.position_mm) - 1
-    low = round(float(table.position_mm[0]), 6)
-    step = round((float(table.position_mm[-1]) - low) / last, 6)
-    if step < 1.0 / UM_PER_MM:
-        raise InputError(
-            "the rows of the table are too close together",
-            code="export.step",
-            got=f"{step:g} mm",
-            allowed="0.001 mm or more",
-            hint="--travel LOW,HIGH, --points N",
+def lost_motion_notes(table: AxisTable, setting: str) -> list[str]:
+    """Return that one curve serves both directions, and what of the lost motion its setting does not hold."""
+    mean, uneven = lost_motion_um(table)
+    notes = [f"one curve for both directions: set {setting} to {mean / UM_PER_MM:z.6f} mm"]
+    if uneven > TOLERANCE_UM:
+        notes.append(
+            f"lost motion changes along the axis: by up to {uneven:z.2f} µm it is not what {setting.split()[0]} holds"
         )
-    both = 0.5 * (table.forward_um + table.reverse_um) / UM_PER_MM
-    lines = [
-        f"%_N_{name}_EEC_INI",
-        *(f"; {line}" for line in said),
-        f"; before: MD38000 $MA_MM_ENC_COMP_MAX_POINTS[0,{name}] = {last + 1} or more where the series has it",
-        "; (that clears memory of the control: back it up), MD32700 $MA_ENC_COMP_ENABLE[0] = 0; after: 1",
-        f"; MD32450 $MA_BACKLASH[0,{name}] = {lost_motion_um(table)[0] / UM_PER_MM:z.6f}",
-        "CHANDATA(1)",
-        *(f"$AA_ENC_COMP[0,{n},{name}]={value:z.6f}" for n, value in enumerate(both)),
-        f"$AA_ENC_COMP_STEP[0,{name}]={step:z.6f}",
-        f"$AA_ENC_COMP_MIN[0,{name}]={low:z.6f}",
-        f"$AA_ENC_COMP_MAX[0,{name}]={low + last * step:z.6f}",
-        f"$AA_ENC_COMP_IS_MODULO[0,{name}]=0",
-        "M17",
-    ]
-    return "\n".join(lines) + "\n"
+    return notes
 
 
 def csv_table(tables: list[AxisTable]) -> str:

@@ -11,18 +11,18 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens
 from dtwin.lifecycle._export_heads import c_header, commented, said_of, whose
-from dtwin.lifecycle._skew_settings import EFFECT, klipper_settings, skews
+from dtwin.lifecycle._skew_settings import HELD, klipper_settings, reprap_settings, skews
 from dtwin.lifecycle.axis_tables import (
+    LINUXCNC,
     MOST_TRIPLETS,
-    SIEMENS_POINTS,
+    NOT_LOADED,
     TOLERANCE_UM,
+    AxisForm,
     AxisTable,
     axis_table,
-    compensation_file,
     csv_table,
-    lost_motion_um,
-    siemens_file,
 )
 from dtwin.lifecycle.gcode_compensation import compensate
 from dtwin.lifecycle.gcode_program import program_of
@@ -39,11 +39,17 @@ from dtwin.train.twin_terms import choose
 from dtwin.twins.verbs import Twins
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
-_ONE_AXIS = ("comp", "siemens")
-_TABLES = (*_ONE_AXIS, "csv", "gcode", "klipper")
+_ONE_AXIS: Mapping[str, AxisForm] = {
+    "comp": LINUXCNC,
+    "siemens": _siemens.FORM,
+    "heidenhain": _heidenhain.FORM,
+    "fanuc": _fanuc.FORM,
+    "haas": _haas.FORM,
+    "beckhoff": _beckhoff.FORM,
+}
+_TABLES = (*_ONE_AXIS, "csv", "gcode", *HELD)
 FORMATS = (*_EQUATIONS, *_TABLES)
 _UNREGISTERED = "not registered"
-_NOT_LOADED = "Read back by dtwin's own interpreter of this form; never loaded into a control."
 
 
 @dataclass(frozen=True)
@@ -158,8 +164,8 @@ def export(source: Source, request: Request) -> Export:
         )
     if request.form == "gcode":
         return _program(source.twin, request)
-    if request.form == "klipper":
-        return _skew(source, source.twin)
+    if request.form in HELD:
+        return _settings(source, source.twin, request.form)
     return _tables(source, source.twin, request)
 
 
@@ -201,8 +207,9 @@ def _tables(source: Source, twin: Twin, request: Request) -> Export:
             allowed=", ".join(measured),
             hint="--axis X",
         )
-    axes = [request.axis] if request.form in _ONE_AXIS else measured
-    most = SIEMENS_POINTS if request.form == "siemens" else MOST_TRIPLETS
+    form = _ONE_AXIS.get(request.form)
+    axes = measured if form is None else [request.axis]
+    most, grid = (MOST_TRIPLETS, np.linspace) if form is None else (form.most, form.grid)
     reach = twin.box.radius_mm[1]
     speed = twin.box.feed_mm_min[0] / 60.0
     tables: list[AxisTable] = []
@@ -216,20 +223,28 @@ def _tables(source: Source, twin: Twin, request: Request) -> Export:
         left_out |= {f"{label} on {axis}": reason for label, reason in refused.items()}
         kept = replace(twin, terms=tuple(t for t in twin.terms if t.label not in refused))
         tables.append(
-            axis_table(kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed, most=most)
+            axis_table(
+                kept, axis, travel, origin_mm=origin, points=request.points, speed_mm_s=speed, most=most, grid=grid
+            )
         )
-    if request.form == "siemens":
-        text = siemens_file(tables[0], [*whose(source.bundle, source.version, source.state), _NOT_LOADED])
+    if form is None:
+        text, said = csv_table(tables), []
     else:
-        text = compensation_file(tables[0]) if request.form == "comp" else csv_table(tables)
-    return Export(text, _table_figures(tables), left_out, tuple(_table_notes(request, tables, most)))
+        text = form.write(tables[0], [*whose(source.bundle, source.version, source.state), NOT_LOADED])
+        said = [*([] if form is LINUXCNC else [NOT_LOADED]), *form.notes(tables[0])]
+    return Export(text, _table_figures(tables), left_out, (*_table_notes(request, tables, most), *said))
 
 
-def _skew(source: Source, twin: Twin) -> Export:
-    found = skews(twin)
-    text = klipper_settings(found, [*whose(source.bundle, source.version, source.state), _NOT_LOADED])
-    left_out = {t.label: "is no squareness" for t in twin.terms if t.instance.effect.name != EFFECT}
-    return Export(text, {"skew_rad": found}, left_out, (_NOT_LOADED,))
+def _settings(source: Source, twin: Twin, form: str) -> Export:
+    said = [*whose(source.bundle, source.version, source.state), NOT_LOADED]
+    if form == "klipper":
+        found = skews(twin)
+        text = klipper_settings(found, said)
+    else:
+        text, found = reprap_settings(twin, said)
+    held = HELD[form]
+    left_out = {t.label: f"is no {' or '.join(held)}" for t in twin.terms if t.instance.effect.name not in held}
+    return Export(text, {"skew_rad" if form == "klipper" else "settings": found}, left_out, (NOT_LOADED,))
 
 
 def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
@@ -247,26 +262,12 @@ def _table_figures(tables: Sequence[AxisTable]) -> dict[str, Any]:
 
 
 def _table_notes(request: Request, tables: Sequence[AxisTable], most: int) -> list[str]:
-    notes = [
+    return [
         f"axis {t.axis}: straight lines between the rows are {t.interpolation_um:z.2f} µm off; "
         f"a table of {most} rows is not enough for {TOLERANCE_UM:g} µm"
         for t in tables
         if t.interpolation_um > TOLERANCE_UM and request.points is None
     ]
-    if request.form == "siemens":
-        lost, uneven = lost_motion_um(tables[0])
-        notes.append(_NOT_LOADED)
-        notes.append(f"for machine axis {request.axis}1: change the name where yours is another")
-        notes.append(f"one curve for both directions: set MD32450 BACKLASH to {lost / 1000:z.6f} mm")
-        notes.append(
-            "the control wants 0 at the reference point: the axis moves by the value there when it is switched on"
-        )
-        if uneven > TOLERANCE_UM:
-            notes.append(f"lost motion changes along the axis: by up to {uneven:z.2f} µm it is not what MD32450 holds")
-    if request.form == "comp":
-        notes.append("COMP_FILE_TYPE = 1; set BACKLASH of this joint to 0: it is in the table")
-        notes.append("LinuxCNC reads it at its start; tried in simulation only: dtwin linuxcnc measure")
-    return notes
 
 
 def _program(twin: Twin, request: Request) -> Export:

@@ -1,0 +1,74 @@
+"""Leadscrew error compensation of the ISG kernel: TwinCAT CNC (TF5200), and controls of others on the same kernel.
+
+Keys, units of 0.1 µm and 1500 entries are of Beckhoff's public pages on P-COMP-00017 to 00025. Their example reads as
+commanded minus measured, which is what is written; it shows positions without sign, so that the sign is not certain.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from dtwin.errors import InputError
+from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable
+from dtwin.schema import Floats
+from dtwin.units import UM_PER_MM
+
+_PER_UM, _PER_MM = 10, 10_000
+_ENTRIES = 1500
+# Builds of before hold 16 bits.
+_LARGEST = 32767
+
+
+def _grid(low: float, high: float, count: int) -> Floats:
+    """Return evenly spaced positions, each a whole number of 0.1 µm."""
+    first, last = math.floor(low * _PER_MM), math.ceil(high * _PER_MM)
+    positions: Floats = (first + math.ceil((last - first) / (count - 1)) * np.arange(count)) / _PER_MM
+    return positions
+
+
+def _write(table: AxisTable, said: Sequence[str]) -> str:
+    """Return the list of one axis, for both directions.
+
+    Raises
+    ------
+    InputError
+        When a value does not fit into 16 bits.
+    """
+    pos, neg = (np.round(-error * _PER_UM).astype(int) for error in (table.forward_um, table.reverse_um))
+    largest = int(max(np.abs(pos).max(), np.abs(neg).max()))
+    if largest > _LARGEST:
+        raise InputError(
+            "a value is larger than the control takes",
+            code="export.step",
+            got=f"{largest / _PER_UM:g} µm",
+            allowed=f"{_LARGEST / _PER_UM:g} µm",
+        )
+    at = np.round(table.position_mm * _PER_MM).astype(int)
+    keys = {
+        "kopf.log_achs_nr": "XYZ".index(table.axis) + 1,
+        "kopf.log_achs_name": f"{table.axis}_AXIS",
+        "kw.ssfk.unit": 1,
+        "kw.ssfk.interval": at[1] - at[0],
+        "kw.ssfk.kw_startpos": at[0],
+        "kw.ssfk.kw_nr_max": len(at),
+        "kw.ssfk.bilateral": 1,
+        "kw.ssfk.modulo": 0,
+        **{f"kw.ssfk.table[{n}].pos": value for n, value in enumerate(pos)},
+        **{f"kw.ssfk.table[{n}].neg": value for n, value in enumerate(neg)},
+    }
+    lines = [*(f"# {line}" for line in (*said, BY_MEMORY)), *(f"{key:<28} {value}" for key, value in keys.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _notes(table: AxisTable) -> list[str]:
+    return [
+        BY_MEMORY,
+        f"interval {UM_PER_MM * (table.position_mm[1] - table.position_mm[0]):z.1f} µm, values rounded to 0.1 µm",
+        "lost motion is in the list: set the backlash of this axis to 0; lr_param.ssfk 1 switches it on",
+    ]
+
+
+FORM = AxisForm(_write, _notes, _ENTRIES, _grid)

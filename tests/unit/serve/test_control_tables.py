@@ -1,0 +1,207 @@
+"""Tables for controls: a little interpreter of each form drives an axis to where it was told to."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from test_twin_exports import EFFECTS, made_twin
+
+from dtwin.errors import InputError
+from dtwin.kinds.circular.freeze import twin_bundle
+from dtwin.lifecycle.export import Export, Request, Source, export
+
+RNG = np.random.default_rng(11)
+WAVY = ("cyclic_error", "X", (2.0, 1.0), {"pitch_mm": 40.0})
+
+
+@pytest.fixture(scope="module")
+def source() -> Source:
+    twin, obs = made_twin((*EFFECTS[:2], WAVY))
+    return Source(twin_bundle(twin, obs, horizon_s=0.01).bundle, "candidate", twin, "7")
+
+
+def error_um(x_mm: np.ndarray, forward: np.ndarray) -> np.ndarray:
+    """The twin's X axis by hand: 20 ppm, 4 um of play, a wave of 40 mm."""
+    wave = 2 * np.pi * x_mm / 40.0
+    return 20e-3 * x_mm - 2.0 * forward + 2.0 * np.cos(wave) + np.sin(wave)
+
+
+def left_um(command: np.ndarray, trim_mm: np.ndarray, forward: np.ndarray, origin_mm: float) -> np.ndarray:
+    """What is left where the control adds a trim to the command."""
+    moved = command + trim_mm
+    return 1000.0 * trim_mm + error_um(moved - origin_mm, forward)
+
+
+def places(low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    return RNG.uniform(low, high, 1000), RNG.choice([-1.0, 1.0], 1000)
+
+
+def written(source: Source, form: str, **more: Any) -> Export:
+    settings = {"axis": "X", "travel_mm": (250.0, 450.0), "origin_mm": (350.0, 0.0, 0.0)} | more
+    made = export(source, Request(form, **settings))
+    assert "version 7, state candidate" in made.text
+    assert "never loaded into a control" in made.text
+    assert "from memory" in made.text
+    return made
+
+
+def test_heidenhain_com(source: Source) -> None:
+    lines = written(source, "heidenhain").text.splitlines()
+    assert (lines[0], lines[-1]) == ("BEGIN X_AXIS.COM MM", "[END]")
+    head, *rows = (line.split() for line in lines[1:-1] if not line.startswith("#"))
+    assert head == ["NR", "AXISPOS", "BACKLASH", "X"]
+    assert [int(row[0]) for row in rows] == list(range(len(rows)))
+    assert len(rows) <= 256
+    table = np.array([[float(cell) for cell in row[1:]] for row in rows])
+    command, forward = places(250.0, 450.0)
+    trim = np.where(
+        forward > 0, np.interp(command, table[:, 0], table[:, 2]), np.interp(command, table[:, 0], table[:, 1])
+    )
+    assert np.abs(left_um(command, trim, forward, 350.0)).max() < 0.2
+    steep, _ = made_twin((("scale_mismatch", "X", (60_000.0,), {}),))
+    with pytest.raises(InputError, match="differ by too much"):
+        written(replace(source, twin=steep), "heidenhain")
+
+
+class Fanuc:
+    """Stored pitch error: steps are summed from the reference position; the option that interpolates is on."""
+
+    def __init__(self, text: str) -> None:
+        head, body, end = text.split("%")
+        assert "16i, 18i, 21i, 0i" in head
+        assert not end.strip()
+        self.datum, self.steps = {}, {}
+        for line in body.split():
+            setting = re.fullmatch(r"N0(\d{4})A1P(-?\d+)", line)
+            step = re.fullmatch(r"N1(\d{4})P(-?\d+)", line)
+            assert setting or step, line
+            if setting:
+                self.datum[int(setting[1])] = int(setting[2])
+            elif step:
+                self.steps[int(step[1])] = int(step[2])
+        first, last = self.datum[3621], self.datum[3622]
+        assert sorted(self.steps) == list(range(first, last + 1))
+        assert len(self.steps) < 128
+        assert all(-7 <= step <= 7 for step in self.steps.values())
+
+    def trim_mm(self, command: np.ndarray, forward: np.ndarray) -> np.ndarray:
+        reference, size = self.datum[3620], self.datum[3624] / 1000.0
+        at, sums = {0: 0.0}, 0.0
+        for number in range(reference + 1, self.datum[3622] + 1):
+            sums += self.steps[number]
+            at[number - reference] = sums
+        sums = 0.0
+        for number in range(reference, self.datum[3621] - 1, -1):
+            sums -= self.steps[number]
+            at[number - 1 - reference] = sums
+        points = np.array(sorted(at))
+        pitch = np.interp(command, points * size, [at[n] * self.datum[3623] for n in points]) / 1000.0
+        return pitch - np.where(forward > 0, 0.0, self.datum[1851] / 1000.0)
+
+
+@pytest.mark.parametrize("travel", [(250.0, 450.0), (-120.0, 80.0), (-450.0, -250.0)])
+def test_fanuc_pitch_error(source: Source, travel: tuple[float, float]) -> None:
+    middle = sum(travel) / 2
+    made = written(source, "fanuc", travel_mm=travel, origin_mm=(middle, 0.0, 0.0))
+    control = Fanuc(made.text)
+    assert control.datum[1851] == 4
+    command, forward = places(*travel)
+    left = left_um(command, control.trim_mm(command, forward), forward, middle)
+    # The reference position is the zero: a constant is left. Values are whole micrometres.
+    assert np.ptp(left) < 1.4
+    assert np.ptp(error_um(command - middle, forward)) > 8.0
+    with pytest.raises(InputError, match="too many rows"):
+        written(source, "fanuc", points=129)
+
+
+def test_fanuc_takes_large_steps_by_magnification_and_refuses_larger_ones(source: Source) -> None:
+    large, _ = made_twin((("scale_mismatch", "X", (20_000.0,), {}),))
+    control = Fanuc(written(replace(source, twin=large), "fanuc", points=20).text)
+    assert 1 < control.datum[3623] <= 100
+    command, forward = places(250.0, 450.0)
+    slope = np.polyfit(command, control.trim_mm(command, forward), 1)[0]
+    assert slope == pytest.approx(-0.02, rel=0.02)
+    absurd, _ = made_twin((("scale_mismatch", "X", (500_000.0,), {}),))
+    with pytest.raises(InputError, match="changes by more"):
+        written(replace(source, twin=absurd), "fanuc", points=4)
+
+
+def test_haas_list(source: Source) -> None:
+    small, _ = made_twin((EFFECTS[0], ("cyclic_error", "X", (6.0, 0.0), {"pitch_mm": 200.0})))
+    made = written(replace(source, twin=small), "haas", travel_mm=(-450.0, 0.0), origin_mm=(-225.0, 0.0, 0.0))
+    head, *rows = (line.split(",") for line in made.text.splitlines() if not line.startswith("#"))
+    assert head == ["entry", "position_inch", "value_inch"]
+    table = np.array([[float(cell) for cell in row] for row in rows])
+    np.testing.assert_allclose(table[:, 1], -0.5 * np.arange(len(table)))
+    assert table[0, 2] == 0.0
+    assert len(table) <= 256
+    command, _ = places(-450.0, 0.0)
+    trim = 25.4 * np.interp(-command, -25.4 * table[:, 1], table[:, 2])
+    left = 1000.0 * trim + 6.0 * np.cos(2 * np.pi * (command + trim + 225.0) / 200.0)
+    # Steps of 2.54 um: half of one to each side.
+    assert np.ptp(left) < 3.2
+    with pytest.raises(InputError, match="larger than the control takes"):
+        written(source, "haas", travel_mm=(-2000.0, 0.0), origin_mm=(-1000.0, 0.0, 0.0))
+    with pytest.raises(InputError, match="negative positions"):
+        written(source, "haas")
+
+
+def test_beckhoff_list(source: Source) -> None:
+    datum: dict[str, str] = {}
+    for line in written(source, "beckhoff").text.splitlines():
+        if not line.startswith("#"):
+            key, value = line.split()
+            assert key not in datum
+            datum[key] = value
+    get = {key: int(value) for key, value in datum.items() if key != "kopf.log_achs_name"}
+    count = get["kw.ssfk.kw_nr_max"]
+    assert (get["kopf.log_achs_nr"], get["kw.ssfk.unit"], get["kw.ssfk.bilateral"]) == (1, 1, 1)
+    assert count <= 1500
+    at = (get["kw.ssfk.kw_startpos"] + get["kw.ssfk.interval"] * np.arange(count)) / 1e4
+    pos, neg = ([get[f"kw.ssfk.table[{n}].{way}"] / 1e4 for n in range(count)] for way in ("pos", "neg"))
+    command, forward = places(250.0, 450.0)
+    trim = np.where(forward > 0, np.interp(command, at, pos), np.interp(command, at, neg))
+    assert np.abs(left_um(command, trim, forward, 350.0)).max() < 0.2
+    large, _ = made_twin((("scale_mismatch", "X", (80_000.0,), {}),))
+    with pytest.raises(InputError, match="larger than the control takes"):
+        written(replace(source, twin=large), "beckhoff")
+
+
+def duet_moves(text: str, points_mm: np.ndarray) -> np.ndarray:
+    """Return where RepRapFirmware sends commanded points: scaled, then sheared by tangents."""
+    scale, tangent = np.ones(3), dict.fromkeys("XYZ", 0.0)
+    for line in text.splitlines():
+        code, *words = line.split(";")[0].split() or [""]
+        value = {word[0]: float(word[1:]) for word in words}
+        if code == "M579":
+            scale = np.array([value[a] for a in "XYZ"])
+        elif code == "M556":
+            tangent = {a: value[a] / value["S"] for a in "XYZ"}
+        else:
+            assert not code
+    x, y, z = (points_mm * scale).T
+    return np.column_stack([x + tangent["X"] * y + tangent["Z"] * z, y + tangent["Y"] * z, z])
+
+
+def test_duet_makes_the_axes_square_and_right_in_length(source: Source) -> None:
+    sizes = {"XY": 30.0, "YZ": 20.0, "ZX": -15.0}
+    squares = (("squareness", plane, (q,), {}) for plane, q in sizes.items())
+    twin, _ = made_twin((*squares, ("scale_mismatch", "X", (40.0,), {}), EFFECTS[0]))
+    made = export(replace(source, twin=twin), Request("reprap"))
+    assert set(made.left_out) == {"backlash X"}
+    assert "never loaded into a control" in made.text
+    machine = np.array([[1.00004, -30e-6, 0.0], [0.0, 1.0, -20e-6], [15e-6, 0.0, 1.0]])
+    a, b = RNG.uniform(-100.0, 100.0, (2, 1000, 3))
+    asked = np.linalg.norm(a - b, axis=1)
+
+    def off_um(first: np.ndarray, second: np.ndarray) -> float:
+        return float(1000.0 * np.abs(np.linalg.norm((first - second) @ machine.T, axis=1) - asked).max())
+
+    assert off_um(a, b) > 4.0
+    assert off_um(duet_moves(made.text, a), duet_moves(made.text, b)) < 0.01
+    with pytest.raises(InputError, match="no squareness"):
+        export(replace(source, twin=made_twin(EFFECTS[:1])[0]), Request("reprap"))
