@@ -63,7 +63,7 @@ class Regime:
 
 
 @dataclass(frozen=True)
-class Alarm:
+class _Alarm:
     """The chart left its limits.
 
     Attributes
@@ -84,7 +84,7 @@ class Alarm:
 
 
 @dataclass(frozen=True)
-class ChartLimits:
+class _ChartLimits:
     """Of single values, of the EWMA and of the CUSUM, in standard deviations of the values."""
 
     single: float
@@ -110,9 +110,9 @@ class Chart:
     ewma: Floats
     cusum_up: Floats
     cusum_down: Floats
-    limits: ChartLimits
+    limits: _ChartLimits
     regimes: tuple[Regime, ...]
-    alarms: tuple[Alarm, ...]
+    alarms: tuple[_Alarm, ...]
 
 
 def chart(days: Floats, values: Floats, restarts: Sequence[int], run_length: float) -> Chart:
@@ -132,7 +132,7 @@ def chart(days: Floats, values: Floats, restarts: Sequence[int], run_length: flo
     shown = np.zeros((4, n))
     starts = sorted({0, *(r for r in restarts if 0 < r < n)})
     regimes: list[Regime] = []
-    alarms: list[Alarm] = []
+    alarms: list[_Alarm] = []
     for start, stop in zip(starts, [*starts[1:], n], strict=True):
         why = "restart" if start else "start"
         while start < stop:
@@ -146,9 +146,9 @@ def chart(days: Floats, values: Floats, restarts: Sequence[int], run_length: flo
                 end = _best_step(values[start:stop], at)
             regimes.append(_regime(days, values, start, start + end, why, trend=trend))
             if trend:
-                alarms.append(Alarm(start + at, start, True, math.nan, math.nan))
+                alarms.append(_Alarm(start + at, start, True, math.nan, math.nan))
             if not trend or start + end < stop:
-                alarms.append(Alarm(start + (end if trend else at), start + end, False, math.nan, math.nan))
+                alarms.append(_Alarm(start + (end if trend else at), start + end, False, math.nan, math.nan))
             start, why = start + end, "alarm"
     told = tuple(_with_step(alarm, values, regimes) for alarm in alarms)
     single, ewma, up, down = shown
@@ -170,7 +170,7 @@ def self_starting(values: Floats) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def limits_for(run_length: float) -> ChartLimits:
+def limits_for(run_length: float) -> _ChartLimits:
     """Return limits that together give a false alarm in this many values, or more: each has three times the run length."""
     from scipy.optimize import brentq
 
@@ -180,7 +180,7 @@ def limits_for(run_length: float) -> ChartLimits:
         return float(brentq(lambda limit: math.log(length(limit) / each), low, high, xtol=1e-4))
 
     single = -float(special.ndtri(0.5 / each))
-    return ChartLimits(single, solved(ewma_run_length, 0.1, 3.0), solved(cusum_run_length, 0.5, 15.0))
+    return _ChartLimits(single, solved(ewma_run_length, 0.1, 3.0), solved(cusum_run_length, 0.5, 15.0))
 
 
 def ewma_run_length(limit: float) -> float:
@@ -234,7 +234,7 @@ def _watched(values: Floats) -> Floats:
     return out
 
 
-def _first_beyond(shown: Floats, limits: ChartLimits) -> int | None:
+def _first_beyond(shown: Floats, limits: _ChartLimits) -> int | None:
     single, ewma, *cusum = np.abs(shown)
     beyond = (single > limits.single) | (ewma > limits.ewma) | (np.maximum(*cusum) > limits.cusum)
     return int(np.argmax(beyond)) if beyond.any() else None
@@ -293,7 +293,7 @@ def _regime(days: Floats, values: Floats, first: int, stop: int, why: str, *, tr
     return Regime(first, stop - 1, why, float(mine.mean()), expanded, slope, half, (low, high), trend)
 
 
-def _with_step(alarm: Alarm, values: Floats, regimes: Sequence[Regime]) -> Alarm:
+def _with_step(alarm: _Alarm, values: Floats, regimes: Sequence[Regime]) -> _Alarm:
     """Return the alarm with the step between the levels before and after it."""
     if alarm.trend:
         return alarm
@@ -304,7 +304,7 @@ def _with_step(alarm: Alarm, values: Floats, regimes: Sequence[Regime]) -> Alarm
     dof = sum(sizes) - 2
     pooled = math.sqrt(sum(float(((p - p.mean()) ** 2).sum()) for p in parts) / dof) if dof else math.nan
     half = t_quantile(_COVERED, dof) * pooled * math.sqrt(sum(1 / n for n in sizes)) if dof else math.nan
-    return Alarm(alarm.at, alarm.first, False, after.mean - before.mean, half)
+    return _Alarm(alarm.at, alarm.first, False, after.mean - before.mean, half)
 
 
 def _line(days: Floats, values: Floats) -> tuple[float, float, float, float, float]:

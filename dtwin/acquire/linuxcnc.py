@@ -160,7 +160,7 @@ def run_of(trace: Trace, run_id: str, repeat: int, setup: str, started: str) -> 
     return Run(meta, columns)
 
 
-def geometry(faults: MillFaults) -> dict[str, Any]:
+def _geometry(faults: MillFaults) -> dict[str, Any]:
     """Return what a campaign says of this machine.
 
     ``faults``: its loops decide how late a correction acts.
@@ -196,7 +196,7 @@ def write_circles(folder: Path, measured: Sequence[Trace], faults: MillFaults, n
         setup = f"{circle.plane.lower()}-r{circle.radius_mm:g}"
         runs.append(run_of(trace, f"r{number:03d}", counts[circle], setup, started))
     write_toml(folder / "truth.toml", asdict(faults), "the truth")
-    campaign = Campaign(name=name, machine=MACHINE, machine_geometry=geometry(faults))
+    campaign = Campaign(name=name, machine=MACHINE, machine_geometry=_geometry(faults))
     write_runs(folder, campaign, runs)
 
 
@@ -214,14 +214,4 @@ def require_free(folder: Path) -> None:
         )
 
 
-__all__ = [
-    "DIRECTIONS",
-    "MACHINE",
-    "PERIOD_S",
-    "CirclePlan",
-    "geometry",
-    "require_free",
-    "run_circles",
-    "run_of",
-    "write_circles",
-]
+__all__ = ["DIRECTIONS", "MACHINE", "PERIOD_S", "CirclePlan", "require_free", "run_circles", "run_of", "write_circles"]

@@ -24,7 +24,7 @@ _CHANNEL = {"name": True, "input": True, "sensitivity_mv_g": True, "iepe_ma": Tr
 
 
 @dataclass(frozen=True)
-class SensorSetup:
+class _SensorSetup:
     """What a channel file says.
 
     ``channels``: in the order of the file.
@@ -73,7 +73,7 @@ class SensorSetup:
         return DaqWindows(contract, chosen, grpc_target=self.grpc_target, timeout_s=self.timeout_s)
 
 
-def read_sensors(path: Path) -> SensorSetup:
+def read_sensors(path: Path) -> _SensorSetup:
     """Read and check a channel file.
 
     Parameters
@@ -99,7 +99,7 @@ def read_sensors(path: Path) -> SensorSetup:
         )
     where = f"{path} [sensors]"
     _require_keys(head, _SENSORS, where)
-    setup = SensorSetup(
+    setup = _SensorSetup(
         path,
         _number(head, "rate_hz", where, 1.0, 1e6),
         tuple(_channel(entry, n, path) for n, entry in enumerate(listed, start=1)),

@@ -135,7 +135,7 @@ def _arc(known: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 @dataclass(frozen=True)
-class Part:
+class _Part:
     """Size of one part of the error.
 
     ``floor_um``: by which repeats of the same condition disagree about it; NaN without repeats.
@@ -166,7 +166,7 @@ class Split:
     known: NDArray[np.bool_]
     condition_of: NDArray[np.int64]
 
-    def sizes(self, rows: NDArray[np.bool_] | None = None) -> dict[str, Part]:
+    def sizes(self, rows: NDArray[np.bool_] | None = None) -> dict[str, _Part]:
         """Return RMS and noise floor of every part.
 
         Parameters
@@ -177,7 +177,7 @@ class Split:
         chosen = np.ones(len(self.known), dtype=bool) if rows is None else rows
         known, conditions = self.known[chosen], self.condition_of[chosen]
         return {
-            name: Part(rms(v[chosen][known]), repeat_floor(v[chosen], known, conditions))
+            name: _Part(rms(v[chosen][known]), repeat_floor(v[chosen], known, conditions))
             for name, v in self.parts_um.items()
         }
 

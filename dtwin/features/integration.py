@@ -31,7 +31,7 @@ def power_threshold_filter(signal: Floats, cutoff_power: float) -> Floats:
 
 
 @dataclass(frozen=True)
-class SwarmResult:
+class _SwarmResult:
     """Best point that a swarm found."""
 
     position: float
@@ -49,7 +49,7 @@ def swarm_minimum(
     iterations: int = 60,
     patience: int = 15,
     seed: int = 0,
-) -> SwarmResult:
+) -> _SwarmResult:
     """Minimise a function of one positive number by particle swarm, on a log scale.
 
     Constriction coefficients of Clerc and Kennedy, IEEE Trans. Evol. Comput. 6 (2002).
@@ -93,7 +93,7 @@ def swarm_minimum(
         best_at[better], best[better] = at[better], value[better]
         previous, leader = best[leader], int(np.argmin(best))
         idle = 0 if best[leader] < previous else idle + 1
-    return SwarmResult(float(np.exp(best_at[leader])), float(best[leader]), done, particles * (done + 1))
+    return _SwarmResult(float(np.exp(best_at[leader])), float(best[leader]), done, particles * (done + 1))
 
 
 def integrate(signal: Floats, rate_hz: float) -> Floats:

@@ -84,7 +84,7 @@ def find_stops(
 
 
 @dataclass(frozen=True)
-class Period:
+class _Period:
     """Time of one revolution, found by comparing a record with itself.
 
     ``samples``: one revolution, with sub-sample resolution.
@@ -106,7 +106,7 @@ def true_period(
     skip_samples: int = 0,
     tolerance: float = 0.12,
     min_overlap_s: float = 1.0,
-) -> Period:
+) -> _Period:
     """Find the time of one revolution by correlation of the record with itself.
 
     Parameters
@@ -143,7 +143,7 @@ def true_period(
     best = int(np.argmax(values))
     lag = int(lags[best])
     difference = part[:-lag] - part[lag:]
-    return Period(
+    return _Period(
         lag + parabola_peak(values, best), float(values[best]), float(np.std(difference) / np.sqrt(2)), len(part) - lag
     )
 

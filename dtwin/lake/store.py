@@ -41,7 +41,7 @@ class RejectedRows:
 
 
 @dataclass(frozen=True)
-class CommitReport:
+class _CommitReport:
     """What a commit did.
 
     ``added``, ``unchanged``: run ids that are new, and those that were there with the same content.
@@ -70,7 +70,7 @@ class Lake:
         """Return the version of every table, -1 for one that does not exist."""
         return {name: table.version() for name, table in self.tables.items()}
 
-    def commit(self, campaign: Campaign, runs: Sequence[Run], rejected: Sequence[RejectedRows] = ()) -> CommitReport:
+    def commit(self, campaign: Campaign, runs: Sequence[Run], rejected: Sequence[RejectedRows] = ()) -> _CommitReport:
         """Add runs; a run that is there with the same content is left alone.
 
         Data files are written and committed first, ``runs`` last and under a lock, so that a
@@ -95,7 +95,7 @@ class Lake:
             new = fresh(campaign.name, known, rows)
             self._heal([(run, known[run.meta.run_id]) for run in runs if run.meta.run_id in known])
             if not new:
-                return CommitReport((), tuple(rows), self.versions())
+                return _CommitReport((), tuple(rows), self.versions())
             batches = self._write_data([run for run in runs if run.meta.run_id in new], rows)
             with self._lock():
                 for batch in batches:
@@ -105,7 +105,7 @@ class Lake:
                 new = fresh(campaign.name, self._known(campaign), new)
                 if new:
                     self._add_rows("runs", f"{campaign.name}/{campaign.machine}", list(new.values()), RUN_SCHEMA)
-        return CommitReport(added=tuple(new), unchanged=tuple(sorted(set(rows) - set(new))), versions=self.versions())
+        return _CommitReport(added=tuple(new), unchanged=tuple(sorted(set(rows) - set(new))), versions=self.versions())
 
     def _known(self, campaign: Campaign) -> dict[str, dict[str, Any]]:
         return {row["run_id"]: row for row in self.runs(campaign.name, left_out=True)}

@@ -27,7 +27,7 @@ _MOST_POINTS = 2_000_000
 
 
 @dataclass(frozen=True)
-class Cut:
+class _Cut:
     """What one cause does along a program; every figure in µm.
 
     Attributes
@@ -52,7 +52,7 @@ class Cut:
 
 
 @dataclass(frozen=True)
-class ProgramBudget:
+class _ProgramBudget:
     """The causes of a program's error, the largest first.
 
     Attributes
@@ -69,8 +69,8 @@ class ProgramBudget:
         Share of the way further out than the twin was fitted to.
     """
 
-    causes: tuple[Cut, ...]
-    every: Cut
+    causes: tuple[_Cut, ...]
+    every: _Cut
     not_told: Mapping[str, str]
     length_mm: float
     outside: float
@@ -81,7 +81,7 @@ class ProgramBudget:
         return {**made, "not_told": dict(self.not_told)}
 
 
-def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> ProgramBudget:
+def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> _ProgramBudget:
     """Return how much each effect of a twin makes of the error of a program.
 
     Motion at feed is followed in steps of half a millimetre, at the speed that is programmed: what a control does to
@@ -117,7 +117,7 @@ def program_budget(twin: Twin, text: str, *, origin_mm: Floats, where: str) -> P
     together = [width for one in widths.values() for width in one]
     every = _cut("all of them", total, np.zeros_like(total), way, step_mm, together)
     ordered = tuple(sorted(causes, key=lambda cut: -cut.rms_um[""]))
-    return ProgramBudget(ordered, every, not_told, float(step_mm.sum()), outside(twin, motion) / len(way))
+    return _ProgramBudget(ordered, every, not_told, float(step_mm.sum()), outside(twin, motion) / len(way))
 
 
 def _followed(text: str, origin_mm: Floats, where: str) -> tuple[Motion, Floats, Floats]:
@@ -155,7 +155,7 @@ def _followed(text: str, origin_mm: Floats, where: str) -> tuple[Motion, Floats,
     return whole, np.concatenate(ways), np.concatenate(steps)
 
 
-def _cut(label: str, does: Floats, others: Floats, way: Floats, step_mm: Floats, widths_um: list[Floats]) -> Cut:
+def _cut(label: str, does: Floats, others: Floats, way: Floats, step_mm: Floats, widths_um: list[Floats]) -> _Cut:
     across = does - (does * way).sum(axis=1, keepdims=True) * way
     rms = {"": _rms(does, step_mm)}
     rms |= {axis: _rms(does[:, [k]], step_mm) for k, axis in enumerate(AXES)}
@@ -163,7 +163,7 @@ def _cut(label: str, does: Floats, others: Floats, way: Floats, step_mm: Floats,
     # How the RMS changes with each parameter.
     parts = [_along(width, does, step_mm) for width in widths_um]
     largest = float(np.linalg.norm(does, axis=1).max())
-    return Cut(label, rms, float(np.hypot.reduce([0.0, *parts])), largest, _rms(others, step_mm))
+    return _Cut(label, rms, float(np.hypot.reduce([0.0, *parts])), largest, _rms(others, step_mm))
 
 
 def _widths_um(term: Term, twin: Twin, motion: Motion) -> list[Floats]:
@@ -182,7 +182,7 @@ def _rms(vectors: Floats, step_mm: Floats) -> float:
     return float(np.sqrt(((vectors**2).sum(axis=1) * step_mm).sum() / step_mm.sum()))
 
 
-def program_text(found: ProgramBudget) -> str:
+def program_text(found: _ProgramBudget) -> str:
     """Return the budget of a program for the terminal."""
     head = ["cause", "RMS, µm (k = 2)", "X, µm", "Y, µm", "Z, µm", "across the way, µm", "largest, µm"]
     rows = [[*_row(cut), micrometres(cut.left_um)] for cut in found.causes]
@@ -194,7 +194,7 @@ def program_text(found: ProgramBudget) -> str:
     return "\n".join(lines)
 
 
-def _row(cut: Cut) -> list[str]:
+def _row(cut: _Cut) -> list[str]:
     own = with_k2(cut.rms_um[""], cut.uncertainty_um, "um").removesuffix(" µm")
     parts = [micrometres(cut.rms_um[name]) for name in ("X", "Y", "Z", "across")]
     return [cut.label, own, *parts, micrometres(cut.largest_um)]

@@ -30,7 +30,7 @@ _NOT_IN_A_TAG = re.compile(r"[^A-Za-z0-9_. -]")
 
 
 @dataclass(frozen=True)
-class CampaignNews:
+class _CampaignNews:
     """What a campaign holds that no registered version was trained on.
 
     ``rows``: its usable runs, as rows of ``runs``.
@@ -111,7 +111,7 @@ def scheduled_training(home: Home, *, seed: int = 1, progress: StageProgress | N
         return turn.result(fresh)
 
 
-def news(home: Home, registry: Registry) -> list[CampaignNews]:
+def news(home: Home, registry: Registry) -> list[_CampaignNews]:
     """Return what is new in every campaign of the lake, the newest ingest first.
 
     New is a usable run whose content no registered version of the machine was trained on; what
@@ -131,7 +131,7 @@ def news(home: Home, registry: Registry) -> list[CampaignNews]:
         machine = by_campaign[name][0]["machine"]
         contents = sorted(row["content_sha256"] for row in rows)
         news.append(
-            CampaignNews(
+            _CampaignNews(
                 campaign=name,
                 machine=machine,
                 rows=rows,
@@ -156,7 +156,7 @@ def _obstacle(rows: list[dict[str, Any]], campaign: Campaign) -> str:
     return kind_named(campaign.kind).training_obstacle(rows)
 
 
-def _drift_once(home: Home, registry: Registry, item: CampaignNews) -> DriftCheck | None:
+def _drift_once(home: Home, registry: Registry, item: _CampaignNews) -> DriftCheck | None:
     """Judge the champion on a newer campaign unless the same runs were judged before."""
     champion = registry.champion(item.machine)
     plain = item.rows and item.obstacle != _CORRECTED and not any(row["correction"] for row in item.rows)
@@ -193,7 +193,7 @@ class _Turn:
         self.registered: Registered | None = None
         self.comparison: Comparison | None = None
 
-    def look_at(self, item: CampaignNews) -> None:
+    def look_at(self, item: _CampaignNews) -> None:
         """Judge the champion on a campaign, and train on it when it is new."""
         if item.machine in self.settled:
             older = "older than the newest campaign that was trained on"
@@ -215,7 +215,7 @@ class _Turn:
             return
         self.comparison = compare_with_champion(self.home, self.registered, item.rows)
 
-    def result(self, news: list[CampaignNews]) -> Scheduled:
+    def result(self, news: list[_CampaignNews]) -> Scheduled:
         """Return what was done."""
         outcome: Outcome = "trained"
         if self.registered is not None:
@@ -229,7 +229,7 @@ class _Turn:
         return Scheduled(outcome, reason, self.told, self.registered, self.comparison, tuple(self.drift))
 
 
-def _newest_training(registry: Registry, news: list[CampaignNews]) -> str:
+def _newest_training(registry: Registry, news: list[_CampaignNews]) -> str:
     machine = news[0].machine
     versions = registry.versions(machine)
     if not versions:

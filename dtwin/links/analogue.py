@@ -70,7 +70,7 @@ class AxisCalibration:
 
 
 @dataclass(frozen=True)
-class Answer:
+class _Answer:
     """What the board said.
 
     ``engaged``, ``tripped``, ``pwm``, ``read_back_wrong``: whether it takes corrections; its watchdog dropped them;
@@ -91,7 +91,7 @@ class Answer:
     trips: int
 
     @classmethod
-    def of(cls, frame: Frame) -> Answer:
+    def of(cls, frame: Frame) -> _Answer:
         """Read a frame of the board."""
         _, flags, a, b, c, bad, trips = _ANSWER.unpack(frame.payload)
         refused = {_NOT_ENGAGED: "not engaged", _STALE: "late", _UNKNOWN: "unknown command"}
@@ -169,7 +169,7 @@ class AnalogueOutput(OpenAndClose):
         """Codes that stand for no correction."""
         return self._codes(np.zeros(3))
 
-    def open(self) -> Answer:
+    def open(self) -> _Answer:
         """Open the port and wait for the board.
 
         Raises
@@ -187,11 +187,11 @@ class AnalogueOutput(OpenAndClose):
                     self.link.close()
                     raise
 
-    def status(self) -> Answer:
+    def status(self) -> _Answer:
         """Ask the board how it is; this does not feed its watchdog."""
         return self._ask(_STATUS, (0, 0, 0))
 
-    def engage(self) -> Answer:
+    def engage(self) -> _Answer:
         """Begin to take corrections, from neutral.
 
         Raises
@@ -204,11 +204,11 @@ class AnalogueOutput(OpenAndClose):
         self._check(answer, None)
         return answer
 
-    def release(self) -> Answer:
+    def release(self) -> _Answer:
         """Go neutral and take no more corrections."""
         return self._ask(_RELEASE, (0, 0, 0))
 
-    def store_neutral(self) -> Answer:
+    def store_neutral(self) -> _Answer:
         """Keep this calibration's neutral codes on the board, without power too."""
         return self._ask(_NEUTRAL, self.neutral)
 
@@ -239,15 +239,15 @@ class AnalogueOutput(OpenAndClose):
     def poll(self) -> None:
         """Check the answers that have arrived, without waiting for any."""
         for frame in self.link.arrived():
-            self._take(Answer.of(frame))
+            self._take(_Answer.of(frame))
 
     def settle(self, unanswered: int = 0) -> None:
         """Wait until at most so many corrections are unanswered, and check the answers."""
         while len(self._waiting) > unanswered:
             for frame in self.link.receive():
-                self._take(Answer.of(frame))
+                self._take(_Answer.of(frame))
 
-    def _take(self, answer: Answer) -> None:
+    def _take(self, answer: _Answer) -> None:
         """Check the answer to a correction; those before it that were not answered are lost."""
         while self._waiting and self._waiting[0][0] != answer.sequence:
             self._waiting.popleft()
@@ -275,7 +275,7 @@ class AnalogueOutput(OpenAndClose):
         x, y, z = (axis.code(float(um)) for axis, um in zip(self.calibration, offset_um, strict=True))
         return x, y, z
 
-    def _ask(self, command: int, arguments: Codes) -> Answer:
+    def _ask(self, command: int, arguments: Codes) -> _Answer:
         """Ask until the board answers: a spoilt line loses requests and answers alike."""
         for _ in range(_TRIES - 1):
             try:
@@ -285,7 +285,7 @@ class AnalogueOutput(OpenAndClose):
                     raise
         return self._asked(command, arguments)
 
-    def _asked(self, command: int, arguments: Codes) -> Answer:
+    def _asked(self, command: int, arguments: Codes) -> _Answer:
         # Not settled first: where the last answers were lost, nothing more would come.
         sequence = self.link.send(_REQUEST.pack(command, *arguments))
         until_s = time.monotonic() + self.link.timeout_s
@@ -293,8 +293,8 @@ class AnalogueOutput(OpenAndClose):
             for frame in self.link.receive():
                 if frame.sequence == sequence:
                     self._waiting.clear()
-                    return Answer.of(frame)
-                self._take(Answer.of(frame))
+                    return _Answer.of(frame)
+                self._take(_Answer.of(frame))
         raise DeviceError(
             "the board answers other requests than this one",
             code="serial.silent",
@@ -302,7 +302,7 @@ class AnalogueOutput(OpenAndClose):
             hint="another program talks to the board",
         )
 
-    def _check(self, answer: Answer, codes: Codes | None) -> None:
+    def _check(self, answer: _Answer, codes: Codes | None) -> None:
         where = self.link.port
         if answer.tripped:
             raise DeviceError(

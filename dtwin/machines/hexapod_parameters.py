@@ -90,7 +90,7 @@ class HexapodParameters:
 
 
 @dataclass(frozen=True)
-class Legs:
+class _Legs:
     """Geometry of one machine, as the control believes it and as it is.
 
     ``believed``, ``true``, (2, 6, 3): joint centres on the base, in its frame, and on the platform, in its own, mm.
@@ -105,7 +105,7 @@ class Legs:
     feed_forward: Floats
 
 
-def build_legs(parameters: HexapodParameters, rng: np.random.Generator) -> Legs:
+def build_legs(parameters: HexapodParameters, rng: np.random.Generator) -> _Legs:
     """Draw one machine.
 
     ``rng``: which of the machines that share these parameters.
@@ -115,7 +115,7 @@ def build_legs(parameters: HexapodParameters, rng: np.random.Generator) -> Legs:
     platform = _ring(p.platform_radius_mm, p.platform_half_deg, turned_deg=60.0)
     # Leg i runs from its base joint to the nearer platform joint of the next pair.
     believed = np.stack([base, np.roll(platform, 1, axis=0)])
-    return Legs(
+    return _Legs(
         believed,
         believed + p.joint_centre_mm * rng.standard_normal(believed.shape),
         p.leg_offset_mm * rng.standard_normal(LEGS),

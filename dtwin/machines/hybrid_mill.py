@@ -87,7 +87,7 @@ def hybrid_parameters() -> MillParameters:
 
 
 @dataclass(frozen=True)
-class HybridRun:
+class _HybridRun:
     """One program.
 
     ``t_s``, (n,): time since the start of the program.
@@ -138,7 +138,7 @@ class HybridMill:
 
     def run(
         self, corners_mm: Floats, feed_mm_min: float, *, c_deg: float = 0.0, wanted_um: Floats | None = None
-    ) -> HybridRun:
+    ) -> _HybridRun:
         """Drive straight moves that stop at every corner.
 
         Parameters
@@ -176,7 +176,7 @@ class HybridMill:
         temperature = self.temperature_c
         self._runs += 1
         self.time_s += n * STEP_S
-        return HybridRun(
+        return _HybridRun(
             t_s=np.asarray(np.arange(n) * STEP_S, dtype=np.float64),
             items=_items(command, driven, added, rng),
             scalars=_scalars(command, rng),

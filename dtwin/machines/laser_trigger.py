@@ -38,7 +38,7 @@ class LaserSetup:
 
 
 @dataclass(frozen=True)
-class Reading:
+class _Reading:
     """One finished reading.
 
     ``target_mm``: what the laser took it for.
@@ -61,7 +61,7 @@ class Triggered:
     ``alarms``: missed triggers and why.
     """
 
-    readings: tuple[Reading, ...]
+    readings: tuple[_Reading, ...]
     alarms: tuple[Finding, ...]
 
 
@@ -89,7 +89,7 @@ class _Trigger:
         self.number = 0
         self.state = _SEEK
         self.entered_s = 0.0
-        self.readings: list[Reading] = []
+        self.readings: list[_Reading] = []
         self.left_early: list[float] = []
         self.never_inside: list[float] = []
 
@@ -127,7 +127,7 @@ class _Trigger:
 
     def _read(self, target: float, way: int, due: float) -> None:
         self.readings.append(
-            Reading(
+            _Reading(
                 target,
                 "forward" if way > 0 else "reverse",
                 self.number // len(self.order),
@@ -212,7 +212,7 @@ def _alarm(code: str, targets: Sequence[float], why: str) -> Finding:
     )
 
 
-def _moved(reading: Reading, t_s: Floats, position_mm: Floats, setup: LaserSetup) -> bool:
+def _moved(reading: _Reading, t_s: Floats, position_mm: Floats, setup: LaserSetup) -> bool:
     begin, end = np.interp([reading.begin_s, reading.end_s], t_s, position_mm)
     return bool(abs(end - begin) > 0.1 * setup.window_mm)
 

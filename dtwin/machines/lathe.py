@@ -24,7 +24,7 @@ _CHUNK = 20_000
 _CONTACTS = 96
 
 
-class Screw(Protocol):
+class _Screw(Protocol):
     """What the slide rests on: one flank while it is pushed up, the other while it is pushed down."""
 
     @property
@@ -61,7 +61,7 @@ class NetworkScrew:
 
 
 @dataclass(frozen=True)
-class FlankForm:
+class _FlankForm:
     """How one flank of the thread deviates over a turn, in um and radians."""
 
     once_um: float
@@ -93,8 +93,8 @@ class ThreadScrew:
     lead_um_per_m: float = 28.0
     wave_um: float = 5.0
     wave_mm: float = 410.0
-    leading: FlankForm = FlankForm(8.0, 0.4, 16.0, 1.1)
-    trailing: FlankForm = FlankForm(10.0, 2.9, 22.0, 2.3)
+    leading: _FlankForm = _FlankForm(8.0, 0.4, 16.0, 1.1)
+    trailing: _FlankForm = _FlankForm(10.0, 2.9, 22.0, 2.3)
     tilt_um: float = 18.0
     tilt_rad: float = 0.7
     play_um: float = 72.0
@@ -112,7 +112,7 @@ class ThreadScrew:
         pull = _periodic(turned, self._contact(self.trailing, highest=False))
         return lead - half + push, lead + half + pull
 
-    def _contact(self, form: FlankForm, *, highest: bool) -> Floats:
+    def _contact(self, form: _FlankForm, *, highest: bool) -> Floats:
         """Return the standing-off of the contact that bears, over one turn, less its mean."""
         turn = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)[:, None]
         around = np.linspace(0.0, 2 * np.pi, _CONTACTS, endpoint=False)
@@ -189,7 +189,7 @@ class VirtualLathe:
         What else moves.
     """
 
-    screw: Screw
+    screw: _Screw
     wander: Wander = field(default_factory=Wander)
     seed: int = 0
 

@@ -93,7 +93,7 @@ class StructureParameters:
 
 
 @dataclass(frozen=True)
-class DisturbanceParameters:
+class _DisturbanceParameters:
     """What does not repeat."""
 
     drift_rms_um: float
@@ -154,7 +154,7 @@ class CobotParameters:
     motion: MotionParameters
     joints: JointParameters
     structure: StructureParameters
-    disturbance: DisturbanceParameters
+    disturbance: _DisturbanceParameters
     ballbar: BallbarParameters
     accelerometers: AccelerometerParameters
     controller: ControllerParameters
@@ -164,7 +164,7 @@ _SECTIONS: dict[str, type] = {
     "motion": MotionParameters,
     "joints": JointParameters,
     "structure": StructureParameters,
-    "disturbance": DisturbanceParameters,
+    "disturbance": _DisturbanceParameters,
     "ballbar": BallbarParameters,
     "accelerometers": AccelerometerParameters,
     "controller": ControllerParameters,

@@ -60,7 +60,7 @@ _PUMP_W = 45.0
 
 
 @dataclass(frozen=True)
-class Segment:
+class _Segment:
     """A stretch of the campaign with constant sources.
 
     ``h1``, ``h2``: ventilators at the side and at the back of the column.
@@ -84,7 +84,7 @@ class Schedule:
     """
 
     name: str
-    segments: tuple[Segment, ...]
+    segments: tuple[_Segment, ...]
     day_swing_c: float = 0.4
     off_from_h: float = 24.0
     night_rise_c: float = 0.0
@@ -96,7 +96,7 @@ class Schedule:
         """Length of the campaign."""
         return self.segments[-1].until_h
 
-    def at(self, hour: float) -> Segment:
+    def at(self, hour: float) -> _Segment:
         """Return the segment of a time."""
         return next((s for s in self.segments if hour < s.until_h), self.segments[-1])
 
@@ -111,38 +111,38 @@ class Schedule:
 TRAINING = Schedule(
     "training",
     (
-        Segment(71),
-        Segment(81, h1=True),
-        Segment(93),
-        Segment(103, h2=True),
-        Segment(119),
-        Segment(129, h1=True, h2=True),
-        Segment(145),
-        Segment(159, h1=True),
-        Segment(173, h2=True),
-        Segment(186),
-        Segment(198, hall_c=17.5),
-        Segment(210, hall_c=26.5),
-        Segment(222, hall_c=18.0),
-        Segment(234, hall_c=26.5),
+        _Segment(71),
+        _Segment(81, h1=True),
+        _Segment(93),
+        _Segment(103, h2=True),
+        _Segment(119),
+        _Segment(129, h1=True, h2=True),
+        _Segment(145),
+        _Segment(159, h1=True),
+        _Segment(173, h2=True),
+        _Segment(186),
+        _Segment(198, hall_c=17.5),
+        _Segment(210, hall_c=26.5),
+        _Segment(222, hall_c=18.0),
+        _Segment(234, hall_c=26.5),
     ),
 )
 _VALIDATION = Schedule(
     "validation",
     (
-        Segment(48, hall_c=24.0),
-        Segment(54, h2=True, hall_c=24.0),
-        Segment(62, hall_c=24.0),
-        Segment(69, h1=True, h2=True, hall_c=24.0),
-        Segment(82, hall_c=24.0),
-        Segment(90, h1=True, hall_c=24.0),
-        Segment(108, hall_c=24.0),
-        Segment(114, h2=True, hall_c=24.0),
-        Segment(122, hall_c=24.0),
-        Segment(132, h1=True, hall_c=24.0),
-        Segment(144, hall_c=21.0),
-        Segment(156, hall_c=27.0),
-        Segment(169, hall_c=24.7),
+        _Segment(48, hall_c=24.0),
+        _Segment(54, h2=True, hall_c=24.0),
+        _Segment(62, hall_c=24.0),
+        _Segment(69, h1=True, h2=True, hall_c=24.0),
+        _Segment(82, hall_c=24.0),
+        _Segment(90, h1=True, hall_c=24.0),
+        _Segment(108, hall_c=24.0),
+        _Segment(114, h2=True, hall_c=24.0),
+        _Segment(122, hall_c=24.0),
+        _Segment(132, h1=True, hall_c=24.0),
+        _Segment(144, hall_c=21.0),
+        _Segment(156, hall_c=27.0),
+        _Segment(169, hall_c=24.7),
     ),
     day_swing_c=0.7,
     off_from_h=18.0,
@@ -203,7 +203,7 @@ def _network() -> tuple[Floats, Floats]:
     return flow, hall
 
 
-def _power_w(segment: Segment, hour: float, *, pump: bool) -> Floats:
+def _power_w(segment: _Segment, hour: float, *, pump: bool) -> Floats:
     out = np.zeros(len(BODIES))
     for name, on in (("h1", segment.h1), ("h2", segment.h2)):
         for body, share in _VENTILATORS[name]:

@@ -95,7 +95,7 @@ class Shared:
 
 
 @dataclass(frozen=True)
-class Judged:
+class _Judged:
     """A name of a group, as other tests see it.
 
     Attributes
@@ -137,7 +137,7 @@ class Settled:
 
     campaign: str
     group: tuple[str, ...]
-    judged: tuple[Judged, ...]
+    judged: tuple[_Judged, ...]
     left: tuple[str, ...]
 
     def as_dict(self) -> dict[str, Any]:
@@ -295,7 +295,7 @@ def _is_there(size: Size) -> bool:
 def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measured]) -> Settled | None:
     """Judge the names of a group by the other tests; None when none of them sees any."""
     others = [other for other in measured if other is not one]
-    judged: list[Judged] = []
+    judged: list[_Judged] = []
     for label in group:
         cause = one.cause_of(label)
         here, there = one.size(label, group), None if cause is None else _elsewhere(cause, others)
@@ -303,7 +303,7 @@ def _settled(one: _Measured, group: tuple[str, ...], measured: Sequence[_Measure
             continue
         said = _said(here, there)
         if said is not None:
-            judged.append(Judged(label, said, here, there))
+            judged.append(_Judged(label, said, here, there))
     if not judged:
         return None
     agreed = tuple(j.label for j in judged if j.said == "agrees")

@@ -71,7 +71,7 @@ class Unknown:
 
 
 @dataclass(frozen=True)
-class Gain:
+class _Gain:
     """What a planned test would tell of one unknown: its uncertainty before and after, k = 2."""
 
     unknown: Unknown
@@ -84,11 +84,11 @@ class Gain:
 
 
 @dataclass(frozen=True)
-class Worth:
+class _Worth:
     """Bits that a planned test adds, each by how much it counts, and the unknowns that it would tell, most first."""
 
     bits: float
-    told: tuple[Gain, ...]
+    told: tuple[_Gain, ...]
 
 
 @dataclass(frozen=True)
@@ -167,17 +167,17 @@ class Knowledge:
         spread = _spread(self._before)
         return tuple(unknown for unknown, i in self._index.items() if spread[i] > _TOLD)
 
-    def worth(self, number: int) -> Worth:
+    def worth(self, number: int) -> _Worth:
         """Return what the planned test with this number adds to those that were made."""
         old, new = (_spread(matrix) for matrix in (self._before, self._before + self._planned[number]))
         bits = 0.5 * np.log2((old**2 + _ENOUGH**2) / (new**2 + _ENOUGH**2))
         counts = np.array([1.0 if unknown in self._certain else _SHARE for unknown in self._index])
         newly = [(old[i] / new[i], u, i) for u, i in self._index.items() if old[i] > _TOLD >= new[i]]
         told = [
-            Gain(u, *(float(_COVERAGE_FACTOR * s[i] * u.typical) for s in (old, new)))
+            _Gain(u, *(float(_COVERAGE_FACTOR * s[i] * u.typical) for s in (old, new)))
             for _, u, i in sorted(newly, key=lambda entry: -entry[0])
         ]
-        return Worth(float(bits @ counts), tuple(told))
+        return _Worth(float(bits @ counts), tuple(told))
 
     def _enlarge(self, seen: _Seen, groups: Sequence[Sequence[str]]) -> None:
         """Take the effects of a group as large as the one that shows most: any of them may be all of what was found."""

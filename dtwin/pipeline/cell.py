@@ -40,7 +40,7 @@ Do = Callable[[str, int, str], dict[str, Any]]
 
 
 @dataclass(frozen=True)
-class Outcome:
+class _Outcome:
     """What became of a job.
 
     ``state``: state of the cell at the end.
@@ -51,7 +51,7 @@ class Outcome:
     stopped: str
 
 
-def run_job(cell: CellFile, do: Do | None = None) -> Outcome:
+def run_job(cell: CellFile, do: Do | None = None) -> _Outcome:
     """Do the steps that are left, until all are done or somebody asks to stop.
 
     A step that was running when a process ended is done again: the machines start every step from
@@ -79,7 +79,7 @@ def run_job(cell: CellFile, do: Do | None = None) -> Outcome:
             if reason is not None:
                 cell.write(state)
                 cell.take_stop()
-                return Outcome(state, reason)
+                return _Outcome(state, reason)
             entry = state["steps"][number]
             entry |= {"state": RUNNING, "started": now()}
             cell.write(state)
@@ -92,7 +92,7 @@ def run_job(cell: CellFile, do: Do | None = None) -> Outcome:
             entry |= {"state": DONE, "ended": now(), "result": result}
             cell.write(state)
         cell.take_stop()
-        return Outcome(state, "")
+        return _Outcome(state, "")
 
 
 def do_step(step: str, part: int, twin: str, seed: int) -> dict[str, Any]:

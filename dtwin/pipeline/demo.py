@@ -32,7 +32,7 @@ from dtwin.train.promotion import verdict_lines
 _SERVE_S = 20.0
 
 
-class Screen(Protocol):
+class _Screen(Protocol):
     """Where the demo shows what it does."""
 
     def say(self, text: str) -> None:
@@ -45,7 +45,7 @@ class Screen(Protocol):
 
 
 @dataclass(frozen=True)
-class DemoSize:
+class _DemoSize:
     """How much is measured.
 
     ``evidence``: circles with and without correction.
@@ -56,12 +56,12 @@ class DemoSize:
     serve_s: float
 
 
-def full_size() -> DemoSize:
+def full_size() -> _DemoSize:
     """Return the demo of the README: 81 tests, 162 runs, twelve conditions."""
-    return DemoSize(training_plan(), DEFAULT_EVIDENCE, _SERVE_S)
+    return _DemoSize(training_plan(), DEFAULT_EVIDENCE, _SERVE_S)
 
 
-def quick_size() -> DemoSize:
+def quick_size() -> _DemoSize:
     """Return a demo for tests: one plane, three radii, two feeds.
 
     Three radii: without one of them two must remain, or orders cannot be told from each other.
@@ -70,11 +70,11 @@ def quick_size() -> DemoSize:
         radii_mm=(100.0, 150.0, 300.0), feeds_mm_min=(4000.0, 6000.0), planes=("YZ",), repeats=2, name="training-quick"
     )
     evidence = EvidencePlan((("YZ", 150.0, 5000.0), ("YZ", 100.0, 6000.0)), 2, (4000.0, 6000.0))
-    return DemoSize(plan, evidence, 3.0)
+    return _DemoSize(plan, evidence, 3.0)
 
 
 def run_demo(
-    home: Home, screen: Screen, size: DemoSize, *, seed: int = 0, steps: Steps | None = None
+    home: Home, screen: _Screen, size: _DemoSize, *, seed: int = 0, steps: Steps | None = None
 ) -> dict[str, Any]:
     """Run the five steps and return what they found.
 
@@ -121,7 +121,7 @@ def run_demo(
     }
 
 
-def _recording(work: Work, screen: Screen, sections: list[Section]) -> dict[str, Any]:
+def _recording(work: Work, screen: _Screen, sections: list[Section]) -> dict[str, Any]:
     path = sample_recording()
     report = work.ingest(path)
     result = work.check(path)
@@ -137,7 +137,7 @@ def _recording(work: Work, screen: Screen, sections: list[Section]) -> dict[str,
     return {**result, "integration": seen.as_dict()}
 
 
-def _measure(work: Work, home: Home, screen: Screen, size: DemoSize, seed: int) -> dict[str, Any]:
+def _measure(work: Work, home: Home, screen: _Screen, size: _DemoSize, seed: int) -> dict[str, Any]:
     done = work.measure(size.plan, home.campaigns / size.plan.name, seed)
     report = work.ingest(done.folder)
     codes = sorted({finding.code for _, finding in report.findings})
@@ -156,7 +156,7 @@ def _measure(work: Work, home: Home, screen: Screen, size: DemoSize, seed: int) 
     }
 
 
-def _train(work: Work, screen: Screen, size: DemoSize, sections: list[Section]) -> Registered:
+def _train(work: Work, screen: _Screen, size: _DemoSize, sections: list[Section]) -> Registered:
     features = work.features(size.plan.name)
     screen.say(
         f"{features.windows} windows of {features.runs} runs, table version "
@@ -177,7 +177,7 @@ def _train(work: Work, screen: Screen, size: DemoSize, sections: list[Section]) 
 
 
 def _correct(
-    work: Work, screen: Screen, size: DemoSize, seed: int, registered: Registered, sections: list[Section]
+    work: Work, screen: _Screen, size: _DemoSize, seed: int, registered: Registered, sections: list[Section]
 ) -> dict[str, Any]:
     version = registered.version
     screen.say("\n".join(verdict_lines(registered.verdicts)))
@@ -203,7 +203,7 @@ def _correct(
 
 
 def _report(
-    work: Work, home: Home, screen: Screen, size: DemoSize, outcome: Mapping[str, Any], sections: list[Section]
+    work: Work, home: Home, screen: _Screen, size: _DemoSize, outcome: Mapping[str, Any], sections: list[Section]
 ) -> Path:
     title = "dtwin: from a recording to a served correction"
     content = page(title, f"machine {size.plan.machine}", sections)
@@ -276,7 +276,7 @@ def _conclusion(outcome: Mapping[str, Any]) -> str:
 class _Clock:
     """Announces steps and remembers how long they took."""
 
-    def __init__(self, screen: Screen, steps: Steps) -> None:
+    def __init__(self, screen: _Screen, steps: Steps) -> None:
         self.screen, self.steps = screen, steps
         self.seconds: dict[str, float] = {}
 

@@ -105,12 +105,12 @@ def compute_features(home: Home, campaign: str, progress: Progress | None = None
     columns: dict[str, Any] = {
         "campaign": [campaign] * sum(counts),
         "run_id": [str(p["run"]) for p, n in zip(parts, counts, strict=True) for _ in range(n)],
-        "contract_sha256": [contract_sha256(contract)] * sum(counts),
+        "contract_sha256": [_contract_sha256(contract)] * sum(counts),
         "end_s": np.concatenate([np.asarray(p["end_s"]) for p in parts]),
     }
     values = np.concatenate([np.asarray(p["values"]) for p in parts])
     columns |= {name: values[:, i] for i, name in enumerate(contract.columns)}
-    key = contract_sha256(contract) + "".join(keys)
+    key = _contract_sha256(contract) + "".join(keys)
     version = lake.write_table("features", key, table_of(columns))
     return FeatureReport(campaign, len(parts), sum(counts), contract, bad, constant, version)
 
@@ -131,6 +131,6 @@ def _contract_for(rate_hz: float, columns: tuple[str, ...]) -> WindowContract:
     )
 
 
-def contract_sha256(contract: WindowContract) -> str:
+def _contract_sha256(contract: WindowContract) -> str:
     """Return a hash of a window contract."""
     return hashlib.sha256(json.dumps(contract.to_dict(), sort_keys=True).encode()).hexdigest()

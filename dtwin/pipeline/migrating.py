@@ -33,7 +33,7 @@ _DOCUMENT = 50_000_000
 
 
 @dataclass(frozen=True)
-class Migrated:
+class _Migrated:
     """What was taken over.
 
     ``documents``: versions of twins and what was stored with them.
@@ -48,7 +48,7 @@ class Migrated:
     before: Path | None
 
 
-def migrate(home: Home, progress: Progress) -> Migrated:
+def migrate(home: Home, progress: Progress) -> _Migrated:
     """Take over lake, twins and machines' folders of an earlier version.
 
     The lake is written anew beside the old one, which stays. Every run is compared with the hash that
@@ -65,7 +65,7 @@ def migrate(home: Home, progress: Progress) -> Migrated:
     folders = sorted(path.parent for path in home.bundles.glob("*/machine.json"))
     machines = tuple(folder.name for folder in folders if _seal(folder))
     before = home.root / BEFORE
-    return Migrated(campaigns, n_runs, len(documents), machines, before if campaigns else None)
+    return _Migrated(campaigns, n_runs, len(documents), machines, before if campaigns else None)
 
 
 def _lake(home: Home, progress: Progress) -> tuple[tuple[str, ...], int]:

@@ -7,7 +7,7 @@ from dtwin.report.faults import with_k2
 from dtwin.report.text import micrometres, table
 
 
-def budget_rows(found: Budget) -> tuple[list[str], list[list[str]]]:
+def _budget_rows(found: Budget) -> tuple[list[str], list[list[str]]]:
     """Return head and rows of the table: every cause, the largest first, and what is left without all of them."""
     planes = list(found.shares[0].rms_um)[1:] if found.shares else []
     several = planes if len(planes) > 1 else []
@@ -28,7 +28,7 @@ def budget_rows(found: Budget) -> tuple[list[str], list[list[str]]]:
 def budget_text(found: Budget) -> str:
     """Return the budget for the terminal."""
     remedies = [f"{share.label}: {share.remedy}" for share in found.shares]
-    return "\n".join([table(*budget_rows(found)), "", *remedies])
+    return "\n".join([table(*_budget_rows(found)), "", *remedies])
 
 
 def _row(share: Share, planes: list[str]) -> list[str]:

@@ -27,7 +27,7 @@ _MAX_DETAILED = 2
 Tolerances = Callable[[str], Mapping[str, Limits]]
 
 
-def no_tolerances(machine: str) -> Mapping[str, Limits]:
+def _no_tolerances(machine: str) -> Mapping[str, Limits]:
     """Return no limits."""
     return {}
 
@@ -50,7 +50,7 @@ def check_source(
     path: Path,
     progress: Progress | None = None,
     told: Mapping[str, Any] | None = None,
-    tolerances: Tolerances = no_tolerances,
+    tolerances: Tolerances = _no_tolerances,
 ) -> dict[str, Any]:
     """Evaluate every run of a file or campaign without storing anything.
 
@@ -74,7 +74,7 @@ def check_source(
 
 
 def check_campaign(
-    lake: Lake, name: str, progress: Progress | None = None, tolerances: Tolerances = no_tolerances
+    lake: Lake, name: str, progress: Progress | None = None, tolerances: Tolerances = _no_tolerances
 ) -> dict[str, Any]:
     """Evaluate the runs of a campaign in the lake as :func:`check_source` does those of a file."""
     campaign = lake.campaign(name)
@@ -92,7 +92,7 @@ def campaign_sheet(lake: Lake, name: str, limits: Mapping[str, Limits]) -> dict[
     kind = kind_named(campaign.kind)
     kind.require("sheet")
     runs = (lake.load(row, signals=False) for row in lake.runs(name))
-    kept = [without_samples(replace(run, findings=tuple(findings_of(run))), kind.sheet_columns) for run in runs]
+    kept = [without_samples(replace(run, findings=tuple(_findings_of(run))), kind.sheet_columns) for run in runs]
     return sheet_of(kind, campaign, kept, limits)
 
 
@@ -111,7 +111,7 @@ def _checked(
     samples: dict[str, str] = {}
     for done, (runs, rejected) in enumerate(sources, start=1):
         samples |= {run.meta.run_id: columns_sha256(run.samples) for run in runs}
-        checked = [replace(run, findings=tuple(findings_of(run))) for run in runs]
+        checked = [replace(run, findings=tuple(_findings_of(run))) for run in runs]
         results += map(_run_result, checked)
         pairs += _bidirectional(runs)
         light += [without_samples(run, kind.sheet_columns) for run in checked]
@@ -144,10 +144,10 @@ def run_result(run: Run) -> dict[str, Any]:
     run : Run
         Any run; circular ones get circular-test figures.
     """
-    return _run_result(replace(run, findings=tuple(findings_of(run))))
+    return _run_result(replace(run, findings=tuple(_findings_of(run))))
 
 
-def findings_of(run: Run) -> list[Finding]:
+def _findings_of(run: Run) -> list[Finding]:
     """Return what is wrong with a run; runs of the lake were judged when they came in, too."""
     return list({(f.code, f.message): f for f in [*run.findings, *judge_run(run)]}.values())
 

@@ -15,7 +15,7 @@ from dtwin.units import shown_unit
 
 
 @dataclass(frozen=True)
-class Fault:
+class _Fault:
     """One effect of a twin.
 
     Attributes
@@ -46,7 +46,7 @@ class Fault:
         return f"{self.title}: {self.size}. {self.shows} {self.remedy}"
 
 
-def faults(twin: Twin, width: int = 72) -> list[Fault]:
+def faults(twin: Twin, width: int = 72) -> list[_Fault]:
     """Return the effects of a twin as faults, in the order of the twin."""
     faults = []
     for term in twin.terms:
@@ -54,7 +54,7 @@ def faults(twin: Twin, width: int = 72) -> list[Fault]:
         mine = [e for e in twin.estimates if (e.effect, e.axis) == (effect.name, axis)]
         title = f"{effect.title}, {axis}" if axis else effect.title
         picture = signature_svg(effect, axis, width)
-        faults.append(Fault(effect.name, axis, title, size_of(mine), effect.looks_like, effect.remedy, picture))
+        faults.append(_Fault(effect.name, axis, title, size_of(mine), effect.looks_like, effect.remedy, picture))
     return faults
 
 

@@ -17,7 +17,7 @@ _COLOURS = {"CCW": "#0072B2", "CW": "#D55E00"}
 _LOGGED = ("temperature_c", "temperature_rise_c", "abbe_offset_mm", "time_h", "setup_first_um", "setup_second_um")
 
 
-def signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
+def _signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
     """Return label and error of the first parameter of an effect by direction, each of shape (n,) over one turn.
 
     Parameters
@@ -47,7 +47,7 @@ def signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
 
 def signature_svg(effect: Effect, axis: str = "", width: int = _SIZE) -> str:
     """Return the signature as an SVG picture, empty when there is none: CCW blue, CW orange and dashed."""
-    label, curves = signature(effect, axis)
+    label, curves = _signature(effect, axis)
     if not curves:
         return ""
     largest = max(float(np.abs(c).max()) for c in curves.values())

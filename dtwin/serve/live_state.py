@@ -18,7 +18,7 @@ _SILENT_S = 1.0
 
 
 @dataclass(frozen=True)
-class LiveState:
+class _LiveState:
     """What a served machine is doing now.
 
     Attributes
@@ -41,7 +41,7 @@ class LiveState:
         return asdict(self)
 
 
-def live_state(seen: Seen | None, now_s: float) -> LiveState:
+def live_state(seen: Seen | None, now_s: float) -> _LiveState:
     """Return what a board shows of the newest seconds.
 
     Parameters
@@ -52,17 +52,17 @@ def live_state(seen: Seen | None, now_s: float) -> LiveState:
         This computer's ``time.monotonic()``.
     """
     if seen is None or not seen.ticks:
-        return LiveState("starting", "is held by a server that has shown no tick yet")
+        return _LiveState("starting", "is held by a server that has shown no tick yet")
     silent_s = now_s - seen.shown_s
     if silent_s > _SILENT_S:
-        return LiveState("silent", f"was not answered for {silent_s:z.0f} s: what is in force is not known")
+        return _LiveState("silent", f"was not answered for {silent_s:z.0f} s: what is in force is not known")
     stamps = seen.column("stamp_s")
     reasons = seen.column("reason")[stamps >= stamps[-1] - RECENT_S].astype(int)
     outside = float(np.mean(reasons == safety.OUTSIDE))
     beyond = f"outside the model's range for {100 * outside:z.0f} % of the newest {RECENT_S:z.0f} s"
     if np.mean(np.isin(reasons, _CORRECTS)) >= 0.5:
-        return LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)
+        return _LiveState("correcting", "is being corrected" + (f", {beyond}" if outside > 0 else ""), outside)
     if outside >= 0.5:
-        return LiveState("outside", f"is {beyond}, and is not corrected there", outside)
+        return _LiveState("outside", f"is {beyond}, and is not corrected there", outside)
     often = Counter(reasons[~np.isin(reasons, _CORRECTS)].tolist()).most_common(1)[0][0]
-    return LiveState("held", f"is not corrected now: {REASONS[often].replace('_', ' ')}", outside)
+    return _LiveState("held", f"is not corrected now: {REASONS[often].replace('_', ' ')}", outside)

@@ -79,7 +79,7 @@ RECIPES: tuple[Recipe, ...] = (
 
 
 @dataclass(frozen=True)
-class Regressor:
+class _Regressor:
     """A fitted comparison model with what is done to its inputs.
 
     ``model``: clips inputs to the range that it was fitted on, scales them, predicts.
@@ -94,7 +94,7 @@ class Regressor:
         return np.asarray(self.model.predict(x[:, self.used].astype(np.float32)), dtype=float)
 
 
-def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, group: NDArray[np.int64]) -> Regressor:
+def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, group: NDArray[np.int64]) -> _Regressor:
     """Fit a comparison model.
 
     Parameters
@@ -110,7 +110,7 @@ def fitted(recipe: Recipe, seed: int, x: Floats, target: Floats, size: Floats, g
     parts = min(_SPLITS, np.unique(group).size)
     splits = list(GroupKFold(parts).split(x, groups=group))
     model = make_pipeline(MinMaxScaler(clip=True), StandardScaler(), recipe.make(seed, splits))
-    return Regressor(model.fit(x[:, used].astype(np.float32), target), used)
+    return _Regressor(model.fit(x[:, used].astype(np.float32), target), used)
 
 
 def held_out_groups(rows: Rows) -> list[str]:
@@ -214,7 +214,7 @@ def baselines(rows: Rows) -> list[Candidate]:
     return candidates
 
 
-def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed: int) -> Regressor:
+def _fit(recipe: Recipe, x: Floats, rows: Rows, inside: NDArray[np.bool_], seed: int) -> _Regressor:
     rng = np.random.default_rng(seed)
     usable = np.flatnonzero(inside & rows.scored)
     chosen = rng.choice(usable, min(_FIT_ROWS, usable.size), replace=False)

@@ -153,7 +153,7 @@ def _controller_ticks(group: SignalGroup, meta: RunMeta, geometry: Mapping[str, 
             out[:, place] = np.interp(t, t_log[known], group.columns[name][known])
     out[:, _INDEX["timestamp_s"]] = t
     out[:, _INDEX["segment_time_s"]] = _segment_time(t, t_log[known], group.columns["segment_time_s"][known])
-    centre = centre_mm(meta, geometry)
+    centre = _centre_mm(meta, geometry)
     for axis, value in zip("xyz", centre, strict=True):
         out[:, _INDEX[f"centre_{axis}_mm"]] = value
     plane = meta.plane or "XY"
@@ -180,7 +180,7 @@ def _covered_ticks(group: SignalGroup, n_ticks: int) -> NDArray[np.bool_]:
     return np.asarray(known[after] - known[after - 1] == 1)
 
 
-def centre_mm(meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
+def _centre_mm(meta: RunMeta, geometry: Mapping[str, Any]) -> Floats:
     """Return the ball bar's centre in the base frame, shape (3,)."""
     if "centre_mm" in geometry:
         return np.asarray(geometry["centre_mm"], dtype=float)

@@ -49,7 +49,7 @@ class CheckedRun:
 
 
 @dataclass(frozen=True)
-class ConditionCheck:
+class _ConditionCheck:
     """What pairs of one condition say.
 
     ``name``: such as ``YZ R150 F5000``; ``all`` over every condition.
@@ -90,7 +90,7 @@ class Recheck:
 
     verdict: Verdict
     reason: str
-    conditions: tuple[ConditionCheck, ...]
+    conditions: tuple[_ConditionCheck, ...]
 
     def as_dict(self) -> dict[str, Any]:
         """Return a JSON-ready mapping."""
@@ -118,7 +118,7 @@ def judge(runs: Sequence[CheckedRun]) -> Recheck:
     return _verdict(checks)
 
 
-def _verdict(checks: Sequence[ConditionCheck]) -> Recheck:
+def _verdict(checks: Sequence[_ConditionCheck]) -> Recheck:
     worse = [c for c in checks if c.worse]
     if worse:
         told = "; ".join(_told(c) for c in worse)
@@ -137,7 +137,7 @@ def judge_evidence(evidence: Evidence) -> Recheck:
         Computed from runs with and without it.
     """
     rows = [
-        ConditionCheck(
+        _ConditionCheck(
             condition_name(c),
             c["before_um"],
             c["after_um"],
@@ -150,7 +150,7 @@ def judge_evidence(evidence: Evidence) -> Recheck:
     ]
     means = [float(np.mean([getattr(r, f) for r in rows])) for f in ("before_um", "after_um")]
     half = math.sqrt(sum(r.half_width_um**2 for r in rows)) / len(rows)
-    every = ConditionCheck("all", means[0], means[1], means[1] - means[0], half, sum(r.pairs for r in rows))
+    every = _ConditionCheck("all", means[0], means[1], means[1] - means[0], half, sum(r.pairs for r in rows))
     return _verdict([*rows, every])
 
 
@@ -179,15 +179,15 @@ def _pairs(runs: Sequence[CheckedRun]) -> dict[tuple[str, float, float], list[tu
     return pairs
 
 
-def _check(name: str, pairs: Floats, level: float) -> ConditionCheck:
+def _check(name: str, pairs: Floats, level: float) -> _ConditionCheck:
     growth = pairs[:, 1] - pairs[:, 0]
     n = len(growth)
     wide = t_quantile(1.0 - level / 2.0, n - 1) * float(np.std(growth, ddof=1))
     before, after = pairs.mean(axis=0).tolist()
-    return ConditionCheck(name, before, after, float(growth.mean()), wide / math.sqrt(n), n)
+    return _ConditionCheck(name, before, after, float(growth.mean()), wide / math.sqrt(n), n)
 
 
-def _together(groups: Sequence[Floats], level: float) -> ConditionCheck:
+def _together(groups: Sequence[Floats], level: float) -> _ConditionCheck:
     """Return the mean over all pairs, its interval from the spread inside the conditions."""
     every = np.concatenate(groups)
     growths = [g[:, 1] - g[:, 0] for g in groups]
@@ -195,7 +195,7 @@ def _together(groups: Sequence[Floats], level: float) -> ConditionCheck:
     spread = math.sqrt(sum(float(np.sum((g - g.mean()) ** 2)) for g in growths) / freedom)
     wide = t_quantile(1.0 - level / 2.0, freedom) * spread / math.sqrt(n)
     before, after = every.mean(axis=0).tolist()
-    return ConditionCheck("all", before, after, after - before, wide, n)
+    return _ConditionCheck("all", before, after, after - before, wide, n)
 
 
 def _named(condition: tuple[str, float, float]) -> str:
@@ -203,7 +203,7 @@ def _named(condition: tuple[str, float, float]) -> str:
     return f"{plane} R{radius_mm:g} F{feed_mm_min:g}"
 
 
-def _told(check: ConditionCheck) -> str:
+def _told(check: _ConditionCheck) -> str:
     digits = 1 if check.before_um >= 1.0 else 3
     return (
         f"{check.name} {um_text(check.before_um)} -> {um_text(check.after_um)} µm, by {check.growth_um:+z.{digits}f} "

@@ -78,7 +78,7 @@ class TwinBundle:
 
 
 @dataclass(frozen=True)
-class Carried(Generic[Made]):
+class _Carried(Generic[Made]):
     """The part of a twin that a bundle carries.
 
     ``choices``: every effect of the twin, included or left out with the reason.
@@ -91,7 +91,7 @@ class Carried(Generic[Made]):
     traced: tuple[Made, ...]
 
 
-def carried(twin: Twin, trace: Callable[[Term], Made]) -> Carried[Made]:
+def carried(twin: Twin, trace: Callable[[Term], Made]) -> _Carried[Made]:
     """Turn the effects of a twin that offsets of position can correct into something else.
 
     Parameters
@@ -122,7 +122,7 @@ def carried(twin: Twin, trace: Callable[[Term], Made]) -> Carried[Made]:
             where=f"twin {twin.name} version {twin.version}",
             got=told or "a twin without effects",
         )
-    return Carried(tuple(choices), replace(twin, terms=tuple(kept)), tuple(traced))
+    return _Carried(tuple(choices), replace(twin, terms=tuple(kept)), tuple(traced))
 
 
 def weighted(term: Term, state: Any, builder: GraphBuilder, weights: Floats) -> Expression:

@@ -55,7 +55,7 @@ class _Change:
 
 
 @dataclass(frozen=True)
-class Intervention:
+class _Intervention:
     """One effect before and after somebody mended its cause.
 
     ``confirmed``: whether every parameter that was there went.
@@ -73,7 +73,7 @@ class Intervention:
         return {**asdict(self), "grade": _GRADE if self.confirmed else None}
 
 
-def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Intervention:
+def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> _Intervention:
     """Fit the twin's effects to measurements from after an intervention, and compare one.
 
     Parameters
@@ -128,7 +128,7 @@ def confirm(twins: Twins, name: str, effect: str, after: str, what: str) -> Inte
         )
     there = [change for change in changes if change.was_there]
     confirmed = bool(there) and all(change.went for change in there)
-    intervention = Intervention(label, what, twin.campaign, obs.campaign.name, changes, confirmed)
+    intervention = _Intervention(label, what, twin.campaign, obs.campaign.name, changes, confirmed)
     _keep(twins, name, intervention)
     return intervention
 
@@ -143,6 +143,6 @@ def _change(before: Estimate, after: Estimate) -> _Change:
     return _Change(before.name, before.unit, before.value, before.uncertainty, after.value, after.uncertainty)
 
 
-def _keep(twins: Twins, name: str, intervention: Intervention) -> None:
+def _keep(twins: Twins, name: str, intervention: _Intervention) -> None:
     document = {"interventions": [*interventions(twins, name), finite(intervention.as_dict())]}
     write_document(twins.root / name / _FILE, document, "the intervention")

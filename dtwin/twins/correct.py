@@ -66,7 +66,7 @@ class TwinWay:
 
 
 @dataclass(frozen=True)
-class Grading:
+class _Grading:
     """How well an effect of a twin is confirmed, by leaving it out and asking what is missing.
 
     ``grade``: ``law-confirmed`` and the like; else what a diagnosis without it says.
@@ -98,7 +98,7 @@ class Correction:
     frozen: TwinBundle
     version: RegisteredVersion
     verdict: str
-    gradings: tuple[Grading, ...]
+    gradings: tuple[_Grading, ...]
     objections: tuple[str, ...]
     gates: tuple[Verdict, ...]
     predicted: tuple[Mapping[str, Any], ...]
@@ -185,7 +185,7 @@ def correct(twins: Twins, name: str, *, trial: bool = False, seed: int = 0) -> C
     return Correction(frozen, version, found.verdict, gradings, objections, tuple(gates), predicted, virtual, left)
 
 
-def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observations) -> str:
+def _advice(name: str, gradings: Sequence[_Grading], corrected: Twin, obs: Observations) -> str:
     """Name the first thing to do: take out the weakest effect that is not needed, or look again."""
     idle = {g.label for g in gradings if g.grade == _NOT_NEEDED}
     unneeded = [t for t in corrected.terms if t.label in idle]
@@ -205,7 +205,7 @@ def _advice(name: str, gradings: Sequence[Grading], corrected: Twin, obs: Observ
 
 def _graded(
     corrected: Twin, twin: Twin, obs: Observations, twins: Twins, way: TwinWay, seed: int
-) -> tuple[Grading, ...]:
+) -> tuple[_Grading, ...]:
     """Leave out each corrected effect in turn: would it be found, and its law confirmed?"""
     out = []
     for term in corrected.terms:
@@ -215,20 +215,20 @@ def _graded(
     return tuple(out)
 
 
-def _grading(term: Term, diagnosis: Diagnosis, way: TwinWay) -> Grading:
+def _grading(term: Term, diagnosis: Diagnosis, way: TwinWay) -> _Grading:
     if diagnosis.verdict in way.quiet:
-        return Grading(term.label, _NOT_NEEDED, False)
+        return _Grading(term.label, _NOT_NEEDED, False)
     named = next((s for s in diagnosis.suspects if s.label == term.label and s.in_group), None)
     if named is None:
-        return Grading(term.label, f"not found again: {diagnosis.verdict}", False)
+        return _Grading(term.label, f"not found again: {diagnosis.verdict}", False)
     if diagnosis.verdict != "missing_effect":
         alike = ", ".join(s.label for s in diagnosis.group if s.label != term.label)
-        return Grading(term.label, f"not told from {alike or 'others'}", False)
+        return _Grading(term.label, f"not told from {alike or 'others'}", False)
     grade = str(named.grade)
-    return Grading(term.label, grade, grade in way.grades)
+    return _Grading(term.label, grade, grade in way.grades)
 
 
-def _objections(diagnosis: Diagnosis, gradings: Sequence[Grading], corrected: Twin, way: TwinWay) -> list[str]:
+def _objections(diagnosis: Diagnosis, gradings: Sequence[_Grading], corrected: Twin, way: TwinWay) -> list[str]:
     out = []
     if diagnosis.verdict not in way.quiet and not _left(diagnosis, corrected, way):
         out.append(f"{diagnosis.verdict}: {diagnosis.headline}")

@@ -19,7 +19,7 @@ DEFAULT_CUTOFF = Cutoff(cycles_per_rev=DEFAULT_CYCLES_PER_REV)
 
 
 @dataclass(frozen=True)
-class EncoderSplit:
+class _EncoderSplit:
     """Measured error by who can see it.
 
     ``cutoff``: where quasi-static ends and dynamic begins.
@@ -81,7 +81,7 @@ def controller_rows_um(runs: Sequence[Run]) -> Floats | None:
 
 def encoder_split(
     obs: Observations, controller_um: Floats | None, cutoff: Cutoff = DEFAULT_CUTOFF
-) -> EncoderSplit | None:
+) -> _EncoderSplit | None:
     """Split the measured error of the runs whose controller was logged.
 
     Set-up terms are fitted to the measured error and to the controller's part alike, so that what
@@ -101,7 +101,7 @@ def encoder_split(
     found = split(
         localise.residual_um(chosen, []), seen, chosen.mask, chosen.condition_of, np.array(cycles)[chosen.condition_of]
     )
-    return EncoderSplit(cutoff, chosen, found, tuple(sorted(without)))
+    return _EncoderSplit(cutoff, chosen, found, tuple(sorted(without)))
 
 
 def cutoff_of(cycles_per_rev: float | None, hz: float | None) -> Cutoff:

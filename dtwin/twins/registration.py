@@ -35,7 +35,7 @@ _children: list[subprocess.Popen[bytes]] = []
 
 
 @dataclass(frozen=True)
-class Waiting:
+class _Waiting:
     """A version of a twin that MLflow does not show yet, or not with its diagnosis.
 
     ``failed``: why it could not be logged; empty when nobody has tried.
@@ -64,7 +64,7 @@ def place_of(path: Path, document: Mapping[str, Any]) -> dict[str, str]:
     return {key: receipt[key] for key in _PLACE if key in receipt}
 
 
-def waiting(home: Home, name: str = "*") -> list[Waiting]:
+def waiting(home: Home, name: str = "*") -> list[_Waiting]:
     """Return the versions that wait for MLflow, oldest first; none where it is not installed.
 
     Parameters
@@ -81,13 +81,13 @@ def waiting(home: Home, name: str = "*") -> list[Waiting]:
         newest[path.parent] = begun[path] = max(newest.get(path.parent, 0), _written_ns(path))
     known = {path: _known(path) for path in sorted(begun, key=begun.__getitem__)}
     return [
-        Waiting(path, receipt.get("failed", ""))
+        _Waiting(path, receipt.get("failed", ""))
         for path, receipt in known.items()
         if "model_version" not in receipt or receipt.get("diagnosis", "") != _sha256(_verdict(path))
     ]
 
 
-def waiting_text(left: Sequence[Waiting]) -> str:
+def waiting_text(left: Sequence[_Waiting]) -> str:
     """Return how many versions wait and why, for people; empty when none does."""
     if not left:
         return ""
@@ -134,7 +134,7 @@ def log_soon(home: Home, name: str, *, at_once: bool) -> None:
     )
 
 
-def log_waiting(home: Home) -> list[Waiting]:
+def log_waiting(home: Home) -> list[_Waiting]:
     """Log what waits, in this process, and return what could not be logged.
 
     Raises

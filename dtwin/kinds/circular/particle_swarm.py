@@ -39,7 +39,7 @@ class SwarmSettings:
 
 
 @dataclass(frozen=True)
-class SwarmResult:
+class _SwarmResult:
     """Best place of a swarm.
 
     ``place``, (m,): where.
@@ -54,7 +54,7 @@ class SwarmResult:
 
 def minimise(
     function: Callable[[Floats], float], bounds: Sequence[tuple[float, float]], settings: SwarmSettings
-) -> SwarmResult:
+) -> _SwarmResult:
     """Return the best place that a swarm finds inside of bounds.
 
     ``function``: takes a place, shape (m,); NaN counts as worse than anything.
@@ -86,7 +86,7 @@ def minimise(
         inertia = min(max(inertia, _LEAST_INERTIA), _MOST_INERTIA)
         history.append(float(own_value[best]))
     calls = settings.particles * (settings.iterations + 1)
-    return SwarmResult(own[best], history[-1], tuple(history), calls)
+    return _SwarmResult(own[best], history[-1], tuple(history), calls)
 
 
 def _values(function: Callable[[Floats], float], places: Floats) -> Floats:

@@ -28,7 +28,7 @@ _Cells = Mapping[tuple[float, float], Sums]
 
 
 @dataclass(frozen=True)
-class FrontPoint:
+class _FrontPoint:
     """One size of the equation.
 
     ``held_out_rms_um``, ``radius_out_rms_um``: error on feeds, and on radii, that only the coefficients were fitted
@@ -62,7 +62,7 @@ class PhysicsFit:
     absorbed: Floats
     chosen: tuple[int, ...]
     weights: Floats
-    front: tuple[FrontPoint, ...]
+    front: tuple[_FrontPoint, ...]
     lag_shift_s: float
 
 
@@ -182,7 +182,7 @@ def _realigned(rows: Rows, columns: Floats) -> tuple[Rows, float]:
     return rows, float(np.sqrt(np.mean((lags - start) ** 2)))
 
 
-def _front(library: Library, cells: _Cells) -> tuple[list[int], list[FrontPoint]]:
+def _front(library: Library, cells: _Cells) -> tuple[list[int], list[_FrontPoint]]:
     if len(cells) < 2:
         raise InputError(
             "the size of an equation cannot be chosen from a single run",
@@ -192,7 +192,7 @@ def _front(library: Library, cells: _Cells) -> tuple[list[int], list[FrontPoint]
     everything = total(list(cells.values()))
     groups = _pairs(library, everything)
     order = forward_order(everything, groups, _RIDGE)
-    front: list[FrontPoint] = []
+    front: list[_FrontPoint] = []
     sets: list[list[int]] = []
     chosen: list[int] = []
     for place, group in enumerate(order, start=1):
@@ -200,7 +200,7 @@ def _front(library: Library, cells: _Cells) -> tuple[list[int], list[FrontPoint]
         if place in (1, 2, 3, 5) or place % 4 == 0 or place == len(order):
             sets.append(sorted(chosen))
             errors = [_coefficients_out_rms(cells, axis, sets[-1]) for axis in (0, 1)]
-            front.append(FrontPoint(len(chosen), *errors))
+            front.append(_FrontPoint(len(chosen), *errors))
     judged = np.array([[p.held_out_rms_um, p.radius_out_rms_um] for p in front])
     # A single feed, or radius, cannot be left out: its column is NaN.
     worst_of_both = np.sqrt(np.nansum(judged**2, axis=1))

@@ -97,7 +97,7 @@ def deployed_bundle(
 
 
 @dataclass(frozen=True)
-class Harmonics:
+class _Harmonics:
     """A cyclic error over one turn of the screw that closes, in inches.
 
     ``constant``: mean.
@@ -125,7 +125,7 @@ class Harmonics:
         return np.arange(1.0, len(self.sine) + 1.0)
 
 
-def fit_harmonics(position_in: Floats, error_in: Floats, pitch_in: float, orders: int) -> Harmonics:
+def fit_harmonics(position_in: Floats, error_in: Floats, pitch_in: float, orders: int) -> _Harmonics:
     """Fit a cyclic error by least squares.
 
     ``position_in``, ``error_in``, (n,): positions at enough angles of the screw, and what is left at them.
@@ -133,7 +133,7 @@ def fit_harmonics(position_in: Floats, error_in: Floats, pitch_in: float, orders
     angle = np.outer(2.0 * np.pi * position_in / pitch_in, np.arange(1.0, orders + 1.0))
     design = np.hstack([np.ones((len(position_in), 1)), np.sin(angle), np.cos(angle)])
     found = np.linalg.lstsq(design, error_in, rcond=None)[0]
-    return Harmonics(float(found[0]), found[1 : orders + 1], found[orders + 1 :])
+    return _Harmonics(float(found[0]), found[1 : orders + 1], found[orders + 1 :])
 
 
 @dataclass(frozen=True)
@@ -146,8 +146,8 @@ class Flanks:
     """
 
     full: SmallNet
-    forward: Harmonics
-    reverse: Harmonics
+    forward: _Harmonics
+    reverse: _Harmonics
     pitch_in: float
     reach_in: tuple[float, float]
 
@@ -249,7 +249,7 @@ def held(builder: GraphBuilder, position: Expression, reach_in: tuple[float, flo
     return builder.apply("min", builder.apply("max", position, low), high)
 
 
-def _flank(builder: GraphBuilder, flanks: Flanks, way: float, cyclic: Harmonics, position: Expression) -> Expression:
+def _flank(builder: GraphBuilder, flanks: Flanks, way: float, cyclic: _Harmonics, position: Expression) -> Expression:
     """Return one flank's limit at a position of the screw."""
     x = held(builder, position, flanks.reach_in)
     waves = []

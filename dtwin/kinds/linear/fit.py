@@ -23,7 +23,7 @@ from dtwin.train.gates import Verdict
 
 
 @dataclass(frozen=True)
-class Fitted:
+class _Fitted:
     """A fitted equation.
 
     ``pitch_in``: travel in one turn of the screw.
@@ -35,7 +35,7 @@ class Fitted:
     figures: Mapping[str, Any]
 
 
-def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
+def fitted(campaign: Path | None, model: str, seed: int) -> _Fitted:
     """Fit an equation to a positioning campaign.
 
     Parameters
@@ -53,7 +53,7 @@ def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
     if campaign is None or model == "printed":
         network = read_network()
         bundle = deployed_bundle(printed_pair(network), "lathe-printed", "published-lathe")
-        return Fitted(bundle, PITCH_IN, MAPPED_IN, {"from": network.source})
+        return _Fitted(bundle, PITCH_IN, MAPPED_IN, {"from": network.source})
     machine, test = campaign_test(campaign)
     averages = averages_of(test)
     screw = screw_of(test, str(campaign))
@@ -62,15 +62,15 @@ def fitted(campaign: Path | None, model: str, seed: int) -> Fitted:
     equation = serving_bundle(chosen, machine, screw, test.axis)
     assert equation is not None
     figures = _figures(chosen, averages, screw.phases)
-    return Fitted(equation, screw.pitch_in, screw.reach_in, figures)
+    return _Fitted(equation, screw.pitch_in, screw.reach_in, figures)
 
 
-def judged(made: Fitted) -> list[Verdict]:
+def judged(made: _Fitted) -> list[Verdict]:
     """Return what the gates say of a fitted equation."""
     return positioning_gates(made.bundle, made.pitch_in, made.reach_in)
 
 
-def write_judged(made: Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False) -> bool:
+def write_judged(made: _Fitted, verdicts: Sequence[Verdict], out: Path, *, force: bool = False) -> bool:
     """Write a bundle with what the gates said in its provenance; return True.
 
     Raises

@@ -27,7 +27,7 @@ Figures = dict[str, float | None]
 
 
 @dataclass(frozen=True)
-class LoopRun:
+class _LoopRun:
     """One corrected test.
 
     ``figures``: the four figures of a before/after table, um.
@@ -101,7 +101,7 @@ def measured(lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None 
     return _test_of(lathe.measure(motion, laser_setup(plan), motion.t_s, screw), plan)
 
 
-def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
+def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> _LoopRun:
     """Measure a plan while a bundle corrects every 10 ms, through the guard, one cycle late.
 
     Parameters
@@ -122,7 +122,7 @@ def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> LoopRun:
     applied = np.concatenate([[0.0], sent[:-1]])
     recording = lathe.measure(motion, laser_setup(plan), ticks, commanded + applied / 1000.0)
     test = _test_of(recording, plan)
-    return LoopRun(
+    return _LoopRun(
         test=test,
         figures=before_after_figures(test),
         ticks=len(ticks),
