@@ -66,14 +66,9 @@ class Regime:
 class _Alarm:
     """The chart left its limits.
 
-    Attributes
-    ----------
-    at : int
-        The test that raised it.
-    first : int
-        The first test after the change, of a trend the first one of its regime.
-    step, expanded : float
-        Level after minus level before, half width that covers 95 %; NaN of a trend.
+    ``at``: the test that raised it.
+    ``first``: the first test after the change, of a trend the first one of its regime.
+    ``step``, ``expanded``: level after minus level before, half width that covers 95 %; NaN of a trend.
     """
 
     at: int

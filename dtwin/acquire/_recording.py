@@ -34,30 +34,16 @@ _LONGEST_GAP_S = 3600.0
 class Recorder:
     """Writes the signals of one device group, block by block.
 
-    Parameters
-    ----------
-    path : Path
-        Stream to create; it must not exist yet.
-    group : str
-        Device group, for example ``"accelerometers"``.
-    rate_hz : float
-        Sample rate that the device really has.
-    columns : mapping of str to dtype
-        Signals and how they are kept; names of floating-point columns end in their unit.
-    start_s : float
-        Time of the first sample on the device's own clock.
-    notes : mapping, optional
-        Anything JSON-ready that belongs to the recording, such as the rate that was asked for.
-    durable : bool
-        Wait for the disk after every block, so that a power cut loses nothing acknowledged
-        either. Without it a killed process still loses nothing.
-
-    Raises
-    ------
-    InputError
-        When a column has no unit, or is neither float nor signed integer.
-    StoreError
-        When the stream exists already or cannot be created.
+    ``path``: stream to create; it must not exist yet.
+    ``group``: device group, for example ``"accelerometers"``.
+    ``rate_hz``: sample rate that the device really has.
+    ``columns``: signals and how they are kept; names of floating-point columns end in their unit.
+    ``start_s``: time of the first sample on the device's own clock.
+    ``notes``: anything JSON-ready that belongs to the recording, such as the rate that was asked for.
+    ``durable``: wait for the disk after every block, so that a power cut loses nothing acknowledged either. Without it
+    a killed process still loses nothing.
+    Raises ``InputError`` when a column has no unit, or is neither float nor signed integer.
+    Raises ``StoreError`` when the stream exists already or cannot be created.
     """
 
     def __init__(
@@ -89,23 +75,11 @@ class Recorder:
     def append(self, block: Mapping[str, NDArray[Any]]) -> int:
         """Add samples that follow the last ones without a gap, and return the sample count.
 
-        Parameters
-        ----------
-        block : mapping of str to ndarray, shape (n,)
-            Every declared column.
-
-        Returns
-        -------
-        int
-            Samples since the start, lost ones included; all of them are safe now.
-
-        Raises
-        ------
-        InputError
-            When the block has other columns, lengths or types than declared.
-        StoreError
-            When the disk is full; every block acknowledged before is safe, and the recording
-            accepts nothing more.
+        ``block`` (n,): every declared column.
+        Returns samples since the start, lost ones included; all of them are safe now.
+        Raises ``InputError`` when the block has other columns, lengths or types than declared.
+        Raises ``StoreError`` when the disk is full; every block acknowledged before is safe, and the recording accepts
+        nothing more.
         """
         self._require_open()
         arrays = self._arrays(block)
@@ -117,17 +91,9 @@ class Recorder:
     def gap(self, n_lost: int, reason: str) -> None:
         """Record that samples were lost; nothing is ever put in their place.
 
-        Parameters
-        ----------
-        n_lost : int
-            Number of samples per channel that the device took and nobody read.
-
-        Raises
-        ------
-        InputError
-            When the number is not positive, or so large that a new recording should begin.
-        StoreError
-            As for ``append``.
+        ``n_lost``: number of samples per channel that the device took and nobody read.
+        Raises ``InputError`` when the number is not positive, or so large that a new recording should begin.
+        Raises ``StoreError``: as for ``append``.
         """
         self._require_open()
         most = int(_LONGEST_GAP_S * self.rate_hz)

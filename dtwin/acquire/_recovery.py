@@ -97,15 +97,8 @@ def seal(path: Path, target: Path) -> Sealed:
     The signal file appears whole or not at all; lost samples are null in it, or -1 in columns
     of whole numbers, and its header tells the gaps and whether the recording is complete.
 
-    Parameters
-    ----------
-    path : Path
-        Stream written by ``Recorder``.
-
-    Raises
-    ------
-    StoreError
-        As for ``recover``, and when the file cannot be written; the stream stays then.
+    ``path``: stream written by ``Recorder``.
+    Raises ``StoreError``: as for ``recover``, and when the file cannot be written; the stream stays then.
     """
     with _read(path) as content:
         head = content.head | {

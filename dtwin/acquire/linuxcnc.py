@@ -135,10 +135,7 @@ def _turn_s(circle: Circle) -> float:
 def run_of(trace: Trace, run_id: str, repeat: int, setup: str, started: str) -> Run:
     """Return a turn as a run: the bar, what was commanded, what the encoders saw.
 
-    Parameters
-    ----------
-    repeat : int
-        Counts from 1.
+    ``repeat``: counts from 1.
     """
     circle = trace.circle
     columns = {"t_s": trace.t_s, "angle_deg": trace.angle_deg, "deviation_um": trace.deviation_um}

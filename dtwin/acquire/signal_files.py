@@ -41,15 +41,8 @@ def read_signals(path: Path) -> list[SignalGroup]:
 
     A file without dtwin's own header needs a ``t_s`` column from which the rate is taken.
 
-    Parameters
-    ----------
-    path : Path
-        A ``.parquet`` file.
-
-    Raises
-    ------
-    InputError
-        When the file is missing, damaged, or does not say its rate.
+    ``path``: a ``.parquet`` file.
+    Raises ``InputError`` when the file is missing, damaged, or does not say its rate.
     """
     try:
         table, data = read_encoded(path)

@@ -32,18 +32,10 @@ _LOG_DECIMALS = 5
 def tutorial_mill(hidden: str = "backlash") -> MillParameters:
     """Return a mill with two known faults and one that its twin is not told of.
 
-    Parameters
-    ----------
-    hidden : {"backlash", "wobble", "servo", "none"}
-        ``backlash``: play in the drive of the X axis. ``wobble``: five waves per turn that grow
-        with the feed, which no effect of the library describes. ``servo``: the X axis lags
-        behind its command, and its encoder sees it; the play in Y and what rings when Y breaks
-        away, no encoder sees.
-
-    Raises
-    ------
-    InputError
-        When there is no such fault.
+    ``hidden``, one of "backlash", "wobble", "servo", "none": ``backlash``: play in the drive of the X axis. ``wobble``:
+    five waves per turn that grow with the feed, which no effect of the library describes. ``servo``: the X axis lags
+    behind its command, and its encoder sees it; the play in Y and what rings when Y breaks away, no encoder sees.
+    Raises ``InputError`` when there is no such fault.
     """
     if hidden not in HIDDEN:
         raise InputError(
@@ -150,10 +142,7 @@ def write_campaign(
 ) -> None:
     """Write runs of the virtual mill as a campaign folder, with what is wrong in ``truth.toml``.
 
-    Parameters
-    ----------
-    folder : Path
-        Folder to write; the campaign file comes last.
+    ``folder``: folder to write; the campaign file comes last.
     """
     told: dict[str, Any] = {k: v for k, v in asdict(truth).items() if _plain(v)}
     told |= {letter: asdict(getattr(truth, letter)) for letter in "xyz"}

@@ -107,12 +107,8 @@ def integrate(signal: Floats, rate_hz: float) -> Floats:
 def displacement_mm(acceleration_g: Floats, rate_hz: float, cutoff_power: float = 0.0) -> Floats:
     """Return displacement by the threshold filter and two integrations from rest.
 
-    Parameters
-    ----------
-    acceleration_g : ndarray, shape (..., n)
-        One window per row; every window restarts at zero speed and position.
-    cutoff_power : float
-        Threshold of ``power_threshold_filter`` in g^2; 0 keeps every line.
+    ``acceleration_g`` (..., n): one window per row; every window restarts at zero speed and position.
+    ``cutoff_power``: threshold of ``power_threshold_filter`` in g^2; 0 keeps every line.
     """
     kept = power_threshold_filter(acceleration_g, cutoff_power)
     return integrate(integrate(kept * G_MM_S2, rate_hz), rate_hz)

@@ -23,10 +23,7 @@ _SIDE_MM = 100.0
 def skews(twin: Twin) -> dict[str, float]:
     """Return by how much the angle of two axes is less than 90 degrees, in rad, by plane (XY, XZ, YZ).
 
-    Raises
-    ------
-    InputError
-        When the twin has no squareness.
+    Raises ``InputError`` when the twin has no squareness.
     """
     terms = tuple(t for t in twin.terms if t.instance.effect.name == EFFECT)
     if not terms:

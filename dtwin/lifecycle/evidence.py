@@ -97,10 +97,7 @@ def measure(
 def compute_measured(home: Home, version: RegisteredVersion, measured: MeasuredWays) -> Evidence:
     """Bring the runs of a virtual machine into the lake, and compute evidence from them.
 
-    Parameters
-    ----------
-    version : RegisteredVersion
-        Whose correction was in force in the runs that say so.
+    ``version``: whose correction was in force in the runs that say so.
     """
     lake, first = Lake(home.lake), measured.runs[0].meta
     name = _fresh_name(lake, f"evidence-{version.machine}-v{version.version}")

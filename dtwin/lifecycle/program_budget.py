@@ -30,18 +30,12 @@ _MOST_POINTS = 2_000_000
 class _Cut:
     """What one cause does along a program; every figure in µm.
 
-    Attributes
-    ----------
-    label : str
-        The effect.
-    rms_um : dict of str to float
-        RMS over the way, of the vector under "", along X, Y and Z, and ``across`` the way: what the workpiece shows.
-    uncertainty_um : float
-        Of the RMS of the vector, expanded, k = 2, from those of the parameters, taken as uncorrelated.
-    largest_um : float
-        Largest vector.
-    left_um : float
-        RMS of the vector that all the other causes leave.
+    ``label``: the effect.
+    ``rms_um``: RMS over the way, of the vector under "", along X, Y and Z, and ``across`` the way: what the workpiece
+    shows.
+    ``uncertainty_um``: of the RMS of the vector, expanded, k = 2, from those of the parameters, taken as uncorrelated.
+    ``largest_um``: largest vector.
+    ``left_um``: RMS of the vector that all the other causes leave.
     """
 
     label: str
@@ -55,18 +49,11 @@ class _Cut:
 class _ProgramBudget:
     """The causes of a program's error, the largest first.
 
-    Attributes
-    ----------
-    causes : tuple of Cut
-        Every effect that says what it does at any place.
-    every : Cut
-        All of them together; effects may undo each other, so they are no parts of a sum.
-    not_told : dict of str to str
-        Effects that are left out, and why.
-    length_mm : float
-        Length of the way at feed; rapid motion does not count.
-    outside : float
-        Share of the way further out than the twin was fitted to.
+    ``causes``: every effect that says what it does at any place.
+    ``every``: all of them together; effects may undo each other, so they are no parts of a sum.
+    ``not_told``: effects that are left out, and why.
+    ``length_mm``: length of the way at feed; rapid motion does not count.
+    ``outside``: share of the way further out than the twin was fitted to.
     """
 
     causes: tuple[_Cut, ...]

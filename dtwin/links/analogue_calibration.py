@@ -29,16 +29,10 @@ Floats = NDArray[np.float64]
 class AxisFit:
     """A line through what was measured on one axis.
 
-    Attributes
-    ----------
-    um_per_v, neutral_v : float
-        Slope, and the voltage without displacement.
-    um_per_v_uncertainty, neutral_v_uncertainty : float
-        Expanded, k = 2; unit of replication: the reading.
-    noise_um : float
-        RMS about the line.
-    cross_talk : dict of str to float
-        What the same volt does to the other axes, as share of what it does to this one.
+    ``um_per_v``, ``neutral_v``: slope, and the voltage without displacement.
+    ``um_per_v_uncertainty``, ``neutral_v_uncertainty``: expanded, k = 2; unit of replication: the reading.
+    ``noise_um``: RMS about the line.
+    ``cross_talk``: what the same volt does to the other axes, as share of what it does to this one.
     """
 
     um_per_v: float

@@ -25,19 +25,10 @@ def build_board(out: Path) -> Path:
 class AnalogueBoard:
     """A running board.
 
-    Parameters
-    ----------
-    folder : Path
-        Where programs and the EEPROM's content are kept.
-    stuck_bits : int
-        Bits of the x channel that never become one: a broken converter.
-
-    Attributes
-    ----------
-    changes : list of int
-        Clock cycles (16 MHz) at which a voltage changed.
-    changed_to : list of tuple
-        What the three voltages were then.
+    ``folder``: where programs and the EEPROM's content are kept.
+    ``stuck_bits``: bits of the x channel that never become one: a broken converter.
+    ``changes``: clock cycles (16 MHz) at which a voltage changed.
+    ``changed_to``: what the three voltages were then.
     """
 
     def __init__(self, folder: Path, *, baud: int = 250_000, stuck_bits: int = 0) -> None:

@@ -37,18 +37,11 @@ def read_ballbar(
 ) -> Floats:
     """Return the bar's deviation from the nominal radius in mm, shape (n,).
 
-    Parameters
-    ----------
-    tool_mm : ndarray, shape (ticks, 3)
-        Where the tool's ball really is.
-    tool_rate_hz : float
-        Rate of ``tool_mm``.
-    centre_mm : ndarray, shape (3,)
-        Where the ball at the table really is.
-    clock : tuple
-        Machine time of the first sample in s, clock error in ppm, number of samples.
-    noise_um : ndarray, shape (n,)
-        Noise and length error to add.
+    ``tool_mm`` (ticks, 3): where the tool's ball really is.
+    ``tool_rate_hz``: rate of ``tool_mm``.
+    ``centre_mm`` (3,): where the ball at the table really is.
+    ``clock``: machine time of the first sample in s, clock error in ppm, number of samples.
+    ``noise_um`` (n,): noise and length error to add.
     """
     start_s, ppm, n = clock
     times_s = start_s + np.arange(n) / (parameters.rate_hz * (1.0 + 1e-6 * ppm))

@@ -77,10 +77,8 @@ class CobotRecording:
 class RunTicks:
     """Every tick of one finished run.
 
-    Attributes
-    ----------
-    states, truths : ndarray, shapes (ticks, layout.N) and (ticks, TRUTH_N)
-        What the controller reported, and what really happened.
+    ``states``, ``truths`` (ticks, layout.N) or (ticks, TRUTH_N): what the controller reported, and what really
+    happened.
     """
 
     states: Floats

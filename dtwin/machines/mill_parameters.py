@@ -72,17 +72,12 @@ class AxisParameters:
 class HeatParameters:
     """One body that the running machine warms.
 
-    Attributes
-    ----------
-    rise_c : float
-        Temperature above the room that lasting work at ``feed_mm_min`` leads to.
-    feed_share : float
-        Share of the heat that is in proportion to the feed; the spindle gives the rest.
-    lag_share : float
-        Share of the growth that follows a second body of three times the time constant; the
-        growth then forms a loop over temperature.
-    room_c, room_swing_c, room_period_h : float
-        Mean temperature of the room, and a swing around it that the machine follows.
+    ``rise_c``: temperature above the room that lasting work at ``feed_mm_min`` leads to.
+    ``feed_share``: share of the heat that is in proportion to the feed; the spindle gives the rest.
+    ``lag_share``: share of the growth that follows a second body of three times the time constant; the growth then
+    forms a loop over temperature.
+    ``room_c``, ``room_swing_c``, ``room_period_h``: mean temperature of the room, and a swing around it that the
+    machine follows.
     """
 
     rise_c: float = 4.0

@@ -66,16 +66,10 @@ class CircleCondition:
 class MotionPlan:
     """Timed segments of one program.
 
-    Attributes
-    ----------
-    segments : ndarray, shape (n, 16)
-        One row per straight move or arc, columns as named in this module.
-    frame : ndarray, shape (3, 3)
-        Rows: first and second axis of the plane, centre in mm.
-    duration_s : float
-        Length of the program, a whole number of ticks.
-    window_rad : tuple of float
-        Path angles between which the run counts as measured.
+    ``segments`` (n, 16): one row per straight move or arc, columns as named in this module.
+    ``frame`` (3, 3): rows: first and second axis of the plane, centre in mm.
+    ``duration_s``: length of the program, a whole number of ticks.
+    ``window_rad``: path angles between which the run counts as measured.
     """
 
     segments: Floats
@@ -219,12 +213,8 @@ def plan_motion(condition: CircleCondition, centre_mm: Floats, motion: MotionPar
 def line_segment(length_mm: float, speed_mm_s: float, motion: MotionParameters) -> Floats:
     """Return the row (16,) of a straight move without its start time, points and kind.
 
-    Parameters
-    ----------
-    length_mm, speed_mm_s : float
-        Way, and the speed that is asked for.
-    motion : MotionParameters
-        Acceleration and jerk.
+    ``length_mm``, ``speed_mm_s``: way, and the speed that is asked for.
+    ``motion``: acceleration and jerk.
     """
     return _segment(False, length_mm, speed_mm_s, 0.0, 0.0, 1.0, motion)
 

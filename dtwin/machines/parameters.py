@@ -174,10 +174,7 @@ _SECTIONS: dict[str, type] = {
 def load_parameters(path: Path | None = None) -> CobotParameters:
     """Return the parameters of a TOML file; without one, the committed ones.
 
-    Raises
-    ------
-    InputError
-        When a section or a parameter is missing or unknown.
+    Raises ``InputError`` when a section or a parameter is missing or unknown.
     """
     if path is None:
         text = resources.files("dtwin.machines").joinpath("cobot.toml").read_text("utf-8")

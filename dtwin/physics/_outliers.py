@@ -18,8 +18,6 @@ _FEWEST_POINTS = 100
 def odd_runs(problem: Problem) -> list[int]:
     """Return the rows that disagree with their repeats far more than these with each other.
 
-    Notes
-    -----
     Looks at all harmonics together, and at each low one against what the other conditions show
     there. Needs three repeats of a condition: of two, nobody knows which one is wrong. At most a
     tenth of the runs is called odd, the worst ones; beyond that the campaign is noisy, not spoilt.

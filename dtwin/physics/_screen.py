@@ -43,8 +43,6 @@ def screen_channels(problem: Problem, seed: int) -> list[Channel]:
 
     ``problem``: whitened campaign with everything known.
 
-    Notes
-    -----
     Only what a channel does *inside* conditions is looked at, so that conditions cannot stand
     for it; alone and times the feed, since a warm machine may err more the faster it moves.
     A bystander that is correlated with the channel found explains nothing more once

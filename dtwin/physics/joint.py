@@ -98,17 +98,11 @@ class Shared:
 class _Judged:
     """A name of a group, as other tests see it.
 
-    Attributes
-    ----------
-    label : str
-        The effect.
-    said : str
-        ``agrees``: another test finds it of the size that it must have to be the cause. ``is a part``: it is there,
-        and too small. ``refuted``: another test would see it and does not.
-    here : Size
-        The size that it must have if it is the cause.
-    there : Size
-        The size that the other test gives.
+    ``label``: the effect.
+    ``said``: ``agrees``: another test finds it of the size that it must have to be the cause. ``is a part``: it is
+    there, and too small. ``refuted``: another test would see it and does not.
+    ``here``: the size that it must have if it is the cause.
+    ``there``: the size that the other test gives.
     """
 
     label: str

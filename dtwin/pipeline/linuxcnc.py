@@ -30,10 +30,7 @@ _NO_TOOL = np.zeros(3)
 class LiveTrace:
     """A turn with the correction served, and how the serving went.
 
-    Attributes
-    ----------
-    trips : int
-        How often the component in the controller dropped the correction while it ran.
+    ``trips``: how often the component in the controller dropped the correction while it ran.
     """
 
     trace: Trace
@@ -44,10 +41,7 @@ class LiveTrace:
 class LiveCorrection:
     """Serves one bundle to a LinuxCNC, circle after circle.
 
-    Parameters
-    ----------
-    covariates : dict of str to float
-        Logged channels that it asks for.
+    ``covariates``: logged channels that it asks for.
     """
 
     def __init__(self, session: LinuxcncSession, bundle: Bundle, covariates: Mapping[str, float] | None = None) -> None:
@@ -58,10 +52,7 @@ class LiveCorrection:
     def run(self, circle: Circle) -> LiveTrace:
         """Run one circle with the correction.
 
-        Raises
-        ------
-        DeviceError
-            When the link fails or the correction did not return to zero.
+        Raises ``DeviceError`` when the link fails or the correction did not return to zero.
         """
         statuses: list[ServeStatus] = []
         with Bridge(self.session.socket_path) as bridge:

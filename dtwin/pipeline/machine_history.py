@@ -104,10 +104,7 @@ def record_of(home: Home, machine: str, rows: Sequence[Mapping[str, Any]]) -> Ma
 
     ``rows``: of the lake's table of runs.
 
-    Raises
-    ------
-    InputError
-        When there is neither a record nor a run of it.
+    Raises ``InputError`` when there is neither a record nor a run of it.
     """
     record = read_record(home, machine)
     if record is None and not rows:

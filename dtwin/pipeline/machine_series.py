@@ -29,14 +29,9 @@ _LONGEST_FORECAST_DAYS = 3653.0
 class Point:
     """A figure in one test.
 
-    Attributes
-    ----------
-    started : str
-        ISO 8601.
-    expanded : float
-        Half width that covers 95 %; NaN when it is not known.
-    instrument : str
-        What measured it; empty when it is not stated.
+    ``started``: ISO 8601.
+    ``expanded``: half width that covers 95 %; NaN when it is not known.
+    ``instrument``: what measured it; empty when it is not stated.
     """
 
     campaign: str
@@ -50,14 +45,9 @@ class Point:
 class Series:
     """A figure over the tests of a machine, in the order of their days.
 
-    Attributes
-    ----------
-    title : str
-        Condition, or effect and axis.
-    figure : str
-        Symbol of a standard, or the parameter of the effect.
-    low, high : float or None
-        Tolerance.
+    ``title``: condition, or effect and axis.
+    ``figure``: symbol of a standard, or the parameter of the effect.
+    ``low``, ``high``: tolerance.
     """
 
     title: str
@@ -87,12 +77,8 @@ def judged_series(series: Sequence[Series], record: MachineRecord) -> list[dict[
 def next_test(series: Sequence[Mapping[str, Any]], record: MachineRecord, last: str) -> dict[str, str]:
     """Return the day of the next test and why it is that day; empty when nothing says so.
 
-    Parameters
-    ----------
-    series : sequence of mapping
-        As ``judged_series`` returns them.
-    last : str
-        Day of the last test, ISO 8601; empty when there is none.
+    ``series``: as ``judged_series`` returns them.
+    ``last``: day of the last test, ISO 8601; empty when there is none.
     """
     dates: list[tuple[date, str]] = []
     if last and record.test_every_days:

@@ -18,18 +18,11 @@ from dtwin.units import shown_unit
 class _Fault:
     """One effect of a twin.
 
-    Attributes
-    ----------
-    effect, axis : str
-        As the library names them.
-    title : str
-        In words, with the axis.
-    size : str
-        With k = 2 and unit; says so when the runs do not tell it.
-    shows, remedy : str
-        How it is seen in a plot, and what to do at the machine.
-    picture : str
-        Its signature as SVG; empty when it has none on a circle.
+    ``effect``, ``axis``: as the library names them.
+    ``title``: in words, with the axis.
+    ``size``: with k = 2 and unit; says so when the runs do not tell it.
+    ``shows``, ``remedy``: how it is seen in a plot, and what to do at the machine.
+    ``picture``: its signature as SVG; empty when it has none on a circle.
     """
 
     effect: str

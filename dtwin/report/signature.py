@@ -20,12 +20,8 @@ _LOGGED = ("temperature_c", "temperature_rise_c", "abbe_offset_mm", "time_h", "s
 def _signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
     """Return label and error of the first parameter of an effect by direction, each of shape (n,) over one turn.
 
-    Parameters
-    ----------
-    effect : Effect
-        One of a circle; other ones have no curves, and neither have those that change only the spread.
-    axis : str
-        On which axis; else the first on which it shows.
+    ``effect``: one of a circle; other ones have no curves, and neither have those that change only the spread.
+    ``axis``: on which axis; else the first on which it shows.
     """
     if "circular" not in effect.kinds or effect.on_spread:
         return effect.name, {}

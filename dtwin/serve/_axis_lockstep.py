@@ -31,21 +31,11 @@ _ASKED_EVERY_S = 0.1
 class LockstepControl:
     """A control at the other end of a link, as the lock-step loop sees it.
 
-    Parameters
-    ----------
-    link : AxisLink
-        Open, with its first state received.
-    longest_s : float
-        Machine time after which it is released.
-    asked : callable
-        Whether somebody asked for the end.
-    withdrawn : callable
-        A text says why the model may not be served any more.
-
-    Attributes
-    ----------
-    why : str
-        Why it was released; empty while it was not.
+    ``link``: open, with its first state received.
+    ``longest_s``: machine time after which it is released.
+    ``asked``: whether somebody asked for the end.
+    ``withdrawn``: a text says why the model may not be served any more.
+    ``why``: why it was released; empty while it was not.
     """
 
     def __init__(
@@ -153,10 +143,7 @@ def serve_machine_clock(
 ) -> ServeStatus:
     """Serve a control on its own clock until its program ends or the correction is released.
 
-    Parameters
-    ----------
-    withdrawn, board, asked
-        As for :class:`LockstepControl`.
+    ``withdrawn``, ``board``, ``asked``: as for :class:`LockstepControl`.
     """
     if link.wait_state(_ANSWER_S) is None:
         raise DeviceError("the control sends no states", code="states.silent", where=request.place)

@@ -23,16 +23,10 @@ _REMEMBERED = 256
 def farthest_kernel(sent_um: Floats, last: int, behind: int, out_um: Floats) -> float:
     """Return the longest distance in um from ``out_um`` to the newest ``behind + 1`` vectors.
 
-    Parameters
-    ----------
-    sent_um : ndarray, shape (n, 3)
-        Ring of vectors.
-    last : int
-        Count of the newest one; its place is the remainder by n.
-    behind : int
-        How many are newer than the one in force.
-    out_um : ndarray, shape (3,)
-        From where.
+    ``sent_um`` (n, 3): ring of vectors.
+    ``last``: count of the newest one; its place is the remainder by n.
+    ``behind``: how many are newer than the one in force.
+    ``out_um`` (3,): from where.
     """
     longest = 0.0
     for back in range(behind + 1):
@@ -47,18 +41,10 @@ def farthest_kernel(sent_um: Floats, last: int, behind: int, out_um: Floats) -> 
 class InForce:
     """Numbers what is sent, and knows what of it may be in force.
 
-    Parameters
-    ----------
-    first_sequence : int
-        Sequence number to start from.
-
-    Attributes
-    ----------
-    engaged : bool
-        Whether the machine's end has reported a correction of ours as in force; while it has not,
-        or not since it let go, only zeros may be sent.
-    sequence : int
-        Number of the newest correction.
+    ``first_sequence``: sequence number to start from.
+    ``engaged``: whether the machine's end has reported a correction of ours as in force; while it has not, or not since
+    it let go, only zeros may be sent.
+    ``sequence``: number of the newest correction.
     """
 
     def __init__(self, first_sequence: int) -> None:
@@ -82,15 +68,8 @@ class InForce:
     def report(self, echoed: int) -> bool:
         """Take the number that the machine's end has in force; tell whether it let go of ours.
 
-        Parameters
-        ----------
-        echoed : int
-            0 when nothing is in force.
-
-        Raises
-        ------
-        DeviceError
-            When it acts on a number that nobody here has sent: somebody else writes.
+        ``echoed``: 0 when nothing is in force.
+        Raises ``DeviceError`` when it acts on a number that nobody here has sent: somebody else writes.
         """
         if echoed == 0:
             let_go, self.engaged = self.engaged, False

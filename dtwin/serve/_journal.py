@@ -63,10 +63,7 @@ class Sparing:
     Of each kind of event 20 lines may come at once, and then one in two seconds; the next line says how many were
     left out before it.
 
-    Parameters
-    ----------
-    note : callable
-        Takes the lines that are let through.
+    ``note``: takes the lines that are let through.
     """
 
     def __init__(self, note: Note) -> None:
@@ -93,10 +90,7 @@ class Sparing:
 class Journal:
     """The loop's end of the pipe.
 
-    Attributes
-    ----------
-    dropped : int
-        Lines that did not fit the pipe.
+    ``dropped``: lines that did not fit the pipe.
     """
 
     def __init__(self, path: Path) -> None:
@@ -151,10 +145,7 @@ class Journal:
 def journal(path: Path, announce: Callable[[str], None]) -> Iterator[Journal]:
     """Keep a journal while the block runs; an exception that leaves the block is its reason.
 
-    Parameters
-    ----------
-    announce : callable
-        Is told, at the end, when lines could not be written.
+    ``announce``: is told, at the end, when lines could not be written.
     """
     kept = Journal(path)
     try:

@@ -28,17 +28,9 @@ def lease(host: str, machine: str, home: Home) -> Iterator[None]:
     the locks when the process ends, however it ends. They bind the users of one
     ``DTWIN_HOME``; a real controller itself refuses a second writer of the same registers.
 
-    Parameters
-    ----------
-    host : str
-        Address of the robot; names of the same address are the same robot.
-
-    Raises
-    ------
-    DeviceError
-        When another process holds one of them.
-    StoreError
-        When the locks cannot be made; without them nothing may move.
+    ``host``: address of the robot; names of the same address are the same robot.
+    Raises ``DeviceError`` when another process holds one of them.
+    Raises ``StoreError`` when the locks cannot be made; without them nothing may move.
     """
     folder = home.root / "locks"
     address = _address(host)

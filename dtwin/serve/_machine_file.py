@@ -25,12 +25,8 @@ MACHINE_TYPES = tuple(_CHAINS)
 class MachineGeometry:
     """What serving must know of a machine.
 
-    Attributes
-    ----------
-    type : str
-        One of ``MACHINE_TYPES``; it fixes the kinematic chain.
-    tcp_mm : tuple of float
-        Tool centre point in the flange frame.
+    ``type``: one of ``MACHINE_TYPES``; it fixes the kinematic chain.
+    ``tcp_mm``: tool centre point in the flange frame.
     """
 
     type: str
@@ -50,10 +46,7 @@ class MachineGeometry:
 def machine_folder(machine: str, home: Home) -> Path:
     """Return the folder of a machine's bundles.
 
-    Raises
-    ------
-    InputError
-        When the machine's name could leave the folder.
+    Raises ``InputError`` when the machine's name could leave the folder.
     """
     return home.bundles / require_name(machine, "the machine")
 
@@ -61,17 +54,9 @@ def machine_folder(machine: str, home: Home) -> Path:
 def write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Path:
     """Write what serving must know of a machine, and return the file's path.
 
-    Parameters
-    ----------
-    geometry : mapping
-        ``type`` and ``tcp_mm`` as in a campaign's ``machine_geometry``; the rest is left out.
-
-    Raises
-    ------
-    InputError
-        When type or tool centre point are missing or unusable.
-    StoreError
-        When the file cannot be written.
+    ``geometry``: ``type`` and ``tcp_mm`` as in a campaign's ``machine_geometry``; the rest is left out.
+    Raises ``InputError`` when type or tool centre point are missing or unusable.
+    Raises ``StoreError`` when the file cannot be written.
     """
     known = {name: geometry[name] for name in ("type", "tcp_mm") if name in geometry}
     if isinstance(known.get("tcp_mm"), np.ndarray | tuple):
@@ -84,12 +69,8 @@ def write_machine(machine: str, home: Home, geometry: Mapping[str, Any]) -> Path
 def read_machine(machine: str, home: Home) -> MachineGeometry:
     """Return what serving must know of a machine.
 
-    Raises
-    ------
-    InputError
-        When the file is missing or malformed.
-    GateRefusal
-        When it is not the one that was written.
+    Raises ``InputError`` when the file is missing or malformed.
+    Raises ``GateRefusal`` when it is not the one that was written.
     """
     folder = machine_folder(machine, home)
     path = folder / MACHINE

@@ -56,19 +56,12 @@ Connect = Callable[[], OpenLink]
 class ServingRequest:
     """How to serve a machine.
 
-    Attributes
-    ----------
-    mode : {"live", "shadow", "dry-run"}
-        As in ``ServingLoop``.
-    duration_s : float
-        Time to serve; infinite until stopped.
-    patience_s : float
-        How long to wait for a lost link to come back, and for a protective stop to be unlocked;
-        0 ends the serving at once.
-    priority : int
-        Real-time priority, 0 for none.
-    echoed : bool
-        As in ``ServingLoop``.
+    ``mode``, one of "live", "shadow", "dry-run": as in ``ServingLoop``.
+    ``duration_s``: time to serve; infinite until stopped.
+    ``patience_s``: how long to wait for a lost link to come back, and for a protective stop to be unlocked; 0 ends the
+    serving at once.
+    ``priority``: real-time priority, 0 for none.
+    ``echoed``: as in ``ServingLoop``.
     """
 
     where: str
@@ -87,22 +80,12 @@ class MachineServing:
     comes back is admitted anew, and the correction begins at zero under its slew limit. A
     protective stop may be unlocked within the patience; after an emergency stop serving ends.
 
-    Parameters
-    ----------
-    decision : Decision
-        Features, equation, direction and safety.
-    connect : callable
-        Opens a link, or raises: ``DeviceError`` when nobody answers, ``GateRefusal`` when what
-        answers may not be served.
-    withdrawn : callable, optional
-        Asked every tick; a text says why the model may not be served any more.
-
-    Attributes
-    ----------
-    reconnects : int
-        Links that came back.
-    realtime : bool
-        Whether the newest driver was given real-time priority.
+    ``decision``: features, equation, direction and safety.
+    ``connect``: opens a link, or raises: ``DeviceError`` when nobody answers, ``GateRefusal`` when what answers may not
+    be served.
+    ``withdrawn``: asked every tick; a text says why the model may not be served any more.
+    ``reconnects``: links that came back.
+    ``realtime``: whether the newest driver was given real-time priority.
     """
 
     def __init__(
@@ -127,10 +110,7 @@ class MachineServing:
     def run(self, asked: Stop) -> ServeStatus:
         """Serve until the time is up, ``asked`` says so, or something fails for good.
 
-        Parameters
-        ----------
-        asked : callable
-            Whether somebody asked for the end.
+        ``asked``: whether somebody asked for the end.
         """
         until_s = time.monotonic() + self._request.duration_s
         first = self._first_sequence()

@@ -20,15 +20,8 @@ _HARMLESS = ("ok", "shrunk", "clamped", "slew_limited")
 def condition_of(state: Floats) -> str:
     """Return what a state says of the program: the strongest of its reasons to stand still.
 
-    Parameters
-    ----------
-    state : ndarray, shape (N,)
-        State of the controller.
-
-    Returns
-    -------
-    str
-        ``running``, ``paused``, ``stopped``, ``protective_stop`` or ``emergency_stop``.
+    ``state`` (N,): state of the controller.
+    Returns ``running``, ``paused``, ``stopped``, ``protective_stop`` or ``emergency_stop``.
     """
     safety, running = state[layout.SAFETY_OK], state[layout.RUNTIME_RUNNING]
     if safety != layout.SAFE:
@@ -41,15 +34,8 @@ def condition_of(state: Floats) -> str:
 class ProgramWatch:
     """Holds the correction back while the program stands, and notes why.
 
-    Parameters
-    ----------
-    settle_s : float
-        As ``SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
-
-    Attributes
-    ----------
-    condition : str
-        As :func:`condition_of`.
+    ``settle_s``: as ``SETTLE_S``; a pause needs none, its resumption is the operator's own wish.
+    ``condition``: as :func:`condition_of`.
     """
 
     def __init__(self, note: Note = no_journal, settle_s: float = SETTLE_S) -> None:
@@ -70,14 +56,9 @@ class ProgramWatch:
     def reason(self, number: int, now_s: float, trouble: str = "") -> None:
         """Note why the guard acts when that has changed; what changes again and again is noted sparingly.
 
-        Parameters
-        ----------
-        number : int
-            Position in ``REASONS``.
-        now_s : float
-            Monotonic time.
-        trouble : str
-            Which sensor is in trouble, or which number of the state, for a guard that acts on it.
+        ``number``: position in ``REASONS``.
+        ``now_s``: monotonic time.
+        ``trouble``: which sensor is in trouble, or which number of the state, for a guard that acts on it.
         """
         name = REASONS[number]
         name = "correcting" if name in _HARMLESS else name

@@ -17,10 +17,7 @@ _DRIFT = 1e-3
 class StampWatch:
     """Compares each stamp with the time at which its state was received.
 
-    Attributes
-    ----------
-    jump_s : float
-        How far the newest stamp was from where it should have been; 0 while all is well.
+    ``jump_s``: how far the newest stamp was from where it should have been; 0 while all is well.
     """
 
     def __init__(self) -> None:
@@ -35,13 +32,9 @@ class StampWatch:
     def steady(self, stamp_s: float, received_s: float, *, fresh: bool) -> bool:
         """Tell whether a state counts by its stamp.
 
-        Parameters
-        ----------
-        received_s : float
-            Monotonic time at which the state was received.
-        fresh : bool
-            Whether it is known otherwise that the state is new, so that after a jump another
-            reckoning can begin. Without, states that lag stay old.
+        ``received_s``: monotonic time at which the state was received.
+        ``fresh``: whether it is known otherwise that the state is new, so that after a jump another reckoning can
+        begin. Without, states that lag stay old.
         """
         self.jump_s = 0.0
         ahead_s = stamp_s - received_s

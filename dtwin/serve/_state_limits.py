@@ -46,12 +46,8 @@ def any_machine() -> Floats:
 def robot(chain: KinematicChain, tcp_mm: Floats) -> Floats:
     """Return the largest magnitudes (N,) in the state of a robot.
 
-    Parameters
-    ----------
-    chain : KinematicChain
-        Its links: no pose is farther from the base than they are long together.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point in the flange frame.
+    ``chain``: its links: no pose is farther from the base than they are long together.
+    ``tcp_mm`` (3,): tool centre point in the flange frame.
     """
     reach_mm = float(np.abs(chain.dh[:, :2]).sum() + np.linalg.norm(tcp_mm))
     return _limits(_LARGEST | _ROBOT | {"tcp_mm": reach_mm})

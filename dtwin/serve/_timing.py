@@ -42,10 +42,7 @@ class LoopTiming:
         A correction that the controller first used more than two of its periods after the state
         that it was computed from is late, whatever held it up on the way.
 
-        Parameters
-        ----------
-        sequence : int
-            Number of the correction in force; 0 when there is none.
+        ``sequence``: number of the correction in force; 0 when there is none.
         """
         if sequence in (0, self._applied):
             return
@@ -71,18 +68,11 @@ class LoopTiming:
     ) -> None:
         """Close a tick; late is a correction that was ready more than a period after its state.
 
-        Parameters
-        ----------
-        interval_s : float
-            Wall time since the tick before; NaN for the first.
-        state_step_s : float
-            Step of the controller's own stamp since the tick before; NaN for the first.
-        age_s, window_age_s : float
-            Age of the state when its correction was ready, and of the newest window.
-        stamp_s : float
-            The controller's stamp of the state.
-        sequence : int
-            Number of the correction that was sent, for ``applied``; 0 when none was.
+        ``interval_s``: wall time since the tick before; NaN for the first.
+        ``state_step_s``: step of the controller's own stamp since the tick before; NaN for the first.
+        ``age_s``, ``window_age_s``: age of the state when its correction was ready, and of the newest window.
+        ``stamp_s``: the controller's stamp of the state.
+        ``sequence``: number of the correction that was sent, for ``applied``; 0 when none was.
         """
         place = self.ticks % len(self._interval_s)
         self._stamp_s[place], self._answer_s[place] = stamp_s, np.nan

@@ -35,16 +35,10 @@ class Table:
 class Node:
     """One operation.
 
-    Attributes
-    ----------
-    op : str
-        ``const``, ``input``, ``state`` or a name of ``OPERATORS``.
-    args : tuple of int
-        Numbers of earlier nodes.
-    value : float
-        Of a ``const``.
-    n : int
-        Exponent of a ``pow_int``; table number of a ``lookup``.
+    ``op``: ``const``, ``input``, ``state`` or a name of ``OPERATORS``.
+    ``args``: numbers of earlier nodes.
+    ``value``: of a ``const``.
+    ``n``: exponent of a ``pow_int``; table number of a ``lookup``.
     """
 
     op: str

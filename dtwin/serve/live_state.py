@@ -21,15 +21,11 @@ _SILENT_S = 1.0
 class _LiveState:
     """What a served machine is doing now.
 
-    Attributes
-    ----------
-    word : {"starting", "correcting", "outside", "held", "silent"}
-        ``starting``: no tick was seen yet; ``outside``: mostly outside the model's range; ``held``: zeros are
-        sent for another reason; ``silent``: the loop shows no new ticks.
-    said : str
-        The same as the end of a sentence that begins with the machine.
-    outside_share : float
-        Share of the newest ticks outside the model's range.
+    ``word``, one of "starting", "correcting", "outside", "held", "silent": ``starting``: no tick was seen yet;
+    ``outside``: mostly outside the model's range; ``held``: zeros are sent for another reason; ``silent``: the loop
+    shows no new ticks.
+    ``said``: the same as the end of a sentence that begins with the machine.
+    ``outside_share``: share of the newest ticks outside the model's range.
     """
 
     word: str

@@ -38,15 +38,8 @@ def _test_window(contract: WindowContract, seed: int) -> Floats:
 def with_vectors(bundle: Bundle, seed: int = 1) -> Bundle:
     """Return the bundle with test vectors drawn from its validity box.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Any vectors that it has are replaced.
-
-    Raises
-    ------
-    InputError
-        When the model gives a value that is not finite inside its own validity box.
+    ``bundle``: any vectors that it has are replaced.
+    Raises ``InputError`` when the model gives a value that is not finite inside its own validity box.
     """
     rng = np.random.default_rng(seed)
     low = np.array([i.low for i in bundle.inputs])

@@ -49,14 +49,9 @@ def offline_gates(bundle: Bundle, metrics: Mapping[str, float]) -> list[Verdict]
 def evidence_gate(evidence: Evidence, bundle: Bundle, *, real: bool) -> list[Verdict]:
     """Judge closed-loop evidence.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        As it was computed from runs.
-    bundle : Bundle
-        The bundle that it must belong to.
-    real : bool
-        Whether the machine is real, which virtual evidence cannot speak for.
+    ``evidence``: as it was computed from runs.
+    ``bundle``: the bundle that it must belong to.
+    ``real``: whether the machine is real, which virtual evidence cannot speak for.
     """
     conditions = evidence.conditions
     worse = [c for c in conditions if c["worse"]]

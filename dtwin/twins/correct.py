@@ -81,18 +81,11 @@ class _Grading:
 class Correction:
     """A twin's correction in the registry.
 
-    Attributes
-    ----------
-    frozen : TwinBundle
-        Bundle and what became of every effect.
-    objections : tuple of str
-        Why it may only be tried; empty when nothing speaks against it.
-    predicted : tuple of dict
-        RMS of every condition before, and after as the twin predicts it.
-    virtual : bool
-        Whether the machine is one on which evidence can be measured here.
-    left : str
-        What is known to be left uncorrected and does not matter; empty when nothing is.
+    ``frozen``: bundle and what became of every effect.
+    ``objections``: why it may only be tried; empty when nothing speaks against it.
+    ``predicted``: RMS of every condition before, and after as the twin predicts it.
+    ``virtual``: whether the machine is one on which evidence can be measured here.
+    ``left``: what is known to be left uncorrected and does not matter; empty when nothing is.
     """
 
     frozen: TwinBundle

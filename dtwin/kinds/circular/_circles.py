@@ -27,16 +27,11 @@ def run_circle(
 ) -> tuple[CobotRecording, dict[str, int]]:
     """Return the recording of one circle in lock-step, and how often each guard acted.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        What is served; the oracle takes its limits.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point.
-    condition, setup, repeat
-        What is run, in which mounting of the bar, which repeat.
-    way : {"uncompensated", "compensated", "oracle"}
-        Nothing, the bundle, or the best that is found with the truth known (:mod:`dtwin.train.oracle`).
+    ``bundle``: what is served; the oracle takes its limits.
+    ``tcp_mm`` (3,): tool centre point.
+    ``condition``, ``setup``, ``repeat``: what is run, in which mounting of the bar, which repeat.
+    ``way``, one of "uncompensated", "compensated", "oracle": nothing, the bundle, or the best that is found with the
+    truth known (:mod:`dtwin.train.oracle`).
     """
     if way == "uncompensated":
         return cobot.measure(condition, setup=setup, repeat=repeat), {}
@@ -75,15 +70,8 @@ def evaluate_circle(recording: CobotRecording, direction: str) -> dict[str, Any]
 def rms_per_run(runs: Sequence[Mapping[str, Any]]) -> Floats:
     """Return each run's RMS after the set-up's centre and radius, common to these runs.
 
-    Parameters
-    ----------
-    runs : sequence of dict
-        From ``evaluate_circle``; each gets its remainder under ``rest_um``.
-
-    Returns
-    -------
-    ndarray, shape (runs,)
-        In um.
+    ``runs``: from ``evaluate_circle``; each gets its remainder under ``rest_um``.
+    Returns (runs,): in um.
     """
     angle = np.concatenate([r["angle_rad"] for r in runs])
     value = np.concatenate([r["deviation_um"] for r in runs])

@@ -40,12 +40,8 @@ def measured_circles(
     those that were trained in. The oracle is the best correction found with the truth known,
     subject to the same guard, delay and lag as the bundle.
 
-    Parameters
-    ----------
-    seed : int
-        Seed of the machine that was trained on.
-    tcp_mm : ndarray, shape (3,)
-        Tool centre point.
+    ``seed``: seed of the machine that was trained on.
+    ``tcp_mm`` (3,): tool centre point.
     """
     jobs = [(bundle.to_dict(), seed, tcp_mm.tolist(), condition, plan.repeats) for condition in plan.conditions]
     ways: dict[str, list[Run]] = {"measured": [], "oracle": []}

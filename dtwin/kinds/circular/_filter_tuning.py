@@ -42,18 +42,11 @@ class Judged:
 class Tuning:
     """A tuned filter.
 
-    Attributes
-    ----------
-    tuned, fitness : str
-        What was varied, and by which fitness it was judged.
-    judged : Judged
-        At the place that was found.
-    unfiltered : Judged
-        What no filter at all would be given.
-    history : tuple of float
-        Best fitness after each iteration.
-    inert : bool
-        Whether the fitness is the same wherever the swarm began: nothing was found.
+    ``tuned``, ``fitness``: what was varied, and by which fitness it was judged.
+    ``judged``: at the place that was found.
+    ``unfiltered``: what no filter at all would be given.
+    ``history``: best fitness after each iteration.
+    ``inert``: whether the fitness is the same wherever the swarm began: nothing was found.
     """
 
     chosen: UnscentedFilter
@@ -106,20 +99,11 @@ def tune(
 ) -> Tuning:
     """Find the settings by which a filter makes a fast turn most like the slow reference.
 
-    Parameters
-    ----------
-    turn_um, reference_um : ndarray, shape (n,)
-        A fast and a slow turn at the same angles, in the order of travel.
-    tuned : {"ratio", "alpha"}
-        ``ratio``: process over measurement noise, which sets how much is smoothed. ``alpha``: the
-        scaling of the sigma points, as published.
-    settings : SwarmSettings, optional
-        By default the published 50 particles and 150 iterations.
-
-    Raises
-    ------
-    InputError
-        When there is no such choice.
+    ``turn_um``, ``reference_um`` (n,): a fast and a slow turn at the same angles, in the order of travel.
+    ``tuned``, one of "ratio", "alpha": ``ratio``: process over measurement noise, which sets how much is smoothed.
+    ``alpha``: the scaling of the sigma points, as published.
+    ``settings``: by default the published 50 particles and 150 iterations.
+    Raises ``InputError`` when there is no such choice.
     """
     for got, allowed, what in ((tuned, _TUNED, "tuned"), (fitness, FITNESSES, "fitness")):
         if got not in allowed:

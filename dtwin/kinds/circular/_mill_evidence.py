@@ -42,15 +42,8 @@ class ServedCorrection:
     Equation, direction and guard are those that serve a real machine, evaluated at 500 Hz on the
     commanded path; a correction arrives one period after the state that it answers.
 
-    Parameters
-    ----------
-    covariates : dict of str to float
-        Logged channels that it asks for.
-
-    Attributes
-    ----------
-    acted : dict of str to dict
-        How often each reason of the guard acted, by direction of the newest circle.
+    ``covariates``: logged channels that it asks for.
+    ``acted``: how often each reason of the guard acted, by direction of the newest circle.
     """
 
     def __init__(self, bundle: Bundle, covariates: Mapping[str, float] | None = None) -> None:
@@ -147,14 +140,9 @@ def _oracle(
 def oracle_correction(bundle: Bundle, known: Mapping[str, tuple[Floats, Floats]], delay_s: float) -> Correction:
     """Return a correction from an error that is known, under the guard of a bundle.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Whose clamp and slew limit hold.
-    known : mapping of str to (ndarray, ndarray)
-        By direction: path angles in degrees, ascending in 0 to 360, and the radial error in um.
-    delay_s : float
-        Between a correction and the motion that it causes.
+    ``bundle``: whose clamp and slew limit hold.
+    ``known``: by direction: path angles in degrees, ascending in 0 to 360, and the radial error in um.
+    ``delay_s``: between a correction and the motion that it causes.
     """
 
     def correct(test: CircularTest, command: Command) -> Floats:

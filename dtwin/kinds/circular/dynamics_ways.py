@@ -85,10 +85,7 @@ def radial_error_um(turn: Turn, radius_mm: float) -> Floats:
 def twin_static_um(obs: Observations, effects: Sequence[str], library: Library | None = None) -> Floats:
     """Return what a fitted twin with its set-ups says of every row, shape (rows, 360).
 
-    Parameters
-    ----------
-    library : Library, optional
-        Effects; the built-in ones without.
+    ``library``: effects; the built-in ones without.
     """
     found = fit(obs, chosen_terms(list(effects), library or Library(), obs))
     return np.asarray(obs.y_um - found.residual_um)
@@ -103,15 +100,8 @@ def on_turn(static_um: Floats, turn: Turn) -> Floats:
 def alpha_sensitivity(turn: Turn, chosen: Filter | None) -> dict[str, list[float]] | None:
     """Return the circular deviation that an unscented filter leaves for alphas from 1e-5 to 1.
 
-    Parameters
-    ----------
-    chosen : Filter or None
-        Anything but an unscented filter gives None.
-
-    Returns
-    -------
-    dict of str to list of float
-        ``alpha``, and um under the name of each model.
+    ``chosen``: anything but an unscented filter gives None.
+    Returns ``alpha``, and um under the name of each model.
     """
     if not isinstance(chosen, UnscentedFilter):
         return None

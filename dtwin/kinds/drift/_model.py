@@ -25,11 +25,8 @@ _MATERIAL = 0.02
 class Term:
     """A column of the model.
 
-    Attributes
-    ----------
-    kind : str
-        ``steady``: the temperature itself. ``lag``: through one first-order lag of ``tau_s``. ``lag2``: through two.
-        ``curve``: its square, for a sensor whose scale is not straight.
+    ``kind``: ``steady``: the temperature itself. ``lag``: through one first-order lag of ``tau_s``. ``lag2``: through
+    two. ``curve``: its square, for a sensor whose scale is not straight.
     """
 
     kind: str
@@ -54,12 +51,8 @@ class Term:
 class Series:
     """One log.
 
-    Attributes
-    ----------
-    t_s, moved_um : ndarray, shape (n,)
-    temperatures_c : dict of str to ndarray
-    sample : ndarray of int, shape (n,), or None
-        Readings of one sample follow each other at once: they differ by noise alone.
+    ``t_s``, ``moved_um`` (n,).
+    ``sample`` (n,) or None: readings of one sample follow each other at once: they differ by noise alone.
     """
 
     t_s: Floats
@@ -98,14 +91,10 @@ class Series:
 class Fitted:
     """Terms fitted to a log.
 
-    Attributes
-    ----------
-    value, k2 : ndarray, shape (terms + 1,)
-        The constant first; µm, µm/K and µm/K²; half widths cover 95 %, unit of replication the block.
-    left_um : float
-        Standard deviation of the residual.
-    held_out_um : float
-        Root mean square on blocks that were held out.
+    ``value``, ``k2`` (terms + 1,): the constant first; µm, µm/K and µm/K²; half widths cover 95 %, unit of replication
+    the block.
+    ``left_um``: standard deviation of the residual.
+    ``held_out_um``: root mean square on blocks that were held out.
     """
 
     terms: tuple[Term, ...]

@@ -32,10 +32,7 @@ _COLDEST_C = -60.0
 def read_drift(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
     """Return one log as a run, and the rows that hold no usable number.
 
-    Raises
-    ------
-    InputError
-        When there is no displacement, no temperature or no time, or the size of a step is not told.
+    Raises ``InputError`` when there is no displacement, no temperature or no time, or the size of a step is not told.
     """
     text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
     lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]

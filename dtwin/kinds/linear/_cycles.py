@@ -29,16 +29,10 @@ _WORTH = 0.5
 class SpoiltReading:
     """A reading that the other cycles contradict.
 
-    Attributes
-    ----------
-    cycle : int
-        From 0.
-    way : str
-        ``forward`` or ``reverse``.
-    off_um : float
-        From the median of the other cycles.
-    span_um : float
-        Range of the other cycles.
+    ``cycle``: from 0.
+    ``way``: ``forward`` or ``reverse``.
+    ``off_um``: from the median of the other cycles.
+    ``span_um``: range of the other cycles.
     """
 
     target: int

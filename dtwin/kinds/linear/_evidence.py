@@ -91,10 +91,7 @@ def _run_of_test(test: LinearTest, axis: str, day: int, correction: str = "") ->
 def evidence_plan(reach_in: tuple[float, float], pitch_in: float, machine: str, axis: str = "Z") -> LinearPlan:
     """Return a test over the mapped travel whose step meets the screw at many angles.
 
-    Parameters
-    ----------
-    pitch_in : float
-        Travel in one turn of the screw.
+    ``pitch_in``: travel in one turn of the screw.
     """
     low, high = (round(end, 4) for end in reach_in)
     span = round(high - low, 4)

@@ -17,16 +17,10 @@ TARGET_MM = 1e-3
 class LinearTest:
     """Readings of a bidirectional test in matrices.
 
-    Attributes
-    ----------
-    position_mm : ndarray, shape (targets,)
-        Targets that were read in both directions in every run, ascending.
-    forward_um, reverse_um : ndarray, shape (targets, runs)
-        Errors.
-    left_out : int
-        Targets that some run missed.
-    pitch_mm : float or None
-        Travel in one turn of the screw.
+    ``position_mm`` (targets,): targets that were read in both directions in every run, ascending.
+    ``forward_um``, ``reverse_um`` (targets, runs): errors.
+    ``left_out``: targets that some run missed.
+    ``pitch_mm``: travel in one turn of the screw.
     """
 
     position_mm: Floats

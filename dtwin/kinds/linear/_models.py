@@ -30,12 +30,8 @@ class PositionModel(Protocol):
 class Averages:
     """Mean error at each target of a bidirectional test.
 
-    Attributes
-    ----------
-    position_in : ndarray, shape (targets,)
-        Ascending.
-    forward_in, reverse_in : ndarray, shape (targets,)
-        Mean errors.
+    ``position_in`` (targets,): ascending.
+    ``forward_in``, ``reverse_in`` (targets,): mean errors.
     """
 
     position_in: Floats
@@ -92,10 +88,7 @@ class Bidirectional:
 class Unidirectional:
     """One table and one backlash for the whole axis.
 
-    Attributes
-    ----------
-    averages : Averages
-        Forward entries are used; the backlash is the mean difference of the directions.
+    ``averages``: forward entries are used; the backlash is the mean difference of the directions.
     """
 
     averages: Averages
@@ -144,10 +137,7 @@ class SingleNet:
 def whole_turns(averages: Averages, pitch_in: float) -> tuple[Floats, Floats]:
     """Return inputs (n, 2) and errors (n,) at whole turns of the screw, where the cyclic error is zero.
 
-    Parameters
-    ----------
-    averages : Averages
-        Its first target must lie at a whole turn.
+    ``averages``: its first target must lie at a whole turn.
     """
     direction, position, error = averages.every(pitch_in).stacked()
     return np.column_stack([direction, position]), error
@@ -177,14 +167,9 @@ def fit_dual(
 ) -> DualNet:
     """Train the published pair: the slow network on whole turns, the cyclic one on what is left.
 
-    Parameters
-    ----------
-    averages : Averages
-        Mean errors.
-    goals : sequence of float
-        Sums of squared errors at which the trainings stop.
-    hidden : sequence of int
-        Neurons of both.
+    ``averages``: mean errors.
+    ``goals``: sums of squared errors at which the trainings stop.
+    ``hidden``: neurons of both.
     """
     rng = np.random.default_rng(seed)
     inputs, target = whole_turns(averages, pitch_in)
@@ -200,12 +185,8 @@ def fit_single(
 ) -> SingleNet:
     """Train the published single network on all targets of both directions.
 
-    Parameters
-    ----------
-    averages : Averages
-        Mean errors.
-    epochs, goal, hidden
-        As for :func:`fit_dual`.
+    ``averages``: mean errors.
+    ``epochs``, ``goal``, ``hidden``: as for :func:`fit_dual`.
     """
     direction, position, error = averages.stacked()
     turned = np.fmod(position, pitch_in)

@@ -22,14 +22,9 @@ _SMALLEST_GRADIENT = 1e-12
 class Trained:
     """A trained network.
 
-    Attributes
-    ----------
-    net : SmallNet
-        The best found.
-    sse : float
-        Its sum of squared errors over the training data.
-    epochs : int
-        Steps that were taken.
+    ``net``: the best found.
+    ``sse``: its sum of squared errors over the training data.
+    ``epochs``: steps that were taken.
     """
 
     net: SmallNet
@@ -49,21 +44,11 @@ def train_net(
 ) -> Trained:
     """Train a network on all data at once until the goal or the last epoch.
 
-    Parameters
-    ----------
-    inputs : ndarray, shape (n, inputs)
-        Inputs.
-    target : ndarray, shape (n,)
-        Wanted outputs.
-    algorithm : str
-        One of ``ALGORITHMS``.
-    goal : float
-        Sum of squared errors at which to stop.
-
-    Raises
-    ------
-    InputError
-        When there is no such algorithm.
+    ``inputs`` (n, inputs): inputs.
+    ``target`` (n,): wanted outputs.
+    ``algorithm``: one of ``ALGORITHMS``.
+    ``goal``: sum of squared errors at which to stop.
+    Raises ``InputError`` when there is no such algorithm.
     """
     methods: dict[str, _Method] = {
         "levenberg-marquardt": _levenberg_marquardt,

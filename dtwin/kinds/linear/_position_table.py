@@ -52,14 +52,9 @@ _UNIT_ASSIGNED = re.compile(r"^\s*UNIT\s*=\s*(\w+)\s*$", re.M)
 class PositionTable:
     """A positioning test.
 
-    Attributes
-    ----------
-    target_mm : ndarray, shape (targets,)
-        Ascending.
-    forward_um, reverse_um : ndarray, shape (targets, cycles)
-        Actual minus target; NaN where nothing was read.
-    by_position : bool
-        Whether the table holds positions, not deviations.
+    ``target_mm`` (targets,): ascending.
+    ``forward_um``, ``reverse_um`` (targets, cycles): actual minus target; NaN where nothing was read.
+    ``by_position``: whether the table holds positions, not deviations.
     """
 
     target_mm: Floats
@@ -125,10 +120,7 @@ def read_position_runs(
 def read_position_table(path: Path) -> PositionTable:
     """Read a table of any of the forms.
 
-    Raises
-    ------
-    InputError
-        When a cell is no number, or targets, cycles or directions do not belong together.
+    Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
     text = table_bytes(path, _MAX_BYTES).decode("utf-8-sig", errors="replace")
     if any(_ASSIGNED.match(line) for line in text.splitlines()):

@@ -21,14 +21,10 @@ _TREND_DEGREE = 3
 def before_after_figures(test: LinearTest) -> dict[str, float | None]:
     """Return the four figures by which compensations are compared, in um.
 
-    Returns
-    -------
-    dict
-        ``max_average_error_um``: range of the averages of both directions (E of ISO 230-2);
-        ``max_reversal_error_um``: largest difference of the two averages at a target (B);
-        ``max_repeat_um``: largest range of all readings at a target, both directions;
-        ``cyclic_error_um``: peak to peak of the harmonics of one screw turn, the larger direction,
-        None without pitch or with too few phases.
+    Returns ``max_average_error_um``: range of the averages of both directions (E of ISO 230-2);
+    ``max_reversal_error_um``: largest difference of the two averages at a target (B); ``max_repeat_um``: largest range
+    of all readings at a target, both directions; ``cyclic_error_um``: peak to peak of the harmonics of one screw turn,
+    the larger direction, None without pitch or with too few phases.
     """
     up, down = test.forward_um.mean(axis=1), test.reverse_um.mean(axis=1)
     both = np.hstack([test.forward_um, test.reverse_um])

@@ -84,8 +84,6 @@ class SmallNet:
 def new_net(hidden: int, ranges: Sequence[tuple[float, float]], rng: np.random.Generator) -> SmallNet:
     """Return a net whose neurons share the input space evenly.
 
-    Notes
-    -----
     Nguyen and Widrow, *Improving the learning speed of 2-layer neural networks by choosing initial
     values of the adaptive weights*, IJCNN 1990.
     """

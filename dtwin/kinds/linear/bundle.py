@@ -70,10 +70,7 @@ def deployed_bundle(
     The remainder of the position by the pitch is taken by subtracting halved lengths, which is exact.
     Like C's it has the sign of the position.
 
-    Parameters
-    ----------
-    reach_in : tuple of float
-        Validity box of the position.
+    ``reach_in``: validity box of the position.
     """
     builder = GraphBuilder()
     direction, position = builder.input(_DIRECTION), builder.input(POSITION) / MM_PER_IN
@@ -167,14 +164,9 @@ def flanks_of(
 ) -> Flanks:
     """Return a slow network with the closing cyclic error that the averages ask for.
 
-    Parameters
-    ----------
-    full : SmallNet
-        Inputs are direction and position.
-    averages : Averages
-        Mean errors at enough angles of the screw.
-    orders : int
-        Harmonics of the turn.
+    ``full``: inputs are direction and position.
+    ``averages``: mean errors at enough angles of the screw.
+    ``orders``: harmonics of the turn.
     """
     x = averages.position_in
     rest = [

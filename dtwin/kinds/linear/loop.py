@@ -89,10 +89,7 @@ def _test_of(recording: LatheRecording, plan: LinearPlan) -> LinearTest:
 def measured(lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None = None) -> LinearTest:
     """Measure a plan, corrected at its halts by a model that takes a flag for the direction.
 
-    Parameters
-    ----------
-    model : PositionModel, optional
-        The correction; none without.
+    ``model``: the correction; none without.
     """
     motion = motion_of_plan(plan)
     if model is None:
@@ -104,10 +101,7 @@ def measured(lathe: VirtualLathe, plan: LinearPlan, model: PositionModel | None 
 def looped(lathe: VirtualLathe, plan: LinearPlan, bundle: Bundle) -> _LoopRun:
     """Measure a plan while a bundle corrects every 10 ms, through the guard, one cycle late.
 
-    Parameters
-    ----------
-    bundle : Bundle
-        Predicts the error from the commanded position.
+    ``bundle``: predicts the error from the commanded position.
     """
     motion = motion_of_plan(plan)
     ticks = np.arange(motion.t_s[0], motion.t_s[-1] + PERIOD_S, PERIOD_S)

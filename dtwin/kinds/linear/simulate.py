@@ -53,20 +53,11 @@ def verification_plan() -> LinearPlan:
 def virtual_lathe(truth: str, seed: int, wander: Wander | None = None) -> VirtualLathe:
     """Return the lathe.
 
-    Parameters
-    ----------
-    truth : {"published", "mechanism"}
-        The printed error of a real lathe, or a screw made of geometry that warms up.
-    seed : int
-        Of wander and noise.
-    wander : Wander, optional
-        What else moves; by default what the published scatter needs, and heating with
-        ``mechanism``.
-
-    Raises
-    ------
-    InputError
-        When there is no such lathe.
+    ``truth``, one of "published", "mechanism": the printed error of a real lathe, or a screw made of geometry that
+    warms up.
+    ``seed``: of wander and noise.
+    ``wander``: what else moves; by default what the published scatter needs, and heating with ``mechanism``.
+    Raises ``InputError`` when there is no such lathe.
     """
     if truth == "published":
         return VirtualLathe(NetworkScrew(read_network()), wander or Wander(), seed)

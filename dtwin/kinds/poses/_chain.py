@@ -42,12 +42,8 @@ KNOWN: Mapping[str, Floats] = {
 class Frames:
     """Frames of a chain at many poses, in the base frame.
 
-    Attributes
-    ----------
-    origin_mm : ndarray, shape (joints + 1, n, 3)
-        Of the base and of the frame after every joint.
-    rotation : ndarray, shape (joints + 1, n, 3, 3)
-        The same.
+    ``origin_mm`` (joints + 1, n, 3): of the base and of the frame after every joint.
+    ``rotation`` (joints + 1, n, 3, 3): the same.
     """
 
     origin_mm: Floats
@@ -61,15 +57,8 @@ class Frames:
 def chain_of(geometry: Mapping[str, Any], where: str) -> Floats:
     """Return the Denavit-Hartenberg rows that a campaign states, shape (joints, 4).
 
-    Parameters
-    ----------
-    geometry : mapping
-        ``chain`` is a known name; or ``dh`` a list of tables a_mm, d_mm, alpha_deg, theta_deg, one a joint.
-
-    Raises
-    ------
-    InputError
-        When it states neither, or a row is not complete.
+    ``geometry``: ``chain`` is a known name; or ``dh`` a list of tables a_mm, d_mm, alpha_deg, theta_deg, one a joint.
+    Raises ``InputError`` when it states neither, or a row is not complete.
     """
     rows = geometry.get("dh")
     if isinstance(rows, list) and rows:

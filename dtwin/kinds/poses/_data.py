@@ -59,10 +59,7 @@ def load(home: Home, campaign: str, setup: Setup | None = None) -> Loaded:
 
     ``setup``: frame and tool of another campaign of the same mounting; fitted without.
 
-    Raises
-    ------
-    InputError
-        When it has no sound run, or several: each has a frame and a tool of its own.
+    Raises ``InputError`` when it has no sound run, or several: each has a frame and a tool of its own.
     """
     lake, name = Lake(home.lake), in_lake(home, campaign)
     known = lake.campaign(name)

@@ -45,12 +45,8 @@ _BEYOND = 1.5
 class Candidate:
     """A family that could be added.
 
-    Attributes
-    ----------
-    gain : float
-        Share of the squares left on blocks held out that it takes.
-    p_value : float
-        Of the hypothesis that it takes nothing, over blocks, after Holm over the families of its level.
+    ``gain``: share of the squares left on blocks held out that it takes.
+    ``p_value``: of the hypothesis that it takes nothing, over blocks, after Holm over the families of its level.
     """
 
     effect: str

@@ -21,16 +21,10 @@ _STILL_RAD = 1e-5
 class Poses:
     """Poses of a campaign that were measured.
 
-    Attributes
-    ----------
-    joints_rad : ndarray, shape (n, joints)
-        Commanded.
-    measured_mm : ndarray, shape (n, 3)
-        In the instrument's frame.
-    ambient_c : ndarray, shape (n,), or None
-        Temperature beside the robot.
-    place : ndarray of int, shape (n,)
-        Number of the commanded pose: repeats share it.
+    ``joints_rad`` (n, joints): commanded.
+    ``measured_mm`` (n, 3): in the instrument's frame.
+    ``ambient_c`` (n,) or None: temperature beside the robot.
+    ``place`` (n,): number of the commanded pose: repeats share it.
     """
 
     joints_rad: Floats
@@ -172,10 +166,7 @@ def library(joints: int, *, ambient: bool) -> list[Term]:
 def terms_of(names: list[str] | tuple[str, ...], joints: int) -> tuple[Term, ...]:
     """Return the terms of names such as ``joint_zero`` (all joints), ``joint_zero@J2`` or ``joint_zero@J2+J3``.
 
-    Raises
-    ------
-    InputError
-        When there is no such effect or joint.
+    Raises ``InputError`` when there is no such effect or joint.
     """
     ordered: dict[Term, None] = {}
     for name in names:

@@ -25,10 +25,8 @@ _NOTHING = 1e-10
 class Grams:
     """Normal equations of every block.
 
-    Attributes
-    ----------
-    normal, right, power : ndarray, shapes (blocks, m, m), (blocks, m) and (blocks,)
-        Of the scaled columns, and the squares of the errors.
+    ``normal``, ``right``, ``power`` (blocks, m, m) or (blocks, m) or (blocks,): of the scaled columns, and the squares
+    of the errors.
     """
 
     series: Series

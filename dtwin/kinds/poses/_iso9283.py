@@ -36,12 +36,8 @@ def joints_of(run: Run) -> Floats:
 def figures(run: Run, dh: Floats, place: Floats) -> dict[str, Any]:
     """Return figures of one run, in mm; None for what its rows do not allow.
 
-    Parameters
-    ----------
-    dh : ndarray, shape (joints, 4)
-        The nominal chain.
-    place : ndarray of int, shape (n,)
-        Number of the commanded pose of every row.
+    ``dh`` (joints, 4): the nominal chain.
+    ``place`` (n,): number of the commanded pose of every row.
     """
     measured = measured_of(run)
     at = frames(np.radians(joints_of(run)), dh)

@@ -25,10 +25,7 @@ _STAMP_DIGITS = 14
 def read_poses(path: Path, campaign: Campaign, stated: Mapping[str, Any]) -> tuple[list[Run], list[dict[str, Any]]]:
     """Return one table as a run, and the rows that hold no usable number.
 
-    Raises
-    ------
-    InputError
-        When a column is missing, with those that the file has.
+    Raises ``InputError`` when a column is missing, with those that the file has.
     """
     text = table_bytes(path, _MOST_BYTES).decode("utf-8-sig", errors="replace")
     lines = text.splitlines()

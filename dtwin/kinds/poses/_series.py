@@ -24,21 +24,13 @@ _SAME_DEG = 0.03
 class Series:
     """One mounting of one robot, ready to fit.
 
-    Attributes
-    ----------
-    error_mm : ndarray, shape (n, 3)
-        Measured less commanded, base frame, frame and tool taken away.
-    design : ndarray, shape (n, 3, m)
-        What a unit of every parameter does: the set-up's nine first.
-    slots : dict of Term to slice
-        Parameters of every term in ``design``.
-    block : ndarray of int, shape (n,)
-        Neighbouring poses share a block; they are held out together.
-    floor_mm : float
-        Root of the mean square distance of a reading from the mean of its pose, by the median of the repeats:
-        a spoilt one does not lift it. NaN without repeats.
-    repeats : int
-        Poses that were measured more than once.
+    ``error_mm`` (n, 3): measured less commanded, base frame, frame and tool taken away.
+    ``design`` (n, 3, m): what a unit of every parameter does: the set-up's nine first.
+    ``slots``: parameters of every term in ``design``.
+    ``block`` (n,): neighbouring poses share a block; they are held out together.
+    ``floor_mm``: root of the mean square distance of a reading from the mean of its pose, by the median of the repeats:
+    a spoilt one does not lift it. NaN without repeats.
+    ``repeats``: poses that were measured more than once.
     """
 
     poses: Poses
@@ -60,18 +52,11 @@ def series_of(
 ) -> Series:
     """Return measured poses as a problem.
 
-    Parameters
-    ----------
-    joints_deg : ndarray, shape (n, joints)
-        Commanded.
-    measured_mm : ndarray, shape (n, 3)
-        In any frame.
-    dh : ndarray, shape (joints, 4)
-        The nominal chain, as :func:`dtwin.kinds.poses._chain.chain_of` gives it.
-    ambient_c : ndarray, shape (n,), or None
-        Temperature.
-    setup : Setup, optional
-        Frame and tool of another campaign of the same mounting; fitted without.
+    ``joints_deg`` (n, joints): commanded.
+    ``measured_mm`` (n, 3): in any frame.
+    ``dh`` (joints, 4): the nominal chain, as :func:`dtwin.kinds.poses._chain.chain_of` gives it.
+    ``ambient_c`` (n,) or None: temperature.
+    ``setup``: frame and tool of another campaign of the same mounting; fitted without.
     """
     joints = np.radians(joints_deg)
     at = frames(joints, dh)

@@ -17,12 +17,9 @@ _SETTLED_MM = 1e-9
 class Setup:
     """Frame and tool of one mounting.
 
-    Attributes
-    ----------
-    rotation, shift_mm : ndarray, shapes (3, 3) and (3,)
-        A point of the base in the instrument's frame is ``rotation @ point + shift_mm``.
-    tool_mm : ndarray, shape (3,)
-        The target in the flange's frame.
+    ``rotation``, ``shift_mm`` (3, 3) or (3,): a point of the base in the instrument's frame is ``rotation @ point +
+    shift_mm``.
+    ``tool_mm`` (3,): the target in the flange's frame.
     """
 
     rotation: Floats

@@ -52,12 +52,8 @@ class PoseTwin:
 class PoseComparison:
     """A twin against a campaign.
 
-    Attributes
-    ----------
-    left_mm : ndarray, shape (n, 3)
-        What the twin leaves, with frame and tool fitted to this campaign.
-    same_mounting_mm : ndarray, shape (n, 3)
-        The same with frame and tool of the twin's own campaign: nothing is fitted here.
+    ``left_mm`` (n, 3): what the twin leaves, with frame and tool fitted to this campaign.
+    ``same_mounting_mm`` (n, 3): the same with frame and tool of the twin's own campaign: nothing is fitted here.
     """
 
     twin: PoseTwin
@@ -105,10 +101,7 @@ class PoseTwins(TwinShelf):
     def fit(self, campaign: str, effects: Sequence[str], name: str, *, robust: bool = False) -> PoseTwin:
         """Fit a twin to a campaign; an existing twin of that name gets a new version.
 
-        Raises
-        ------
-        InputError
-            When an effect is not known, or a robust fit is asked for.
+        Raises ``InputError`` when an effect is not known, or a robust fit is asked for.
         """
         require_name(name, "the twin")
         if robust:

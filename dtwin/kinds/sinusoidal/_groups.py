@@ -34,22 +34,13 @@ _SAME = 0.999
 class ToneGroups:
     """What a model of tones is fitted to and judged by.
 
-    Attributes
-    ----------
-    frequency_hz, amplitude_um : ndarray, shape (n,)
-        Of the command.
-    features : ndarray, shape (n, 12)
-        Of the accelerometer, in the order of the contract's features.
-    sent_rms_um : ndarray, shape (n,)
-        Of the command.
-    amplitude_error_um, phase_error_deg : ndarray, shape (n,)
-        Tool minus command in amplitude, and its lag, in the last second.
-    beyond_encoder_um : ndarray, shape (n,)
-        Amplitude of tool minus encoder, as a vector, in the last second.
-    heard : ndarray, shape (n,)
-        Share of the tone in the accelerometer's power.
-    traces : tuple of ndarray, each of shape (2, samples)
-        Command and tool in um over time.
+    ``frequency_hz``, ``amplitude_um`` (n,): of the command.
+    ``features`` (n, 12): of the accelerometer, in the order of the contract's features.
+    ``sent_rms_um`` (n,): of the command.
+    ``amplitude_error_um``, ``phase_error_deg`` (n,): tool minus command in amplitude, and its lag, in the last second.
+    ``beyond_encoder_um`` (n,): amplitude of tool minus encoder, as a vector, in the last second.
+    ``heard`` (n,): share of the tone in the accelerometer's power.
+    ``traces`` (2, samples): command and tool in um over time.
     """
 
     contract: WindowContract
@@ -102,15 +93,8 @@ def load_tone_groups(lake: Lake, rows: list[dict[str, Any]]) -> ToneGroups:
 def groups_of(runs: list[Run], where: str) -> ToneGroups:
     """Return the groups of runs with a probe at the tool and an accelerometer.
 
-    Parameters
-    ----------
-    runs : list of Run
-        With samples and signals.
-
-    Raises
-    ------
-    InputError
-        When no run has all of them, or rates and channels differ.
+    ``runs``: with samples and signals.
+    Raises ``InputError`` when no run has all of them, or rates and channels differ.
     """
     found = [group for run in runs if (group := _group(run)) is not None]
     if not found:
@@ -133,10 +117,7 @@ def groups_of(runs: list[Run], where: str) -> ToneGroups:
 def heard_groups(everything: ToneGroups) -> ToneGroups:
     """Return the groups that the accelerometer hears.
 
-    Raises
-    ------
-    InputError
-        When fewer than three frequencies or three amplitudes remain: none could be left out.
+    Raises ``InputError`` when fewer than three frequencies or three amplitudes remain: none could be left out.
     """
     groups = everything.only(everything.heard >= HEARD)
     counts = [len(np.unique(groups.label(name))) for name in HELD_OUT]
@@ -200,10 +181,7 @@ def _vector_um(t: Floats, difference: Floats, frequency_hz: float) -> float:
 def exponent(acceleration: Floats, error_um: Floats) -> float:
     """Return p of ``error = c * acceleration^p``, least squares in um.
 
-    Parameters
-    ----------
-    acceleration, error_um : ndarray, shape (n,)
-        Positive; the groups with the largest error decide.
+    ``acceleration``, ``error_um`` (n,): positive; the groups with the largest error decide.
     """
     start = float(np.log(error_um.max() / acceleration.max()))
 

@@ -46,16 +46,9 @@ QUICK = Grid((5.0, 15.0, 25.0, 30.0, 35.0, 40.0), (2.0, 5.0, 8.0, 11.0))
 def virtual_slide(truth: str) -> Slide:
     """Return the mechanism.
 
-    Parameters
-    ----------
-    truth : {"linear", "hardening", "friction"}
-        A linear servo and structure; a joint in the structure that grows stiffer under load; friction
-        in the guideway.
-
-    Raises
-    ------
-    InputError
-        When there is no such mechanism.
+    ``truth``, one of "linear", "hardening", "friction": a linear servo and structure; a joint in the structure that
+    grows stiffer under load; friction in the guideway.
+    Raises ``InputError`` when there is no such mechanism.
     """
     if truth not in TRUTHS:
         raise InputError("no such slide", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))
@@ -74,10 +67,8 @@ def record_group(
 ) -> tuple[dict[str, Floats], SignalGroup]:
     """Command one tone, six seconds without other word, and return what the instruments record.
 
-    Returns
-    -------
-    samples, acceleration : tuple
-        Columns of the run, and the accelerometer's signals, both at 1 kHz from the same instant.
+    Returns ``samples``, ``acceleration``: columns of the run, and the accelerometer's signals, both at 1 kHz from the
+    same instant.
     """
     rng = np.random.default_rng(seed)
     machine, channel = TurningSlide(slide), AccelerationChannel(instruments.accelerometer, rng)

@@ -28,12 +28,8 @@ MODELS = (*FORMS, _SEARCHED)
 class FittedTones:
     """Equations of a campaign, judged.
 
-    Attributes
-    ----------
-    candidate : Candidate
-        With held-out scores and figures.
-    told : list of str
-        What the campaign shows before any equation.
+    ``candidate``: with held-out scores and figures.
+    ``told``: what the campaign shows before any equation.
     """
 
     candidate: Candidate

@@ -35,26 +35,15 @@ _ALPHA = 0.01
 class Mover:
     """An error motion that moves more than its uncertainty.
 
-    Attributes
-    ----------
-    seen_um : float
-        RMS at the balls of what the twin does not explain of it.
-    seen_p : float
-        Of the hypothesis that it stands still, after Holm over the motions.
-    rms_after_um : float
-        RMS of the whole residual at the balls if hours left out are any guide.
-    gain : float
-        Share of it, beyond its uncertainty, that temperatures tell on hours left out.
-    p_value : float
-        Of the hypothesis that they tell nothing, after Holm.
-    channel : str or None
-        Temperature logged beside the thermocouples that tells it, when they do not.
-    bodies : tuple of str
-        Bodies each of which tells it alone; more than one cannot be told apart.
-    largest_inflation : float
-        Variance inflation among ``sensors``.
-    in_twin : bool
-        Whether the twin has it, driven by other temperatures.
+    ``seen_um``: RMS at the balls of what the twin does not explain of it.
+    ``seen_p``: of the hypothesis that it stands still, after Holm over the motions.
+    ``rms_after_um``: RMS of the whole residual at the balls if hours left out are any guide.
+    ``gain``: share of it, beyond its uncertainty, that temperatures tell on hours left out.
+    ``p_value``: of the hypothesis that they tell nothing, after Holm.
+    ``channel``: temperature logged beside the thermocouples that tells it, when they do not.
+    ``bodies``: bodies each of which tells it alone; more than one cannot be told apart.
+    ``largest_inflation``: variance inflation among ``sensors``.
+    ``in_twin``: whether the twin has it, driven by other temperatures.
     """
 
     motion: str
@@ -98,18 +87,11 @@ class Mover:
 class HeatDiagnosis:
     """What is missing in a twin of heat.
 
-    Attributes
-    ----------
-    figures : dict of str to float
-        Errors at the balls, as :func:`dtwin.kinds.volumetric.heat_twin.heat_figures` has them.
-    lack_of_fit_p : float
-        Of the hypothesis that the twin leaves nothing but noise of the motions.
-    movers : tuple of Mover
-        Motions that count, best first.
-    group : tuple of Mover
-        Those that the verdict is about.
-    quiet : tuple of str
-        Motions that move, but by less than counts.
+    ``figures``: errors at the balls, as :func:`dtwin.kinds.volumetric.heat_twin.heat_figures` has them.
+    ``lack_of_fit_p``: of the hypothesis that the twin leaves nothing but noise of the motions.
+    ``movers``: motions that count, best first.
+    ``group``: those that the verdict is about.
+    ``quiet``: motions that move, but by less than counts.
     """
 
     verdict: Verdict

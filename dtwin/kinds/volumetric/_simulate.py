@@ -48,28 +48,14 @@ def simulate_volumetric(
 ) -> int:
     """Measure the virtual mill for days and write a campaign folder.
 
-    Parameters
-    ----------
-    folder : Path
-        Gets two files for each cycle, and, last, ``campaign.toml``.
-    schedule : {"training", "validation"}
-        What heats the machine: 234 h in spring, or 169 h in another order in a warmer season.
-    seed : int
-        Of the machine; both campaigns of one machine need the same.
-    quick : bool
-        Every third cycle only.
-    plan : BallPlan, optional
-        Hours, and how often; the array and its poses are the machine's own.
-
-    Returns
-    -------
-    int
-        Cycles that were measured.
-
-    Raises
-    ------
-    InputError
-        When the folder holds a finished campaign, or there is no such schedule.
+    ``folder``: gets two files for each cycle, and, last, ``campaign.toml``.
+    ``schedule``, one of "training", "validation": what heats the machine: 234 h in spring, or 169 h in another order in
+    a warmer season.
+    ``seed``: of the machine; both campaigns of one machine need the same.
+    ``quick``: every third cycle only.
+    ``plan``: hours, and how often; the array and its poses are the machine's own.
+    Returns cycles that were measured.
+    Raises ``InputError`` when the folder holds a finished campaign, or there is no such schedule.
     """
     if (folder / "campaign.toml").exists():
         raise InputError(
@@ -112,10 +98,7 @@ def write_ball_campaign(
 def parameters_of(truth: str) -> VolumetricParameters:
     """Return what the virtual mill is like by name, ``surface`` or ``pockets``.
 
-    Raises
-    ------
-    InputError
-        When there is no such mill.
+    Raises ``InputError`` when there is no such mill.
     """
     if truth not in TRUTHS:
         raise InputError("no such virtual mill", code="simulate.truth", got=truth[:40], allowed=", ".join(TRUTHS))

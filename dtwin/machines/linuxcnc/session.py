@@ -47,10 +47,7 @@ _NAMESPACES = (
 def require_linuxcnc() -> None:
     """Check that LinuxCNC and what surrounds it can run here.
 
-    Raises
-    ------
-    MissingPart
-        When a program is missing, or the system allows no namespaces.
+    Raises ``MissingPart`` when a program is missing, or the system allows no namespaces.
     """
     for program, package in _PROGRAMS.items():
         if shutil.which(program, path=_PATH) is None:
