@@ -45,7 +45,7 @@ def condition_key(state: State) -> Hashable:
     """Return all that tells a condition from another, as something that can be looked up."""
     geometry = json.dumps(dict(state.geometry), sort_keys=True, default=repr)
     condition = state.plane, state.radius_mm, state.feed_mm_s, state.direction, geometry
-    if state.kind == "circular":
+    if state.plane:
         return condition
     # On a circle the points are always the same; along an axis every test chooses its own.
     where = tuple((a, state.position_mm[a].tobytes()) for a in state.axes)

@@ -30,7 +30,7 @@ def as_if_repeated(obs: Observations, known: Sequence[Term], seed: int) -> tuple
     Returns ``floor_um``: RMS of the noise of one run.
     """
     high = harmonic_numbers(obs.n_bins) > HIGHEST_HARMONIC
-    if obs.grid.kind != "circular" or not high.any():
+    if not obs.grid.in_plane or not high.any():
         return None
     rows = unweighted(obs, known).residual
     floor_um = float(np.sqrt(np.median(rows[:, high] ** 2) / _MEDIAN_SQUARE))

@@ -136,6 +136,8 @@ class Grid:
         logged.
     described : int
         Highest harmonic that a headline names.
+    in_plane : bool
+        Whether two axes move in a plane; else one moves alone.
     """
 
     kind: str
@@ -148,6 +150,7 @@ class Grid:
     state: Callable[[RunMeta, PathCondition, float, Mapping[str, Any]], State]
     described: int
     wave: Callable[[int], str]
+    in_plane: bool = False
 
     @property
     def n(self) -> int:

@@ -235,6 +235,7 @@ def _circle() -> Grid:
         state=_state,
         described=_DESCRIBED_HARMONICS,
         wave="harmonic {}".format,
+        in_plane=True,
     )
 
 

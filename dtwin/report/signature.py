@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dtwin.physics.effect import Effect
+from dtwin.physics.gridding import CIRCLE
 from dtwin.physics.library import campaign_instances
 from dtwin.physics.state import circular_state
 from dtwin.schema import Direction, Floats, Plane, RunMeta
@@ -23,10 +24,10 @@ def _signature(effect: Effect, axis: str = "") -> tuple[str, dict[str, Floats]]:
     ``effect``: one of a circle; other ones have no curves, and neither have those that change only the spread.
     ``axis``: on which axis; else the first on which it shows.
     """
-    if "circular" not in effect.kinds or effect.on_spread:
+    if CIRCLE.kind not in effect.kinds or effect.on_spread:
         return effect.name, {}
     plane: Plane = "ZX" if effect.name == "gravity_sag" or axis == "Z" else "XY"
-    wanted = campaign_instances({effect.name: effect}, "circular", [plane], list(plane), _ROBOT)
+    wanted = campaign_instances({effect.name: effect}, CIRCLE.kind, [plane], list(plane), _ROBOT)
     angle = _angle()
     columns = {name: np.ones(_POINTS) for name in _LOGGED}
     ways: tuple[Direction, Direction] = ("CCW", "CW")

@@ -140,7 +140,7 @@ class _Linear(Kind):
         return twins
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
-        from dtwin.physics.stroke_grid import stroke_rows
+        from dtwin.kinds.linear._grid import stroke_rows
 
         return stroke_rows(runs, times_h)
 

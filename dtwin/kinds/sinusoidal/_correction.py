@@ -12,12 +12,12 @@ from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal._candidates import Predicted, judged
 from dtwin.kinds.sinusoidal._freeze import tone_of, tone_twin_bundle
 from dtwin.kinds.sinusoidal._gates import correction_radius, dead_terms
+from dtwin.kinds.sinusoidal._grid import ToneCondition
 from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups, load_tone_groups
 from dtwin.lake.store import Lake
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import Indices
 from dtwin.physics.observations import Observations
-from dtwin.physics.tone_grid import ToneCondition
 from dtwin.physics.twin import Twin, frozen_residual_um, predict_um, twin_of
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms

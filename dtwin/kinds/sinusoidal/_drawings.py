@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from dtwin.kinds.kind import Drawing
-from dtwin.physics.tone_grid import TONE, tone_row
+from dtwin.kinds.sinusoidal._grid import TONE, tone_row
 from dtwin.report.plots import error_figure
 from dtwin.schema import Run
 

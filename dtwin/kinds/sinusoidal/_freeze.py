@@ -10,12 +10,12 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.sinusoidal._gates import MOST_ERROR_UM
+from dtwin.kinds.sinusoidal._grid import ToneCondition
 from dtwin.kinds.sinusoidal._groups import SENT_CREST, SENT_FREQUENCY, SENT_RMS, ToneGroups
 from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, MOST_CREST, ROOM, command_inputs, two_rate_bundle
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.state import State
-from dtwin.physics.tone_grid import ToneCondition
 from dtwin.physics.twin import Twin, predict_um
 from dtwin.schema import Floats
 from dtwin.serve.builder import Expression, GraphBuilder

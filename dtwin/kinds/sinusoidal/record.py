@@ -95,7 +95,7 @@ class _Sinusoidal(Kind):
         return twins
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
-        from dtwin.physics.tone_grid import TONE, tone_row
+        from dtwin.kinds.sinusoidal._grid import TONE, tone_row
 
         return TONE, [tone_row(run, time_h) for run, time_h in zip(runs, times_h, strict=True)]
 

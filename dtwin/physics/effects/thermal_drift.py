@@ -13,7 +13,7 @@ def _columns(state: State, axis: str, shape: Shape) -> Floats:
     time_h = state.column("time_h")
     shift = [time_h * state.sensitivity[a] if a in state.axes else np.zeros(state.n) for a in "XYZ"]
     # Only a circle has a radius; along an axis that would be the same as its shift.
-    length = time_h if state.kind == "circular" else np.zeros(state.n)
+    length = time_h if state.plane else np.zeros(state.n)
     return stacked(*shift, length)
 
 
