@@ -18,9 +18,9 @@ import time
 import numpy as np
 
 from dtwin.features.windows import StreamingWindow
+from dtwin.kinds.sinusoidal._fit import fitted_tones
 from dtwin.kinds.sinusoidal._groups import groups_of
 from dtwin.kinds.sinusoidal._simulate import QUICK, virtual_runs, virtual_slide
-from dtwin.kinds.sinusoidal.fit import fitted_tones
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle
 

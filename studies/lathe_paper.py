@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.kinds.linear import LinearPlan
+from dtwin.kinds.linear._bundle import deployed_bundle, flanks_of, printed_pair
+from dtwin.kinds.linear._loop import Figures, measured
 from dtwin.kinds.linear._models import (
     Averages,
     Bidirectional,
@@ -20,11 +23,8 @@ from dtwin.kinds.linear._models import (
 )
 from dtwin.kinds.linear._net_training import ALGORITHMS, Trained, train_net
 from dtwin.kinds.linear._report import before_after_figures
+from dtwin.kinds.linear._simulate import mapping_plan, verification_plan, virtual_lathe
 from dtwin.kinds.linear._small_net import new_net
-from dtwin.kinds.linear.bundle import deployed_bundle, flanks_of, printed_pair
-from dtwin.kinds.linear.loop import Figures, measured
-from dtwin.kinds.linear.plan import LinearPlan
-from dtwin.kinds.linear.simulate import mapping_plan, verification_plan, virtual_lathe
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, LatheNetwork, read_network
 from dtwin.progress import Progress

@@ -14,8 +14,8 @@ from dtwin.config import published_table
 from dtwin.features.dynamics.figures import dynamic_components
 from dtwin.features.dynamics.filters import Filter, LowPass, Smoother, UnscentedFilter
 from dtwin.features.dynamics.turns import Turn
-from dtwin.kinds.circular.dynamics_ways import on_turn, twin_static_um
-from dtwin.kinds.circular.dynamics_ways import radial_error_um as about_circle_um
+from dtwin.kinds.circular._dynamics_ways import on_turn, twin_static_um
+from dtwin.kinds.circular._dynamics_ways import radial_error_um as about_circle_um
 from dtwin.physics.observations import observe
 from dtwin.schema import Campaign, Direction, Floats, Run, RunMeta
 from studies.machines.ballbar_simulator import Convention, radial_error_um, vibration_um

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from dtwin.config import Home
+from dtwin.kinds.volumetric import judged, models_of
 from dtwin.kinds.volumetric._intervals import reduction_pct
 from dtwin.kinds.volumetric._simulate import parameters_of, simulate_volumetric
-from dtwin.kinds.volumetric.judging import judged, models_of
 from dtwin.kinds.volumetric.session import Session, session, with_offered
 from dtwin.progress import Progress
 from studies.paper_line import Line, by_what_is_left, left_open, worst, yes_or_no

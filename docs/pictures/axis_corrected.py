@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from dtwin.kinds.linear._evidence import evidence_plan
+from dtwin.kinds.linear._loop import exact_correction, looped, measured
 from dtwin.kinds.linear._matrix import LinearTest
-from dtwin.kinds.linear.loop import exact_correction, looped, measured
-from dtwin.kinds.linear.simulate import virtual_lathe
+from dtwin.kinds.linear._simulate import virtual_lathe
 from dtwin.schema import Floats
 from dtwin.serve.bundle_file import load_bundle
 

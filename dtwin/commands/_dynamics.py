@@ -47,10 +47,14 @@ def split(
     """Part static from dynamic error in every run, against the slow reference."""
     from dtwin.atomic import write_text
     from dtwin.config import home
-    from dtwin.kinds.circular.dynamics import split_campaign
-    from dtwin.kinds.circular.dynamics_report import dynamics_page, dynamics_text
-    from dtwin.kinds.circular.dynamics_ways import TWIN_EFFECTS, DynamicsRequest
-    from dtwin.kinds.circular.particle_swarm import SwarmSettings
+    from dtwin.kinds.circular import (
+        TWIN_EFFECTS,
+        DynamicsRequest,
+        SwarmSettings,
+        dynamics_page,
+        dynamics_text,
+        split_campaign,
+    )
 
     chosen = TWIN_EFFECTS if effects is None else tuple(e.strip() for e in effects.split(","))
     split = split_campaign(

@@ -11,7 +11,7 @@ from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import EXIT_GATE, InputError
 
 if TYPE_CHECKING:
-    from dtwin.kinds.linear.plan import LinearPlan
+    from dtwin.kinds.linear import LinearPlan
     from dtwin.serve.bundle import Bundle
 
 MODELS = ("flanks", "pair", "printed")
@@ -40,8 +40,7 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit the positioning error of an axis, judge the equation, write it as a bundle."""
-    from dtwin.kinds.linear.fit import fitted, judged, write_judged
-    from dtwin.kinds.linear.text import gate_lines
+    from dtwin.kinds.linear import fitted, gate_lines, judged, write_judged
 
     if model not in MODELS or (campaign is None) != (model == "printed"):
         raise InputError(
@@ -86,9 +85,7 @@ def compensate(
 ) -> None:
     """Correct the virtual lathe every 10 ms and let the laser measure before and after."""
     from dtwin.commands._models import bundle_on_virtual
-    from dtwin.kinds.linear.loop import before_and_after
-    from dtwin.kinds.linear.plan import read_linear_plan
-    from dtwin.kinds.linear.text import compensation_text
+    from dtwin.kinds.linear import before_and_after, compensation_text, read_linear_plan
 
     chosen = None if plan is None else read_linear_plan(plan)
     path, told = bundle_on_virtual(model, machine)
@@ -114,16 +111,14 @@ def paper(
 
 
 def _in_real_time(bundle: Bundle, plan: LinearPlan | None, seconds: float, told: str, *, as_json: bool) -> None:
-    from dtwin.kinds.linear.simulate import verification_plan
-    from dtwin.kinds.linear.text import wall_clock_text
-    from dtwin.kinds.linear.wall_clock import paced
+    from dtwin.kinds.linear import paced, verification_plan, wall_clock_text
 
     found = {"model": told} | paced(bundle, plan or verification_plan(), seconds)
     emit(found, lambda: f"{told}\n{wall_clock_text(found)}", as_json=as_json)
 
 
 def _bundle(path: Path) -> Bundle:
-    from dtwin.kinds.linear.bundle import is_positioning_bundle
+    from dtwin.kinds.linear import is_positioning_bundle
     from dtwin.serve.bundle_file import load_bundle
 
     bundle = load_bundle(path).bundle

@@ -10,7 +10,7 @@ import typer
 from dtwin.commands._output import Json, Report, emit
 
 if TYPE_CHECKING:
-    from dtwin.kinds.circular.recording import Study
+    from dtwin.kinds.circular import Study
     from dtwin.schema import Floats
 
 File = Annotated[Path, typer.Argument(help="A ball-bar result, .b5r.")]
@@ -37,8 +37,7 @@ def study(
     as_json: Json = False,
 ) -> None:
     """Tell from one file what can be told: fitted on one pass, judged on the other."""
-    from dtwin.kinds.circular.recording import study_recording, ur10e_geometry
-    from dtwin.kinds.circular.recording_report import recording_sections, recording_text
+    from dtwin.kinds.circular import recording_sections, recording_text, study_recording, ur10e_geometry
     from dtwin.physics.library import Library
 
     geometry = None if robot_centre_mm is None else ur10e_geometry(robot_centre_mm, bar_zero_deg)

@@ -44,9 +44,8 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit amplitude and phase error of tones, judge the equations, write them as a bundle."""
-    from dtwin.kinds.linear.text import gate_lines
-    from dtwin.kinds.sinusoidal.bundle import ACTIONS
-    from dtwin.kinds.sinusoidal.fit import MODELS, fitted_tones, folder_groups, write_tones
+    from dtwin.kinds.linear import gate_lines
+    from dtwin.kinds.sinusoidal import ACTIONS, MODELS, fitted_tones, folder_groups, write_tones
 
     if model not in MODELS or action not in ACTIONS:
         raise InputError(
@@ -97,7 +96,7 @@ def compensate(
     """Cut a bicuspid surface on the virtual slide at 8 kHz, without and with the correction."""
     from dtwin.atomic import write_text
     from dtwin.commands._models import bundle_on_virtual
-    from dtwin.kinds.sinusoidal.report import trial_section, trial_text
+    from dtwin.kinds.sinusoidal import trial_section, trial_text
     from dtwin.kinds.sinusoidal.trial import TRIAL_HZ, trial
     from dtwin.report.html import page
     from dtwin.serve.bundle_file import load_bundle

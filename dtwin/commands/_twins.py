@@ -18,7 +18,7 @@ from dtwin.commands.tasks import TwinCommands
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
-    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.kinds.volumetric import HeatTwins
     from dtwin.physics.twin import Twin
     from dtwin.twins.verbs import Twins
 
@@ -91,7 +91,7 @@ def compare_twin(
     Runs with the controller's positions (cmd_x_mm, act_x_mm ...) are split into what the
     controller saw, quasi-static and dynamic error.
     """
-    from dtwin.kinds.volumetric.twins import HeatComparison
+    from dtwin.kinds.volumetric import HeatComparison
     from dtwin.report.twin_of_kind import comparison_sections, comparison_text
     from dtwin.twins.encoder_comparison import cutoff_of, no_controller_columns
 

@@ -11,8 +11,8 @@ from dtwin.commands._output import Json, ProgressLine, emit
 from dtwin.errors import InputError
 
 if TYPE_CHECKING:
+    from dtwin.kinds.volumetric import ThermalModel
     from dtwin.kinds.volumetric.session import Session
-    from dtwin.kinds.volumetric.thermal_model import ThermalModel
 
 
 app_volumetric = typer.Typer(
@@ -41,10 +41,8 @@ def fit(
     """Identify the error motions of every cycle, predict them from temperatures, judge elsewhere."""
     from dtwin.atomic import write_text
     from dtwin.config import home
-    from dtwin.kinds.volumetric.judging import judged, models_of
-    from dtwin.kinds.volumetric.page import volumetric_page
+    from dtwin.kinds.volumetric import judged, judged_text, models_of, volumetric_page
     from dtwin.kinds.volumetric.session import session, with_offered
-    from dtwin.kinds.volumetric.text import judged_text
     from dtwin.serve.bundle_file import require_new
 
     if out is not None and against is None:
@@ -108,8 +106,7 @@ def paper(
 def _write(out: Path, training: Session, other: Session) -> list[str]:
     """Write models without memory as a bundle; return what is switched off in it."""
     from dtwin.config import home
-    from dtwin.kinds.volumetric.judging import judged, models_of
-    from dtwin.kinds.volumetric.training import serving_bundle
+    from dtwin.kinds.volumetric import judged, models_of, serving_bundle
     from dtwin.lake.store import Lake
     from dtwin.serve.bundle_file import save_bundle
 

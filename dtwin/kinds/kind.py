@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from dtwin.config import Home
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.kinds.volumetric import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row

@@ -37,7 +37,7 @@ from dtwin.twins.of_kind import fit_twin, twins_with
 if TYPE_CHECKING:
     import plotly.graph_objects as go
 
-    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.kinds.volumetric import HeatTwins
     from dtwin.twins.verbs import Twins
 
 _TOLD = ("plane", "radius_mm", "feed_mm_min", "direction", "axis", "setup", "repeat", "machine", "campaign")

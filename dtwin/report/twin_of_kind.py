@@ -11,7 +11,7 @@ from dtwin.schema import DEFAULT_KIND
 
 if TYPE_CHECKING:
     from dtwin.kinds.kind import TwinReport
-    from dtwin.kinds.volumetric.heat_twin import HeatTwin
+    from dtwin.kinds.volumetric import HeatTwin
     from dtwin.physics.twin import Twin
 
 

@@ -15,7 +15,7 @@ from dtwin.schema import DEFAULT_KIND, require_name
 from dtwin.twins.registration import VERSIONS, log_soon, place_of
 
 if TYPE_CHECKING:
-    from dtwin.kinds.volumetric.heat_twin import HeatTwin
+    from dtwin.kinds.volumetric import HeatTwin
 
 PATHS = "paths"
 """Kind of a twin that names none: it is of tests of a path."""

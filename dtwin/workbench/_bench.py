@@ -11,7 +11,7 @@ from fastapi import Request
 
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric.twins import HeatTwins
+from dtwin.kinds.volumetric import HeatTwins
 from dtwin.lake.store import Lake
 from dtwin.physics.effect import Effect
 from dtwin.physics.library import Library

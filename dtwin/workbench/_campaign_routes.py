@@ -14,7 +14,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from dtwin.acquire.amending import amend, leave_out
 from dtwin.errors import InputError
 from dtwin.kinds.registry import kind_named, kinds
-from dtwin.kinds.volumetric.motions import FAMILIES
+from dtwin.kinds.volumetric import FAMILIES
 from dtwin.pipeline.certificate import certificate
 from dtwin.pipeline.findings import findings_of, grouped_findings
 from dtwin.pipeline.measuring import ingest

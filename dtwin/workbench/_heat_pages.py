@@ -7,9 +7,7 @@ from typing import Any
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from dtwin.kinds.volumetric.motions import FAMILIES
-from dtwin.kinds.volumetric.twin_report import day_figure, motion_figure, term_table
-from dtwin.kinds.volumetric.twins import HeatTwins
+from dtwin.kinds.volumetric import FAMILIES, HeatTwins, day_figure, motion_figure, term_table
 from dtwin.report.html import Section
 from dtwin.report.twin_of_kind import comparison_sections, diagnosis_section, history_section, twin_section
 from dtwin.workbench import _reading as reading

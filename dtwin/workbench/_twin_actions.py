@@ -9,7 +9,7 @@ from pydantic import BaseModel, Field
 from starlette.responses import JSONResponse
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric.heat_twin import HeatTwin
+from dtwin.kinds.volumetric import HeatTwin
 from dtwin.physics.twin import Twin
 from dtwin.pipeline.machine_joint import newest_tests
 from dtwin.schema import require_name

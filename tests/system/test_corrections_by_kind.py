@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from dtwin.cli import app
 from dtwin.errors import DtwinError
-from dtwin.kinds.linear.simulate import simulate_lathe, verification_plan
+from dtwin.kinds.linear._simulate import simulate_lathe, verification_plan
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]
 WORN = "lead_error,pitch_error,backlash,screw_error,screw_error_by_direction"

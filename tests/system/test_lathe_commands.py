@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 from dtwin.cli import app
 from dtwin.config import home
 from dtwin.errors import InputError
+from dtwin.kinds.linear._fit import fitted
 from dtwin.kinds.linear._gates import registered_positioning_gates
-from dtwin.kinds.linear.fit import fitted
-from dtwin.kinds.linear.loop import campaign_test
-from dtwin.kinds.linear.simulate import mapping_plan, simulate_lathe, verification_plan
+from dtwin.kinds.linear._loop import campaign_test
+from dtwin.kinds.linear._simulate import mapping_plan, simulate_lathe, verification_plan
 from dtwin.lifecycle.drift import check_drift
 from dtwin.lifecycle.schedule import scheduled_training
 from dtwin.serve.builder import GraphBuilder

@@ -16,6 +16,7 @@ from typer.testing import CliRunner
 from dtwin.acquire.b5r import read_b5r
 from dtwin.cli import app
 from dtwin.errors import InputError
+from dtwin.kinds.circular._recording import ur10e_geometry
 from dtwin.kinds.circular._recording_models import (
     candidate_terms,
     grow,
@@ -26,8 +27,7 @@ from dtwin.kinds.circular._recording_models import (
     setup_terms,
 )
 from dtwin.kinds.circular._recording_passes import align
-from dtwin.kinds.circular.recording import ur10e_geometry
-from dtwin.kinds.circular.recording_report import recording_text
+from dtwin.kinds.circular._recording_report import recording_text
 from dtwin.physics.library import Library
 
 ROOT = Path(__file__).parents[2]

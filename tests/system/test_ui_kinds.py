@@ -10,12 +10,12 @@ import pytest
 from workbench_server import Workbench, running_workbench
 
 from dtwin.config import Home
-from dtwin.kinds.linear.plan import linear_plan
-from dtwin.kinds.linear.simulate import simulate_lathe
+from dtwin.kinds.linear._plan import linear_plan
+from dtwin.kinds.linear._simulate import simulate_lathe
 from dtwin.kinds.sinusoidal._simulate import Grid, simulate_turning
 from dtwin.kinds.volumetric._plan import BallPlan
 from dtwin.kinds.volumetric._simulate import TRUTHS, simulate_volumetric
-from dtwin.kinds.volumetric.twins import HeatTwins
+from dtwin.kinds.volumetric._twins import HeatTwins
 from dtwin.twins.verbs import Twins
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(180)]

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from dtwin.errors import InputError
+from dtwin.kinds.linear._plan import duration_s, linear_advice, linear_plan, read_linear_plan
 from dtwin.kinds.linear._program import laser_program
-from dtwin.kinds.linear.plan import duration_s, linear_advice, linear_plan, read_linear_plan
 
 EXAMPLE: dict[str, Any] = {
     "name": "z",

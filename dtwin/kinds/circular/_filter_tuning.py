@@ -14,7 +14,7 @@ from dtwin.errors import InputError
 from dtwin.features.dynamics.distances import distances_um
 from dtwin.features.dynamics.figures import FITNESSES, eq15, relative_difference, weighted_sum
 from dtwin.features.dynamics.filters import Filter, UnscentedFilter
-from dtwin.kinds.circular.particle_swarm import SwarmSettings, minimise
+from dtwin.kinds.circular._particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
 from dtwin.train.registry import Registry, environment
 

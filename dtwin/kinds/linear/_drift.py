@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.kinds.linear._bundle import axis_number, told
 from dtwin.kinds.linear._gates import along
 from dtwin.kinds.linear._judging import HELD_OUT, noise_floor_um
 from dtwin.kinds.linear._matrix import linear_test
 from dtwin.kinds.linear._models import MM_PER_IN
-from dtwin.kinds.linear.bundle import axis_number, told
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats, Run
 from dtwin.serve.bundle import Bundle

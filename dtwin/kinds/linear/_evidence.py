@@ -10,11 +10,11 @@ import numpy as np
 
 from dtwin.acquire.virtual import EPOCH
 from dtwin.errors import InputError
+from dtwin.kinds.linear._bundle import axis_number, is_positioning_bundle
+from dtwin.kinds.linear._loop import PERIOD_S, exact_correction, looped, measured
 from dtwin.kinds.linear._matrix import LinearTest
-from dtwin.kinds.linear.bundle import axis_number, is_positioning_bundle
-from dtwin.kinds.linear.loop import PERIOD_S, exact_correction, looped, measured
-from dtwin.kinds.linear.plan import LinearPlan, better_step
-from dtwin.kinds.linear.simulate import verification_plan, virtual_lathe
+from dtwin.kinds.linear._plan import LinearPlan, better_step
+from dtwin.kinds.linear._simulate import verification_plan, virtual_lathe
 from dtwin.progress import Progress
 from dtwin.schema import Run, RunMeta
 from dtwin.serve.bundle import Bundle
@@ -33,7 +33,7 @@ def measured_days(
     Every day has its own drift and noise. The oracle is an exact map on the days without.
 
     ``logged``: what its training logged: mapped travel and pitch.
-    ``truth``: as for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
+    ``truth``: as for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
     """
     if not is_positioning_bundle(bundle):
         raise InputError("the bundle does not correct a position", code="lathe.bundle", got=bundle.name)

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.linear._bundle import POSITION, ROOM_IN, SAFETY, held, remembering_bundle
 from dtwin.kinds.linear._check import FEWEST_PHASES, phases_of
 from dtwin.kinds.linear._grid import WAYS, Stroke
 from dtwin.kinds.linear._models import MM_PER_IN, UM_PER_IN
-from dtwin.kinds.linear.bundle import POSITION, ROOM_IN, SAFETY, held, remembering_bundle
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.screw import PITCH

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from dtwin.kinds.linear._bundle import told
 from dtwin.kinds.linear._models import MM_PER_IN
-from dtwin.kinds.linear.bundle import told
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle

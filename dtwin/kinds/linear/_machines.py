@@ -21,7 +21,7 @@ class _Lathe(VirtualMachine):
     clocks = ("machine", "wall")
 
     def simulate(self, request: Request, progress: Progress) -> Simulated:
-        from dtwin.kinds.linear.simulate import simulate_lathe
+        from dtwin.kinds.linear._simulate import simulate_lathe
 
         out, truth = request.out, request.options["truth"]
         readings, alarms = simulate_lathe(out, plan=request.plan, truth=truth, seed=request.seed, quick=request.quick)

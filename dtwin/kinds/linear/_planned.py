@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from dtwin.kinds.kind import Planned
+from dtwin.kinds.linear._plan import LinearPlan, better_step, duration_s, linear_advice, linear_plan, targets_mm
 from dtwin.kinds.linear._program import laser_program
-from dtwin.kinds.linear.plan import LinearPlan, better_step, duration_s, linear_advice, linear_plan, targets_mm
 from dtwin.physics.observations import Observations, observe
 from dtwin.plan_file import plan_settings
 from dtwin.schema import Campaign, Run, RunMeta

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear.plan import LinearPlan
+from dtwin.kinds.linear._plan import LinearPlan
 
 CONTROLS = ("opencnc", "iso")
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from dtwin.kinds.linear.bundle import told
-from dtwin.kinds.linear.plan import LinearPlan
-from dtwin.kinds.linear.simulate import (
+from dtwin.kinds.linear._bundle import told
+from dtwin.kinds.linear._plan import LinearPlan
+from dtwin.kinds.linear._simulate import (
     laser_setup,
     motion_of_plan,
     truth_of,
@@ -28,7 +28,7 @@ class ServedLathe:
     """One axis on its way through a positioning program; the laser looks on.
 
     ``plan``: what the laser measures; one run of the published verification without.
-    ``truth``: as for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
+    ``truth``: as for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
     """
 
     period_s = _PERIOD_S

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.linear._bundle import ROOM_IN, Flanks, deployed_bundle, flanks_bundle, flanks_of
 from dtwin.kinds.linear._check import phases_of
 from dtwin.kinds.linear._gates import positioning_gates
 from dtwin.kinds.linear._judging import HELD_OUT, explained_share, noise_floor_um, scores_of, stacked, without_run
@@ -25,7 +26,6 @@ from dtwin.kinds.linear._models import (
     averages_of,
     fit_dual,
 )
-from dtwin.kinds.linear.bundle import ROOM_IN, Flanks, deployed_bundle, flanks_bundle, flanks_of
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats

@@ -155,7 +155,7 @@ class _Linear(Kind):
         return train_positioning
 
     def recognises(self, bundle: Bundle) -> bool:
-        from dtwin.kinds.linear.bundle import is_positioning_bundle
+        from dtwin.kinds.linear._bundle import is_positioning_bundle
 
         return is_positioning_bundle(bundle)
 

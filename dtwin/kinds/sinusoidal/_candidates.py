@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.exceptions import ConvergenceWarning
 
+from dtwin.kinds.sinusoidal._bundle import Action, tone_bundle
 from dtwin.kinds.sinusoidal._gates import correction_radius, dead_terms
 from dtwin.kinds.sinusoidal._groups import HELD_OUT, ToneGroups
 from dtwin.kinds.sinusoidal._laws import Law, power_law, printed_form, searched, two_modes
 from dtwin.kinds.sinusoidal._narx import Narx
-from dtwin.kinds.sinusoidal.bundle import Action, tone_bundle
 from dtwin.schema import Floats
 from dtwin.serve.export import to_text
 from dtwin.statistics import rms

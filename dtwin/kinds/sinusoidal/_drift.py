@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, PHASE
 from dtwin.kinds.sinusoidal._check import HEARD
 from dtwin.kinds.sinusoidal._groups import (
     HELD_OUT,
@@ -18,7 +19,6 @@ from dtwin.kinds.sinusoidal._groups import (
     load_tone_groups,
     noise_floor_um,
 )
-from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, PHASE
 from dtwin.lake.store import Lake
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, MOST_CREST, ROOM, command_inputs, two_rate_bundle
 from dtwin.kinds.sinusoidal._gates import MOST_ERROR_UM
 from dtwin.kinds.sinusoidal._grid import ToneCondition
 from dtwin.kinds.sinusoidal._groups import SENT_CREST, SENT_FREQUENCY, SENT_RMS, ToneGroups
-from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, MOST_CREST, ROOM, command_inputs, two_rate_bundle
 from dtwin.physics.observations import Observations
 from dtwin.physics.problem import Term
 from dtwin.physics.state import State

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from dtwin.features.tone_window import TONE_FEATURES, tone_columns
+from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.kinds.sinusoidal._groups import HELD_OUT, SENT_CREST, SENT_FREQUENCY, SENT_RMS, ToneGroups, dead_features
 from dtwin.kinds.sinusoidal._laws import MOST_FEATURES
-from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle

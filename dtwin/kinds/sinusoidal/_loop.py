@@ -11,7 +11,7 @@ import numpy as np
 from dtwin.errors import InputError
 from dtwin.features.sine import fit_tone
 from dtwin.features.windows import StreamingWindow
-from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, PHASE, is_tone_bundle
+from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, PHASE, is_tone_bundle
 from dtwin.machines.turning import SERVO_HZ, AccelerationChannel, AnaloguePath, Instruments, Slide, TurningSlide
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle

@@ -68,12 +68,12 @@ class _Sinusoidal(Kind):
         return judge_sinusoidal_campaign(runs)
 
     def run_figures(self, run: Run) -> Mapping[str, Any]:
-        from dtwin.kinds.sinusoidal.report import tone_result
+        from dtwin.kinds.sinusoidal._report import tone_result
 
         return tone_result(run)
 
     def figure_lines(self, result: Mapping[str, Any]) -> list[str]:
-        from dtwin.kinds.sinusoidal.report import tone_lines
+        from dtwin.kinds.sinusoidal._report import tone_lines
 
         return tone_lines(result["runs"])
 
@@ -110,7 +110,7 @@ class _Sinusoidal(Kind):
         return train_tones
 
     def recognises(self, bundle: Bundle) -> bool:
-        from dtwin.kinds.sinusoidal.bundle import is_tone_bundle
+        from dtwin.kinds.sinusoidal._bundle import is_tone_bundle
 
         return is_tone_bundle(bundle)
 

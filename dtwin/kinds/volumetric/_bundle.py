@@ -9,7 +9,7 @@ import numpy as np
 from dtwin import __version__
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._chain import coefficient
-from dtwin.kinds.volumetric.thermal_model import ThermalModel
+from dtwin.kinds.volumetric._thermal_model import ThermalModel
 from dtwin.serve.builder import Expression, GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle

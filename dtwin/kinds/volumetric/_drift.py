@@ -9,9 +9,9 @@ import numpy as np
 
 from dtwin.errors import InputError
 from dtwin.kinds.volumetric._evidence import corrections
-from dtwin.kinds.volumetric.judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._training import HELD_OUT
 from dtwin.kinds.volumetric.session import session_in
-from dtwin.kinds.volumetric.training import HELD_OUT
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle

@@ -9,9 +9,9 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import GateRefusal
-from dtwin.kinds.volumetric.judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._thermal_model import independent
 from dtwin.kinds.volumetric.session import REFERENCE_CYCLES, Session, session_in
-from dtwin.kinds.volumetric.thermal_model import independent
 from dtwin.lake.store import Lake
 from dtwin.progress import Progress
 from dtwin.schema import Floats

@@ -15,9 +15,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.kinds.volumetric._heat_series import HeatSeries
-from dtwin.kinds.volumetric.heat_twin import KIND, HeatFit, heat_figures
-from dtwin.kinds.volumetric.motions import HeatTerm, family_of, motion_words
-from dtwin.kinds.volumetric.thermal_model import fit_thermal, inflation
+from dtwin.kinds.volumetric._heat_twin import KIND, HeatFit, heat_figures
+from dtwin.kinds.volumetric._motions import HeatTerm, family_of, motion_words
+from dtwin.kinds.volumetric._thermal_model import fit_thermal, inflation
 from dtwin.schema import Floats
 from dtwin.statistics import chi2_tail, holm, t_tail
 
@@ -87,7 +87,7 @@ class Mover:
 class HeatDiagnosis:
     """What is missing in a twin of heat.
 
-    ``figures``: errors at the balls, as :func:`dtwin.kinds.volumetric.heat_twin.heat_figures` has them.
+    ``figures``: errors at the balls, as :func:`dtwin.kinds.volumetric._heat_twin.heat_figures` has them.
     ``lack_of_fit_p``: of the hypothesis that the twin leaves nothing but noise of the motions.
     ``movers``: motions that count, best first.
     ``group``: those that the verdict is about.

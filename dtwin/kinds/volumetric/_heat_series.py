@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dtwin.errors import InputError
-from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal
+from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal
 from dtwin.schema import Floats
 
 _SPANS = 5

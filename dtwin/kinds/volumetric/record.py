@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
     from dtwin.kinds.machine import VirtualMachine
-    from dtwin.kinds.volumetric.twins import HeatTwins
+    from dtwin.kinds.volumetric._twins import HeatTwins
     from dtwin.lake.store import Lake
     from dtwin.physics.effect import Effect
     from dtwin.progress import Progress
@@ -48,18 +48,18 @@ class _Volumetric(Kind):
         return judge_volumetric_run(run)
 
     def twins(self, home: Home, library: Mapping[str, Effect] | None) -> HeatTwins:
-        from dtwin.kinds.volumetric.twins import HeatTwins
+        from dtwin.kinds.volumetric._twins import HeatTwins
 
         return HeatTwins(home)
 
     @property
     def twin_report(self) -> TwinReport:
-        from dtwin.kinds.volumetric import twin_report
+        from dtwin.kinds.volumetric import _twin_report as twin_report
 
         return twin_report
 
     def training(self) -> Callable[..., Training]:
-        from dtwin.kinds.volumetric.training import train_volumetric
+        from dtwin.kinds.volumetric._training import train_volumetric
 
         return train_volumetric
 

@@ -13,7 +13,7 @@ from dtwin.acquire import virtual_mill
 from dtwin.cli import app
 from dtwin.config import Home
 from dtwin.errors import InputError
-from dtwin.kinds.linear import simulate as virtual_lathe
+from dtwin.kinds.linear import _simulate as virtual_lathe
 from dtwin.kinds.machine import PLAN, VirtualMachine
 from dtwin.kinds.registry import kind_names, machine_named, machine_of_type, machine_table, machines
 from dtwin.kinds.sinusoidal import _simulate as virtual_turning

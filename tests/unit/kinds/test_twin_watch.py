@@ -9,8 +9,8 @@ import pytest
 from dtwin.acquire.ingest import ingest
 from dtwin.acquire.virtual_mill import simulate_mill
 from dtwin.config import Home
-from dtwin.kinds.linear.plan import linear_plan
-from dtwin.kinds.linear.simulate import simulate_lathe
+from dtwin.kinds.linear._plan import linear_plan
+from dtwin.kinds.linear._simulate import simulate_lathe
 from dtwin.lake.store import Lake
 from dtwin.twins.on_campaign import look_at
 from dtwin.twins.verbs import Twins

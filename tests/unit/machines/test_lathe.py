@@ -10,9 +10,9 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
+from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._program import laser_program
-from dtwin.kinds.linear.plan import LinearPlan
-from dtwin.kinds.linear.simulate import laser_setup, motion_of_plan, simulate_lathe, verification_plan, virtual_lathe
+from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, simulate_lathe, verification_plan, virtual_lathe
 from dtwin.machines.laser_trigger import watch
 from dtwin.machines.lathe import ThreadScrew, VirtualLathe, Wander
 from dtwin.machines.lathe_control import run_program

@@ -9,8 +9,8 @@ import pytest
 
 from dtwin.acquire.campaign_folder import open_campaign
 from dtwin.errors import InputError
-from dtwin.kinds.linear.plan import linear_plan
-from dtwin.kinds.linear.simulate import simulate_lathe
+from dtwin.kinds.linear._plan import linear_plan
+from dtwin.kinds.linear._simulate import simulate_lathe
 from dtwin.physics.diagnose import diagnose
 from dtwin.physics.fit import fit
 from dtwin.physics.library import Library

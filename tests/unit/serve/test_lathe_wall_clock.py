@@ -7,8 +7,8 @@ import time
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear.simulate import verification_plan
-from dtwin.kinds.linear.wall_clock import paced
+from dtwin.kinds.linear._simulate import verification_plan
+from dtwin.kinds.linear._wall_clock import paced
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import create_bundle

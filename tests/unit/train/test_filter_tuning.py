@@ -10,7 +10,7 @@ import pytest
 from dtwin.errors import InputError
 from dtwin.features.dynamics.filters import UnscentedFilter
 from dtwin.kinds.circular._filter_tuning import judge, sensitivity, tune
-from dtwin.kinds.circular.particle_swarm import SwarmSettings, minimise
+from dtwin.kinds.circular._particle_swarm import SwarmSettings, minimise
 from dtwin.schema import Floats
 
 SMALL = SwarmSettings(particles=8, iterations=10, seed=3)

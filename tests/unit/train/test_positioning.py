@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear._gates import along, positioning_gates
-from dtwin.kinds.linear._models import Averages, Bidirectional, Unidirectional, fit_dual, whole_turns
-from dtwin.kinds.linear._net_training import ALGORITHMS, train_net
-from dtwin.kinds.linear._small_net import new_net
-from dtwin.kinds.linear.bundle import (
+from dtwin.kinds.linear._bundle import (
     Flanks,
     axis_number,
     deployed_bundle,
@@ -24,7 +20,11 @@ from dtwin.kinds.linear.bundle import (
     is_positioning_bundle,
     printed_pair,
 )
-from dtwin.kinds.linear.simulate import mapping_plan
+from dtwin.kinds.linear._gates import along, positioning_gates
+from dtwin.kinds.linear._models import Averages, Bidirectional, Unidirectional, fit_dual, whole_turns
+from dtwin.kinds.linear._net_training import ALGORITHMS, train_net
+from dtwin.kinds.linear._simulate import mapping_plan
+from dtwin.kinds.linear._small_net import new_net
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, read_network
 from dtwin.serve.builder import GraphBuilder
 from dtwin.serve.bundle_file import create_bundle

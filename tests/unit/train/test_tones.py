@@ -9,13 +9,13 @@ import pytest
 
 from dtwin.errors import InputError
 from dtwin.features.windows import StreamingWindow
+from dtwin.kinds.sinusoidal._bundle import AMPLITUDE, PHASE, SERVO_HZ
 from dtwin.kinds.sinusoidal._candidates import narx_candidate, searched_candidate
+from dtwin.kinds.sinusoidal._fit import FittedTones, fitted_tones
 from dtwin.kinds.sinusoidal._gates import AnsweredWindow
 from dtwin.kinds.sinusoidal._groups import HEARD, ToneGroups, exponent, feature_findings, groups_of
 from dtwin.kinds.sinusoidal._loop import ToneCommand, run_loop
 from dtwin.kinds.sinusoidal._simulate import PUBLISHED, QUICK, Grid, noiseless, virtual_runs, virtual_slide
-from dtwin.kinds.sinusoidal.bundle import AMPLITUDE, PHASE, SERVO_HZ
-from dtwin.kinds.sinusoidal.fit import FittedTones, fitted_tones
 from dtwin.kinds.sinusoidal.trial import trial
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.runtime import CompiledBundle

@@ -15,8 +15,8 @@ from dtwin.errors import InputError
 from dtwin.kinds.linear._correction import test_of_runs
 from dtwin.kinds.linear._freeze import flank_graph, flanks_twin_bundle, pitch_in, reach_in
 from dtwin.kinds.linear._gates import along, positioning_gates
-from dtwin.kinds.linear.plan import linear_plan
-from dtwin.kinds.linear.simulate import simulate_lathe, virtual_lathe
+from dtwin.kinds.linear._plan import linear_plan
+from dtwin.kinds.linear._simulate import simulate_lathe, virtual_lathe
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN
 from dtwin.physics.effect import Effect, Instance, Law, Parameter
 from dtwin.physics.fit import fit

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from dtwin.kinds.linear._bundle import deployed_bundle, printed_pair
 from dtwin.kinds.linear._gates import positioning_gates
+from dtwin.kinds.linear._loop import campaign_test
 from dtwin.kinds.linear._models import UM_PER_IN, Averages, PositionModel, averages_of
 from dtwin.kinds.linear._training import fit_pair, flanks_from, screw_of, serving_bundle
-from dtwin.kinds.linear.bundle import deployed_bundle, printed_pair
-from dtwin.kinds.linear.loop import campaign_test
 from dtwin.machines.printed_network import MAPPED_IN, PITCH_IN, read_network
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle

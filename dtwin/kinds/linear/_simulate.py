@@ -11,10 +11,10 @@ import numpy as np
 from dtwin.acquire.campaign_file import write_campaign_file
 from dtwin.atomic import write_text, write_toml
 from dtwin.errors import InputError
+from dtwin.kinds.linear._plan import LinearPlan, linear_plan
 from dtwin.kinds.linear._program import laser_program
 from dtwin.kinds.linear._read import MM_PER
 from dtwin.kinds.linear.laser_file import LaserTest, linear_error, write_laser_file
-from dtwin.kinds.linear.plan import LinearPlan, linear_plan
 from dtwin.machines.laser_trigger import LaserSetup
 from dtwin.machines.lathe import LatheRecording, NetworkScrew, ThreadScrew, VirtualLathe, Wander
 from dtwin.machines.lathe_control import Motion, run_program

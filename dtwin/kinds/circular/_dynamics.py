@@ -15,8 +15,7 @@ from dtwin.features.dynamics.figures import DynamicComponents, dynamic_component
 from dtwin.features.dynamics.filters import Filter, UnscentedFilter, response
 from dtwin.features.dynamics.turns import Turn, one_turn
 from dtwin.kinds.circular._dynamics_findings import findings_of
-from dtwin.kinds.circular._filter_tuning import Tuning, log_tuning, tune
-from dtwin.kinds.circular.dynamics_ways import (
+from dtwin.kinds.circular._dynamics_ways import (
     DynamicsRequest,
     alpha_sensitivity,
     filter_of,
@@ -24,6 +23,7 @@ from dtwin.kinds.circular.dynamics_ways import (
     radial_error_um,
     twin_static_um,
 )
+from dtwin.kinds.circular._filter_tuning import Tuning, log_tuning, tune
 from dtwin.lake.store import Lake
 from dtwin.physics.observations import observe
 from dtwin.schema import Campaign, Floats, Run, SignalGroup

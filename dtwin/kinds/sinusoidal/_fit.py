@@ -8,11 +8,11 @@ from pathlib import Path
 from dtwin.acquire.ingest import open_source
 from dtwin.acquire.quality import judge_run
 from dtwin.errors import InputError
+from dtwin.kinds.sinusoidal._bundle import Action
 from dtwin.kinds.sinusoidal._candidates import FORMS, form_candidate, searched_candidate
 from dtwin.kinds.sinusoidal._gates import tone_gates
 from dtwin.kinds.sinusoidal._groups import ToneGroups, groups_of, heard_groups
 from dtwin.kinds.sinusoidal._training import what_was_seen
-from dtwin.kinds.sinusoidal.bundle import Action
 from dtwin.progress import Progress
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.bundle_file import require_new, save_bundle

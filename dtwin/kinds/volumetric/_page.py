@@ -7,7 +7,7 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-from dtwin.kinds.volumetric.text import finding_lines
+from dtwin.kinds.volumetric._text import finding_lines
 from dtwin.report.html import Section, Table, page
 from dtwin.report.plots import COLOURS, styled
 
@@ -18,7 +18,7 @@ def volumetric_page(found: Mapping[str, Any]) -> str:
     Parameters
     ----------
     found : dict
-        As ``dtwin.kinds.volumetric.judging.judged`` gives it.
+        As ``dtwin.kinds.volumetric._judging.judged`` gives it.
     """
     d = found["distances"]
     told = [("note", line) for line in finding_lines(found)] or [("note", "nothing to warn of")]

@@ -14,7 +14,7 @@ from dtwin.errors import InputError, StoreError
 from dtwin.kinds.volumetric._data import HeatLoaded, load_heat
 from dtwin.kinds.volumetric._heat_diagnosis import HeatDiagnosis, diagnose_heat
 from dtwin.kinds.volumetric._heat_series import HeatSeries
-from dtwin.kinds.volumetric.heat_twin import (
+from dtwin.kinds.volumetric._heat_twin import (
     FORMAT,
     KIND,
     HeatTwin,
@@ -24,7 +24,7 @@ from dtwin.kinds.volumetric.heat_twin import (
     heat_twin_from,
     heat_twin_of,
 )
-from dtwin.kinds.volumetric.motions import HeatTerm, heat_terms
+from dtwin.kinds.volumetric._motions import HeatTerm, heat_terms
 from dtwin.schema import Floats, require_name
 from dtwin.twins.shelf import TwinShelf, effect_absent, effect_there, require_same_machine
 
@@ -100,7 +100,7 @@ class HeatTwins(TwinShelf):
         campaign : str
             Name in the lake, or a folder.
         effects : sequence of str
-            Error motions or families, as :func:`dtwin.kinds.volumetric.motions.heat_terms` takes them.
+            Error motions or families, as :func:`dtwin.kinds.volumetric._motions.heat_terms` takes them.
         robust : bool
             Not for this kind.
 

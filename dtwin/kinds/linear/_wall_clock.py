@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.kinds.linear.bundle import POSITION
-from dtwin.kinds.linear.loop import PERIOD_S
-from dtwin.kinds.linear.plan import LinearPlan
-from dtwin.kinds.linear.simulate import motion_of_plan
+from dtwin.kinds.linear._bundle import POSITION
+from dtwin.kinds.linear._loop import PERIOD_S
+from dtwin.kinds.linear._plan import LinearPlan
+from dtwin.kinds.linear._simulate import motion_of_plan
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
 from dtwin.serve.realtime import realtime

@@ -44,7 +44,7 @@ def dynamics_page(result: Mapping[str, Any], curves: Curves, radius_mm: float) -
     Parameters
     ----------
     result, curves
-        As ``dtwin.kinds.circular.dynamics.Split`` holds them.
+        As ``dtwin.kinds.circular._dynamics.Split`` holds them.
     """
     findings = [(f["severity"], f["message"]) for f in result["findings"]]
     paragraphs = [_tuned(result["tuning"])] if result["tuning"] else []

@@ -11,7 +11,7 @@ from dtwin.errors import InputError
 from dtwin.features.dynamics.filters import MODELS, Filter, LowPass, RandomWalkFilter, Smoother, UnscentedFilter
 from dtwin.features.dynamics.turns import MOST_READINGS, Turn
 from dtwin.kinds.circular._filter_tuning import sensitivity
-from dtwin.kinds.circular.particle_swarm import SwarmSettings
+from dtwin.kinds.circular._particle_swarm import SwarmSettings
 from dtwin.physics.circular import fit_circle, residual_um
 from dtwin.physics.fit import fit
 from dtwin.physics.gridding import bin_angle_rad

@@ -10,13 +10,13 @@ import numpy as np
 
 from dtwin.acquire.ingest import open_source
 from dtwin.errors import InputError
+from dtwin.kinds.linear._bundle import RATE_HZ, axis_number, told
 from dtwin.kinds.linear._gates import along
 from dtwin.kinds.linear._matrix import LinearTest, linear_test
 from dtwin.kinds.linear._models import PositionModel
+from dtwin.kinds.linear._plan import LinearPlan
 from dtwin.kinds.linear._report import before_after_figures
-from dtwin.kinds.linear.bundle import RATE_HZ, axis_number, told
-from dtwin.kinds.linear.plan import LinearPlan
-from dtwin.kinds.linear.simulate import laser_setup, motion_of_plan, verification_plan, virtual_lathe
+from dtwin.kinds.linear._simulate import laser_setup, motion_of_plan, verification_plan, virtual_lathe
 from dtwin.machines.lathe import MM_PER_IN, UM_PER_IN, LatheRecording, VirtualLathe, Wander
 from dtwin.schema import Floats
 from dtwin.serve.bundle import Bundle
@@ -131,7 +131,7 @@ def before_and_after(bundle: Bundle, truth: str, seed: int, plan: LinearPlan | N
     Parameters
     ----------
     truth : str
-        As for :func:`dtwin.kinds.linear.simulate.virtual_lathe`.
+        As for :func:`dtwin.kinds.linear._simulate.virtual_lathe`.
     plan : LinearPlan, optional
         What to measure; the published verification without.
     """

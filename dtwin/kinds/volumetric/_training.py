@@ -9,9 +9,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dtwin.kinds.volumetric._bundle import volumetric_bundle
-from dtwin.kinds.volumetric.judging import distance_changes_um
+from dtwin.kinds.volumetric._judging import distance_changes_um
+from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal
 from dtwin.kinds.volumetric.session import Session, session_in
-from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal
 from dtwin.lake.store import Lake
 from dtwin.progress import StageProgress
 from dtwin.schema import Floats

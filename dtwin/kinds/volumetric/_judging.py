@@ -11,8 +11,8 @@ from dtwin.kinds.volumetric._chain import coefficient, design
 from dtwin.kinds.volumetric._identify import Balls
 from dtwin.kinds.volumetric._intervals import IntervalCurve, interval_curve, reduction_pct, worse_steps
 from dtwin.kinds.volumetric._slots import SLOTS, slot_places_mm, slot_ranges_um
+from dtwin.kinds.volumetric._thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.kinds.volumetric.session import Session, Strokes, with_offered
-from dtwin.kinds.volumetric.thermal_model import ThermalModel, fit_thermal, inflation
 from dtwin.schema import Floats
 from dtwin.statistics import rms
 
