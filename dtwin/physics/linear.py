@@ -84,22 +84,33 @@ def linear_figures(forward_um: Floats, backward_um: Floats) -> LinearFigures:
             code="linear.not_finite",
             got=f"{int((~np.isfinite(forward)).sum() + (~np.isfinite(backward)).sum())} values",
         )
-    up, down = forward.mean(axis=1), backward.mean(axis=1)
-    s_up, s_down = forward.std(axis=1, ddof=1), backward.std(axis=1, ddof=1)
+    return LinearFigures(**{name: float(value) for name, value in stacked_figures(forward, backward).items()})
+
+
+def stacked_figures(forward_um: Floats, backward_um: Floats) -> dict[str, Floats]:
+    """Return the figures of many tests at once by name, in um, each of shape (...).
+
+    Parameters
+    ----------
+    forward_um, backward_um : ndarray, shape (..., positions, runs)
+        Finite deviations of each test, from below and from above.
+    """
+    up, down = forward_um.mean(axis=-1), backward_um.mean(axis=-1)
+    s_up, s_down = forward_um.std(axis=-1, ddof=1), backward_um.std(axis=-1, ddof=1)
     reversal = up - down
     both = np.maximum.reduce([2 * s_up + 2 * s_down + np.abs(reversal), 4 * s_up, 4 * s_down])
-    highest, lowest = (np.maximum(up + 2 * s_up, down + 2 * s_down), np.minimum(up - 2 * s_up, down - 2 * s_down))
-    return LinearFigures(
-        accuracy_um=float(highest.max() - lowest.min()),
-        accuracy_forward_um=float((up + 2 * s_up).max() - (up - 2 * s_up).min()),
-        accuracy_backward_um=float((down + 2 * s_down).max() - (down - 2 * s_down).min()),
-        repeatability_um=float(both.max()),
-        repeatability_forward_um=float(4 * s_up.max()),
-        repeatability_backward_um=float(4 * s_down.max()),
-        reversal_um=float(np.abs(reversal).max()),
-        mean_reversal_um=float(reversal.mean()),
-        systematic_um=float(max(up.max(), down.max()) - min(up.min(), down.min())),
-        systematic_forward_um=float(np.ptp(up)),
-        systematic_backward_um=float(np.ptp(down)),
-        mean_deviation_um=float(np.ptp((up + down) / 2)),
-    )
+    tops, bottoms = (up + 2 * s_up, down + 2 * s_down), (up - 2 * s_up, down - 2 * s_down)
+    return {
+        "accuracy_um": np.maximum(*tops).max(axis=-1) - np.minimum(*bottoms).min(axis=-1),
+        "accuracy_forward_um": tops[0].max(axis=-1) - bottoms[0].min(axis=-1),
+        "accuracy_backward_um": tops[1].max(axis=-1) - bottoms[1].min(axis=-1),
+        "repeatability_um": both.max(axis=-1),
+        "repeatability_forward_um": 4 * s_up.max(axis=-1),
+        "repeatability_backward_um": 4 * s_down.max(axis=-1),
+        "reversal_um": np.abs(reversal).max(axis=-1),
+        "mean_reversal_um": reversal.mean(axis=-1),
+        "systematic_um": np.maximum(up, down).max(axis=-1) - np.minimum(up, down).min(axis=-1),
+        "systematic_forward_um": np.ptp(up, axis=-1),
+        "systematic_backward_um": np.ptp(down, axis=-1),
+        "mean_deviation_um": np.ptp((up + down) / 2, axis=-1),
+    }

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.physics.circular import bidirectional_figures, circular_figures, fit_circle, residual_um
+from dtwin.physics.circular import bidirectional_figures, fit_circle, residual_um
 from dtwin.report.plots import polar_figure
 from dtwin.report.sheet import Characteristic, Part, Sheet, pooled, repeated, sound_runs
 from dtwin.schema import Floats, Run
@@ -54,13 +54,13 @@ def circular_sheet(runs: Sequence[Run]) -> Sheet:
 def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...]:
     characteristics: list[Characteristic] = []
     for way in _WAYS:
-        each = [circular_figures(*_arc(run), radius_mm) for run in runs if run.meta.direction == way]
+        each = [_centred_um(_arc(run), radius_mm) for run in runs if run.meta.direction == way]
         if each:
             words = "counter-clockwise" if way == "CCW" else "clockwise"
             characteristics += [
-                repeated(f"G({way})", f"circular deviation, {words}", [e.circular_deviation_um for e in each]),
-                repeated(f"Fmax({way})", "largest radial deviation", [e.radial_deviation_max_um for e in each]),
-                repeated(f"Fmin({way})", "smallest radial deviation", [e.radial_deviation_min_um for e in each]),
+                repeated(f"G({way})", f"circular deviation, {words}", [float(np.ptp(e)) for e in each]),
+                repeated(f"Fmax({way})", "largest radial deviation", [float(e.max()) for e in each]),
+                repeated(f"Fmin({way})", "smallest radial deviation", [float(e.min()) for e in each]),
             ]
     pairs = [bidirectional_figures(_arc(up), _arc(down), radius_mm) for up, down in _pairs(runs)]
     if pairs:
@@ -72,6 +72,12 @@ def _figures(runs: Sequence[Run], radius_mm: float) -> tuple[Characteristic, ...
             repeated("D", "mean bi-directional radial deviation", [p.mean_bidirectional_radius_um for p in pairs]),
         ]
     return tuple(characteristics)
+
+
+def _centred_um(arc: _Arc, radius_mm: float) -> Floats:
+    """Return the radial deviation about the circle's own centre, shape (n,)."""
+    circle = fit_circle(*arc, radius_mm)
+    return residual_um(*arc, radius_mm, circle) + circle.radius_change_um
 
 
 def _pairs(runs: Sequence[Run]) -> list[tuple[Run, Run]]:
