@@ -24,8 +24,8 @@ def export(
         str,
         typer.Option(
             "--as",
-            help="c, st, python, latex, urscript, comp, siemens, heidenhain, fanuc, haas, beckhoff, csv, gcode, klipper "
-            "or reprap.",
+            help="c, st, python, latex, urscript, comp, siemens, heidenhain, fanuc, haas, beckhoff, csv, gcode, klipper, "
+            "reprap; of a twin of an arm: urdf, dh, python, matlab.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="File to write.")],
@@ -49,7 +49,7 @@ def export(
     """Write a registered correction as code, table or compensated program."""
     from dtwin.atomic import write_text
     from dtwin.config import home
-    from dtwin.lifecycle.export import FORMATS, Request, source_of
+    from dtwin.lifecycle.export import FORMATS, Request, export_twin, source_of
     from dtwin.lifecycle.export import export as write
     from dtwin.physics.library import Library
 
@@ -68,22 +68,27 @@ def export(
         program=program,
         tolerance_um=tolerance_um,
     )
-    found = source_of(home(), source, machine, Library(effects_path or []))
-    made = write(found, request)
+    made = export_twin(home(), source, form)
+    if made is not None:
+        name, version, state = source, str(made.twin_version), "twin"
+    else:
+        found = source_of(home(), source, machine, Library(effects_path or []))
+        name, version, state = found.bundle.name, found.version, found.state
+        made = write(found, request)
     write_text(out, made.text, "the export")
     payload = {
         "file": str(out),
         "as": form,
-        "name": found.bundle.name,
-        "version": found.version,
-        "state": found.state,
+        "name": name,
+        "version": version,
+        "state": state,
         "figures": dict(made.figures),
         "left_out": dict(made.left_out),
         "notes": list(made.notes),
     }
 
     def text() -> str:
-        lines = [f"{out} written: {found.bundle.name} (version {found.version}, {found.state}) as {form}"]
+        lines = [f"{out} written: {name} (version {version}, {state}) as {form}"]
         lines += [f"  {name}: {_shown(value)}" for name, value in made.figures.items()]
         lines += [f"  left out, {label}: {why}" for label, why in made.left_out.items()]
         return "\n".join([*lines, *(f"  note: {note}" for note in made.notes)])

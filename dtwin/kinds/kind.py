@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from dtwin.kinds.machine import VirtualMachine
     from dtwin.kinds.volumetric import HeatTwins
     from dtwin.lake.store import Lake
+    from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
     from dtwin.physics.grid import Grid, Row
     from dtwin.physics.observations import Observations
@@ -57,6 +58,7 @@ VERBS: Mapping[str, tuple[str, str]] = {
     "sheet": ("a test sheet", "figures of a standard"),
     "drawings": ("a picture of a run", "a figure of one run"),
     "twins": ("a twin", "effects, and a fit of them"),
+    "export_twin": ("an export of the twin itself", "a geometry that controls and simulators take"),
     "rows": ("a twin of paths", "a grid on which runs are compared"),
     "laws": ("a law or a formula for what a twin leaves", "runs of one circle"),
     "twin_correction": ("the correction of a twin", "a bundle of the effects of a twin"),
@@ -185,6 +187,8 @@ class Kind:
         What every twin has beside its effects, as a sentence; empty when there is no twin.
     controls : tuple of str
         Dialects of its programs, the usual first; empty when they are alike for all controls.
+    export_forms : tuple of str
+        Forms of ``dtwin export`` that a twin is written in without a registered correction.
     instead : mapping of str to str
         What serves in place of a verb that the kind lacks.
     """
@@ -199,6 +203,7 @@ class Kind:
     sheet_columns: ClassVar[tuple[str, ...]] = ()
     always_fitted: ClassVar[str] = ""
     controls: ClassVar[tuple[str, ...]] = ()
+    export_forms: ClassVar[tuple[str, ...]] = ()
     instead: ClassVar[Mapping[str, str]] = {}
 
     @property
@@ -287,6 +292,10 @@ class Kind:
     def twin_report(self) -> TwinReport:
         """How twins of such campaigns are told."""
         raise self.lacks("twins")
+
+    def export_twin(self, home: Home, name: str, form: str) -> Export:
+        """Write a twin in one of ``export_forms``."""
+        raise self.lacks("export_twin")
 
     def rows(self, runs: Sequence[Run], times_h: Sequence[float]) -> tuple[Grid, list[Row]]:
         """Return the grid on which runs are compared, and the runs on it."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from dtwin.config import Home
 from dtwin.errors import InputError
+from dtwin.kinds.registry import kind_named, own_kinds
 from dtwin.lifecycle import _beckhoff, _fanuc, _haas, _heidenhain, _siemens
 from dtwin.lifecycle._export_heads import c_header, commented, said_of, whose
 from dtwin.lifecycle._skew_settings import HELD, klipper_settings, reprap_settings, skews
@@ -36,6 +37,7 @@ from dtwin.serve.pointer import resolve
 from dtwin.train.registry import RegisteredVersion, Registry
 from dtwin.train.twin_axes import AXES, own_axis_only
 from dtwin.train.twin_terms import choose
+from dtwin.twins.shelf import kind_of
 from dtwin.twins.verbs import Twins
 
 _EQUATIONS = ("c", "st", "python", "latex", "urscript")
@@ -48,7 +50,8 @@ _ONE_AXIS: Mapping[str, AxisForm] = {
     "beckhoff": _beckhoff.FORM,
 }
 _TABLES = (*_ONE_AXIS, "csv", "gcode", *HELD)
-FORMATS = (*_EQUATIONS, *_TABLES)
+_OF_TWINS = tuple(dict.fromkeys(form for kind in own_kinds() for form in kind.export_forms))
+FORMATS = (*_EQUATIONS, *_TABLES, *(form for form in _OF_TWINS if form not in _EQUATIONS))
 _UNREGISTERED = "not registered"
 
 
@@ -98,12 +101,38 @@ class Export:
 
     ``figures``: rows, interpolation error and the like.
     ``left_out``: effects that this form cannot hold, and why.
+    ``twin_version``: of the twin that was written without a registered correction.
     """
 
     text: str
     figures: Mapping[str, Any] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    twin_version: int | None = None
+
+
+def export_twin(home: Home, name: str, form: str) -> Export | None:
+    """Write a twin whose kind has forms of its own; None where the name is of no such twin.
+
+    Raises
+    ------
+    InputError
+        When its kind does not have this form, or the form cannot hold the twin.
+    """
+    if not (home.root / "twins" / Path(name).name).is_dir() or name.endswith(".json"):
+        return None
+    kind = kind_named(kind_of(home, name))
+    if not kind.offers("export_twin"):
+        return None
+    if form not in kind.export_forms:
+        raise InputError(
+            "a twin of this kind is not written in this form",
+            code="export.form",
+            where=f"twin {name}",
+            got=form,
+            allowed=", ".join(kind.export_forms),
+        )
+    return kind.export_twin(home, name, form)
 
 
 def source_of(home: Home, name: str, machine: str | None, library: Mapping[str, Effect] | None = None) -> Source:
@@ -153,6 +182,15 @@ def export(source: Source, request: Request) -> Export:
     """
     if request.form in _EQUATIONS:
         return _equation(source, request.form)
+    if request.form not in _TABLES:
+        raise InputError(
+            "this form is of a twin whose kind writes it",
+            code="export.form",
+            where=source.bundle.name,
+            got=request.form,
+            allowed=", ".join((*_EQUATIONS, *_TABLES)),
+            hint="dtwin export TWIN --as " + request.form,
+        )
     if source.twin is None:
         raise InputError(
             "this form needs the error of single axes",

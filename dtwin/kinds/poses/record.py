@@ -10,6 +10,7 @@ from dtwin.kinds.kind import FileReader, Kind
 if TYPE_CHECKING:
     from dtwin.config import Home
     from dtwin.kinds.kind import TwinReport
+    from dtwin.lifecycle.export import Export
     from dtwin.physics.effect import Effect
     from dtwin.schema import Campaign, Finding, Run
     from dtwin.twins.verbs import Twins
@@ -24,6 +25,7 @@ class _Poses(Kind):
         *(f"{what}_{a}_mm" for what in ("measured", "target", "error") for a in "xyz"),
         "ambient_c",
     )
+    export_forms = ("urdf", "dh", "python", "matlab")
     always_fitted = "The instrument's frame and the tool are always fitted."
     instead: ClassVar[Mapping[str, str]] = {
         "rows": "dtwin twin fit CAMPAIGN --effects joint_zero,link_geometry --name NAME fits a twin of the arm",
@@ -65,6 +67,11 @@ class _Poses(Kind):
 
         # The same verbs, for a twin of an arm.
         return cast("Twins", PoseTwins(home))
+
+    def export_twin(self, home: Home, name: str, form: str) -> Export:
+        from dtwin.kinds.poses._export import export_twin
+
+        return export_twin(home, name, form)
 
     @property
     def twin_report(self) -> TwinReport:

@@ -51,6 +51,7 @@ GIVEN: dict[str, tuple[Any, ...]] = {
     "judge_run": (None,),
     "sheet": ((),),
     "twins": (None, None),
+    "export_twin": (None, "", ""),
     "rows": ((), ()),
     "gates": (None, {}),
     "champion_error": (None, (), None, {}),
