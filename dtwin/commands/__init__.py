@@ -15,6 +15,7 @@ from dtwin.commands import (
     _dynamics,
     _evidence,
     _exporting,
+    _importing,
     _lathe,
     _linuxcnc,
     _machine,
@@ -59,6 +60,7 @@ _MODULES = (
     _papers,
     _dynamics,
     _exporting,
+    _importing,
     _servers,
     _ui,
 )

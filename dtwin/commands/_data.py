@@ -97,7 +97,7 @@ def check(
     from dtwin.report.checking import check_campaign, check_source, render_check
 
     lake, line = Lake(home().lake), ProgressLine("check", quiet=as_json)
-    told = _told(plane, radius, feed, direction, axis, setup, repeat, machine)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine)
     limits = partial(tolerances_of, home())
     alone = any(value is not None for value in told.values())
     campaigns = [] if alone or source.exists() else lake.campaigns()
@@ -136,7 +136,7 @@ def ingest(
     from dtwin.lake.store import Lake
 
     lake = Lake(home().lake)
-    told = _told(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
     reports = [ingest_one(path, lake, ProgressLine(f"ingest {path.name}", quiet=as_json), told) for path in sources]
     payload = {"campaigns": [_report_dict(report) for report in reports]}
     emit(payload, lambda: "\n\n".join(map(_report_text, reports)), as_json=as_json)
@@ -269,7 +269,7 @@ def migrate(as_json: Json = False) -> None:
     emit(asdict(found), text, as_json=as_json)
 
 
-def _told(
+def told_of(
     plane: str | None,
     radius: float | None,
     feed: float | None,

@@ -15,6 +15,7 @@ TASKS: dict[str, tuple[str, ...]] = {
         "record",
         "watch",
         "check",
+        "import",
         "ingest",
         "runs",
         "amend",

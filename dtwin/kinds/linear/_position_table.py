@@ -12,7 +12,6 @@ head says so (deviation, error, Abweichung) or is in micrometres, else positions
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ import numpy as np
 
 from dtwin.acquire.spreadsheet import SUFFIXES as SPREADSHEETS
 from dtwin.acquire.spreadsheet import is_spreadsheet, table_bytes
+from dtwin.acquire.table_dialect import decoded, rows_of
 from dtwin.errors import InputError
 from dtwin.schema import Campaign, Finding, Floats, Run, RunMeta
 from dtwin.units import UM_PER_MM
@@ -67,10 +67,10 @@ def is_position_table(path: Path) -> bool:
     """Return whether a file looks like one of the forms; it is read no further than its beginning."""
     if path.suffix.lower() not in SUFFIXES or not path.is_file():
         return False
-    text = _beginning(path).decode("utf-8-sig", errors="replace")
+    text = decoded(_beginning(path))
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return True
-    rows = _rows(text)
+    rows = rows_of(text)
     return bool(rows) and (_wide(rows[0]) is not None or _long(rows[0]) is not None)
 
 
@@ -122,10 +122,10 @@ def read_position_table(path: Path) -> PositionTable:
 
     Raises ``InputError`` when a cell is no number, or targets, cycles or directions do not belong together.
     """
-    text = table_bytes(path, _MAX_BYTES).decode("utf-8-sig", errors="replace")
+    text = decoded(table_bytes(path, _MAX_BYTES))
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
         return _matrix(_assigned(text, path), path)
-    rows = _rows(text)
+    rows = rows_of(text)
     wide = _wide(rows[0]) if rows else None
     if wide is not None:
         return _matrix(_from_wide(rows, wide, path), path)
@@ -264,16 +264,6 @@ def _deviation_um(head: str, scale: float, value_mm: float, target_mm: float) ->
     """Return the deviation, and whether the column holds positions."""
     by_position = _DEVIATION.search(head) is None and scale >= 1.0
     return (value_mm - target_mm if by_position else value_mm) * UM_PER_MM, by_position
-
-
-def _rows(text: str) -> list[list[str]]:
-    """Return the cells of a table without comments and empty lines; a decimal comma becomes a point."""
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        return []
-    part = max((";", "\t", ","), key=lambda mark: (lines[0].count(mark), mark != ","))
-    rows = list(csv.reader(lines, delimiter=part))
-    return rows if part == "," else [[cell.replace(",", ".") for cell in row] for row in rows]
 
 
 def _way(text: str) -> str | None:

@@ -1,0 +1,49 @@
+"""Tables of text as programs of many countries write them: encodings, marks between columns, decimal commas."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+
+_SNIFFED_LINES = 100
+_BOMS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
+
+
+def encoding_of(data: bytes) -> str:
+    """Return the encoding of a text: by its first bytes, by zeros between letters, UTF-8, else that of Windows."""
+    for mark, name in _BOMS:
+        if data.startswith(mark):
+            return name
+    begin = data[:200]
+    if begin[1::2].count(0) > len(begin) // 4:
+        return "utf-16-le"
+    if begin[::2].count(0) > len(begin) // 4:
+        return "utf-16-be"
+    try:
+        # What was read in part may end within a letter.
+        codecs.getincrementaldecoder("utf-8")().decode(data)
+    except UnicodeDecodeError:
+        return "cp1252"
+    return "utf-8"
+
+
+def decoded(data: bytes) -> str:
+    """Return a text of any of the encodings; a letter that is none becomes a question mark."""
+    return data.decode(encoding_of(data), errors="replace")
+
+
+def mark_of(lines: list[str]) -> str:
+    """Return what parts the columns: semicolons or tabs when half of the first lines have them, else commas."""
+    first = lines[:_SNIFFED_LINES]
+    return next((mark for mark in (";", "\t") if 2 * sum(mark in line for line in first) >= max(len(first), 1)), ",")
+
+
+def rows_of(text: str) -> list[list[str]]:
+    """Return the cells of a table without comments and empty lines; a decimal comma becomes a point."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    mark = mark_of(lines)
+    try:
+        rows = list(csv.reader(lines, delimiter=mark))
+    except csv.Error:
+        return []
+    return rows if mark == "," else [[cell.replace(",", ".") for cell in row] for row in rows]

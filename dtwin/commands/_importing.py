@@ -1,0 +1,97 @@
+"""The command that makes a campaign folder of a foreign table: import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from dtwin.commands._data import Axis, Direction, Feed, Machine, Plane, Radius, Repeat, Setup, told_of
+from dtwin.commands._output import Json, emit
+from dtwin.errors import InputError
+
+if TYPE_CHECKING:
+    from dtwin.acquire.importing import Understood
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module to the application."""
+    app.command("import")(import_table)
+
+
+def import_table(
+    source: Annotated[Path, typer.Argument(help="A table of text, in any dialect, or a spreadsheet.")],
+    out: Annotated[Path | None, typer.Option(help="Campaign folder to make; without, nothing is written.")] = None,
+    column: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="HEAD=NAME: what a column is here, with the unit that it has in the file; HEAD= leaves it out."
+        ),
+    ] = None,
+    plane: Plane = None,
+    radius: Radius = None,
+    feed: Feed = None,
+    direction: Direction = None,
+    axis: Axis = None,
+    setup: Setup = None,
+    repeat: Repeat = None,
+    machine: Machine = None,
+    campaign: Annotated[str | None, typer.Option(help="Name of the campaign; the file's without.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Say what a foreign table is taken for; with --out make a campaign folder of it, and remember the answers."""
+    from dtwin.acquire.importing import understand, write_folder
+    from dtwin.config import home
+
+    told = told_of(plane, radius, feed, direction, axis, setup, repeat, machine, campaign)
+    found = understand(source, home(), told, _answers(column or []))
+    toml = None if out is None else write_folder(found, out, home())
+    payload = {**found.as_dict(), "written": None if toml is None else str(toml)}
+    emit(payload, lambda: _text(found, out), as_json=as_json)
+
+
+def _answers(pairs: list[str]) -> dict[str, str]:
+    parted = [pair.rpartition("=") for pair in pairs]
+    wrong = [
+        pair
+        for pair, (_, mark, name) in zip(pairs, parted, strict=True)
+        if not mark or (name and not name.isidentifier())
+    ]
+    if wrong:
+        raise InputError(
+            "--column does not say what a column is",
+            code="import.column",
+            got=wrong[0][:60],
+            allowed='"HEAD=NAME", such as "Weg=position_mm"',
+        )
+    return {head.strip(): name for head, _, name in parted}
+
+
+def _text(found: Understood, out: Path | None) -> str:
+    as_dict = found.as_dict()
+    lines = [f"{found.path.name}: {found.encoding}, columns parted by {as_dict['parted_by']}"]
+    if found.skipped:
+        lines[0] += f", lines above the heads: {found.skipped}"
+    if found.remembered:
+        lines.append("  answers for an earlier file with this header are used")
+    for c in found.columns:
+        unit = f" [{c.unit}]" if c.unit and c.unit not in c.head else ""
+        factor = f", times {c.factor:.6g}" if c.factor != 1.0 else ""
+        lines.append(
+            f"  {c.head}{unit} -> {c.name}{factor}" if c.name else f"  {c.head}{unit} is left out: {c.why_not}"
+        )
+    if not found.columns:
+        lines.append(f"  {', '.join(found.header)[:200]}: read as a table of its own form")
+    lines.append(f"  kind {found.kind}" + "".join(f"; {name} {value}" for name, value in found.told.items()))
+    if found.missing:
+        lines.append(f"  missing: {', '.join(found.missing)}")
+    if found.runs:
+        rows = sum(n for _, n in found.runs)
+        lines.append(f"  {len(found.runs)} runs, {rows} rows: {', '.join(name for name, _ in found.runs)[:120]}")
+    lines.append(
+        "nothing is written; --out FOLDER makes a campaign of it"
+        if out is None
+        else f"{out} written: dtwin check {out}"
+    )
+    return "\n".join(lines)

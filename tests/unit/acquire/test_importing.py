@@ -1,0 +1,112 @@
+"""Foreign tables: what they are taken for, the folder made of them, and what is remembered."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from dtwin.acquire.importing import understand, write_folder
+from dtwin.acquire.ingest import open_source
+from dtwin.cli import app
+from dtwin.config import Home
+from dtwin.errors import InputError
+
+CIRCLE = {"plane": "XY", "radius_mm": 100.0, "feed_mm_min": 1000.0, "machine": "mill-7"}
+
+
+def circle(n: int = 400, *, below: bool = True) -> str:
+    """A German table: title, semicolons, decimal commas, units in a row below."""
+    t = np.arange(n) * 0.1
+    phi, dev = 0.9 * np.arange(n) + 0.5, 0.004 * np.sin(np.arange(n))
+    cells = [[f"{v:.6f}".replace(".", ",") for v in row] for row in zip(t, phi, dev, 20.0 + 0 * t, strict=True)]
+    heads = ["Zeit;Winkel;Abweichung;Luft;Bemerkung", "s;°;mm;°C;"]
+    if not below:
+        heads = ["Zeit [s];Winkel [°];Abweichung (mm);Luft [°C];Bemerkung"]
+    return "\r\n".join(["Kreisformtest Müller", *heads, *(";".join([*row, "gut"]) for row in cells)]) + "\r\n"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16", "utf-16-le"])
+@pytest.mark.parametrize("below", [True, False])
+def test_a_german_table_of_a_circle(tmp_path: Path, encoding: str, below: bool) -> None:
+    path, home = tmp_path / "Kreis 1.csv", Home(tmp_path / "home")
+    path.write_bytes(circle(below=below).encode(encoding))
+    first = understand(path, home, {}, {})
+    assert (first.missing, first.runs, first.skipped, first.mark) == (("plane", "radius_mm", "feed_mm_min"), (), 1, ";")
+    assert [c.name for c in first.columns] == ["t_s", "angle_deg", "deviation_um", "luft_c", ""]
+    assert not home.root.exists()
+    found = understand(path, home, CIRCLE, {})
+    write_folder(found, tmp_path / "c", home)
+    campaign, sources, _ = open_source(tmp_path / "c")
+    (run,) = next(iter(sources))[0]
+    assert (campaign.machine, run.meta.plane, run.meta.direction, run.meta.radius_mm) == ("mill-7", "XY", "CCW", 100.0)
+    assert campaign.instrument["imported_from"] == "Kreis 1.csv"
+    np.testing.assert_allclose(run.samples["deviation_um"], 4.0 * np.sin(np.arange(400)), atol=1e-3)
+    # The next file with this header needs no answers.
+    later = tmp_path / "later.csv"
+    later.write_bytes(circle(300, below=below).encode(encoding))
+    again = understand(later, home, {"feed_mm_min": 2000.0}, {})
+    assert again.remembered
+    assert (again.told["plane"], again.told["feed_mm_min"], again.runs) == ("XY", 2000.0, (("later", 300),))
+
+
+def test_a_positioning_table_is_read_by_its_own_rules(tmp_path: Path) -> None:
+    path, home = tmp_path / "x.csv", Home(tmp_path / "home")
+    lines = ["Sollposition [mm];hin 1 [µm];rück 1 [µm];hin 2 [µm];rück 2 [µm]"]
+    lines += [f"{100 * n};{n},5;{n + 3},5;{n},4;{n + 3},6" for n in range(5)]
+    path.write_bytes("\n".join(lines).encode("cp1252"))
+    found = understand(path, home, {"axis": "X"}, {})
+    assert (found.columns, [n for _, n in found.runs]) == ((), [10, 10])
+    write_folder(found, tmp_path / "c", home)
+    runs = next(iter(open_source(tmp_path / "c")[1]))[0]
+    assert runs[0].samples["error_um"][:2] == pytest.approx([0.5, 1.5])
+
+
+def test_a_number_without_a_unit_is_left_out_until_it_is_told(tmp_path: Path) -> None:
+    path, home = tmp_path / "t.csv", Home(tmp_path / "home")
+    path.write_text("t_s,Phi,Delta\n" + "".join(f"{n},{n * 0.01},{n % 3}e-3\n" for n in range(50)), encoding="utf-8")
+    with pytest.raises(InputError, match="those of no kind") as refused:
+        understand(path, home, CIRCLE, {})
+    assert "Delta: no unit is told" in str(refused.value.got)
+    found = understand(path, home, CIRCLE, {"Phi": "angle_deg", "Delta": "deviation_um"})
+    assert found.runs == (("t", 50),)
+    with pytest.raises(InputError, match="no such column"):
+        understand(path, home, CIRCLE, {"Phy": "angle_deg"})
+
+
+def test_the_command_shows_first_and_writes_when_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DTWIN_HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    Path("k.csv").write_text(circle(), encoding="utf-8")
+
+    def run(*words: str) -> Any:
+        return CliRunner().invoke(app, ["import", "k.csv", *words])
+
+    shown = run()
+    assert shown.exit_code == 0, shown.output
+    assert "Abweichung [mm] -> deviation_um, times 1000" in shown.output
+    assert "missing: plane, radius_mm, feed_mm_min" in shown.output
+    assert "nothing is written" in shown.output
+    assert [p.name for p in tmp_path.iterdir()] == ["k.csv"]
+    assert isinstance(run("--out", "c").exception, InputError)
+    assert not Path("c").exists()
+    answers = ["--plane", "XY", "--radius", "100", "--feed", "1000", "--out", "c", "--json"]
+    written = json.loads(run(*answers).stdout)
+    assert (written["kind"], written["written"]) == ("circular", "c/campaign.toml")
+    for wrong in (answers, ["--column", "Zeit"], ["--column", "Zeit=a b"]):
+        assert isinstance(run(*wrong).exception, InputError)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.one_of(st.binary(min_size=1, max_size=400), st.text(min_size=1, max_size=400).map(lambda t: t.encode())))
+def test_hostile_files_are_refused_as_mistakes(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "h.csv"
+    path.write_bytes(data)
+    with pytest.raises(InputError):
+        understand(path, Home(tmp_path / "home"), CIRCLE, {})
