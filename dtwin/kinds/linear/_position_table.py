@@ -88,7 +88,11 @@ def read_position_runs(
 
     ``stated``: the ``[[run]]`` entry; repeats count on from the one that it states.
     """
-    table = read_position_table(path)
+    return runs_of(read_position_table(path), path, stated), []
+
+
+def runs_of(table: PositionTable, path: Path, stated: Mapping[str, Any], said: Sequence[Finding] = ()) -> list[Run]:
+    """Return the cycles of a table as runs; ``said`` stands with each."""
     first = int(stated.get("repeat", 1))
     cycles = table.forward_um.shape[1]
     finding = Finding(
@@ -111,10 +115,10 @@ def read_position_runs(
         if table.by_position:
             columns["read_mm"] = position + error / UM_PER_MM
         samples = {name: values[good] for name, values in columns.items()}
-        runs.append(Run(meta, samples, source=str(path), findings=(finding,)))
+        runs.append(Run(meta, samples, source=str(path), findings=(*said, finding)))
     if not runs:
         raise _wrong("the table holds no reading", path, "targets alone")
-    return runs, []
+    return runs
 
 
 def read_position_table(path: Path) -> PositionTable:
@@ -124,22 +128,29 @@ def read_position_table(path: Path) -> PositionTable:
     """
     text = decoded(table_bytes(path, _MAX_BYTES))
     if any(_ASSIGNED.match(line) for line in text.splitlines()):
-        return _matrix(_assigned(text, path), path)
+        return matrix_of(_assigned(text, path), path)
     rows = rows_of(text)
     wide = _wide(rows[0]) if rows else None
     if wide is not None:
-        return _matrix(_from_wide(rows, wide, path), path)
+        return matrix_of(_from_wide(rows, wide, path), path)
     long = _long(rows[0]) if rows else None
     if long is None:
         raise _wrong("the table is of no known form", path, ", ".join(rows[0])[:120] if rows else "nothing")
-    return _matrix(_from_long(rows, long, path), path)
+    return matrix_of(_from_long(rows, long, path), path)
 
 
-_Reading = tuple[float, str, int, float, bool]
+Reading = tuple[float, str, int, float, bool]
 """Target in mm, direction, cycle from 1, deviation in µm, and whether it follows from a position."""
 
 
-def _matrix(readings: Sequence[_Reading], path: Path) -> PositionTable:
+def matrix_of(readings: Sequence[Reading], path: Path) -> PositionTable:
+    """Return readings as a table.
+
+    Raises
+    ------
+    InputError
+        When there are fewer than two targets, or one is read twice in a cycle and direction.
+    """
     targets = sorted({reading[0] for reading in readings})
     cycles = max((reading[2] for reading in readings), default=0)
     if len(targets) < 2 or not 1 <= cycles <= 1000:
@@ -156,7 +167,7 @@ def _matrix(readings: Sequence[_Reading], path: Path) -> PositionTable:
     return PositionTable(np.array(targets), found["forward"], found["reverse"], by_position)
 
 
-def _assigned(text: str, path: Path) -> list[_Reading]:
+def _assigned(text: str, path: Path) -> list[Reading]:
     stated = _UNIT_ASSIGNED.search(text)
     unit = stated[1].lower() if stated else "mm"
     if unit not in _MM:
@@ -198,7 +209,7 @@ def _wide(heads: Sequence[str]) -> _Wide | None:
     return _Wide(targets[0], tuple(cells)) if targets and len(cells) >= 2 else None
 
 
-def _from_wide(rows: Sequence[Sequence[str]], wide: _Wide, path: Path) -> list[_Reading]:
+def _from_wide(rows: Sequence[Sequence[str]], wide: _Wide, path: Path) -> list[Reading]:
     heads, body = rows[0], rows[1:]
     units = body[0] if body and all(not cell.strip() or _is_unit(cell) for cell in body[0]) else None
     body = body[1:] if units is not None else body
@@ -241,10 +252,10 @@ def _long(heads: Sequence[str]) -> _Long | None:
     return _Long(target, way, cycle, value)
 
 
-def _from_long(rows: Sequence[Sequence[str]], long: _Long, path: Path) -> list[_Reading]:
+def _from_long(rows: Sequence[Sequence[str]], long: _Long, path: Path) -> list[Reading]:
     heads = rows[0]
     scales = _scale(heads[long.target], ""), _scale(heads[long.value], "")
-    out: list[_Reading] = []
+    out: list[Reading] = []
     seen: dict[tuple[float, str], int] = {}
     for number, row in enumerate(rows[1:], start=2):
         where = f"{path} row {number}"

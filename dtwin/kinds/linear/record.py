@@ -52,8 +52,9 @@ class _Linear(Kind):
     @property
     def readers(self) -> Mapping[str, FileReader]:
         from dtwin.kinds.linear._read import read_laser_runs
+        from dtwin.kinds.linear._rtl_file import SUFFIXES, read_rtl_runs
 
-        return {".txt": read_laser_runs, ".las": read_laser_runs}
+        return {".txt": read_laser_runs, ".las": read_laser_runs, **dict.fromkeys(SUFFIXES, read_rtl_runs)}
 
     def reader_of(self, path: Path) -> FileReader | None:
         from dtwin.kinds.linear._position_table import is_position_table, read_position_runs
@@ -62,8 +63,9 @@ class _Linear(Kind):
 
     def takes_alone(self, path: Path) -> bool:
         from dtwin.kinds.linear._position_table import is_position_table
+        from dtwin.kinds.linear._rtl_file import SUFFIXES
 
-        return is_position_table(path)
+        return path.suffix.lower() in SUFFIXES or is_position_table(path)
 
     def plan(self, document: Mapping[str, Any], where: str) -> Planned:
         from dtwin.kinds.linear._planned import planned
