@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import tomli_w
+
 from dtwin.acquire._lone_table import open_table, safe_name
 from dtwin.acquire.spreadsheet import table_bytes
 from dtwin.acquire.table_dialect import decoded, encoding_of, mark_of, rows_of
@@ -198,20 +200,21 @@ def write_folder(found: Understood, folder: Path, home: Home) -> Path:
         write_text(lone, found.text, "a table")
         opened = open_table(lone, found.told)
     campaign, (entry,) = opened.campaign, opened.entries
-    source = {"imported_from": found.path.name, "imported_sha256": hashlib.sha256(found.path.read_bytes()).hexdigest()}
-    make_folder(folder)
-    write_text(folder / lone.name, found.text, "the table")
-    document = {
-        "campaign": {"name": campaign.name, "machine": campaign.machine, "kind": found.kind, "instrument": source},
-        "run": [dict(entry.stated)],
-    }
-    toml = write_toml(folder / "campaign.toml", document, "the campaign")
+    # A comment: files of one campaign may differ in it.
+    digest = hashlib.sha256(found.path.read_bytes()).hexdigest()
+    source = f"# dtwin import {json.dumps(found.path.name)}, sha256 {digest}\n"
     kept = {name: found.told[name] for name in _REMEMBERED if name in found.told}
     recipe = {"header": list(found.header), "columns": dict(found.answers), "told": kept}
     place = _recipe_path(home.made(), found.header)
     make_folder(place.parent)
     write_toml(place, recipe, "the recipe")
-    return toml
+    make_folder(folder)
+    write_text(folder / lone.name, found.text, "the table")
+    document = {
+        "campaign": {"name": campaign.name, "machine": campaign.machine, "kind": found.kind},
+        "run": [dict(entry.stated)],
+    }
+    return write_text(folder / "campaign.toml", source + tomli_w.dumps(document), "the campaign")
 
 
 def _header(rows: Sequence[Sequence[str]], path: Path) -> int:

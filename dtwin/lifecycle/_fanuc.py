@@ -87,6 +87,8 @@ def _notes(table: AxisTable) -> list[str]:
     return [
         BY_MEMORY,
         f"values are rounded to {magnification} µm; between two points the control may put a whole step in at once",
+        f"points are {table.position_mm[1] - table.position_mm[0]:g} mm apart: the control wants the largest feed in mm/min "
+        "over 7500, or more (from memory)",
         *lost_motion_notes(table, "1851"),
         "the number of the axis, and those of the points, are ours: change them where the machine has others",
     ]

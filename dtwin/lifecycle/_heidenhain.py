@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dtwin.errors import InputError
-from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable
+from dtwin.lifecycle.axis_tables import BY_MEMORY, AxisForm, AxisTable, require_apart
 from dtwin.units import UM_PER_MM
 
 # Of the TNC 407 to 425: neighbouring values differ by no more than their distance over this.
@@ -24,8 +24,9 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
     Raises
     ------
     InputError
-        When neighbouring values differ by more than the control takes.
+        When rows are too close together, or neighbouring values differ by more than the control takes.
     """
+    require_apart(table)
     rows = np.column_stack([table.position_mm, -table.reverse_um / UM_PER_MM, -table.forward_um / UM_PER_MM])
     steepest = float((np.abs(np.diff(rows[:, 1:], axis=0)) / np.diff(rows[:, :1], axis=0)).max())
     if steepest > 1.0 / _SLOPE:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dtwin.errors import InputError
-from dtwin.lifecycle.axis_tables import AxisForm, AxisTable, lost_motion_notes, lost_motion_um
+from dtwin.lifecycle.axis_tables import AxisForm, AxisTable, lost_motion_notes, lost_motion_um, require_apart
 from dtwin.units import UM_PER_MM
 
 # SINUMERIK 808D; the larger series hold more when MD38000 says so.
@@ -24,17 +23,10 @@ def siemens_file(table: AxisTable, said: Sequence[str]) -> str:
     InputError
         When rows would be less than 1 um apart.
     """
+    require_apart(table)
     name, last = f"{table.axis}1", len(table.position_mm) - 1
     low = round(float(table.position_mm[0]), 6)
     step = round((float(table.position_mm[-1]) - low) / last, 6)
-    if step < 1.0 / UM_PER_MM:
-        raise InputError(
-            "the rows of the table are too close together",
-            code="export.step",
-            got=f"{step:g} mm",
-            allowed="0.001 mm or more",
-            hint="--travel LOW,HIGH, --points N",
-        )
     both = 0.5 * (table.forward_um + table.reverse_um) / UM_PER_MM
     lines = [
         f"%_N_{name}_EEC_INI",

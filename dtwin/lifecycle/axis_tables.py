@@ -131,6 +131,19 @@ def _comp_notes(table: AxisTable) -> list[str]:
 LINUXCNC = AxisForm(compensation_file, _comp_notes)
 
 
+def require_apart(table: AxisTable, least_mm: float = 0.001) -> None:
+    """Refuse rows that are closer together than a control takes."""
+    step = float(np.diff(table.position_mm).min())
+    if step < least_mm:
+        raise InputError(
+            "the rows of the table are too close together",
+            code="export.step",
+            got=f"{step:g} mm",
+            allowed=f"{least_mm:g} mm or more",
+            hint="--travel LOW,HIGH, --points N",
+        )
+
+
 def lost_motion_um(table: AxisTable) -> tuple[float, float]:
     """Return the mean of reverse minus forward, and how far one row is from it, both in um."""
     difference = table.reverse_um - table.forward_um

@@ -46,7 +46,7 @@ def test_a_german_table_of_a_circle(tmp_path: Path, encoding: str, below: bool) 
     campaign, sources, _ = open_source(tmp_path / "c")
     (run,) = next(iter(sources))[0]
     assert (campaign.machine, run.meta.plane, run.meta.direction, run.meta.radius_mm) == ("mill-7", "XY", "CCW", 100.0)
-    assert campaign.instrument["imported_from"] == "Kreis 1.csv"
+    assert (tmp_path / "c" / "campaign.toml").read_text("utf-8").startswith('# dtwin import "Kreis 1.csv", sha256 ')
     np.testing.assert_allclose(run.samples["deviation_um"], 4.0 * np.sin(np.arange(400)), atol=1e-3)
     # The next file with this header needs no answers.
     later = tmp_path / "later.csv"
