@@ -53,8 +53,8 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
         raise InputError(
             "a value is larger than the control takes",
             code="export.step",
-            got=f"{np.abs(values).max():.4f} inch",
-            allowed=f"{_MOST_INCH:.4f} inch: 127 encoder steps",
+            got=f"{np.abs(values).max():z.4f} inch",
+            allowed=f"{_MOST_INCH:z.4f} inch: 127 encoder steps",
             hint="take the scale out with parameters 5, 19 or 33 first, or --travel",
         )
     positions = table.position_mm[::-1] / _INCH_MM + 0.0
@@ -64,7 +64,7 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
         "# Classic Haas control, VF series; to be keyed in on the page of the lead screw compensation.",
         f"# axis {table.axis}; 127 encoder steps are the limit, at {_STEPS_PER_INCH:g} steps in an inch",
         "entry,position_inch,value_inch",
-        *(f"{n},{at:.1f},{v:.4f}" for n, (at, v) in enumerate(zip(positions, values, strict=True), start=1)),
+        *(f"{n},{at:z.1f},{v:z.4f}" for n, (at, v) in enumerate(zip(positions, values, strict=True), start=1)),
     ]
     return "\n".join(lines) + "\n"
 

@@ -42,7 +42,7 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
         *(f"# {line}" for line in (*said, BY_MEMORY, "For NCK controls: TNC 640, 620, 320, MANUALplus 620.")),
         f"{'NR':<6}{'AXISPOS':<14}{'BACKLASH':<12}{table.axis:<12}",
         *(
-            f"{n:<6}{at:<+14.4f}{reverse:<+12.4f}{forward:<+12.4f}"
+            f"{n:<6}{at:<+z14.4f}{reverse:<+z12.4f}{forward:<+z12.4f}"
             for n, (at, reverse, forward) in enumerate(rows + 0.0)
         ),
         "[END]",

@@ -73,7 +73,7 @@ def reprap_settings(twin: Twin, said: Sequence[str]) -> tuple[str, dict[str, flo
         sides = [f"{letter}{-_SIDE_MM * by_plane.get(plane, 0.0):z.6f}" for plane, letter in letters.items()]
         lines.append(f"M556 S{_SIDE_MM:g} " + " ".join(sides))
     if terms:
-        lines.append("M579 " + " ".join(f"{axis}{1.0 / (1.0 + s):.8f}" for axis, s in zip(AXES, scale, strict=True)))
+        lines.append("M579 " + " ".join(f"{axis}{1.0 / (1.0 + s):z.8f}" for axis, s in zip(AXES, scale, strict=True)))
     return "\n".join(lines) + "\n", by_plane | {f"scale {a}": float(s) for a, s in zip(AXES, scale, strict=True) if s}
 
 
