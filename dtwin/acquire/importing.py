@@ -34,7 +34,8 @@ from dtwin.units import UNITS
 _MAX_BYTES = 64 * 1024**2
 _MOST_COLUMNS = 512
 _MOST_PREAMBLE = 200
-_REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "direction", "axis")
+# The direction is that in which the angle runs, file by file.
+_REMEMBERED = ("machine", "plane", "radius_mm", "feed_mm_min", "axis")
 _MARKS = {";": "semicolons", "\t": "tabs", ",": "commas"}
 # What a foreign unit is here, and how many of it.
 _UNITS: Mapping[str, tuple[str, float]] = {

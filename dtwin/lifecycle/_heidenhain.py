@@ -39,7 +39,14 @@ def _write(table: AxisTable, said: Sequence[str]) -> str:
         )
     lines = [
         f"BEGIN {table.axis}_AXIS.COM MM",
-        *(f"# {line}" for line in (*said, BY_MEMORY, "For NCK controls: TNC 640, 620, 320, MANUALplus 620.")),
+        *(
+            f"# {line}"
+            for line in (
+                *said,
+                BY_MEMORY,
+                "For NCK controls: TNC 640, 620, 320, MANUALplus 620. Delete these lines if refused.",
+            )
+        ),
         f"{'NR':<6}{'AXISPOS':<14}{'BACKLASH':<12}{table.axis:<12}",
         *(
             f"{n:<6}{at:<+z14.4f}{reverse:<+z12.4f}{forward:<+z12.4f}"

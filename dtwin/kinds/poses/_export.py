@@ -95,7 +95,7 @@ def _arm(twin: PoseTwin, chain: Floats, held: set[str]) -> _Arm:
         _NOT_LOADED,
         "the measured target in the flange's frame, mm: " + ", ".join(f"{v:z.4f}" for v in tool),
     )
-    name = identifier(twin.name).strip("_").lower()
+    name = f"dtwin_{identifier(twin.name).strip('_').lower()}"
     turning = tuple((joint, order, pair[0], pair[1]) for (joint, order), pair in waves.items())
     return _Arm(name, said, rows, turning)
 

@@ -137,13 +137,13 @@ def by_python(text: str, tmp_path: Path) -> Callable[[Any], np.ndarray]:
     path = tmp_path / "arm.py"
     path.write_text(text, encoding="utf-8")
     code = runpy.run_path(str(path))
-    return code["full"]  # type: ignore[no-any-return]
+    return code["dtwin_full"]  # type: ignore[no-any-return]
 
 
 def by_matlab(text: str) -> Callable[[Any], np.ndarray]:
     """Run the statements of the emitted subset: ``name = expression;`` with matrices, products, cos and sin."""
     head, *lines, end = (line for line in text.splitlines() if not line.startswith("%"))
-    assert (head, end) == ("function t = full(q)", "end")
+    assert (head, end) == ("function t = dtwin_full(q)", "end")
     steps = []
     for line in lines:
         name, _, code = line.rstrip(";").partition(" = ")
